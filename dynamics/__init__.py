@@ -1,0 +1,1 @@
+"""The physics of a multirotor, written once: frames, vehicle file, rotors, effects, integrators, references."""

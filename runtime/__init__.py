@@ -1,0 +1,1 @@
+"""The daemon that flies beside the flight controller: link, clock, controller, failsafe, recorder."""
