@@ -1,0 +1,171 @@
+"""C from CasADi functions: generated, compiled once, cached by the hash of everything that goes into it.
+
+Two processes that need the same library at the same time wait for one compilation; a library appears under its name
+only when it is whole. Generation and compilation happen at start-up, never in a control tick.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Mapping, Sequence
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import casadi as ca
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from dynamics.errors import RequestError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+
+
+def cache_folder() -> Path:
+    """Where compiled code is kept: $ALULA_CACHE, or alula/ in the user's cache folder."""
+    if folder := os.environ.get("ALULA_CACHE"):
+        return Path(folder)
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "alula"
+
+
+def generate_c(functions: Sequence[ca.Function]) -> str:
+    """C source of CasADi functions, each callable under its name with CasADi's calling convention."""
+    generator = ca.CodeGenerator("alula_generated.c", {"with_header": False, "casadi_int": "long long int"})
+    for function in functions:
+        generator.add(function)
+    return str(generator.dump())
+
+
+def build_library(
+    sources: Mapping[str, str], *, flags: Sequence[str] = FLAGS, libraries: Sequence[str] = (), entry: str
+) -> Path:
+    """Path of a shared library compiled from sources (file name -> text), taken from the cache when it is there.
+
+    entry: the file that the compiler is given; the others lie beside it for it to include. libraries: what the linker
+    is given behind it. Raises RequestError when there is no C compiler or it refuses the code.
+    """
+    compiler = find_compiler()
+    recipe = [_identity(compiler), entry, *flags, *libraries]
+    digest = hashlib.sha256("\0".join([*recipe, *(f"{k}\0{v}" for k, v in sorted(sources.items()))]).encode()).hexdigest()
+    folder = cache_folder()
+    library = folder / f"{Path(entry).stem}-{digest[:24]}.so"
+    if library.exists():
+        return library
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with _locked(folder / f"{library.name}.lock"):
+            if not library.exists():
+                _compile(compiler, sources, entry, [*flags], [*libraries], library)
+    except OSError as error:
+        raise RequestError(f"cannot write compiled code to {folder}: {error}. Set ALULA_CACHE to another folder.") from error
+    return library
+
+
+def find_compiler() -> str:
+    """The C compiler: $CC, or the first of cc, gcc, clang. Raises RequestError when there is none."""
+    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        if found := shutil.which(name):
+            return found
+    raise RequestError("no C compiler was found (looked for $CC, cc, gcc, clang). Install one, such as Debian's gcc.")
+
+
+@cache
+def _identity(compiler: str) -> str:
+    """What else decides the machine code: the compiler's version and the processor that -march=native means."""
+    version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
+    try:
+        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Feat")))
+    except (OSError, StopIteration):
+        flags = platform.processor()
+    return f"{version}\0{platform.machine()}\0{flags}"
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+def _compile(
+    compiler: str, sources: Mapping[str, str], entry: str, flags: list[str], libraries: list[str], library: Path
+) -> None:
+    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+        for name, text in sources.items():
+            (Path(folder) / name).write_text(text)
+        descriptor, temporary = tempfile.mkstemp(dir=library.parent, suffix=".so.part")
+        os.close(descriptor)
+        command = [compiler, *flags, entry, "-o", temporary, *libraries, "-lm"]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        if done.returncode != 0:
+            os.unlink(temporary)
+            raise RequestError(f"the C compiler refused {entry}: {' '.join(command)}\n{done.stderr[-2000:]}")
+        os.chmod(temporary, 0o755)
+        os.replace(temporary, library)
+
+
+class CompiledFunction:
+    """A CasADi function as machine code: arrays in and out are fixed, so that a call costs one foreign call.
+
+    inputs, outputs: by name, NumPy arrays that the code reads and writes in place; matrices are flattened by column,
+    as CasADi stores them. An instance belongs to one thread.
+    """
+
+    def __init__(self, function: ca.Function, library: Path) -> None:
+        self._code = ctypes.CDLL(str(library))
+        self._call = getattr(self._code, function.name())
+        self._call.restype = ctypes.c_int
+        self.inputs = {function.name_in(i): np.zeros(function.numel_in(i)) for i in range(function.n_in())}
+        self.outputs = {function.name_out(i): np.zeros(function.numel_out(i)) for i in range(function.n_out())}
+        self._integers = np.zeros(max(1, function.sz_iw()), dtype=np.int64)
+        self._work = np.zeros(max(1, function.sz_w()))
+        self._arguments = (
+            _pointers(list(self.inputs.values()), function.sz_arg()),
+            _pointers(list(self.outputs.values()), function.sz_res()),
+            ctypes.c_void_p(self._integers.ctypes.data),
+            ctypes.c_void_p(self._work.ctypes.data),
+            ctypes.c_int(0),
+        )
+
+    def run(self) -> None:
+        """Work out the outputs from what the inputs hold now."""
+        self._call(*self._arguments)
+
+    def __call__(self, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
+        """Set inputs by name (those not named keep their values), run, and give the outputs, which stay ours."""
+        for name, value in inputs.items():
+            self.inputs[name][:] = value
+        self.run()
+        return self.outputs
+
+
+def compile_functions(functions: Sequence[ca.Function]) -> dict[str, CompiledFunction]:
+    """Functions as machine code, by name, out of one cached library.
+
+    Functions must have dense inputs and outputs; a sparse one would be read as if it were dense.
+    """
+    for function in functions:
+        dense = [function.sparsity_in(i).is_dense() for i in range(function.n_in())]
+        dense += [function.sparsity_out(i).is_dense() for i in range(function.n_out())]
+        if not all(dense):
+            raise ValueError(f"{function.name()} has a sparse input or output; make it dense with casadi.densify")
+    source = generate_c(functions)
+    library = build_library({"functions.c": source}, entry="functions.c")
+    return {function.name(): CompiledFunction(function, library) for function in functions}
+
+
+def _pointers(arrays: Sequence[NDArray[np.float64]], count: int) -> ctypes.Array[ctypes.c_void_p]:
+    """CasADi's array of argument pointers, with the room behind them that its code wants for itself."""
+    addresses = [array.ctypes.data for array in arrays]
+    return (ctypes.c_void_p * max(1, count))(*addresses, *([None] * (max(1, count) - len(addresses))))

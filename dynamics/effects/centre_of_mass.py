@@ -1,0 +1,37 @@
+"""Centre of mass: it lies elsewhere than the vehicle file says, so that thrust twists the body."""
+
+from dataclasses import replace
+
+import casadi as ca
+
+from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.vehicle import Vehicle
+
+
+def usual(vehicle: Vehicle) -> Prior:
+    """A tenth of the mean arm."""
+    arm = sum(abs(x) + abs(y) for x, y, _ in vehicle.rotors.position) / (2 * vehicle.rotors.count)
+    return Prior(0.1 * arm, 0.1 * arm)
+
+
+def level(vehicle: Vehicle) -> Prior:
+    """The height hardly shows in a flight: none by default."""
+    return Prior(0.0, usual(vehicle).std)
+
+
+def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics:
+    """The centre of mass moves by (x, y, z); the state's position is that of the new centre."""
+    return replace(body, centre_of_mass=body.centre_of_mass + ca.vertcat(p["x"], p["y"], p["z"]))
+
+
+EFFECT = Effect(
+    name="centre_of_mass",
+    summary="The centre of mass lies elsewhere than the vehicle file says",
+    source="PI-TCN eq. 2 with rotor arms taken from the centre of mass",
+    parameters=(
+        Parameter("x", "m", "forward", -0.5, 0.5, usual),
+        Parameter("y", "m", "to the left", -0.5, 0.5, level),
+        Parameter("z", "m", "upwards", -0.5, 0.5, level),
+    ),
+    physics=physics,
+)

@@ -1,0 +1,28 @@
+"""Motor lag: rotors follow their command as a first-order system."""
+
+from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Values
+
+
+def rotor_speed(_: Expression, hidden: Values) -> Expression:
+    """The rotors turn as fast as the hidden state says, not as commanded."""
+    return hidden["rotor_speed"]
+
+
+def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
+    """dOmega/dt = (command - Omega) / time_constant."""
+    return {"rotor_speed": (c.command - hidden["rotor_speed"]) / p["time_constant"]}
+
+
+EFFECT = Effect(
+    name="motor_lag",
+    summary="Rotor speed lags its command by a first-order time constant",
+    source="Eschmann, Albani, Loianno, Data-Driven System Identification of Quadrotors Subject to Motor Delays, 2024",
+    parameters=(
+        Parameter(
+            "time_constant", "s", "time to 63 % of a step", 1e-3, 0.5, prior=lambda _: Prior(0.035, 0.03)
+        ),
+    ),
+    hidden=(Hidden("rotor_speed", "rad/s", initial=lambda vehicle: vehicle.hover_speed, per_rotor=True),),
+    rotor_speed=rotor_speed,
+    derivative=derivative,
+)

@@ -1,0 +1,182 @@
+"""The vehicle: its body, rotors, limits and the effects already known about it.
+
+Plain frozen data, checked for physical sense on creation; `dynamics.vehicle_file` reads and writes it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Annotated
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from dynamics.errors import RequestError
+
+GRAVITY = 9.81  # m/s^2
+Vector3 = tuple[float, float, float]
+Positive = Annotated[float, Meta(gt=0)]
+NonNegative = Annotated[float, Meta(ge=0)]
+
+
+class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The rigid body. mass: kg. inertia: diagonal about body x, y, z, kg m^2. centre_of_mass: body FLU, m."""
+
+    mass: Positive
+    inertia: tuple[Positive, Positive, Positive]
+    centre_of_mass: Vector3 = (0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        """Refuse an inertia that no distribution of mass can have."""
+        largest = max(self.inertia)
+        if largest > sum(self.inertia) - largest:
+            raise RequestError(
+                f"impossible inertia {list(self.inertia)} kg m^2: no moment of a solid body may exceed the sum of the "
+                "other two. Check the order (xx, yy, zz) and the units (kg m^2)."
+            )
+
+
+class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The rotors, in the order of the input vector u.
+
+    position: body FLU, m, one row a rotor. spin: sign of the reaction torque about body z. thrust_constant: k_f,
+    N s^2/rad^2. torque_constant: k_tau, N m s^2/rad^2. speed_min, speed_max: rad/s. radius: propeller radius, m.
+    thrust_curve: c in thrust/thrust_max = c s^2 + (1 - c) s for a motor signal s of 0 to 1 (1: speed follows the
+    signal, 0: thrust does, as in PX4's SIH).
+    """
+
+    position: tuple[Vector3, ...]
+    spin: tuple[int, ...]
+    thrust_constant: Positive
+    torque_constant: NonNegative
+    speed_max: Positive
+    speed_min: NonNegative = 0.0
+    radius: Positive | None = None
+    thrust_curve: Annotated[float, Meta(ge=0, le=1)] = 1.0
+
+    def __post_init__(self) -> None:
+        """Refuse layouts that cannot produce thrust, roll, pitch and yaw independently."""
+        count = len(self.position)
+        if len(self.spin) != count:
+            raise RequestError(f"{count} rotor positions but {len(self.spin)} spin signs: give one of each per rotor.")
+        if any(sign not in (-1, 1) for sign in self.spin):
+            raise RequestError(f"rotor spin {list(self.spin)}: each must be 1 or -1.")
+        if self.speed_min >= self.speed_max:
+            raise RequestError(f"rotor speed_min {self.speed_min} is not below speed_max {self.speed_max} (rad/s).")
+        if count % 2 == 0 and sum(self.spin) != 0:
+            raise RequestError(
+                f"rotor spin {list(self.spin)} sums to {sum(self.spin)}: with {count} rotors the reaction torques must "
+                "cancel in hover. Half of the rotors must turn each way; the paper's quadrotor has [1, -1, 1, -1]."
+            )
+        if self.torque_constant > 0 and np.linalg.matrix_rank(self.allocation) < 4:
+            raise RequestError(
+                f"rotor spin {list(self.spin)} at positions {[list(p) for p in self.position]} cannot command thrust, "
+                "roll, pitch and yaw independently. On a quadrotor, diagonal neighbours turn the same way."
+            )
+
+    @property
+    def count(self) -> int:
+        """Number of rotors."""
+        return len(self.position)
+
+    @property
+    def allocation(self) -> NDArray[np.float64]:
+        """Matrix from squared rotor speeds to (thrust, torque x, y, z) (PI-TCN eq. 2). Returns (4, count)."""
+        position = np.array(self.position)
+        force = np.full(self.count, self.thrust_constant)
+        yaw = self.torque_constant * np.array(self.spin)
+        return np.stack([force, force * position[:, 1], -force * position[:, 0], yaw])
+
+    @property
+    def thrust_max(self) -> float:
+        """Thrust of all rotors at full speed, N."""
+        return self.count * self.thrust_constant * self.speed_max**2
+
+    @property
+    def disc_radius(self) -> float:
+        """Propeller radius, m; when the file gives none, 0.45 of the least distance between two rotors."""
+        if self.radius is not None:
+            return self.radius
+        position = np.array(self.position)
+        gaps = np.linalg.norm(position[:, None] - position[None], axis=-1)
+        return 0.45 * float(np.min(gaps[gaps > 0]))
+
+
+class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the vehicle may be asked to do. rate: rad/s about body x, y, z. thrust: least and most collective, N.
+
+    speed: m/s. box: lower and upper corner of the allowed positions, world ENU, m.
+    """
+
+    rate: tuple[Positive, Positive, Positive] = (6.0, 6.0, 3.0)
+    thrust: tuple[NonNegative, Positive] | None = None
+    speed: Positive = 20.0
+    box: tuple[Vector3, Vector3] | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse empty ranges."""
+        if self.thrust is not None and self.thrust[0] >= self.thrust[1]:
+            raise RequestError(f"limits.thrust {list(self.thrust)} N is empty: give the least, then the most.")
+        if self.box is not None and any(low >= high for low, high in zip(*self.box, strict=True)):
+            raise RequestError(f"limits.box {self.box} m is empty: give the lower corner, then the upper corner.")
+
+
+class EffectUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """An effect of the catalogue with the values it has on this vehicle; rotor for effects of a single rotor."""
+
+    name: str
+    parameters: dict[str, float] = msgspec.field(default_factory=dict)
+    rotor: int | None = None
+
+
+class HistoryEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One line of a vehicle file's history: what was added, from which flights, and what it brought."""
+
+    date: str
+    action: str
+    flights: tuple[str, ...] = ()
+    before: dict[str, float] = msgspec.field(default_factory=dict)
+    after: dict[str, float] = msgspec.field(default_factory=dict)
+    command: str = ""
+
+
+class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A vehicle file's content."""
+
+    name: str
+    body: Body
+    rotors: Rotors
+    limits: Limits = Limits()
+    effects: tuple[EffectUse, ...] = ()
+    history: tuple[HistoryEntry, ...] = ()
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        """Refuse a vehicle that cannot lift itself: the usual sign of a constant in the wrong unit."""
+        if self.rotors.thrust_max <= self.weight:
+            raise RequestError(
+                f"{self.name}: all rotors at speed_max give {self.rotors.thrust_max:.3g} N, the weight is "
+                f"{self.weight:.3g} N. Check thrust_constant (N s^2/rad^2), speed_max (rad/s, not rpm) and mass (kg)."
+            )
+
+    @property
+    def weight(self) -> float:
+        """Weight, N."""
+        return self.body.mass * GRAVITY
+
+    @property
+    def hover_speed(self) -> float:
+        """Rotor speed that carries the weight when all rotors share it, rad/s."""
+        return math.sqrt(self.weight / (self.rotors.count * self.rotors.thrust_constant))
+
+    @property
+    def thrust_limits(self) -> tuple[float, float]:
+        """Least and most collective thrust, N: the file's limits, or what the rotors can do."""
+        least = self.rotors.count * self.rotors.thrust_constant * self.rotors.speed_min**2
+        return self.limits.thrust or (least, self.rotors.thrust_max)
+
+    def with_effects(self, *uses: EffectUse) -> Vehicle:
+        """The same vehicle with further effects."""
+        return msgspec.structs.replace(self, effects=self.effects + uses)

@@ -1,0 +1,150 @@
+"""Reading, checking and writing vehicle files (TOML), and effects written on a command line."""
+
+from __future__ import annotations
+
+import difflib
+import os
+import tempfile
+import tomllib
+import types
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import tomli_w
+
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.vehicle import EffectUse, Vehicle
+
+
+def read_vehicle(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
+    """A vehicle from its file.
+
+    Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
+    does), lacks one, or describes a vehicle that cannot exist.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from error
+    try:
+        return parse_vehicle(text, catalogue=catalogue)
+    except RequestError as error:
+        raise RequestError(f"{path}: {error}") from error
+
+
+def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
+    """A vehicle from the text of its file. Raises RequestError as `read_vehicle`."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RequestError(f"not valid TOML: {error}.") from error
+    refuse_unknown_keys(table, Vehicle)
+    try:
+        vehicle = msgspec.convert(table, Vehicle)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, RequestError):
+            raise error.__cause__ from None
+        raise RequestError(f"{error}.") from error
+    for use in vehicle.effects:
+        check_effect(use, vehicle.rotors.count, catalogue=catalogue)
+    return vehicle
+
+
+def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
+    """Write a vehicle file under a temporary name and rename it. Raises RequestError when the file exists."""
+    path = Path(path)
+    if path.exists():
+        raise RequestError(f"{path} exists and a vehicle file is never overwritten; give another name.")
+    table = _without_none(msgspec.to_builtins(vehicle))
+    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    with os.fdopen(descriptor, "wb") as file:
+        tomli_w.dump(table, file)
+    os.replace(temporary, path)
+
+
+def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:
+    """An effect as given on a command line: `name` or `name:key=value,key=value`, with `rotor=i` where it needs one.
+
+    Raises RequestError for an unknown effect or key, a value that is no number, or one outside its bounds.
+    """
+    name, _, rest = text.partition(":")
+    values: dict[str, float] = {}
+    for pair in filter(None, rest.split(",")):
+        key, equals, value = pair.partition("=")
+        try:
+            values[key.strip()] = float(value)
+        except ValueError:
+            raise RequestError(f"effect {text!r}: {pair!r} is not key=number. Write name:key=value,key=value.") from None
+        if not equals:
+            raise RequestError(f"effect {text!r}: {pair!r} is not key=number. Write name:key=value,key=value.")
+    rotor = values.pop("rotor", None)
+    use = EffectUse(name.strip(), values, None if rotor is None else int(rotor))
+    check_effect(use, rotor_count, catalogue=catalogue)
+    return use
+
+
+def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> None:
+    """Refuse an effect that the catalogue does not hold, or values that it cannot have, with a RequestError."""
+    if use.name not in catalogue:
+        raise RequestError(f"unknown effect {use.name!r}{nearest(use.name, catalogue)}. Known: {', '.join(catalogue)}.")
+    effect = catalogue[use.name]
+    parameters = {parameter.name: parameter for parameter in effect.parameters}
+    for key, value in use.parameters.items():
+        if key not in parameters:
+            raise RequestError(f"effect {use.name}: unknown parameter {key!r}{nearest(key, parameters)}. "
+                               f"It has {', '.join(parameters)}.")  # fmt: skip
+        known = parameters[key]
+        if not known.lower <= value <= known.upper:
+            raise RequestError(f"effect {use.name}: {key} = {value} {known.unit} is outside its bounds "
+                               f"[{known.lower}, {known.upper}] {known.unit}.")  # fmt: skip
+    if effect.per_rotor and (use.rotor is None or not 0 <= use.rotor < rotor_count):
+        raise RequestError(f"effect {use.name} sits on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}.")
+    if not effect.per_rotor and use.rotor is not None:
+        raise RequestError(f"effect {use.name} acts on the whole vehicle: leave rotor out.")
+
+
+def nearest(word: str, known: Mapping[str, object] | tuple[str, ...]) -> str:
+    """A remark that names the known word nearest to one that is not known, or nothing."""
+    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+    return f"; did you mean {close[0]!r}?" if close else ""
+
+
+def refuse_unknown_keys(table: Mapping[str, Any], kind: type[msgspec.Struct], where: str = "") -> None:
+    """Raise a RequestError at the first key of a table that its struct does not know, naming the nearest one."""
+    hints = typing.get_type_hints(kind)
+    for key, value in table.items():
+        if key not in hints:
+            place = f" in [{where}]" if where else ""
+            known = ", ".join(hints)
+            raise RequestError(f"unknown key {key!r}{place}{nearest(key, hints)}. Known there: {known}.")
+        inner = _struct_inside(hints[key])
+        if inner is None:
+            continue
+        for entry in value if isinstance(value, list) else [value]:
+            if isinstance(entry, dict):
+                refuse_unknown_keys(entry, inner, f"{where}.{key}" if where else key)
+
+
+def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:
+    """The struct that a hint is, or that a tuple or union of it holds."""
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        return hint
+    if typing.get_origin(hint) in (tuple, list, typing.Union, types.UnionType):
+        found = (_struct_inside(part) for part in typing.get_args(hint))
+        return next((struct for struct in found if struct is not None), None)
+    return None
+
+
+def _without_none(value: Any) -> Any:
+    """The same value without entries that are None, empty or unset, which TOML cannot or need not say."""
+    if isinstance(value, dict):
+        return {key: _without_none(item) for key, item in value.items() if item not in (None, "", [], (), {})}
+    if isinstance(value, list | tuple):
+        return [_without_none(item) for item in value]
+    return value
