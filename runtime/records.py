@@ -1,0 +1,236 @@
+"""What a recording holds: one plain struct per topic, and the JSON schema that Foxglove and PlotJuggler read it by.
+
+Times are seconds of the daemon's monotonic clock; the recorder stamps every message with the matching unix time.
+World ENU, body FLU, attitude body to world, w first, as everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+Seconds = Annotated[float, Meta(description="s")]
+Array = np.ndarray[Any, np.dtype[np.float64]]
+Metres = Annotated[Array, Meta(description="m, world ENU")]
+Velocity = Annotated[Array, Meta(description="m/s, world ENU")]
+Attitude = Annotated[Array, Meta(description="body FLU to world ENU, w x y z")]
+Rate = Annotated[Array, Meta(description="rad/s, body FLU")]
+Newtons = Annotated[float, Meta(description="N")]
+
+
+class EstimateRecord(msgspec.Struct, frozen=True):
+    """One state estimate as it came from the vehicle, in our frames; time: when it was valid, on our clock."""
+
+    time: Seconds
+    arrival: Seconds
+    position_world: Metres
+    velocity_world: Velocity
+    attitude: Attitude
+    rate_body: Rate
+    reset_counter: int
+
+
+class ReferenceRecord(msgspec.Struct, frozen=True):
+    """What the vehicle should have done at the time of one tick."""
+
+    time: Seconds
+    position_world: Metres
+    velocity_world: Velocity
+    attitude: Attitude
+    rate_body: Rate
+
+
+class SetpointRecord(msgspec.Struct, frozen=True):
+    """What was sent: body rates and thrust, with the newtons asked for and the effectiveness that scaled them."""
+
+    time: Seconds
+    rate_body: Rate
+    collective_thrust: Newtons
+    thrust: Annotated[float, Meta(description="0..1 of SET_ATTITUDE_TARGET")]
+    effectiveness: Annotated[float, Meta(description="thrust per modelled thrust, 1")]
+
+
+class TickRecord(msgspec.Struct, frozen=True):
+    """One tick of the control thread: what set it off, what it saw, what it decided and how long each part took."""
+
+    tick: int
+    time: Seconds
+    trigger: str
+    estimate_time: Seconds
+    estimate_age: Seconds
+    state: str
+    phase: str
+    fallback: str
+    solver_status: int
+    feedback_seconds: Seconds
+    preparation_seconds: Seconds
+    departure_seconds: Annotated[float, Meta(description="s from the estimate's arrival to the setpoint's departure")]
+    late_by: Annotated[float, Meta(description="s behind the tick's due time, 0 in time")]
+    late_cause: str
+
+
+class FactsRecord(msgspec.Struct, frozen=True):
+    """What the tick was told besides the estimate; with it a flight can be replayed."""
+
+    tick: int
+    time: Seconds
+    connected: bool
+    armed: bool
+    offboard: bool
+    mode: str
+    landed: bool
+    rates_missing: str
+    clock_offset_std: Seconds
+    thrust_model_factor: float
+    specific_force_z: Annotated[float, Meta(description="m/s^2, body z, NaN when not measured")]
+    recorder_trouble: str
+    leave_requested: bool
+
+
+class HorizonRecord(msgspec.Struct, frozen=True):
+    """The controller's predicted positions and inputs, one value a shooting node."""
+
+    time: Seconds
+    position_x: Metres
+    position_y: Metres
+    position_z: Metres
+    input_mean: Annotated[Array, Meta(description="mean rotor speed, rad/s")]
+
+
+class PhaseRecord(msgspec.Struct, frozen=True):
+    """A change of the mission's phase; parameters: JSON text that rebuilds its reference."""
+
+    time: Seconds
+    phase: str
+    parameters: str
+
+
+class EventRecord(msgspec.Struct, frozen=True):
+    """A named event raised or cleared."""
+
+    time: Seconds
+    name: str
+    active: bool
+    severity: int
+    text: str
+
+
+class StateRecord(msgspec.Struct, frozen=True):
+    """A change of the daemon's state, with its reason."""
+
+    time: Seconds
+    before: str
+    after: str
+    reason: str
+
+
+class ImuRecord(msgspec.Struct, frozen=True):
+    """One sample of the vehicle's inertial sensors."""
+
+    time: Seconds
+    specific_force_body: Annotated[Array, Meta(description="m/s^2, body FLU")]
+    rate_body: Rate
+
+
+class RotorRecord(msgspec.Struct, frozen=True):
+    """Rotor speeds the ESCs report, in the vehicle file's rotor order."""
+
+    time: Seconds
+    speed: Annotated[Array, Meta(description="rad/s")]
+
+
+class BatteryRecord(msgspec.Struct, frozen=True):
+    """The battery as the vehicle reports it."""
+
+    time: Seconds
+    voltage: Annotated[float, Meta(description="V")]
+    current: Annotated[float, Meta(description="A")]
+    remaining: Annotated[float, Meta(description="0..1")]
+
+
+class ParameterRecord(msgspec.Struct, frozen=True):
+    """A parameter read from the vehicle."""
+
+    time: Seconds
+    name: str
+    value: float
+
+
+class TextRecord(msgspec.Struct, frozen=True):
+    """A STATUSTEXT; source: vehicle or daemon. severity: MAVLink's, 0 emergency to 7 debug."""
+
+    time: Seconds
+    source: str
+    severity: int
+    text: str
+
+
+Record = (
+    EstimateRecord
+    | ReferenceRecord
+    | SetpointRecord
+    | TickRecord
+    | FactsRecord
+    | HorizonRecord
+    | PhaseRecord
+    | EventRecord
+    | StateRecord
+    | ImuRecord
+    | RotorRecord
+    | BatteryRecord
+    | ParameterRecord
+    | TextRecord
+)
+
+TOPICS: Mapping[type[Record], str] = {
+    EstimateRecord: "/estimate",
+    ReferenceRecord: "/reference",
+    SetpointRecord: "/setpoint",
+    TickRecord: "/tick",
+    FactsRecord: "/facts",
+    HorizonRecord: "/horizon",
+    PhaseRecord: "/phase",
+    EventRecord: "/event",
+    StateRecord: "/state",
+    ImuRecord: "/imu",
+    RotorRecord: "/rotors",
+    BatteryRecord: "/battery",
+    ParameterRecord: "/parameter",
+    TextRecord: "/text",
+}
+
+
+def _describe_array(kind: type) -> dict[str, Any]:
+    if kind is np.ndarray:
+        return {"type": "array", "items": {"type": "number"}}
+    raise NotImplementedError(kind)
+
+
+def schema_of(kind: type[Record]) -> dict[str, Any]:
+    """The JSON schema of a record without references, because Foxglove follows none."""
+    _, components = msgspec.json.schema_components((kind,), schema_hook=_describe_array)
+    return dict(components[kind.__name__])
+
+
+def _array_as_list(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    raise NotImplementedError(type(value))
+
+
+_encoder = msgspec.json.Encoder(enc_hook=_array_as_list)
+
+
+def encode(record: Record) -> bytes:
+    """A record as JSON; floats are written so that reading them gives the same bits, NaN becomes null."""
+    return _encoder.encode(record)
+
+
+def vector(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """A copy that stays as it is when the caller's buffer moves on. values: any shape."""
+    return np.array(values, dtype=float)
