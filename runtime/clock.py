@@ -1,0 +1,189 @@
+"""The vehicle's clock as seen from ours: offset and drift out of MAVLink's TIMESYNC exchanges.
+
+A Kalman filter with two states, offset and drift (as in time-transfer filters for oscillators, e.g. Galleani and
+Tavella 2010), whose measurement noise is that of the round trip: a request sent at s and answered at r with the
+vehicle's time v bounds the offset to v - (s + r) / 2 by plus or minus (r - s) / 2 (NTP, RFC 5905 section 8), taken
+as uniform in between.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import Literal
+
+import msgspec
+
+Verdict = Literal["accepted", "slow", "outlier", "out_of_order", "jumped", "ran_backwards"]
+
+
+class ClockLimits(msgspec.Struct, frozen=True):
+    """How the filter weighs samples and when it is believed; all times in seconds."""
+
+    stamp_noise: float = 5e-5  # of the time stamps themselves, however short the round trip
+    one_way_noise: float = 3e-3  # of a vehicle stamp received without a round trip
+    drift_noise: float = 3e-3  # standard deviation of the drift's change within one second
+    initial_drift: float = 0.02  # standard deviation before anything is known
+    outlier: float = 5.0  # innovation in standard deviations beyond which a sample is not believed
+    jump_samples: int = 5  # consecutive outliers that agree with each other are a new truth
+    slow_factor: float = 3.0  # round trips longer than this many medians are ignored
+    minimum_samples: int = 5
+    largest_uncertainty: float = 5e-3
+    longest_silence: float = 3.0
+
+
+class VehicleClock:
+    """Converts vehicle time to ours and back.
+
+    Times are seconds, either on a monotonic clock of ours or on the vehicle's since its boot, and always arguments.
+    """
+
+    def __init__(self, limits: ClockLimits | None = None) -> None:
+        self._limits = limits or ClockLimits()
+        self.resets = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Forgets everything, as after a reboot of the vehicle."""
+        self._offset, self._drift = 0.0, 0.0
+        self._variance = (1.0, 0.0, self._limits.initial_drift**2)  # of offset, both, drift
+        self._updated = 0.0
+        self._latest_sent = float("-inf")
+        self._latest_remote = float("-inf")
+        self._latest_two_way = float("-inf")
+        self._round_trips: deque[float] = deque(maxlen=50)
+        self._outliers: list[tuple[float, float]] = []
+        self._last_round_trip = 0.0
+        self.samples = 0
+
+    def handle(self, sent: float, received: float, remote: float) -> Verdict:
+        """One TIMESYNC exchange: request sent and answer received on our clock, remote the vehicle's stamp in it."""
+        round_trip = received - sent
+        if sent <= self._latest_sent or round_trip < 0.0:
+            return "out_of_order"
+        self._latest_sent = sent
+        middle = (sent + received) / 2
+        self._round_trips.append(round_trip)
+        self._last_round_trip = round_trip
+        verdict = self._handle_stamp(middle, remote, round_trip / 12**0.5, self._is_slow(round_trip))
+        self._latest_two_way = received
+        return verdict
+
+    def handle_one_way(self, received: float, remote: float) -> Verdict | None:
+        """A stamp of the vehicle that came without a round trip, used only while no exchange is answered."""
+        if received - self._latest_two_way < self._limits.longest_silence:
+            return None
+        if received <= self._updated:
+            return "out_of_order"
+        return self._handle_stamp(received, remote, self._limits.one_way_noise, False)
+
+    def _is_slow(self, round_trip: float) -> bool:
+        median = sorted(self._round_trips)[len(self._round_trips) // 2]
+        return len(self._round_trips) >= 5 and round_trip > self._limits.slow_factor * median + 1e-3
+
+    def _handle_stamp(self, ours: float, remote: float, noise: float, slow: bool) -> Verdict:
+        measured = remote - ours
+        if self.samples and remote < self._latest_remote - noise - self._limits.largest_uncertainty:
+            self._start_again(ours, remote, noise)
+            return "ran_backwards"
+        if slow:
+            return "slow"
+        self._latest_remote = remote
+        if self.samples == 0:
+            self._start(ours, measured, noise)
+            return "accepted"
+        offset, variance = self._predict(ours)
+        innovation = measured - offset
+        total = variance[0] + noise**2 + self._limits.stamp_noise**2
+        if innovation**2 > self._limits.outlier**2 * total:
+            return self._handle_outlier(ours, remote, noise)
+        self._outliers.clear()
+        self._update(ours, offset, variance, innovation, total)
+        return "accepted"
+
+    def _start(self, ours: float, measured: float, noise: float) -> None:
+        self._offset, self._drift, self._updated = measured, 0.0, ours
+        self._variance = (noise**2 + self._limits.stamp_noise**2, 0.0, self._limits.initial_drift**2)
+        self.samples = 1
+
+    def _start_again(self, ours: float, remote: float, noise: float) -> None:
+        sent, two_way, trips, trip = self._latest_sent, self._latest_two_way, self._round_trips, self._last_round_trip
+        self.reset()
+        self._latest_sent, self._latest_two_way, self._round_trips, self._last_round_trip = sent, two_way, trips, trip
+        self._latest_remote = remote
+        self._start(ours, remote - ours, noise)
+        self.resets += 1
+
+    def _handle_outlier(self, ours: float, remote: float, noise: float) -> Verdict:
+        measured, limits = remote - ours, self._limits
+        if self._outliers:
+            time, previous = self._outliers[-1]
+            if abs(measured - previous) > 2 * noise + limits.initial_drift * (ours - time) + limits.largest_uncertainty:
+                self._outliers.clear()
+        self._outliers.append((ours, measured))
+        if len(self._outliers) < limits.jump_samples:
+            return "outlier"
+        self._start_again(ours, remote, noise)
+        return "jumped"
+
+    def _predict(self, ours: float) -> tuple[float, tuple[float, float, float]]:
+        step = max(0.0, ours - self._updated)
+        offset, both, drift = self._variance
+        noise = self._limits.drift_noise**2
+        variance = (
+            offset + 2 * step * both + step**2 * drift + noise * step**3 / 3,
+            both + step * drift + noise * step**2 / 2,
+            drift + noise * step,
+        )
+        return self._offset + self._drift * (ours - self._updated), variance
+
+    def _update(
+        self, ours: float, offset: float, variance: tuple[float, float, float], innovation: float, total: float
+    ) -> None:
+        gain_offset, gain_drift = variance[0] / total, variance[1] / total
+        self._offset, self._drift = offset + gain_offset * innovation, self._drift + gain_drift * innovation
+        self._variance = (
+            (1 - gain_offset) * variance[0],
+            (1 - gain_offset) * variance[1],
+            variance[2] - gain_drift * variance[1],
+        )
+        self._updated = ours
+        self.samples += 1
+
+    def offset(self, ours: float) -> float:
+        """Vehicle time minus ours at a time on our clock, s."""
+        return self._offset + self._drift * (ours - self._updated)
+
+    def to_ours(self, remote: float) -> float:
+        """The time on our clock, s, at which the vehicle's clock showed this."""
+        return self._updated + (remote - self._offset - self._updated) / (1.0 + self._drift)
+
+    def to_vehicle(self, ours: float) -> float:
+        """What the vehicle's clock shows, s, at a time on ours."""
+        return ours + self.offset(ours)
+
+    def is_valid(self, now: float) -> bool:
+        """Whether enough recent samples agree for the conversion to be used in flight."""
+        return (
+            self.samples >= self._limits.minimum_samples
+            and now - self._updated < self._limits.longest_silence
+            and self.uncertainty(now) < self._limits.largest_uncertainty
+        )
+
+    def uncertainty(self, now: float) -> float:
+        """One standard deviation of the offset, s, an asymmetric path not included."""
+        return float(self._predict(now)[1][0] ** 0.5)
+
+    @property
+    def drift(self) -> float:
+        """Seconds that the vehicle's clock gains on ours in one second."""
+        return self._drift
+
+    @property
+    def is_two_way(self) -> bool:
+        """Whether the vehicle answers TIMESYNC, so that the delay of the link is known."""
+        return self._latest_two_way > float("-inf")
+
+    @property
+    def round_trip(self) -> float:
+        """Median round trip of the last 50 exchanges, s; nan before the first."""
+        return sorted(self._round_trips)[len(self._round_trips) // 2] if self._round_trips else float("nan")
