@@ -1,0 +1,206 @@
+"""The named events of a flight and what each one leads to.
+
+Whoever checks something says which events are present and why; `EventMonitor` turns that into events raised and
+cleared, and into the fallback they ask for. The table below is the whole policy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum, IntEnum
+
+
+class Fallback(IntEnum):
+    """What is sent instead of a fresh solution, in the order of escalation."""
+
+    NONE = 0
+    SHIFTED_SOLUTION = 1
+    NOMINAL_MODEL = 2
+    LEVEL_HOLD = 3
+    STOP_STREAMING = 4
+
+
+class Severity(IntEnum):
+    """MAVLink's severities, as far as they are used here."""
+
+    CRITICAL = 2
+    ERROR = 3
+    WARNING = 4
+    NOTICE = 5
+    INFO = 6
+
+
+class Event(Enum):
+    """Everything that a health check can find."""
+
+    ESTIMATE_STALE = "estimate_stale"
+    ESTIMATE_JUMP = "estimate_jump"
+    ESTIMATOR_RESET = "estimator_reset"
+    INPUT_NOT_FINITE = "input_not_finite"
+    SOLVER_FAILED = "solver_failed"
+    DEADLINES_MISSED = "deadlines_missed"
+    CLOCK_UNCERTAIN = "clock_uncertain"
+    CLOCK_BACKWARDS = "clock_backwards"
+    LINK_LOST = "link_lost"
+    SETPOINT_REFUSED = "setpoint_refused"
+    DISARMED = "disarmed"
+    MODE_CHANGED = "mode_changed"
+    THRUST_LIMIT = "thrust_limit"
+    TAKEOFF_FAILED = "takeoff_failed"
+    GEOFENCE = "geofence"
+    GEOFENCE_LEFT = "geofence_left"
+    MODEL_UNHEALTHY = "model_unhealthy"
+    RATES_LOW = "rates_low"
+    BATTERY_LOW = "battery_low"
+    RECORDER_OVERRUN = "recorder_overrun"
+    DISK_FULL = "disk_full"
+    REFERENCE_INFEASIBLE = "reference_infeasible"
+    REALTIME_UNAVAILABLE = "realtime_unavailable"
+
+
+@dataclass(frozen=True)
+class Policy:
+    """What an event leads to.
+
+    fallback: the mildest that may be flown while it is active. onset: s it must be present before it is raised.
+    clear_after: s of absence before it clears, infinite: only engaging anew clears it. refuses: engaging is refused
+    while it is active. lands: the mission is cut short by a landing.
+    """
+
+    text: str
+    severity: Severity
+    fallback: Fallback = Fallback.NONE
+    onset: float = 0.0
+    clear_after: float = 1.0
+    refuses: bool = False
+    lands: bool = False
+
+
+NEVER = math.inf
+
+POLICIES: Mapping[Event, Policy] = {
+    Event.ESTIMATE_STALE: Policy(
+        "no fresh estimate", Severity.WARNING, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
+    ),
+    Event.ESTIMATE_JUMP: Policy(
+        "the estimate jumped", Severity.WARNING, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
+    ),
+    Event.ESTIMATOR_RESET: Policy("the estimator was reset, the reference follows it", Severity.NOTICE),
+    Event.INPUT_NOT_FINITE: Policy(
+        "the estimate is not finite", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
+    ),
+    Event.SOLVER_FAILED: Policy("the solver failed", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05),
+    Event.DEADLINES_MISSED: Policy("ticks come late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),
+    Event.CLOCK_UNCERTAIN: Policy("the vehicle's clock is not known well enough", Severity.WARNING, refuses=True),
+    Event.CLOCK_BACKWARDS: Policy(
+        "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
+    ),
+    Event.LINK_LOST: Policy("nothing arrives from the vehicle", Severity.CRITICAL, Fallback.LEVEL_HOLD, refuses=True),
+    Event.SETPOINT_REFUSED: Policy(
+        "the vehicle does not act on setpoints", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
+    ),
+    Event.DISARMED: Policy("the vehicle disarmed", Severity.CRITICAL),
+    Event.MODE_CHANGED: Policy("the vehicle left OFFBOARD", Severity.CRITICAL),
+    Event.THRUST_LIMIT: Policy("thrust is at its limit", Severity.WARNING, onset=1.0),
+    Event.TAKEOFF_FAILED: Policy(
+        "no lift-off at the greatest take-off thrust", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
+    ),
+    Event.GEOFENCE: Policy("at the edge of the allowed box", Severity.ERROR, clear_after=NEVER, lands=True),
+    Event.GEOFENCE_LEFT: Policy(
+        "outside the allowed box", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER, refuses=True
+    ),
+    Event.MODEL_UNHEALTHY: Policy(
+        "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
+    ),
+    Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, onset=0.5, refuses=True),
+    Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, onset=2.0, clear_after=NEVER, lands=True),
+    Event.RECORDER_OVERRUN: Policy("the recorder fell behind", Severity.WARNING),
+    Event.DISK_FULL: Policy("recording ended, the flight goes on", Severity.ERROR, clear_after=NEVER),
+    Event.REFERENCE_INFEASIBLE: Policy(
+        "the vehicle cannot fly the reference", Severity.ERROR, clear_after=NEVER, refuses=True
+    ),
+    Event.REALTIME_UNAVAILABLE: Policy("flying without real-time scheduling", Severity.NOTICE, clear_after=NEVER),
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """An event raised (active) or cleared at a time, with what was seen."""
+
+    time: float
+    event: Event
+    active: bool
+    detail: str
+
+    @property
+    def text(self) -> str:
+        """One line for a log, a STATUSTEXT or a screen."""
+        detail = f": {self.detail}" if self.detail else ""
+        return f"{POLICIES[self.event].text}{detail}"
+
+
+class EventMonitor:
+    """Which events are active, from what the checks of each tick report. Pure: time is an argument."""
+
+    def __init__(self) -> None:
+        self._present_since: dict[Event, float] = {}
+        self._last_present: dict[Event, float] = {}
+        self._active: dict[Event, str] = {}
+        self.counts: dict[Event, int] = dict.fromkeys(Event, 0)
+
+    @property
+    def active(self) -> Mapping[Event, str]:
+        """Active events and what was seen when each was raised."""
+        return self._active
+
+    @property
+    def fallback(self) -> Fallback:
+        """The strongest fallback that an active event asks for."""
+        return max((POLICIES[event].fallback for event in self._active), default=Fallback.NONE)
+
+    @property
+    def reason(self) -> str:
+        """Why the present fallback was chosen, empty when there is none."""
+        return self._text_of(lambda policy: policy.fallback == self.fallback) if self.fallback else ""
+
+    @property
+    def refusal(self) -> str:
+        """Why engaging is refused, empty when nothing speaks against it."""
+        return self._text_of(lambda policy: policy.refuses or policy.fallback == Fallback.STOP_STREAMING)
+
+    @property
+    def landing_reason(self) -> str:
+        """Why the mission has to end with a landing, empty when it may go on."""
+        return self._text_of(lambda policy: policy.lands)
+
+    def update(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
+        """Take what the checks of one tick found, event to detail. Returns what was raised and cleared."""
+        changes = []
+        for event, detail in present.items():
+            self._last_present[event] = time
+            since = self._present_since.setdefault(event, time)
+            if event not in self._active and time - since >= POLICIES[event].onset:
+                self._active[event] = detail
+                self.counts[event] += 1
+                changes.append(Change(time, event, True, detail))
+        for event in [event for event in self._present_since if event not in present]:
+            del self._present_since[event]
+        return (*changes, *self._clear(present, time))
+
+    def _clear(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
+        absent = [event for event in self._active if event not in present]
+        over = [event for event in absent if time - self._last_present[event] >= POLICIES[event].clear_after]
+        return tuple(Change(time, event, False, self._active.pop(event)) for event in over)
+
+    def rearm(self, time: float) -> tuple[Change, ...]:
+        """Clear what only engaging anew may clear; what is still present comes back with the next update."""
+        latched = [event for event in self._active if POLICIES[event].clear_after == NEVER]
+        return tuple(Change(time, event, False, self._active.pop(event)) for event in latched)
+
+    def _text_of(self, concerned: Callable[[Policy], bool]) -> str:
+        for event, detail in self._active.items():
+            if concerned(POLICIES[event]):
+                return Change(0.0, event, True, detail).text
+        return ""
