@@ -131,6 +131,8 @@ class Engagement:
             # control was given up, on purpose or not: only being told again may take it back
             self._wanted = False
             self.refusal = reason
+        if after is State.STREAMING:
+            self.refusal = ""
         self.state = after
         self._entered = time
         self._asked = -float("inf")
