@@ -1,0 +1,26 @@
+"""Proof that an install without the desk's packages is whole: every base module imports, all data came along."""
+
+import importlib
+import importlib.util
+import pkgutil
+from importlib.resources import files
+
+from dynamics.vehicle_file import read_vehicle
+
+ROOMS = ("alula", "dynamics", "runtime", "sitl_mock", "vehicles")
+DESK = ("torch", "scipy", "matplotlib")
+
+present = [name for name in DESK if importlib.util.find_spec(name)]
+assert not present, f"the base install must not bring {present}"
+
+modules = [
+    found.name
+    for room in ROOMS
+    for found in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
+]
+for name in modules:
+    importlib.import_module(name)
+
+vehicles = [read_vehicle(str(path)).name for path in files("vehicles").iterdir() if path.name.endswith(".toml")]
+assert "arpl_250g" in vehicles, f"the vehicle files are missing: {vehicles}"
+print(f"base install: {len(modules)} modules, vehicles {', '.join(sorted(vehicles))}")

@@ -1,0 +1,45 @@
+# make demo   fly the embedded mock, find its hidden effect, write the report
+# make test   the whole test suite
+# make lint   ruff, mypy, import-linter
+# make study  the slow measurements in benchmarks/, each of which writes its own table
+# Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
+# make is needed beforehand.
+
+PYTHON ?= python3
+BIN := .venv/bin
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
+RECIPE := pyproject.toml constraints.txt
+
+.PHONY: demo test lint study clean
+
+demo: .venv/workbench.stamp
+	$(BIN)/alula demo
+
+test: .venv/development.stamp
+	$(BIN)/python -m pytest --numprocesses 2
+
+lint: .venv/development.stamp
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+study: .venv/workbench.stamp
+	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+
+.venv/python.stamp:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Alula needs Python 3.11 or newer: make PYTHON=python3.12")'
+	$(PYTHON) -m venv .venv
+	touch $@
+
+.venv/workbench.stamp: .venv/python.stamp $(RECIPE)
+	$(INSTALL) torch==2.13.0
+	$(INSTALL) --editable '.[workbench]'
+	touch $@
+
+.venv/development.stamp: .venv/workbench.stamp
+	$(INSTALL) --editable '.[workbench,test,lint]'
+	touch $@
+
+clean:
+	rm -rf .venv

@@ -1,0 +1,44 @@
+"""The command line: the commands by name, and how a user's mistakes end."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import typer
+
+from alula import __version__
+from dynamics.errors import AlulaError
+
+app = typer.Typer(
+    name="alula",
+    help="Makes a quadrotor's flight model true, and flies with it.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _show_version(asked: bool) -> None:
+    if asked:
+        print(f"alula {__version__}")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Makes a quadrotor's flight model true, and flies with it."""
+
+
+def main() -> None:
+    """Run the command line; an error that a user can cause ends with its message and exit code, not a traceback."""
+    try:
+        app()
+    except AlulaError as error:
+        print(f"alula: {error}", file=sys.stderr)
+        sys.exit(error.exit_code)
