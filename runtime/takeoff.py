@@ -1,0 +1,110 @@
+"""Leaving the ground and coming back to it: thrust ramp, bumpless hand-over, landing detection. Pure.
+
+In OFFBOARD the autopilot does not spool up: the first setpoint after arming reaches the motors within tens of
+milliseconds. So thrust rises slowly until the vehicle lifts off, and only then the controller takes over.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class RampSettings:
+    """rise: s from nothing to the weight. spool: thrust per weight to begin with. greatest: most thrust per weight.
+
+    patience: s at the greatest thrust without lift-off. height: m and climb_rate: m/s that count as lift-off.
+    """
+
+    rise: float = 1.5
+    spool: float = 0.1
+    greatest: float = 1.6
+    patience: float = 1.0
+    height: float = 0.04
+    climb_rate: float = 0.15
+
+
+class TakeoffRamp:
+    """Raises the thrust until the vehicle leaves the ground."""
+
+    def __init__(self, weight: float, thrust_max: float, settings: RampSettings | None = None) -> None:
+        """weight, thrust_max: N."""
+        self._settings = settings or RampSettings()
+        self._weight = weight
+        self._greatest = min(self._settings.greatest * weight, 0.95 * thrust_max)
+        self._started: float | None = None
+        self._ground = 0.0
+        self._rising = 0
+        self._lift_height = 0.0
+        self._lift_rate = 0.0
+        self.lifted = False
+        self.failed = False
+        self.thrust = 0.0
+
+    def update(self, time: float, height: float, climb_rate: float) -> float:
+        """Thrust to ask for now, N. height: m, climb_rate: m/s, both world up."""
+        settings = self._settings
+        if self._started is None:
+            self._started, self._ground = time, height
+        if self.lifted:
+            return self.thrust
+        elapsed = time - self._started
+        ramp = (settings.spool + (1 - settings.spool) * elapsed / settings.rise) * self._weight
+        self.thrust = min(ramp, self._greatest)
+        rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
+        self._rising = self._rising + 1 if rising else 0
+        # one estimate may be noise; below half the weight nothing lifts off
+        self._lift_height, self._lift_rate = height - self._ground, climb_rate
+        self.lifted = self._rising >= 3 and self.thrust > 0.5 * self._weight
+        time_at_greatest = settings.rise * (self._greatest / self._weight - settings.spool) / (1 - settings.spool)
+        self.failed = not self.lifted and elapsed > time_at_greatest + settings.patience
+        return self.thrust
+
+    def effectiveness(self, response_time: float) -> float:
+        """Thrust per modelled thrust, from the thrust that was asked for when the weight came off the ground.
+
+        While thrust rises steadily, height grows with the cube and climb rate with the square of the time since then,
+        so that time is 3 height / climb rate. response_time: s by which thrust follows its setpoint.
+        """
+        settings = self._settings
+        since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + response_time
+        slope = (1 - settings.spool) * self._weight / settings.rise if self.thrust < self._greatest else 0.0
+        return self._weight / max(self.thrust - slope * since, 0.3 * self._weight)
+
+
+@dataclass(frozen=True)
+class HandOver:
+    """From one thrust to the controller's without a step. started: s. thrust: N at that time. duration: s."""
+
+    started: float
+    thrust: float
+    duration: float = 0.4
+
+    def blend(self, controller_thrust: float, time: float) -> float:
+        """Thrust to send, N."""
+        part = min(max((time - self.started) / self.duration, 0.0), 1.0)
+        share = part * part * (3 - 2 * part)
+        return self.thrust + share * (controller_thrust - self.thrust)
+
+
+class LandingDetector:
+    """Whether a vehicle that was asked to descend stands on the ground."""
+
+    def __init__(self, weight: float, *, climb_rate: float = 0.12, thrust: float = 0.75, hold: float = 0.5) -> None:
+        """weight: N. climb_rate: m/s below which it stands. thrust: per weight it must be below. hold: s."""
+        self._weight = weight
+        self._climb_rate = climb_rate
+        self._thrust = thrust
+        self._hold = hold
+        self._since: float | None = None
+
+    def update(self, time: float, climb_rate: float, thrust: float, *, vehicle_says_landed: bool) -> bool:
+        """Take one tick. climb_rate: m/s. thrust: asked for, N. vehicle_says_landed: its landed state."""
+        if vehicle_says_landed:
+            return True
+        standing = abs(climb_rate) < self._climb_rate and thrust < self._thrust * self._weight
+        if not standing:
+            self._since = None
+        elif self._since is None:
+            self._since = time
+        return self._since is not None and time - self._since >= self._hold

@@ -1,0 +1,165 @@
+"""Newtons to the 0..1 of SET_ATTITUDE_TARGET and back, with the hover point corrected in flight.
+
+The autopilot takes a thrust setpoint T and drives each motor with the signal s that solves f s^2 + (1 - f) s = T,
+f its parameter THR_MDL_FAC; the vehicle answers with thrust / thrust_max = c s^2 + (1 - c) s, c its file's
+thrust_curve. What both leave out (a sagging battery, a wrong mass or constant) is one factor, the effectiveness.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+from math import exp, isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY
+
+
+def curve(signal: float, factor: float) -> float:
+    """Thrust per greatest thrust of a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""
+    return factor * signal * signal + (1.0 - factor) * signal
+
+
+def curve_inverse(thrust: float, factor: float) -> float:
+    """The motor signal that gives a thrust, 0..1 (PX4 control allocation, thrust model factor)."""
+    if factor < 1e-6:
+        return thrust
+    linear = 1.0 - factor
+    return (-linear + sqrt(linear * linear + 4.0 * factor * max(thrust, 0.0))) / (2.0 * factor)
+
+
+@dataclass(frozen=True)
+class ThrustMap:
+    """thrust_max: of all rotors, N. vehicle_curve: c of the vehicle file. autopilot_curve: f, its THR_MDL_FAC."""
+
+    thrust_max: float
+    vehicle_curve: float
+    autopilot_curve: float
+
+    def setpoint(self, collective_thrust: float, effectiveness: float = 1.0) -> float:
+        """The 0..1 that makes the vehicle thrust so much. collective_thrust: N. effectiveness: see module."""
+        share = min(max(collective_thrust / (self.thrust_max * effectiveness), 0.0), 1.0)
+        return curve(curve_inverse(share, self.vehicle_curve), self.autopilot_curve)
+
+    def newtons(self, setpoint: float, effectiveness: float = 1.0) -> float:
+        """The thrust that a setpoint of 0..1 makes, N: the inverse of `setpoint`."""
+        signal = curve_inverse(min(max(setpoint, 0.0), 1.0), self.autopilot_curve)
+        return self.thrust_max * effectiveness * curve(signal, self.vehicle_curve)
+
+
+def specific_force_z(
+    velocity_before: NDArray[np.float64],
+    velocity_after: NDArray[np.float64],
+    duration: float,
+    attitude: NDArray[np.float64],
+) -> float:
+    """Specific force along body z from two velocities, for vehicles that send no accelerometer, m/s^2.
+
+    velocities: (3,) m/s, world, `duration` s apart. attitude: (4,), in between.
+    """
+    acceleration = (velocity_after - velocity_before) / duration
+    acceleration = acceleration + np.array([0.0, 0.0, GRAVITY])
+    return float(quaternion.rotate_inverse(attitude, acceleration)[2])
+
+
+@dataclass(frozen=True)
+class EstimatorSettings:
+    """Of the effectiveness filter. Standard deviations; process_noise per sqrt(s); times in s.
+
+    delay, response_time: how thrust follows a setpoint: pure delay, then first order. timing: uncertainty of that
+    response as a share of the thrust's change. speed: m/s at which aerodynamic forces double the noise.
+    """
+
+    initial_deviation: float = 0.15
+    process_noise: float = 0.02
+    measurement_noise: float = 1.5  # m/s^2
+    delay: float = 0.02
+    response_time: float = 0.05
+    timing: float = 0.5
+    speed: float = 3.0
+    gate: float = 3.0
+    patience: float = 1.0  # of rejection until the filter doubts itself
+    least: float = 0.4
+    greatest: float = 1.8
+
+
+class EffectivenessEstimator:
+    """Thrust per modelled thrust, a one-state Kalman filter on the specific force along body z.
+
+    The same question as PX4's hover thrust estimator (ZeroOrderHoverThrustEkf), but linear, because the measurement
+    k F / m is linear in the effectiveness k. Pure: times are arguments.
+    """
+
+    def __init__(self, mass: float, settings: EstimatorSettings | None = None) -> None:
+        """mass: kg, as the controller believes it; a wrong one is part of the effectiveness."""
+        self._mass = mass
+        self._settings = settings or EstimatorSettings()
+        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self.start(1.0)
+
+    def start(self, value: float) -> None:
+        """Begin anew from a value, as at lift-off."""
+        self.value = self._bounded(value)
+        self.variance = self._settings.initial_deviation**2
+        self.rejected = 0
+        self._rejected_since: float | None = None
+        self._time: float | None = None
+        self._target = 0.0
+        self._force = 0.0
+        self._commands.clear()
+
+    def command(self, modelled_thrust: float, time: float) -> None:
+        """A setpoint went out. modelled_thrust: what it would make at effectiveness 1, N."""
+        if not self._commands and self._time is None:
+            self._target = self._force = modelled_thrust
+        self._commands.append((time + self._settings.delay, modelled_thrust))
+
+    def measure(self, specific_force: float, time: float, speed: float = 0.0) -> bool:
+        """A specific force along body z, m/s^2, was measured in flight. speed: m/s. Returns whether it was used."""
+        settings = self._settings
+        elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
+        self._follow(time)
+        self._time = time
+        self.variance = min(self.variance + settings.process_noise**2 * elapsed, settings.initial_deviation**2)
+        gain_of_state = self._force / self._mass
+        if not isfinite(specific_force) or gain_of_state < 0.3 * GRAVITY:
+            return False
+        uncertain_response = settings.timing * (self._target - self._force) / self._mass
+        noise = settings.measurement_noise**2 * (1 + (speed / settings.speed) ** 2) ** 2 + uncertain_response**2
+        innovation = specific_force - gain_of_state * self.value
+        spread = gain_of_state**2 * self.variance + noise
+        if abs(innovation) > settings.gate * sqrt(spread):
+            self._reject(time)
+            return False
+        self._rejected_since = None
+        gain = self.variance * gain_of_state / spread
+        self.value = self._bounded(self.value + gain * innovation)
+        self.variance *= 1 - gain * gain_of_state
+        return True
+
+    def _follow(self, time: float) -> None:
+        """Carry the modelled force to a time through the delayed commands."""
+        now = self._time if self._time is not None else time
+        while self._commands and self._commands[0][0] <= time:
+            at, target = self._commands.popleft()
+            self._relax(max(at - now, 0.0))
+            now = max(now, at)
+            self._target = target
+        self._relax(max(time - now, 0.0))
+
+    def _relax(self, duration: float) -> None:
+        self._force += (self._target - self._force) * (1 - exp(-duration / self._settings.response_time))
+
+    def _reject(self, time: float) -> None:
+        self.rejected += 1
+        if self._rejected_since is None:
+            self._rejected_since = time
+        elif time - self._rejected_since > self._settings.patience:
+            self.variance = self._settings.initial_deviation**2
+            self._rejected_since = None
+
+    def _bounded(self, value: float) -> float:
+        return min(max(value, self._settings.least), self._settings.greatest)
