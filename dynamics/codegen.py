@@ -29,7 +29,7 @@ from dynamics.errors import RequestError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared")
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-Werror=implicit-function-declaration")
 
 
 def cache_folder() -> Path:

@@ -41,6 +41,7 @@ class Model:
 
     derivative: (x, u, p, e, w) -> xdot, with w unit white noise on hidden states (zero for the mean).
     observe: (x, u, p, e) -> specific_force (3,) body m/s^2, angular_acceleration (3,) rad/s^2, rotor_speed (n,) rad/s.
+    constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, as the effects have changed them.
     """
 
     vehicle: Vehicle
@@ -50,6 +51,7 @@ class Model:
     hidden_initial: NDArray[np.float64]
     derivative: ca.Function
     observe: ca.Function
+    constants: ca.Function
 
     @property
     def state_count(self) -> int:
@@ -70,6 +72,16 @@ class Model:
         """The whole state for a rigid-body state (13,), with hidden states at their hover values."""
         return np.concatenate([rigid_body, self.hidden_initial])
 
+    @property
+    def mass(self) -> float:
+        """Mass with the effects on it, kg."""
+        return float(self.constants(self.parameter_values, ENVIRONMENT_DEFAULT)[0])
+
+    @property
+    def thrust_constants(self) -> NDArray[np.float64]:
+        """Thrust constant of each rotor with the effects on it (n,), N s^2/rad^2."""
+        return np.array(self.constants(self.parameter_values, ENVIRONMENT_DEFAULT)[1]).ravel()
+
     def parameter_index(self, name: str) -> int:
         """Place of a parameter, such as "body.mass" or "rotor_drag.coefficient", in p."""
         return self.parameter_names.index(name)
@@ -89,12 +101,17 @@ def build_model(
     p = ca.SX.sym("p", len(names))
     e = ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
     w = ca.SX.sym("w", hidden_initial.size)
-    motion = _motion(vehicle.rotors.count, active, dict(zip(names, ca.vertsplit(p), strict=True)), x, u, e, w)
+    named = dict(zip(names, ca.vertsplit(p), strict=True))
+    environment = Environment(ground_height=e[0], battery_ratio=e[1])
+    physics = _physics(vehicle.rotors.count, active, named, environment)
+    motion = _motion(active, named, x, u, w, physics, environment)
     derivative = ca.Function("derivative", [x, u, p, e, w], [motion.derivative], ["x", "u", "p", "e", "w"], ["xdot"])
     observed = [motion.specific_force, motion.angular_acceleration, motion.rotor_speed]
     labels = ["specific_force", "angular_acceleration", "rotor_speed"]
     observe = ca.Function("observe", [x, u, p, e], observed, ["x", "u", "p", "e"], labels)
-    return Model(vehicle, active, names, values, hidden_initial, derivative, observe)
+    found = [physics.mass, physics.thrust_constant]
+    constants = ca.Function("constants", [p, e], found, ["p", "e"], ["mass", "thrust_constant"])
+    return Model(vehicle, active, names, values, hidden_initial, derivative, observe, constants)
 
 
 def _activate(
@@ -141,12 +158,13 @@ class _Motion:
     rotor_speed: Expression
 
 
-def _physics(count: int, p: Values) -> Physics:
+def _physics(count: int, active: Sequence[ActiveEffect], p: Values, environment: Environment) -> Physics:
+    """The vehicle file's constants as the effects change them."""
     def along(name: str) -> Expression:
         return ca.vertcat(*[p[f"{name}_{axis}"] for axis in "xyz"])
 
     position = [ca.vertcat(*[p[f"rotors.position_{axis}[{i}]"] for axis in "xyz"]) for i in range(count)]
-    return Physics(
+    physics = Physics(
         mass=p["body.mass"],
         inertia=along("body.inertia"),
         centre_of_mass=along("body.centre_of_mass"),
@@ -156,6 +174,10 @@ def _physics(count: int, p: Values) -> Physics:
         torque_constant=ca.repmat(p["rotors.torque_constant"], count, 1),
         rotor_radius=p["rotors.radius"],
     )
+    for item in active:
+        if item.effect.physics is not None:
+            physics = item.effect.physics(physics, _values(item, p), environment, item.rotor)
+    return physics
 
 
 def _values(item: ActiveEffect, p: Values) -> Values:
@@ -208,22 +230,17 @@ def _rotor_wrench(c: Conditions) -> tuple[Expression, Expression]:
 
 
 def _motion(
-    count: int,
     active: Sequence[ActiveEffect],
     p: Values,
     x: Expression,
     u: Expression,
-    e: Expression,
     w: Expression,
+    physics: Physics,
+    environment: Environment,
 ) -> _Motion:
-    environment = Environment(ground_height=e[0], battery_ratio=e[1])
-    physics = _physics(count, p)
-    for item in active:
-        if item.effect.physics is not None:
-            physics = item.effect.physics(physics, _values(item, p), environment, item.rotor)
     conditions = _conditions(active, p, x, u, physics, environment)
     hidden_rates = _hidden_derivative(active, p, x, w, conditions)
-    conditions = dataclasses.replace(conditions, rotor_acceleration=_rotor_acceleration(active, hidden_rates, count))
+    conditions = dataclasses.replace(conditions, rotor_acceleration=_rotor_acceleration(active, hidden_rates, physics))
     force, moment = _rotor_wrench(conditions)
     for item in active:
         if item.effect.wrench is not None:
@@ -256,10 +273,10 @@ def _hidden_derivative(
 
 
 def _rotor_acceleration(
-    active: Sequence[ActiveEffect], rates: Sequence[Mapping[str, Expression]], count: int
+    active: Sequence[ActiveEffect], rates: Sequence[Mapping[str, Expression]], physics: Physics
 ) -> Expression:
     """Acceleration of the rotors: that of the hidden state which holds their speed, or none."""
     for item, found in zip(active, rates, strict=True):
         if item.effect.rotor_speed is not None and "rotor_speed" in found:
             return found["rotor_speed"]
-    return ca.SX.zeros(count)
+    return ca.SX.zeros(physics.rotor_count)

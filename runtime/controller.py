@@ -1,0 +1,153 @@
+"""The controller: RTI model predictive control of rotor speeds, given to the autopilot as body rates and thrust.
+
+A pure object: time comes in as an argument. A tick is `feedback` (as soon as a state is there), then, once the
+command is on its way, `prepare` for the next tick.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.vehicle import Vehicle
+from runtime.rti.problem import Problem
+from runtime.rti.solver import RtiSolver
+
+Array = NDArray[np.float64]
+HISTORY = 64  # ticks of inputs kept for delay compensation
+LONGEST_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
+
+
+class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the controller runs. period: expected time between ticks, s.
+
+    rate_lookahead: how far ahead on the predicted trajectory the body rates are read that the autopilot is asked for,
+    s; it makes up for the time its rate loop takes. delay: from a command's departure to its action, s, added to the
+    age of every estimate.
+    """
+
+    problem: Problem = Problem()
+    period: float = 0.01
+    rate_lookahead: float = 0.04
+    delay: float = 0.005
+
+
+@dataclass(frozen=True)
+class Command:
+    """What the vehicle is asked for. rate_body: (3,) rad/s, body FLU. collective_thrust: N.
+
+    rotor_speed: (n,) rad/s, the optimal input behind them. status: the solver's, 0 when it solved its problem.
+    """
+
+    rate_body: Array
+    collective_thrust: float
+    rotor_speed: Array
+    status: int
+    seconds: float
+
+
+class Controller:
+    """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock."""
+
+    def __init__(self, model: Model, options: ControllerOptions) -> None:
+        self.model, self.options = model, options
+        self.solver = RtiSolver(model, options.problem)
+        self._thrust_constants = model.thrust_constants
+        self._hover = np.full(model.input_count, model.vehicle.hover_speed)
+        self._times = np.full(HISTORY, -np.inf)
+        self._inputs = np.tile(self._hover, (HISTORY, 1))
+        self._hidden = np.tile(model.hidden_initial, (HISTORY, 1))
+        self._ticks = 0
+        self._state = model.initial_state(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]))
+        self._command_states = self.solver.states[: min(2, options.problem.nodes + 1)]
+
+    @classmethod
+    def build(cls, vehicle: Vehicle, options: ControllerOptions | None = None) -> Controller:
+        """The controller of a vehicle with the effects of its file in the model; compiles unless cached."""
+        return cls(build_model(vehicle), options or ControllerOptions())
+
+    @property
+    def predicted_states(self) -> Array:
+        """(N + 1, nx) states of the current prediction."""
+        return self.solver.states
+
+    @property
+    def predicted_inputs(self) -> Array:
+        """(N, nu) rotor speeds of the current prediction, rad/s."""
+        return self.solver.inputs
+
+    def node_times(self, time: float) -> Array:
+        """(N + 1,) times at which a window of the reference is needed for a tick at a time."""
+        return time + self.options.problem.node * np.arange(self.options.problem.nodes + 1)
+
+    def reset(self, state: Array, time: float) -> None:
+        """Start anew from a state: hover inputs, no history."""
+        self._times[:] = -np.inf
+        self._inputs[:], self._hidden[:] = self._hover, self.model.hidden_initial
+        self._ticks = 0
+        self._state[:RIGID_BODY_STATES] = state
+        self._state[RIGID_BODY_STATES:] = self.model.hidden_initial
+        self.solver.reset(self._state)
+        self._remember(time, self._hover)
+
+    def compensate(self, state: Array, taken: float, now: float) -> Array:
+        """The whole state now of a rigid-body state (13,) taken earlier, by the model and the inputs since given.
+
+        The array returned is used again by the next call.
+        """
+        last = (self._ticks - 1) % HISTORY
+        oldest = max(0, self._ticks - HISTORY)
+        tick = self._ticks - 1
+        while tick > oldest and self._times[tick % HISTORY] > taken:
+            tick -= 1
+        self._state[:RIGID_BODY_STATES] = state
+        self._state[RIGID_BODY_STATES:] = self._hidden[tick % HISTORY]
+        time = taken
+        while tick < self._ticks - 1:
+            until = min(self._times[(tick + 1) % HISTORY], now)
+            self._propagate(self._inputs[tick % HISTORY], until - time)
+            time, tick = max(time, until), tick + 1
+        self._propagate(self._inputs[last], now + self.options.delay - time)
+        return self._state
+
+    def feedback(self, state: Array, time: float) -> Command:
+        """The command for a state (nx,) as `compensate` gives it; the tick's urgent half."""
+        status = self.solver.feedback(state)
+        speed = self.solver.inputs[0].copy()
+        self._state[:] = state
+        self._remember(time + self.options.delay, speed)
+        part = self.options.rate_lookahead / self.options.problem.node
+        now, then = self._command_states[0, 10:13], self._command_states[1, 10:13]
+        rate = now + part * (then - now)
+        thrust = float(self._thrust_constants @ (speed * speed))
+        return Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
+
+    def prepare(self, states: Array, inputs: Array) -> None:
+        """Linearise for the next tick. states: (N + 1, 13) and inputs: (N, nu), the reference from that tick on."""
+        expected = self.solver.propagate(self._state, self.solver.inputs[0], self.options.period)
+        self.solver.shift(self.options.period)
+        reference = self.solver.state_reference
+        reference[:, :RIGID_BODY_STATES] = states
+        attitude = expected[6:10]
+        if float(quaternion.nearest_sign(states[0, 6:10], attitude) @ states[0, 6:10]) < 0:
+            reference[:, 6:10] = -states[:, 6:10]
+        self.solver.input_reference[:] = inputs
+        self.solver.prepare(expected)
+
+    def _propagate(self, speed: Array, seconds: float) -> None:
+        while seconds > 1e-6:
+            step = min(seconds, LONGEST_STEP)
+            self._state[:] = self.solver.propagate(self._state, speed, step)
+            seconds -= step
+
+    def _remember(self, time: float, speed: Array) -> None:
+        slot = self._ticks % HISTORY
+        self._times[slot] = time
+        self._inputs[slot] = speed
+        self._hidden[slot] = self._state[RIGID_BODY_STATES:]
+        self._ticks += 1

@@ -1,0 +1,178 @@
+"""The RTI solver as Python sees it: arrays that the C code reads and writes, and one call a phase."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from importlib import resources
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from runtime.rti.hpipm import find_hpipm
+from runtime.rti.problem import Problem, fill_options
+
+LARGEST_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
+
+
+class RtiReport(ctypes.Structure):
+    """Times in seconds and outcome of the last preparation and feedback; status 0 is solved."""
+
+    _fields_ = (
+        ("prepare_seconds", ctypes.c_double),
+        ("rollout_seconds", ctypes.c_double),
+        ("condense_seconds", ctypes.c_double),
+        ("feedback_seconds", ctypes.c_double),
+        ("status", ctypes.c_int),
+        ("iterations", ctypes.c_int),
+        ("rows", ctypes.c_int),
+        ("solves", ctypes.c_int),
+    )
+
+
+class RtiSolver:
+    """One controller's solver: `prepare` linearises ahead of time, `feedback` answers a measured state.
+
+    states: (N + 1, nx) and inputs: (N, nu) are the predicted trajectory, views of the C memory. An instance belongs
+    to one thread.
+    """
+
+    def __init__(self, model: Model, problem: Problem) -> None:
+        self.model, self.problem = model, problem
+        self._code = ctypes.CDLL(str(build_solver(model, problem)))
+        self._declare()
+        options = fill_options(problem, model)
+        self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
+        nodes, states, inputs = problem.nodes, model.state_count, model.input_count
+        self.states = self._view("rti_states", (nodes + 1, states))
+        self.inputs = self._view("rti_inputs", (nodes, inputs))
+        self.parameters = self._view("rti_parameters", (model.parameter_values.size,))
+        self.environment = self._view("rti_environment", (ENVIRONMENT_DEFAULT.size,))
+        self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
+        self.gradient = self._view("rti_gradient", (nodes * inputs,))
+        self.report: RtiReport = self._code.rti_last_report(self._handle).contents
+        self.parameters[:], self.environment[:] = model.parameter_values, ENVIRONMENT_DEFAULT
+        self._state, self._input, self._next = np.zeros(states), np.zeros(inputs), np.zeros(states)
+        self.state_reference = np.zeros((nodes + 1, states))
+        self.input_reference = np.zeros((nodes, inputs))
+        address = ctypes.c_void_p
+        self._state_at, self._input_at = address(self._state.ctypes.data), address(self._input.ctypes.data)
+        self._next_at = address(self._next.ctypes.data)
+        self._references_at = (
+            address(self.state_reference.ctypes.data),
+            address(self.input_reference.ctypes.data),
+        )
+
+    def __del__(self) -> None:
+        if handle := getattr(self, "_handle", None):
+            self._code.rti_free(handle)
+
+    def reset(self, state: NDArray[np.float64]) -> None:
+        """Forget the trajectory: every node holds the state (nx,), every rotor its hover speed."""
+        self.states[:] = state
+        self.inputs[:] = self.model.vehicle.hover_speed
+
+    def propagate(self, state: NDArray[np.float64], speed: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+        """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The array returned is used again."""
+        self._state[:], self._input[:] = state, speed
+        self._code.rti_propagate(self._handle, self._state_at, self._input_at, dt, self._next_at)
+        return self._next
+
+    def shift(self, seconds: float) -> None:
+        """Move the predicted inputs by the time that passes between two ticks."""
+        self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
+
+    def prepare(self, expected: NDArray[np.float64]) -> None:
+        """Linearise and condense at the state (nx,) expected at the next tick, with the references set before."""
+        self._state[:] = expected
+        self._code.rti_prepare(self._handle, self._state_at, *self._references_at)
+
+    def feedback(self, state: NDArray[np.float64]) -> int:
+        """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
+        self._state[:] = state
+        return int(self._code.rti_feedback(self._handle, self._state_at))
+
+    def _declare(self) -> None:
+        code, pointer = self._code, ctypes.c_void_p
+        code.rti_create.restype = pointer
+        code.rti_last_report.restype = ctypes.POINTER(RtiReport)
+        code.rti_propagate.argtypes = (pointer, pointer, pointer, ctypes.c_double, pointer)
+        code.rti_shift.argtypes = (pointer, ctypes.c_double)
+        code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
+        code.rti_feedback.argtypes = (pointer, pointer)
+        code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
+
+    def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        found = getattr(self._code, function)
+        found.restype, found.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
+        return np.ctypeslib.as_array(found(self._handle), shape=shape)
+
+
+def build_solver(model: Model, problem: Problem) -> Path:
+    """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
+    node, step = _functions(model)
+    defines = {
+        "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
+        "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
+        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": _vector_bytes(),
+    }  # fmt: skip
+    for name, function in (("NODE", node), ("STEP", step)):
+        defines |= {
+            name: function.name(), f"{name}_ARG": function.sz_arg(), f"{name}_RES": function.sz_res(),
+            f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
+        }  # fmt: skip
+    folder = resources.files("runtime.rti")
+    sources = {name: folder.joinpath(name).read_text() for name in ("rti.c", "dense_qp.h")}
+    sources["model.c"] = generate_c([node, step])
+    hpipm = find_hpipm()
+    flags = (*FLAGS, *(f"-D{name}={value}" for name, value in defines.items()), *hpipm.compiler_flags)
+    return build_library(sources, flags=flags, libraries=hpipm.linker_flags, entry="rti.c")
+
+
+def _functions(model: Model) -> tuple[ca.Function, ca.Function]:
+    """One RK4 step with its Jacobians, carried through the stages (fewer operations than AD of the whole), and without."""
+    x = ca.SX.sym("x", model.state_count)
+    u = ca.SX.sym("u", model.input_count)
+    p = ca.SX.sym("p", model.parameter_values.size)
+    e = ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
+    dt = ca.SX.sym("dt")
+    rate = model.derivative(x, u, p, e, ca.SX.zeros(model.hidden_count))
+    field = ca.Function("field", [x, u, p, e], [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)])
+
+    def with_sensitivity(state: ca.SX) -> ca.SX:
+        """d/dt of [x, dx/dx0, dx/du] laid side by side."""
+        slope, by_state, by_input = field(state[:, 0], u, p, e)
+        forced = ca.horzcat(ca.SX(model.state_count, model.state_count), by_input)
+        return ca.horzcat(slope, by_state @ state[:, 1:] + forced)
+
+    start = ca.horzcat(x, ca.SX.eye(model.state_count), ca.SX(model.state_count, model.input_count))
+    after = ca.cse(ca.densify(rk4(with_sensitivity, start, dt)))
+    parts = ca.horzsplit(after, [0, 1, 1 + model.state_count, 1 + model.state_count + model.input_count])
+    node = ca.Function("alula_node", [x, u, p, e, dt], parts)
+    plain = rk4(lambda state: field(state, u, p, e)[0], x, dt)
+    step = ca.Function("alula_step", [x, u, p, e, dt], [ca.densify(with_unit_attitude(plain))])
+    return node, step
+
+
+def _substeps(model: Model, node: float) -> int:
+    """RK4 steps a node, so that none is longer than the fastest lag in the model allows."""
+    lags = [
+        item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
+    ]
+    return max([1, *(math.ceil(node / (LARGEST_STEP_IN_LAGS * lag)) for lag in lags)])
+
+
+def _vector_bytes() -> int:
+    """Width of the processor's vector registers: a wider vector than the processor has is an order slower."""
+    try:
+        text = Path("/proc/cpuinfo").read_text()
+    except OSError:
+        return 16
+    if "avx512f" in text:
+        return 64
+    return 32 if " avx2 " in text else 16
