@@ -29,7 +29,15 @@ from dynamics.errors import RequestError
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-fPIC", "-shared", "-Werror=implicit-function-declaration")
+FLAGS = (
+    "-O3",
+    "-march=native",
+    "-fno-math-errno",
+    "-fno-trapping-math",
+    "-fPIC",
+    "-shared",
+    "-Werror=implicit-function-declaration",
+)
 
 
 def cache_folder() -> Path:
@@ -57,7 +65,9 @@ def build_library(
     """
     compiler = find_compiler()
     recipe = [_identity(compiler), entry, *flags, *libraries]
-    digest = hashlib.sha256("\0".join([*recipe, *(f"{k}\0{v}" for k, v in sorted(sources.items()))]).encode()).hexdigest()
+    digest = hashlib.sha256(
+        "\0".join([*recipe, *(f"{k}\0{v}" for k, v in sorted(sources.items()))]).encode()
+    ).hexdigest()
     folder = cache_folder()
     library = folder / f"{Path(entry).stem}-{digest[:24]}.so"
     if library.exists():
@@ -68,7 +78,9 @@ def build_library(
             if not library.exists():
                 _compile(compiler, sources, entry, [*flags], [*libraries], library)
     except OSError as error:
-        raise RequestError(f"cannot write compiled code to {folder}: {error}. Set ALULA_CACHE to another folder.") from error
+        raise RequestError(
+            f"cannot write compiled code to {folder}: {error}. Set ALULA_CACHE to another folder."
+        ) from error
     return library
 
 
@@ -85,7 +97,9 @@ def _identity(compiler: str) -> str:
     """What else decides the machine code: the compiler's version and the processor that -march=native means."""
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
     try:
-        flags = next(line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Feat")))
+        flags = next(
+            line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Feat"))
+        )
     except (OSError, StopIteration):
         flags = platform.processor()
     return f"{version}\0{platform.machine()}\0{flags}"

@@ -36,7 +36,9 @@ def step_function(model: Model, *, substeps: int = 1, name: str = "step") -> ca.
     after = x
     for _ in range(substeps):
         after = rk4(lambda state: model.derivative(state, u, p, e, w), after, dt / substeps)
-    return ca.Function(name, [x, u, p, e, w, dt], [with_unit_attitude(after)], ["x", "u", "p", "e", "w", "dt"], ["next"])
+    return ca.Function(
+        name, [x, u, p, e, w, dt], [with_unit_attitude(after)], ["x", "u", "p", "e", "w", "dt"], ["next"]
+    )
 
 
 def _arguments(model: Model) -> list[tuple[str, tuple[int, int]]]:

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Values
 from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 RIGID_BODY_STATES = 13  # position (3), velocity_world (3), attitude (4), rate_body (3)
@@ -93,7 +94,10 @@ def build_model(
     effects: Sequence[EffectUse] | None = None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> Model:
-    """The model of a vehicle. effects: instead of those in the vehicle file (an empty sequence: the textbook model)."""
+    """The model of a vehicle. effects: instead of those in the vehicle file (an empty sequence: the textbook model).
+
+    Raises RequestError when an effect is given twice.
+    """
     active, hidden_initial = _activate(vehicle, vehicle.effects if effects is None else effects, catalogue)
     names, values = _parameters(vehicle, active)
     x = ca.SX.sym("x", RIGID_BODY_STATES + hidden_initial.size)
@@ -128,6 +132,8 @@ def _activate(
             places[hidden.name] = slice(start, start + count)
             initial += [hidden.initial(vehicle)] * count
         key = use.name if use.rotor is None else f"{use.name}[{use.rotor}]"
+        if any(item.key == key for item in active):
+            raise RequestError(f"effect {key} is given twice; give it once, with the values that it has in all.")
         values = {**effect.defaults(vehicle), **use.parameters}
         active.append(ActiveEffect(effect, key, use.rotor, values, places))
     return tuple(active), np.array(initial, dtype=float)
@@ -160,6 +166,7 @@ class _Motion:
 
 def _physics(count: int, active: Sequence[ActiveEffect], p: Values, environment: Environment) -> Physics:
     """The vehicle file's constants as the effects change them."""
+
     def along(name: str) -> Expression:
         return ca.vertcat(*[p[f"{name}_{axis}"] for axis in "xyz"])
 
@@ -260,7 +267,7 @@ def _hidden_derivative(
     active: Sequence[ActiveEffect], p: Values, x: Expression, w: Expression, conditions: Conditions
 ) -> list[dict[str, Expression]]:
     """Derivatives of each effect's hidden states, in the order in which they stand in x."""
-    rates = []
+    rates: list[dict[str, Expression]] = []
     for item in active:
         if item.effect.derivative is None:
             rates.append({})

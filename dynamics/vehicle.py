@@ -70,10 +70,11 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 f"rotor spin {list(self.spin)} sums to {sum(self.spin)}: with {count} rotors the reaction torques must "
                 "cancel in hover. Half of the rotors must turn each way; the paper's quadrotor has [1, -1, 1, -1]."
             )
-        if self.torque_constant > 0 and np.linalg.matrix_rank(self.allocation) < 4:
+        wanted = 4 if self.torque_constant > 0 else 3  # without reaction torque nothing yaws
+        if count < wanted or np.linalg.matrix_rank(self.allocation) < wanted:
             raise RequestError(
                 f"rotor spin {list(self.spin)} at positions {[list(p) for p in self.position]} cannot command thrust, "
-                "roll, pitch and yaw independently. On a quadrotor, diagonal neighbours turn the same way."
+                "roll, pitch and yaw independently. A quadrotor's diagonally opposite rotors turn the same way."
             )
 
     @property

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import difflib
-import os
-import tempfile
+import math
 import tomllib
 import types
 import typing
@@ -45,6 +44,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
     except tomllib.TOMLDecodeError as error:
         raise RequestError(f"not valid TOML: {error}.") from error
     refuse_unknown_keys(table, Vehicle)
+    _refuse_non_finite(table)
     try:
         vehicle = msgspec.convert(table, Vehicle)
     except msgspec.ValidationError as error:
@@ -57,15 +57,23 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
 
 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
-    """Write a vehicle file under a temporary name and rename it. Raises RequestError when the file exists."""
+    """Write a vehicle file. Raises RequestError when there is one already, or none can be written there."""
     path = Path(path)
-    if path.exists():
-        raise RequestError(f"{path} exists and a vehicle file is never overwritten; give another name.")
-    table = _without_none(msgspec.to_builtins(vehicle))
-    descriptor, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    with os.fdopen(descriptor, "wb") as file:
-        tomli_w.dump(table, file)
-    os.replace(temporary, path)
+    text = tomli_w.dumps(_without_none(msgspec.to_builtins(vehicle)))
+    try:
+        file = path.open("x", encoding="utf-8")
+    except FileExistsError:
+        raise RequestError(f"{path} exists and a vehicle file is never overwritten; give another name.") from None
+    except OSError as error:
+        raise RequestError(
+            f"cannot write the vehicle file {path}: {error}. Give a folder that can be written."
+        ) from error
+    try:
+        with file:
+            file.write(text)
+    except OSError as error:
+        path.unlink(missing_ok=True)
+        raise RequestError(f"cannot write the vehicle file {path}: {error}. Nothing was left there.") from error
 
 
 def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:
@@ -80,10 +88,14 @@ def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect]
         try:
             values[key.strip()] = float(value)
         except ValueError:
-            raise RequestError(f"effect {text!r}: {pair!r} is not key=number. Write name:key=value,key=value.") from None
+            raise RequestError(
+                f"effect {text!r}: {pair!r} is not key=number. Write name:key=value,key=value."
+            ) from None
         if not equals:
             raise RequestError(f"effect {text!r}: {pair!r} is not key=number. Write name:key=value,key=value.")
     rotor = values.pop("rotor", None)
+    if rotor is not None and not rotor.is_integer():
+        raise RequestError(f"effect {text!r}: rotor = {rotor} is not a whole number; give 0 to {rotor_count - 1}.")
     use = EffectUse(name.strip(), values, None if rotor is None else int(rotor))
     check_effect(use, rotor_count, catalogue=catalogue)
     return use
@@ -104,7 +116,9 @@ def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Ef
             raise RequestError(f"effect {use.name}: {key} = {value} {known.unit} is outside its bounds "
                                f"[{known.lower}, {known.upper}] {known.unit}.")  # fmt: skip
     if effect.per_rotor and (use.rotor is None or not 0 <= use.rotor < rotor_count):
-        raise RequestError(f"effect {use.name} sits on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}.")
+        raise RequestError(
+            f"effect {use.name} sits on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}."
+        )
     if not effect.per_rotor and use.rotor is not None:
         raise RequestError(f"effect {use.name} acts on the whole vehicle: leave rotor out.")
 
@@ -129,6 +143,18 @@ def refuse_unknown_keys(table: Mapping[str, Any], kind: type[msgspec.Struct], wh
         for entry in value if isinstance(value, list) else [value]:
             if isinstance(entry, dict):
                 refuse_unknown_keys(entry, inner, f"{where}.{key}" if where else key)
+
+
+def _refuse_non_finite(value: Any, where: str = "") -> None:
+    """Raise a RequestError at the first inf or nan, which TOML allows and no comparison catches."""
+    if isinstance(value, dict):
+        for key, item in value.items():
+            _refuse_non_finite(item, f"{where}.{key}" if where else key)
+    elif isinstance(value, list):
+        for item in value:
+            _refuse_non_finite(item, where)
+    elif isinstance(value, float) and not math.isfinite(value):
+        raise RequestError(f"{where} holds {value}: give finite numbers.")
 
 
 def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:

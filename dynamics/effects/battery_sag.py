@@ -16,7 +16,9 @@ EFFECT = Effect(
     summary="Thrust falls with battery voltage",
     source="rotor speed proportional to voltage at fixed duty, linearised",
     parameters=(
-        Parameter("gain", "1", "1: speed follows the voltage; 0: speed is regulated", 0.0, 2.0, lambda _: Prior(1.0, 0.5)),
+        Parameter(
+            "gain", "1", "1: speed follows the voltage; 0: speed is regulated", 0.0, 2.0, lambda _: Prior(1.0, 0.5)
+        ),
     ),
     physics=physics,
 )

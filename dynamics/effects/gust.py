@@ -14,7 +14,7 @@ def wind(_: Values, hidden: Values) -> Expression:
 
 
 def derivative(_: Conditions, p: Values, hidden: Values, noise: Values) -> Values:
-    """dw/dt = -w / correlation_time + intensity sqrt(2 / correlation_time) white noise; vertical gusts are half as strong."""
+    """dw/dt = -w / correlation_time + intensity sqrt(2 / correlation_time) white noise, half as strong vertically."""
     rates = {}
     for axis in AXES:
         gain = p["intensity"] * ca.sqrt(2 / p["correlation_time"]) * (0.5 if axis == "z" else 1.0)
@@ -32,7 +32,9 @@ EFFECT = Effect(
     summary="Random wind with a standard deviation and a correlation time",
     source="Gauss-Markov form of the Dryden gust, MIL-F-8785C",
     parameters=(
-        Parameter("intensity", "m/s", "standard deviation of the horizontal gust", 0.0, 15.0, lambda _: Prior(1.0, 1.0)),
+        Parameter(
+            "intensity", "m/s", "standard deviation of the horizontal gust", 0.0, 15.0, lambda _: Prior(1.0, 1.0)
+        ),
         Parameter("correlation_time", "s", "time over which a gust lasts", 0.05, 20.0, lambda _: Prior(1.0, 1.0), 1.0),
         COEFFICIENT,
     ),

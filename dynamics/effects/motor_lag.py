@@ -18,9 +18,7 @@ EFFECT = Effect(
     summary="Rotor speed lags its command by a first-order time constant",
     source="Eschmann, Albani, Loianno, Data-Driven System Identification of Quadrotors Subject to Motor Delays, 2024",
     parameters=(
-        Parameter(
-            "time_constant", "s", "time to 63 % of a step", 1e-3, 0.5, prior=lambda _: Prior(0.035, 0.03)
-        ),
+        Parameter("time_constant", "s", "time to 63 % of a step", 1e-3, 0.5, prior=lambda _: Prior(0.035, 0.03)),
     ),
     hidden=(Hidden("rotor_speed", "rad/s", initial=lambda vehicle: vehicle.hover_speed, per_rotor=True),),
     rotor_speed=rotor_speed,

@@ -29,9 +29,7 @@ def test_north_is_the_second_axis_and_east_the_first():
     assert_allclose(frames.enu_from_ned([1, 2, 3]), [2, 1, -3])
 
 
-@pytest.mark.parametrize(
-    ("heading_deg", "yaw_deg"), [(0, 90), (90, 0), (45, 45), (180, -90), (270, 180), (-45, 135)]
-)
+@pytest.mark.parametrize(("heading_deg", "yaw_deg"), [(0, 90), (90, 0), (45, 45), (180, -90), (270, 180), (-45, 135)])
 def test_level_heading_becomes_yaw_counted_from_east(heading_deg, yaw_deg):
     attitude = frames.attitude_enu_flu(quaternion.from_euler(0, 0, np.radians(heading_deg)))
     roll, pitch, _ = quaternion.to_euler(attitude)
