@@ -86,7 +86,10 @@ class Tuning:
 
     attitude_gain: MC_ROLL_P, MC_PITCH_P, MC_YAW_P, 1/s. rate_gain_p, _i, _d: MC_{ROLL,PITCH,YAW}RATE_{P,I,D}.
     rate_limit: MC_{ROLL,PITCH,YAW}RATE_MAX, rad/s. thrust_model_factor: THR_MDL_FAC. hover_thrust: MPC_THR_HOVER.
-    return_altitude: RTL_RETURN_ALT, m. land_speed: MPC_LAND_SPEED, m/s.
+    return_altitude: RTL_RETURN_ALT, m. land_speed: MPC_LAND_SPEED, m/s. rate_gain_ff: MC_*RATE_FF.
+    integral_limit: MC_{RR,PR,YR}_INT_LIM. yaw_weight: MC_YAW_WEIGHT. gyro_cutoff: IMU_GYRO_CUTOFF,
+    acceleration_cutoff: IMU_DGYRO_CUTOFF, yaw_torque_cutoff: MC_YAW_TQ_CUTOFF, Hz. The defaults are PX4's;
+    `sitl_mock.tuning.default_tuning` gives those of a vehicle file.
     """
 
     attitude_gain: tuple[float, float, float] = (4.0, 4.0, 2.8)
@@ -98,6 +101,12 @@ class Tuning:
     hover_thrust: float = 0.5
     return_altitude: float = 30.0
     land_speed: float = 0.7
+    rate_gain_ff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    integral_limit: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    yaw_weight: float = 0.4
+    gyro_cutoff: float = 40.0
+    acceleration_cutoff: float = 30.0
+    yaw_torque_cutoff: float = 2.0
 
 
 class Vehicle(Protocol):

@@ -1,0 +1,65 @@
+"""The ground: legs and hull of the vehicle on a flat, rough, slightly soft surface.
+
+Each contact point carries a share of a spring-damper and Coulomb friction. Forces are worked out for a unit of mass,
+so that a vehicle sinks in equally whatever it weighs; the stiffness is soft enough for 1 ms steps.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.effect import Expression
+from dynamics.vehicle import GRAVITY, Vehicle
+
+NATURAL_FREQUENCY = 60.0  # of the vehicle on its legs, rad/s
+DAMPING_RATIO = 0.7
+FRICTION = 0.7
+STICTION_SPEED = 0.02  # below it friction grows with speed instead of sliding, m/s
+SINKAGE = GRAVITY / NATURAL_FREQUENCY**2  # under the vehicle's own weight, m
+
+
+def leg_height(vehicle: Vehicle) -> float:
+    """Height of the body's origin over its feet, m: 0.3 of the longest arm."""
+    arms = np.linalg.norm(np.array(vehicle.rotors.position)[:, 0:2], axis=1)
+    return 0.3 * float(arms.max())
+
+
+def contact_points(vehicle: Vehicle) -> NDArray[np.float64]:
+    """Feet below the rotors and hull points above them, body FLU, m. Returns (3, 2 rotors)."""
+    hubs = np.array(vehicle.rotors.position).T
+    height = leg_height(vehicle)
+    feet, hull = hubs.copy(), hubs.copy()
+    feet[2] = -height
+    hull[2] = hubs[2] + 0.5 * height
+    return np.hstack([feet, hull])
+
+
+def contact_acceleration(
+    x: Expression, points: Expression, mass_over_inertia: Expression, ground_height: Expression
+) -> tuple[Expression, Expression]:
+    """Acceleration that the ground gives: linear in the world (3,), m/s^2, and angular about body axes (3,), rad/s^2.
+
+    x: rigid-body state. points: (3, n) from the centre of mass, body FLU. mass_over_inertia: (3,) 1/m^2.
+    """
+    attitude, rate = x[6:10], x[10:13]
+    share = 2.0 / points.shape[1]  # half of the points touch in any rest position
+    linear, angular = ca.SX.zeros(3), ca.SX.zeros(3)
+    for i in range(points.shape[1]):
+        arm = quaternion.rotate(attitude, points[:, i])
+        velocity = x[3:6] + quaternion.rotate(attitude, ca.cross(rate, points[:, i]))
+        force = share * _point_force(ground_height - x[2] - arm[2], velocity)
+        linear = linear + force
+        angular = angular + mass_over_inertia * ca.cross(points[:, i], quaternion.rotate_inverse(attitude, force))
+    return linear, angular
+
+
+def _point_force(depth: Expression, velocity: Expression) -> Expression:
+    """Force on the whole weight's share of a point, per unit of mass, world axes, m/s^2."""
+    damping = 2 * DAMPING_RATIO * NATURAL_FREQUENCY * ca.fmin(1, ca.fmax(depth, 0) / SINKAGE)
+    normal = ca.if_else(depth > 0, ca.fmax(0, NATURAL_FREQUENCY**2 * depth - damping * velocity[2]), 0)
+    sliding = ca.sqrt(velocity[0] ** 2 + velocity[1] ** 2)
+    drag = -FRICTION * normal / ca.fmax(sliding, STICTION_SPEED)
+    return ca.vertcat(drag * velocity[0], drag * velocity[1], normal)

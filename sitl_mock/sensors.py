@@ -1,0 +1,73 @@
+"""What the vehicle's sensors and its estimator get wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.effect import Expression, Values
+
+Vector3 = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class SensorErrors:
+    """Standard deviations of what sensors and estimator add to the truth; all zero for perfect ones.
+
+    gyro, rad/s, and accelerometer, m/s^2: white, a sample of 1 ms. gyro_bias, accelerometer_bias: constant of the
+    flight, drawn at its start. position (m), velocity (m/s), tilt and yaw (rad): of the estimate, wandering with
+    *_time (s); the error in velocity also drags the error in position along, as in any filter.
+    rotor_speed: white, rad/s; rotor_speed_step: resolution of the measured rotor speed, rad/s.
+    delay: age of the estimate when it is read, s. imu_average: s over which an inertial sample is averaged.
+    """
+
+    gyro: float = 0.02
+    accelerometer: float = 0.3
+    gyro_bias: float = 0.001
+    accelerometer_bias: float = 0.02
+    position: float = 0.003
+    position_time: float = 0.5
+    velocity: float = 0.01
+    velocity_time: float = 0.3
+    tilt: float = 0.002
+    yaw: float = 0.004
+    attitude_time: float = 2.0
+    rotor_speed: float = 1.0
+    rotor_speed_step: float = 1.5
+    delay: float = 0.010
+    imu_average: float = 0.004
+
+    def without_noise(self) -> SensorErrors:
+        """Perfect sensors and estimator with the same delay."""
+        return SensorErrors(
+            gyro=0.0, accelerometer=0.0, gyro_bias=0.0, accelerometer_bias=0.0, position=0.0, velocity=0.0, tilt=0.0,
+            yaw=0.0, rotor_speed=0.0, rotor_speed_step=0.0, delay=self.delay, imu_average=self.imu_average,
+        )  # fmt: skip
+
+    def constants(self, random: np.random.Generator) -> dict[str, NDArray[np.float64]]:
+        """What the compiled step needs of these; the biases of this flight are drawn here."""
+        return {
+            "gyro_noise": np.array([self.gyro]),
+            "accelerometer_noise": np.array([self.accelerometer]),
+            "gyro_bias": self.gyro_bias * random.standard_normal(3),
+            "accelerometer_bias": self.accelerometer_bias * random.standard_normal(3),
+            "estimate_noise": np.array([self.position] * 3 + [self.velocity] * 3 + [self.tilt, self.tilt, self.yaw]),
+            "estimate_time": np.array([self.position_time] * 3 + [self.velocity_time] * 3 + [self.attitude_time] * 3),
+            "rotor_speed_noise": np.array([self.rotor_speed]),
+        }
+
+
+def next_estimate_error(error: Expression, noise: Expression, constants: Values, dt: float) -> Expression:
+    """Errors of position, velocity and attitude (a body rotation vector) after dt, a Gauss-Markov process. (9,)."""
+    keep = ca.exp(-dt / constants["estimate_time"])
+    wander = keep * error + constants["estimate_noise"] * ca.sqrt(1 - keep**2) * noise
+    return ca.vertcat(wander[0:3] + dt * error[3:6], wander[3:9])
+
+
+def quantised(value: NDArray[np.float64], step: float) -> NDArray[np.float64]:
+    """The value at a resolution; a step of zero leaves it as it is."""
+    return np.asarray(np.round(value / step) * step) if step > 0 and math.isfinite(step) else value

@@ -1,0 +1,74 @@
+"""Inner-loop gains for a vehicle: PX4's defaults on PX4's own quadrotor, and as well tuned on any other.
+
+PX4's defaults suit its SIH quadrotor; the owner of another vehicle would tune until the body-rate loop is as fast as
+the motors allow. The rule keeps the loop's shape: gains times authority over inertia, measured in units of the lag
+of motor and gyro filter, stay what they are on the SIH quadrotor.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics.vehicle import Vehicle
+from sitl_mock.allocation import torque_authority
+from sitl_mock.vehicle_interface import Tuning
+
+DEFAULT_MOTOR_LAG = 0.02  # s, for a vehicle that names none
+
+# SIH: authority 2.83 N m over 0.025 kg m^2 = 113; x 0.15 (P) x 55.6 ms (motor 50 ms, 40 Hz gyro filter 5.6 ms)
+TILT_SPEED = 0.944  # proportional rate gain in units of 1 / lag
+TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
+TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
+ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
+ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
+YAW_SPEED = 0.35  # yaw rate gain in units of 1 / (lag + torque filter)
+GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
+
+
+def motor_time_constant(vehicle: Vehicle) -> float:
+    """Lag that the vehicle file names for its motors, s, or the default."""
+    named = [use.parameters.get("time_constant") for use in vehicle.effects if use.name == "motor_lag"]
+    return next((value for value in named if value is not None), DEFAULT_MOTOR_LAG)
+
+
+def default_tuning(vehicle: Vehicle) -> Tuning:
+    """Parameters that a careful owner would set on this vehicle; PX4's defaults for `vehicles/px4_sih.toml`."""
+    motor = motor_time_constant(vehicle)
+    cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
+    lag = motor + math.sqrt(2) / (2 * math.pi * cutoff)
+    authority = torque_authority(vehicle.rotors) / np.array(vehicle.body.inertia)  # rad/s^2 for a unit of torque
+    speed = TILT_SPEED / lag
+    tilt_p = (speed / authority[0], speed / authority[1])
+    yaw_p = 0.2  # a fifth of all yaw authority for 1 rad/s, PX4's default: yaw is weak, not slow
+    yaw_filter = max(YAW_SPEED / max(yaw_p * authority[2], 1e-3) - lag, 0.01)
+    attitude = min(ATTITUDE_SPEED * speed, ATTITUDE_GAIN_MAX)
+    return Tuning(
+        attitude_gain=(attitude, attitude, 2.8),
+        rate_gain_p=(*tilt_p, yaw_p),
+        rate_gain_i=(TILT_INTEGRAL * speed * tilt_p[0], TILT_INTEGRAL * speed * tilt_p[1], 0.5 * yaw_p),
+        rate_gain_d=(TILT_DAMPING / authority[0], TILT_DAMPING / authority[1], 0.0),
+        thrust_model_factor=vehicle.rotors.thrust_curve,
+        hover_thrust=vehicle.weight / vehicle.rotors.thrust_max,
+        gyro_cutoff=cutoff,
+        acceleration_cutoff=0.75 * cutoff,
+        yaw_torque_cutoff=1 / (2 * math.pi * yaw_filter),
+    )
+
+
+def parameter_values(tuning: Tuning) -> dict[str, float]:
+    """The tuning under PX4's parameter names and units, for the autopilot's parameter table."""
+    values: dict[str, float] = {}
+    for i, axis in enumerate(("ROLL", "PITCH", "YAW")):
+        values[f"MC_{axis}_P"] = tuning.attitude_gain[i]
+        values[f"MC_{axis}RATE_P"] = tuning.rate_gain_p[i]
+        values[f"MC_{axis}RATE_I"] = tuning.rate_gain_i[i]
+        values[f"MC_{axis}RATE_D"] = tuning.rate_gain_d[i]
+        values[f"MC_{axis}RATE_MAX"] = math.degrees(tuning.rate_limit[i])
+    values["THR_MDL_FAC"] = tuning.thrust_model_factor
+    values["MPC_THR_HOVER"] = tuning.hover_thrust
+    values["IMU_GYRO_CUTOFF"] = tuning.gyro_cutoff
+    values["IMU_DGYRO_CUTOFF"] = tuning.acceleration_cutoff
+    values["MC_YAW_TQ_CUTOFF"] = tuning.yaw_torque_cutoff
+    return values
