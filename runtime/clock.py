@@ -54,6 +54,7 @@ class VehicleClock:
         self._outliers: list[tuple[float, float]] = []
         self._last_round_trip = 0.0
         self.samples = 0
+        self._valid_until = float("-inf")
 
     def handle(self, sent: float, received: float, remote: float) -> Verdict:
         """One TIMESYNC exchange: request sent and answer received on our clock, remote the vehicle's stamp in it."""
@@ -66,6 +67,7 @@ class VehicleClock:
         self._last_round_trip = round_trip
         verdict = self._handle_stamp(middle, remote, round_trip / 12**0.5, self._is_slow(round_trip))
         self._latest_two_way = received
+        self._valid_until = self._find_valid_until()
         return verdict
 
     def handle_one_way(self, received: float, remote: float) -> Verdict | None:
@@ -74,7 +76,9 @@ class VehicleClock:
             return None
         if received <= self._updated:
             return "out_of_order"
-        return self._handle_stamp(received, remote, self._limits.one_way_noise, False)
+        verdict = self._handle_stamp(received, remote, self._limits.one_way_noise, False)
+        self._valid_until = self._find_valid_until()
+        return verdict
 
     def _is_slow(self, round_trip: float) -> bool:
         median = sorted(self._round_trips)[len(self._round_trips) // 2]
@@ -163,11 +167,15 @@ class VehicleClock:
 
     def is_valid(self, now: float) -> bool:
         """Whether enough recent samples agree for the conversion to be used in flight."""
-        return (
-            self.samples >= self._limits.minimum_samples
-            and now - self._updated < self._limits.longest_silence
-            and self.uncertainty(now) < self._limits.largest_uncertainty
-        )
+        return now < self._valid_until
+
+    def _find_valid_until(self) -> float:
+        limits, end = self._limits, self._updated + self._limits.longest_silence
+        if self.samples < limits.minimum_samples or self.uncertainty(self._updated) >= limits.largest_uncertainty:
+            return float("-inf")
+        while self.uncertainty(end) >= limits.largest_uncertainty:
+            end -= 0.1
+        return end
 
     def uncertainty(self, now: float) -> float:
         """One standard deviation of the offset, s, an asymmetric path not included."""

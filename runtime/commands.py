@@ -14,13 +14,12 @@ import msgspec
 
 from dynamics.errors import RequestError
 from runtime import modes
-from runtime.dialect import Message, mavlink
+from runtime.dialect import MESSAGE_IDS, Message, mavlink
 from runtime.link import Link
 from runtime.telemetry import VehicleStatus, enum_name
 
 _FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: regardless of checks, and of being in the air
 _HANDLING_TIME = 0.3  # s that a refusal waits for a heartbeat that contradicts it
-_MESSAGE_IDS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}
 
 
 class Confirmation(msgspec.Struct, frozen=True):
@@ -70,12 +69,12 @@ def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
 
     Raises RequestError for a message that MAVLink does not have.
     """
-    unknown = sorted(name for name in rates if name not in _MESSAGE_IDS)
+    unknown = sorted(name for name in rates if name not in MESSAGE_IDS)
     if unknown:
         raise RequestError(f"No MAVLink message is called {', '.join(unknown)}; wanted names such as ODOMETRY.")
     interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
     return {
-        name: send_command(link, interval, _MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else -1)
+        name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else -1)
         for name, rate in rates.items()
     }
 

@@ -13,7 +13,7 @@ import msgspec
 from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-__all__ = ["Definition", "Field", "Message", "mavlink", "message_class"]
+__all__ = ["MESSAGE_IDS", "MESSAGE_NAMES", "Definition", "Field", "Message", "mavlink", "message_class", "x25crc"]
 
 Message = Any  # an instance of one of pymavlink's generated classes, which carry no common type of their fields
 
@@ -124,3 +124,6 @@ def _crc_extra(name: str, wire: list[Field]) -> int:
 
 for _definition in _MISSING:  # a pymavlink that knows them keeps its own
     mavlink.mavlink_map.setdefault(_definition.id, message_class(_definition))
+
+MESSAGE_NAMES: dict[int, str] = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
+MESSAGE_IDS: dict[str, int] = {name: number for number, name in MESSAGE_NAMES.items()}

@@ -1,24 +1,46 @@
-"""MAVLink frames out of a stream of bytes, whatever else is in it; decoding is pymavlink's."""
+"""MAVLink frames out of a stream of bytes, whatever else is in it; decoding them is pymavlink's."""
 
 from __future__ import annotations
 
-import msgspec
-
-from runtime.dialect import Message, mavlink
+from runtime.dialect import Message, mavlink, x25crc
 
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
+_HEADER_V1, _HEADER_V2, _CHECKSUM = 6, 10, 2
 _SIGNED = 0x01
-_SHORTEST_FRAME = 8
+_SHORTEST_FRAME = _HEADER_V1 + _CHECKSUM
+_DECODER = mavlink.MAVLink(None)  # keeps no state between calls of decode
 
 
-class Frame(msgspec.Struct, frozen=True, gc=False):
-    """One frame: its bytes, sender, id and decoded message (None when its id is in no definition)."""
+class Frame:
+    """One frame whose checksum holds, as far as its definition is known; decoded when somebody asks for it.
 
-    data: bytes
-    system: int
-    component: int
-    message_id: int
-    message: Message | None
+    data: all its bytes. message_id: MAVLink's number. is_known: whether there is a definition for it.
+    """
+
+    __slots__ = ("_message", "component", "data", "is_known", "message_id", "system")
+
+    def __init__(self, data: bytes) -> None:
+        self.data = data
+        if data[0] == MAGIC_V2:
+            self.system, self.component = data[5], data[6]
+            self.message_id = data[7] | data[8] << 8 | data[9] << 16
+        else:
+            self.system, self.component, self.message_id = data[3], data[4], data[5]
+        self.is_known = self.message_id in mavlink.mavlink_map
+        self._message: Message | None = None
+
+    @property
+    def payload(self) -> bytes:
+        """The payload as it travelled, without the zeros that MAVLink 2 leaves out at its end."""
+        start = _HEADER_V2 if self.data[0] == MAGIC_V2 else _HEADER_V1
+        return self.data[start : start + self.data[1]]
+
+    @property
+    def message(self) -> Message:
+        """The decoded message; for an unknown id, pymavlink's message of type UNKNOWN_<id>."""
+        if self._message is None:
+            self._message = _DECODER.decode(bytearray(self.data))
+        return self._message
 
 
 class FrameParser:
@@ -30,7 +52,6 @@ class FrameParser:
 
     def __init__(self) -> None:
         self._pending = bytearray()
-        self._decoder = mavlink.MAVLink(None)
         self.frames = 0
         self.unknown = 0
         self.skipped_bytes = 0
@@ -49,7 +70,7 @@ class FrameParser:
             if frame is not None:
                 frames.append(frame)
                 self.frames += 1
-                self.unknown += frame.message is None
+                self.unknown += not frame.is_known
             elif used:
                 self.skipped_bytes += used
             else:
@@ -67,9 +88,9 @@ class FrameParser:
         available = len(buffer) - start
         if available < _SHORTEST_FRAME:
             return None, 0
-        header, trailer = 6, 2
+        header, trailer = _HEADER_V1, _CHECKSUM
         if magic == MAGIC_V2:
-            header = 10
+            header = _HEADER_V2
             if buffer[start + 2] & ~_SIGNED:
                 return None, 1
             if buffer[start + 2] & _SIGNED:
@@ -77,21 +98,15 @@ class FrameParser:
         length = header + buffer[start + 1] + trailer
         if available < length:
             return None, 0
-        frame = self._decode(buffer[start : start + length], magic)
-        if frame is None:
-            return None, 1
-        if frame.message is None and available > length and buffer[start + length] not in (MAGIC_V1, MAGIC_V2):
+        frame = Frame(bytes(buffer[start : start + length]))
+        if frame.is_known:
+            return (frame, length) if _checksum_holds(frame, header) else (None, 1)
+        if available > length and buffer[start + length] not in (MAGIC_V1, MAGIC_V2):
             return None, 1  # its checksum cannot be verified, and what follows says that it was no frame
         return frame, length
 
-    def _decode(self, data: bytearray, magic: int) -> Frame | None:
-        try:
-            message = self._decoder.decode(data)
-        except (mavlink.MAVError, ValueError, TypeError):
-            return None
-        system, component, number = data[3], data[4], data[5]
-        if magic == MAGIC_V2:
-            system, component = data[5], data[6]
-            number = int.from_bytes(data[7:10], "little")
-        known = not isinstance(message, mavlink.MAVLink_unknown)
-        return Frame(bytes(data), system, component, number, message if known else None)
+
+def _checksum_holds(frame: Frame, header: int) -> bool:
+    end = header + frame.data[1]
+    crc = x25crc(frame.data[1:end] + bytes((mavlink.mavlink_map[frame.message_id].crc_extra,)))
+    return bool(crc.crc == frame.data[end] | frame.data[end + 1] << 8)

@@ -9,7 +9,8 @@ import msgspec
 from runtime import modes, telemetry
 from runtime.clock import VehicleClock
 from runtime.dialect import Message, mavlink
-from runtime.estimate import Estimate, EstimateLimits, EstimateMonitor, Judgement, ResetStep
+from runtime.estimate import Estimate, EstimateLimits, EstimateMonitor, Judgement, Odometry, ResetStep, read_odometry
+from runtime.framing import Frame
 from runtime.rates import RateMeter
 from runtime.telemetry import Battery, LinkEvent, Severity, Telemetry, Text, VehicleStatus
 from runtime.texts import TextAssembler
@@ -41,6 +42,7 @@ class Peer:
 
     def __init__(self, target_system: int | None = None, estimate_limits: EstimateLimits | None = None) -> None:
         self._target_system = target_system
+        self.address: tuple[int, int] | None = None  # system and component of the vehicle once it is found
         self._status = VehicleStatus()
         self._texts = TextAssembler()
         self._told: dict[str, tuple[float, int]] = {}
@@ -52,7 +54,6 @@ class Peer:
         self.latest: dict[type[Telemetry], Telemetry] = {}
         self.odometry_frames: tuple[int, int] | None = None
         self._handlers: dict[str, Callable[[Message, float, Reaction], None]] = {
-            "ODOMETRY": self._handle_odometry,
             "ATTITUDE_QUATERNION": self._handle_attitude,
             "LOCAL_POSITION_NED": self._handle_local_position,
             "HEARTBEAT": self._handle_heartbeat,
@@ -67,31 +68,31 @@ class Peer:
         """Who the vehicle is and what it does, with the time it was last heard."""
         return msgspec.structs.replace(self._status, last_heard=self.last_heard)
 
-    def is_vehicle(self, system: int, component: int) -> bool:
-        """Whether messages of this sender are the vehicle's."""
-        return self._status.is_known and (system, component) == (self._status.system, self._status.component)
-
-    def handle(self, system: int, component: int, message: Message, received: float) -> Reaction:
-        """Takes in one decoded message of any sender that arrived at received, s on our monotonic clock."""
+    def handle(self, frame: Frame, received: float) -> Reaction:
+        """Takes in one frame of any sender that arrived at received, s on our monotonic clock."""
         reaction = Reaction()
-        name = message.get_type()
-        if name == "HEARTBEAT":
-            self._discover(system, component, message, received, reaction)
-        elif (system, component) not in self.heard:
-            self.heard[system, component] = "no heartbeat yet"
-        if not self.is_vehicle(system, component):
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._discover(frame.system, frame.component, frame.message, received, reaction)
+        if (frame.system, frame.component) != self.address:
+            self.heard.setdefault((frame.system, frame.component), "no heartbeat yet")
             return reaction
         self.last_heard = received
-        self.rates.handle(name, received)
-        handler = self._handlers.get(name)
+        self.rates.handle(frame.message_id, received)
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_ODOMETRY:
+            self._handle_odometry(read_odometry(frame.payload), received, reaction)
+        elif frame.is_known:
+            self._handle_message(frame.message, received, reaction)
+        return reaction
+
+    def _handle_message(self, message: Message, received: float, reaction: Reaction) -> None:
+        handler = self._handlers.get(message.get_type())
         if handler is not None:
             handler(message, received, reaction)
-            return reaction
+            return
         sample = telemetry.decode_telemetry(message, received, self._time_of)
         if sample is not None:
             self._keep(sample)
             reaction.telemetry = sample
-        return reaction
 
     def tell(self, time: float, name: str, severity: Severity, text: str) -> list[LinkEvent]:
         """The event to pass on: none while one of the same name was told less than a second ago."""
@@ -127,9 +128,10 @@ class Peer:
             return
         if not self._status.is_known:
             self._status = VehicleStatus(system=system, component=component, autopilot=autopilot, kind=kind)
+            self.address = (system, component)
             text = f"Vehicle {system}, component {component}: {kind} with {autopilot}."
             reaction.events += self.tell(received, "vehicle_found", "info", text)
-        elif not self.is_vehicle(system, component):
+        elif (system, component) != self.address:
             text = f"Vehicle {system} is on this link as well; following {self._status.system} only."
             reaction.events += self.tell(received, "other_vehicle", "warning", text)
 
@@ -189,10 +191,10 @@ class Peer:
                 reaction.events += self.tell(received, "clock_ran_backwards", "error", text)
                 self.estimates.reset()
 
-    def _handle_odometry(self, message: Message, received: float, reaction: Reaction) -> None:
-        self.odometry_frames = (message.frame_id, message.child_frame_id)
-        time, synchronised = self._synchronised(message.time_usec * 1e-6, received)
-        self._take(self.estimates.handle_odometry(message, time, received, synchronised), received, reaction)
+    def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
+        self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
+        time, synchronised = self._synchronised(odometry.time, received)
+        self._take(self.estimates.handle_odometry(odometry, time, received, synchronised), received, reaction)
 
     def _handle_local_position(self, message: Message, received: float, reaction: Reaction) -> None:
         self.estimates.handle_local_position(message, self._time_of(message.time_boot_ms * 1e-3, received))

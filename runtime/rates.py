@@ -7,6 +7,8 @@ from itertools import pairwise
 
 import msgspec
 
+from runtime.dialect import MESSAGE_IDS, MESSAGE_NAMES
+
 WINDOW = 3.0  # s
 _LARGEST_WINDOW = 4000  # messages
 
@@ -25,24 +27,26 @@ SILENT = StreamRate(0.0, float("inf"), float("inf"), float("inf"), 0)
 
 
 class RateMeter:
-    """Counts arrivals per message name. Pure: times are arguments, s on our monotonic clock."""
+    """Counts arrivals per message id. Pure: times are arguments, s on our monotonic clock."""
 
     def __init__(self, window: float = WINDOW) -> None:
         self._window = window
-        self._arrivals: dict[str, deque[float]] = {}
+        self._arrivals: dict[int, deque[float]] = {}
 
-    def handle(self, name: str, received: float) -> None:
+    def handle(self, message_id: int, received: float) -> None:
         """One message arrived."""
-        arrivals = self._arrivals.get(name)
+        arrivals = self._arrivals.get(message_id)
         if arrivals is None:
-            arrivals = self._arrivals[name] = deque(maxlen=_LARGEST_WINDOW)
+            arrivals = self._arrivals[message_id] = deque(maxlen=_LARGEST_WINDOW)
         arrivals.append(received)
         while arrivals[0] < received - self._window:
             arrivals.popleft()
 
     def rate(self, name: str, now: float) -> StreamRate:
-        """What one message achieves within the window before now."""
-        times = [time for time in tuple(self._arrivals.get(name, ())) if time >= now - self._window]
+        """What the message of this name achieves within the window before now."""
+        times = [
+            time for time in tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ())) if time >= now - self._window
+        ]
         if len(times) < 2:
             return msgspec.structs.replace(SILENT, count=len(times))
         intervals = sorted(after - before for before, after in pairwise(times))
@@ -58,5 +62,6 @@ class RateMeter:
 
     def rates(self, now: float) -> dict[str, StreamRate]:
         """Every message that came within the window before now, by name."""
-        rates = {name: self.rate(name, now) for name in sorted(self._arrivals)}
+        names = sorted(MESSAGE_NAMES.get(number, f"UNKNOWN_{number}") for number in tuple(self._arrivals))
+        rates = {name: self.rate(name, now) for name in names}
         return {name: rate for name, rate in rates.items() if rate.count}

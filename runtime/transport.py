@@ -19,8 +19,9 @@ from runtime.connection import Endpoint
 
 Address = tuple[Any, ...]
 
+PATIENCE = 0.05  # s that one receive waits
 _LARGEST_READ = 65536
-_TIMESPEC = struct.Struct("@ll")
+_TIMESPEC = struct.Struct("@ll")  # and timeval
 _SO_TIMESTAMPNS = 35  # Linux; Python's socket module does not name it
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT)
 _SURVIVED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
@@ -44,8 +45,8 @@ class TransportLostError(VehicleError):
 class Transport(Protocol):
     """What a link needs of UDP, TCP and serial lines."""
 
-    def receive(self, timeout: float) -> Received | None:
-        """The next bytes, or None after timeout seconds. Raises TransportLostError when the other end is gone."""
+    def receive(self) -> Received | None:
+        """The next bytes, or None after PATIENCE. Raises TransportLostError when the other end is gone."""
 
     def send(self, data: bytes) -> bool:
         """Hands bytes to the kernel without waiting; False when it did not take them all."""
@@ -78,7 +79,8 @@ class UdpTransport:
     def __init__(self, endpoint: Endpoint) -> None:
         family, address = _resolve(endpoint, socket.SOCK_DGRAM)
         self._socket = socket.socket(family, socket.SOCK_DGRAM)
-        self._socket.setblocking(False)
+        # a blocking socket with a time limit in the kernel: one system call for each datagram, not two
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMESPEC.pack(0, int(PATIENCE * 1e6)))
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
         self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
         self._peer: Address | None = None
@@ -90,33 +92,32 @@ class UdpTransport:
                 raise _refused(endpoint, error) from None
         else:
             self._peer = address
-        self._poll = _readable(self._socket.fileno())
+        self._view = memoryview(bytearray(_LARGEST_READ))
+        self._buffers = [self._view]
 
     @property
     def port(self) -> int:
         """The local port."""
         return int(self._socket.getsockname()[1])
 
-    def receive(self, timeout: float) -> Received | None:
-        """The next datagram, or None after timeout seconds or when only an ICMP error came."""
-        if not self._poll.poll(max(0.0, timeout) * 1e3):
-            return None
+    def receive(self) -> Received | None:
+        """The next datagram, or None after PATIENCE or when only an ICMP error came."""
         try:
-            data, ancillary, _, source = self._socket.recvmsg(_LARGEST_READ, 64)
+            length, ancillary, _, source = self._socket.recvmsg_into(self._buffers, 64)
         except BlockingIOError:
             return None
         except OSError as error:
             if error.errno in _SURVIVED:
                 return None
             raise TransportLostError(f"The UDP socket failed: {error.strerror}.") from None
-        return Received(data, _arrival(ancillary), source)
+        return Received(bytes(self._view[:length]), _arrival(ancillary), source)
 
     def send(self, data: bytes) -> bool:
         """Sends one datagram to the peer, if there is one yet."""
         if self._peer is None:
             return False
         try:
-            return self._socket.sendto(data, self._peer) == len(data)
+            return self._socket.sendto(data, socket.MSG_DONTWAIT, self._peer) == len(data)
         except OSError:
             return False
 
@@ -157,12 +158,12 @@ class TcpTransport:
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._stream = stream
 
-    def receive(self, timeout: float) -> Received | None:
-        """The next bytes of the stream, or None after timeout seconds or while nobody is connected."""
+    def receive(self) -> Received | None:
+        """The next bytes of the stream, or None after PATIENCE or while nobody is connected."""
         source = self._stream or self._listener
         if source is None:
             raise TransportLostError("The TCP connection is closed.")
-        if not _readable(source.fileno()).poll(max(0.0, timeout) * 1e3):
+        if not _readable(source.fileno()).poll(PATIENCE * 1e3):
             return None
         if self._stream is None:
             self._accept()
@@ -216,9 +217,9 @@ class SerialTransport:
         self._device, self._descriptor = endpoint.device, int(self._port.fileno())
         self._poll = _readable(self._descriptor)
 
-    def receive(self, timeout: float) -> Received | None:
-        """The bytes that have arrived, or None after timeout seconds. Raises TransportLostError once unplugged."""
-        events = self._poll.poll(max(0.0, timeout) * 1e3)
+    def receive(self) -> Received | None:
+        """The bytes that have arrived, or None after PATIENCE. Raises TransportLostError once unplugged."""
+        events = self._poll.poll(PATIENCE * 1e3)
         if not events:
             return None
         try:
