@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics import quaternion
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from dynamics.vehicle import Vehicle
 from runtime.rti.problem import Problem
@@ -133,9 +132,8 @@ class Controller:
         self.solver.shift(self.options.period)
         reference = self.solver.state_reference
         reference[:, :RIGID_BODY_STATES] = states
-        attitude = expected[6:10]
-        if float(quaternion.nearest_sign(states[0, 6:10], attitude) @ states[0, 6:10]) < 0:
-            reference[:, 6:10] = -states[:, 6:10]
+        if float(states[0, 6:10] @ expected[6:10]) < 0:
+            reference[:, 6:10] = -states[:, 6:10]  # the same attitudes, on the side where the state's quaternion is
         self.solver.input_reference[:] = inputs
         self.solver.prepare(expected)
 

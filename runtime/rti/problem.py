@@ -10,6 +10,10 @@ import msgspec
 from dynamics.model import RIGID_BODY_STATES, Model
 from dynamics.vehicle import Vector3
 
+# Rotors at rest cannot be linearised: thrust goes with the square of the speed, so at zero its derivative vanishes and
+# the solver would never turn them on again. At this share of hover speed a rotor gives 2 % of its hover thrust.
+LEAST_SPEED = 0.15
+
 
 class Weights(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Diagonals of Q_x and Q_u in PI-TCN eq. 7, per unit squared.
@@ -68,7 +72,7 @@ def fill_options(problem: Problem, model: Model) -> ctypes.Structure:
     options.Q[:] = stage
     options.P[:] = [weights.terminal * weight for weight in stage]
     options.R[:] = [weights.input / vehicle.hover_speed**2] * inputs
-    options.u_lower[:] = [vehicle.rotors.speed_min] * inputs
+    options.u_lower[:] = [max(vehicle.rotors.speed_min, LEAST_SPEED * vehicle.hover_speed)] * inputs
     options.u_upper[:] = [vehicle.rotors.speed_max] * inputs
     lower, upper = [-math.inf] * states, [math.inf] * states
     lower[10:13], upper[10:13] = [-rate for rate in vehicle.limits.rate], list(vehicle.limits.rate)

@@ -1,0 +1,182 @@
+"""The nominal RTI step against acados' SQP_RTI: same problem, same states, same run, one core.
+
+Both solvers answer the same recorded sequence of states (a flight of the paper's Lemniscate on a plant with motor lag
+and rotor drag) in turns of fifty ticks, each pinned to the same core and free to use one thread. acados comes from
+PyPI's comma-deps-acados in an environment of its own, because it brings a casadi of its own.
+
+    python benchmarks/rti_against_acados.py [--hpipm FOLDER]
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import venv
+from pathlib import Path
+
+import numpy as np
+from provenance import write_result
+
+ROOT = Path(__file__).resolve().parent.parent
+ENVIRONMENT = ROOT / ".venv-acados"
+CHUNK = 50
+TICKS = 600
+
+
+def acados_environment() -> Path:
+    """The folder of acados' own environment, made when it is not there. Returns acados' install folder."""
+    python = ENVIRONMENT / "bin" / "python"
+    if not python.exists():
+        venv.create(ENVIRONMENT, with_pip=True)
+        packages = ["comma-deps-acados", "numpy", "msgspec", "tomli-w"]
+        subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
+    code = "import acados, os; print(os.path.dirname(acados.__file__))"
+    found = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
+    return Path(found) / "install"
+
+
+def record_cases(folder: Path) -> tuple[Path, Path]:
+    """Fly the manoeuvre in a plain simulation and keep what the solver was asked at every tick."""
+    from dynamics.model import build_model
+    from dynamics.references import named_reference
+    from dynamics.vehicle import EffectUse
+    from dynamics.vehicle_file import read_vehicle
+    from runtime.rti.problem import Problem, fill_options
+    from runtime.rti.solver import RtiSolver
+
+    vehicle = read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")
+    model = build_model(vehicle)
+    problem = Problem()
+    solver = RtiSolver(model, problem)
+    plant = RtiSolver(build_model(vehicle, effects=[EffectUse("motor_lag"), EffectUse("rotor_drag")]), problem)
+    reference = named_reference("Lemniscate", vehicle)
+    offsets = problem.node * np.arange(problem.nodes + 1)
+    truth = plant.model.initial_state(reference.states(np.array([0.0]))[0])
+    solver.reset(truth[:13])
+    cases: dict[str, list] = {"state": [], "state_reference": [], "input_reference": []}
+    for tick in range(TICKS):
+        times = 0.01 * tick + offsets
+        states = reference.states(times)
+        states *= np.where(states[:1, 6:10] @ truth[6:10] < 0, [1] * 6 + [-1] * 4 + [1] * 3, 1)
+        solver.state_reference[:], solver.input_reference[:] = states, reference.inputs(times[:-1])
+        for name, value in zip(cases, (truth[:13], states, reference.inputs(times[:-1])), strict=True):
+            cases[name].append(value.copy())
+        solver.prepare(truth[:13])
+        solver.feedback(truth[:13])
+        truth = plant.propagate(truth, solver.inputs[0], 0.01).copy()
+    options = fill_options(problem, model)
+    numbers = {name: list(getattr(options, name)) for name in ("Q", "P", "R", "u_lower", "u_upper")}
+    numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt", "iterations")}
+    numbers |= {"tolerance": problem.tolerance, "soft_penalty": problem.soft_penalty, "integrator": "ERK"}
+    numbers["rate_limits"] = list(vehicle.limits.rate)
+    folder.mkdir(parents=True, exist_ok=True)
+    np.savez(folder / "cases.npz", hover_speed=vehicle.hover_speed, **cases)
+    (folder / "problem.json").write_text(json.dumps(numbers))
+    return folder / "cases.npz", folder / "problem.json"
+
+
+class Worker:
+    """A solver in a process of its own that answers chunks of ticks."""
+
+    def __init__(self, name: str, command: list[str], **environment: str) -> None:
+        self.name = name
+        variables = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", **environment}
+        self._process = subprocess.Popen(
+            ["taskset", "-c", "0", *command], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=variables
+        )
+        self.answers: dict[str, list] = {"prepare": [], "feedback": [], "inputs": [], "status": []}
+        if "ready" not in self._process.stdout.readline():
+            raise SystemExit(f"{name} did not start")
+
+    def ask(self, cases: Path, first: int, last: int) -> None:
+        print(json.dumps({"cases": str(cases), "first": first, "last": last}), file=self._process.stdin, flush=True)
+        for key, values in json.loads(self._process.stdout.readline()).items():
+            self.answers[key] += values
+
+    def close(self) -> None:
+        self._process.stdin.close()
+        self._process.wait()
+
+
+def own_worker() -> None:
+    """Our solver behind the same two-line protocol as acados'."""
+    from dynamics.model import build_model
+    from dynamics.vehicle_file import read_vehicle
+    from runtime.rti.problem import Problem
+    from runtime.rti.solver import RtiSolver
+
+    vehicle = read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")
+    solver = RtiSolver(build_model(vehicle), Problem())
+    print(json.dumps({"ready": True}), flush=True)
+    cases = None
+    for line in sys.stdin:
+        request = json.loads(line)
+        if cases is None:
+            cases = dict(np.load(request["cases"]))
+            solver.reset(cases["state"][0])
+        answers: dict[str, list] = {"prepare": [], "feedback": [], "inputs": [], "status": []}
+        for tick in range(request["first"], request["last"]):
+            solver.state_reference[:] = cases["state_reference"][tick]
+            solver.input_reference[:] = cases["input_reference"][tick]
+            solver.prepare(cases["state"][tick])
+            answers["status"].append(solver.feedback(cases["state"][tick]))
+            answers["prepare"].append(solver.report.prepare_seconds)
+            answers["feedback"].append(solver.report.feedback_seconds)
+            answers["inputs"].append(solver.inputs[0].tolist())
+        print(json.dumps(answers), flush=True)
+
+
+def table(workers: list[Worker]) -> str:
+    rows = ["| solver | preparation us | feedback us | step us, median | p99 | unsolved |", "| --- " * 6 + "|"]
+    medians = {}
+    for worker in workers:
+        prepare, feedback = (1e6 * np.array(worker.answers[key]) for key in ("prepare", "feedback"))
+        step = prepare + feedback
+        medians[worker.name] = float(np.median(step))
+        unsolved = int(np.count_nonzero(worker.answers["status"]))
+        rows.append(f"| {worker.name} | {np.median(prepare):.0f} | {np.median(feedback):.0f} | {np.median(step):.0f} | "
+                    f"{np.percentile(step, 99):.0f} | {unsolved} of {step.size} |")  # fmt: skip
+    first = np.array(workers[0].answers["inputs"])
+    notes = []
+    for worker in workers[1:]:
+        gap = np.abs(np.array(worker.answers["inputs"]) - first)
+        notes.append(f"- {worker.name}: first inputs differ from {workers[0].name}'s by {np.median(gap):.2g} rad/s in the "
+                     f"median, {gap.max():.2g} at most; its median step takes {medians[worker.name] / medians[workers[0].name]:.2f} "
+                     f"times as long.")  # fmt: skip
+    return "\n".join([*rows, "", *notes])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--own-worker", action="store_true", help=argparse.SUPPRESS)
+    if parser.parse_args().own_worker:
+        own_worker()
+        return
+    install = acados_environment()
+    folder = ROOT / "build" / "rti_against_acados"
+    cases, problem = record_cases(folder)
+    own = [sys.executable, __file__, "--own-worker"]
+    worker_file = str(Path(__file__).with_name("acados_worker.py"))
+    acados = [str(ENVIRONMENT / "bin" / "python"), worker_file, str(ROOT / "vehicles" / "arpl_250g.toml"), str(problem)]
+    paths = {"PYTHONPATH": str(ROOT), "ACADOS_SOURCE_DIR": str(install)}
+    paths |= {"LD_LIBRARY_PATH": str(install / "lib"), "TERA_PATH": str(install / "bin" / "t_renderer")}
+    workers = [
+        Worker("Alula, CasADi wheel's BLASFEO (generic)", own),
+        Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)),
+    ]
+    for condensing in ("PARTIAL_CONDENSING_HPIPM", "FULL_CONDENSING_HPIPM"):
+        command = [*acados, condensing, str(folder / condensing.lower())]
+        workers.append(Worker(f"acados SQP_RTI, {condensing}", command, **paths))
+    for first in range(0, TICKS, CHUNK):
+        for worker in workers:
+            worker.ask(cases, first, first + CHUNK)
+    for worker in workers:
+        worker.close()
+    write_result("rti_against_acados", "Nominal RTI step against acados, one core", table(workers))
+
+
+if __name__ == "__main__":
+    main()
