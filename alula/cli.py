@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from alula import __version__
+from alula.commands.mock import mock
 from dynamics.errors import AlulaError
 
 app = typer.Typer(
@@ -18,6 +19,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
+
+
+app.command()(mock)
 
 
 def _show_version(asked: bool) -> None:
@@ -42,3 +46,7 @@ def main() -> None:
     except AlulaError as error:
         print(f"alula: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+
+
+if __name__ == "__main__":
+    main()

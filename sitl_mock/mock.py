@@ -1,0 +1,123 @@
+"""The mock from its options: the autopilot with its vehicle, its links, and the process around them."""
+
+from __future__ import annotations
+
+import signal
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import FrameType
+
+from dynamics.errors import RequestError
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from sitl_mock.autopilot import Autopilot, Behaviour
+from sitl_mock.link_spec import LinkSpec, default_links
+from sitl_mock.offboard import Rule
+from sitl_mock.parameters import Parameters
+from sitl_mock.scenario import Scenario, read_scenario
+from sitl_mock.server import Pace, Server, Wire
+from sitl_mock.tuning import default_tuning, parameter_values
+from sitl_mock.vehicle import SimulatedVehicle
+
+
+@dataclass(frozen=True, slots=True)
+class MockOptions:
+    """Everything that can be asked of a mock.
+
+    vehicle: its file. effects: hidden ones, as on the command line (`name:key=value,...`). scenario: a file. seed: of
+    all randomness. double_ack, rule, body_velocity, clock_drift: see `Behaviour`; clock_drift None for the
+    scenario's. parameters: PX4 parameters by name. instance: PX4's, added to ports and to the system id.
+    """
+
+    vehicle: Path
+    effects: tuple[str, ...] = ()
+    scenario: Path | None = None
+    seed: int = 0
+    double_ack: bool = False
+    rule: Rule = "documented"
+    body_velocity: bool = False
+    clock_drift: float | None = None
+    parameters: dict[str, float] = field(default_factory=dict)
+    instance: int = 0
+
+
+def build_autopilot(options: MockOptions) -> Autopilot:
+    """An autopilot on the ground at simulated time 0, without links.
+
+    Raises RequestError for a vehicle, effect, scenario or parameter that cannot be.
+    """
+    vehicle = read_vehicle(options.vehicle)
+    scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
+    named = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
+    tuning = default_tuning(vehicle)
+    defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, "CA_ROTOR_COUNT": vehicle.rotors.count}
+    simulated = SimulatedVehicle(
+        vehicle,
+        effects=(*scenario.hidden_effects(), *named),
+        options=scenario.vehicle_options(),
+        tuning=tuning,
+        seed=options.seed,
+    )
+    behaviour = Behaviour(
+        rule=options.rule,
+        double_ack=options.double_ack,
+        body_velocity=options.body_velocity,
+        clock_drift=scenario.clock.drift if options.clock_drift is None else options.clock_drift,
+        epoch=time.time(),
+        faults=scenario.faults,
+        seed=options.seed,
+    )
+    return Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
+
+
+def parse_parameter(text: str) -> tuple[str, float]:
+    """A parameter as given on a command line, NAME=VALUE. Raises RequestError when it is none."""
+    name, _, value = text.partition("=")
+    try:
+        return name.strip(), float(value)
+    except ValueError:
+        raise RequestError(f"parameter {text!r}: wanted NAME=NUMBER, such as COM_OF_LOSS_T=0.5.") from None
+
+
+def serve(
+    options: MockOptions, links: list[LinkSpec] | None = None, *, pace: Pace = "realtime", speed: float = 1.0
+) -> Server:
+    """Run a mock on its links (PX4's two by default) until SIGINT or SIGTERM; returns the server that ran.
+
+    Raises RequestError for options that cannot be, a port in use or a device that cannot be opened.
+    """
+    if not 0.01 <= speed <= 100.0:
+        raise RequestError(f"speed {speed}: wanted 0.01 to 100 times real time.")
+    specs = default_links(options.instance) if links is None else links
+    autopilot = build_autopilot(options)
+    wires: list[Wire] = []
+    try:
+        wires.extend(Wire(autopilot.add_link(spec.name, spec.role), spec.open()) for spec in specs)
+    except RequestError:
+        for wire in wires:
+            wire.transport.close()
+        raise
+    server = Server(autopilot, wires, pace=pace, speed=speed)
+    stop = _stop_on_signals()
+    server.run(stop)
+    return server
+
+
+class _Stop:
+    """Whether a signal has asked the process to end."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self) -> bool:
+        return self.asked
+
+    def ask(self, _number: int, _frame: FrameType | None) -> None:
+        self.asked = True
+
+
+def _stop_on_signals() -> _Stop:
+    stop = _Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stop.ask)
+    return stop

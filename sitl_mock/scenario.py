@@ -1,0 +1,141 @@
+"""The scenario file: what the vehicle file does not know, how well the vehicle measures, and what goes wrong when."""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import RequestError
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import check_effect, refuse_unknown_keys
+from sitl_mock.battery import Battery
+from sitl_mock.fault_schedule import Fault
+from sitl_mock.sensors import SensorErrors
+from sitl_mock.vehicle import VehicleOptions
+
+
+class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Steady wind and gusts: the effects of those names, for scenarios that need no more. World ENU, m/s."""
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+
+
+class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """cells: in series. capacity: A s. resistance: ohm. charge: 0..1 at the start."""
+
+    cells: int
+    capacity: float
+    resistance: float
+    charge: float = 1.0
+
+    def __post_init__(self) -> None:
+        possible = self.cells >= 1 and self.capacity > 0 and self.resistance >= 0 and 0 < self.charge <= 1
+        if not possible:
+            raise RequestError(
+                f"battery of {self.cells} cells, {self.capacity} A s, {self.resistance} ohm, charge {self.charge}: "
+                "wanted at least one cell, a positive capacity, a resistance of 0 or more and a charge in (0, 1]."
+            )
+
+
+class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """drift: s that the vehicle's clock gains per second; PX4's simulation was seen to drift by 0.01."""
+
+    drift: float = 2e-5
+
+    def __post_init__(self) -> None:
+        if not abs(self.drift) <= 0.1:
+            raise RequestError(f"clock drift of {self.drift} s per second: wanted -0.1 to 0.1.")
+
+
+class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All of a scenario file; what is left out is as without one.
+
+    effects: hidden from the vehicle file. sensors: as in `SensorErrors`. ground_height: m. position: east and north,
+    m. yaw: rad. rotor_noise: standard deviation of a rotor's speed over its speed.
+    """
+
+    effects: tuple[EffectUse, ...] = ()
+    wind: Wind | None = None
+    battery: BatteryPack | None = None
+    sensors: dict[str, float] = {}
+    clock: Clock = Clock()
+    ground_height: float = 0.0
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    rotor_noise: float = 0.002
+    parameters: dict[str, float] = {}
+    faults: tuple[Fault, ...] = ()
+
+    def hidden_effects(self) -> tuple[EffectUse, ...]:
+        """The effects, the wind among them."""
+        if self.wind is None:
+            return self.effects
+        return (*self.effects, EffectUse("wind", {"x": self.wind.x, "y": self.wind.y, "z": self.wind.z}))
+
+    def vehicle_options(self) -> VehicleOptions:
+        """What the simulated vehicle needs of this."""
+        pack = self.battery
+        battery = None if pack is None else Battery(pack.cells, pack.capacity, pack.resistance, pack.charge)
+        return VehicleOptions(
+            sensors=SensorErrors(**self.sensors),
+            ground_height=self.ground_height,
+            position=self.position,
+            yaw=self.yaw,
+            rotor_noise=self.rotor_noise,
+            battery=battery,
+        )
+
+
+def read_scenario(path: str | Path, rotor_count: int) -> Scenario:
+    """A scenario from its file.
+
+    Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
+    does), or asks for what cannot be.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError(f"cannot read the scenario {path}: {error}. Give a TOML file, see docs/mock.md.") from error
+    try:
+        return parse_scenario(text, rotor_count)
+    except RequestError as error:
+        raise RequestError(f"{path}: {error}") from error
+
+
+def parse_scenario(text: str, rotor_count: int) -> Scenario:
+    """A scenario from the text of its file. Raises RequestError as `read_scenario`."""
+    try:
+        table = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise RequestError(f"not valid TOML: {error}.") from error
+    refuse_unknown_keys(table, Scenario)
+    try:
+        scenario = msgspec.convert(table, Scenario)
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, RequestError):
+            raise error.__cause__ from None
+        raise RequestError(f"{error}.") from error
+    for use in scenario.hidden_effects():
+        check_effect(use, rotor_count)
+    _check_sensors(scenario.sensors)
+    return scenario
+
+
+def _check_sensors(sensors: dict[str, float]) -> None:
+    refuse_unknown_keys(sensors, _SensorKeys, "sensors")
+    for name, value in sensors.items():
+        if not (math.isfinite(value) and value >= 0.0):
+            raise RequestError(f"[sensors] {name} = {value}: wanted a number of 0 or more.")
+    if sensors.get("delay", 0.0) > 0.5:
+        raise RequestError(f"[sensors] delay = {sensors['delay']}: wanted at most 0.5 s.")
+
+
+_SensorKeys = msgspec.defstruct(
+    "_SensorKeys", [(name, float) for name in SensorErrors.__dataclass_fields__], namespace={"__module__": __name__}
+)

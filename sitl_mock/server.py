@@ -1,0 +1,116 @@
+"""The mock as a process: an autopilot between its transports, in real time or in lockstep with a controller."""
+
+from __future__ import annotations
+
+import select
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+from sitl_mock.autopilot import Autopilot
+from sitl_mock.link import Link
+from sitl_mock.transport import Transport
+
+Pace = Literal["realtime", "lockstep"]
+CATCH_UP = 0.1  # s that a delayed process makes good; beyond it simulated time slips, as PX4's simulation does
+LOCKSTEP_PATIENCE = 0.05  # s without a setpoint after which lockstep lets time run by itself
+LOCKSTEP_STEPS = 25  # passes after which a setpoint's answer is given up: the client asked for no estimate
+
+
+@dataclass(slots=True)
+class Wire:
+    """A link with the transport that carries it."""
+
+    link: Link
+    transport: Transport
+
+
+class Server:
+    """Carries bytes between an autopilot and its transports while simulated time follows the clock.
+
+    pace: realtime follows the clock times `speed`; lockstep advances to the next estimate whenever a setpoint
+    arrives and follows the clock only while none does.
+    """
+
+    def __init__(self, autopilot: Autopilot, wires: list[Wire], *, pace: Pace = "realtime", speed: float = 1.0):
+        self.autopilot = autopilot
+        self.wires = wires
+        self.slipped = 0.0
+        self._pace = pace
+        self._speed = speed
+        self._start = time.monotonic()
+        self._origin = autopilot.time
+        self._setpoints = 0
+        self._free_from = 0.0
+        for wire in wires:
+            wire.link.punctual = pace == "lockstep"
+
+    def run(self, stopped: Callable[[], bool]) -> None:
+        """Serve until told to stop; the transports are closed on the way out."""
+        self._start = time.monotonic()
+        self._origin = self.autopilot.time
+        try:
+            while not stopped():
+                self.turn()
+        finally:
+            for wire in self.wires:
+                wire.transport.close()
+
+    def turn(self) -> None:
+        """Wait for bytes or for the next moment at which something is due, and do it."""
+        self._wait()
+        self._receive()
+        if self._pace == "lockstep" and self._follow_setpoints():
+            self._send(self.autopilot.time)
+            return
+        now = self._now()
+        if now - self.autopilot.time > CATCH_UP:
+            self._slip(now - self.autopilot.time)
+            now = self._now()
+        while self.autopilot.next_step <= now:
+            self.autopilot.step()
+            self._send(now)
+        self._send(now)
+
+    def _now(self) -> float:
+        """The simulated time that the clock asks for, s."""
+        return self._origin + (time.monotonic() - self._start) * self._speed
+
+    def _slip(self, seconds: float) -> None:
+        self.slipped += seconds
+        self._origin -= seconds
+
+    def _wait(self) -> None:
+        departure = min((wire.link.next_departure() for wire in self.wires), default=self.autopilot.next_step)
+        due = min(self.autopilot.next_step, departure)
+        handles = [number for wire in self.wires for number in wire.transport.filenos()]
+        select.select(handles, [], [], max(0.0, (due - self._now()) / self._speed))
+
+    def _receive(self) -> None:
+        for wire in self.wires:
+            for peer, data in wire.transport.receive():
+                # never ahead of the vehicle, whose state the answers describe, by more than one pass
+                now = max(self.autopilot.time, min(self._now(), self.autopilot.next_step))
+                self.autopilot.receive(wire.link, peer, data, now)
+
+    def _send(self, now: float) -> None:
+        for wire in self.wires:
+            for frame in wire.link.take(now):
+                wire.transport.send(frame)
+
+    def _follow_setpoints(self) -> bool:
+        """Advance to the next estimate for a setpoint that has come; whether setpoints keep coming."""
+        count = self.autopilot.commander.offboard.count
+        if count != self._setpoints:
+            self._setpoints = count
+            self._free_from = time.monotonic() + LOCKSTEP_PATIENCE
+            for _ in range(LOCKSTEP_STEPS):
+                self.autopilot.step()
+                if self.autopilot.estimates_sent:
+                    break
+                self._send(self.autopilot.time)
+        following = time.monotonic() < self._free_from
+        if following:
+            self._start, self._origin = time.monotonic(), self.autopilot.time
+        return following
