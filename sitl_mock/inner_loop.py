@@ -65,7 +65,8 @@ def next_integral(
 
     unallocated: (3,) torque that the allocation could not give. gains: rate_gain_i, integral_limit.
     """
-    usable = ca.if_else(unallocated > 1e-7, ca.fmin(error, 0), ca.if_else(unallocated < -1e-7, ca.fmax(error, 0), error))
+    usable = ca.if_else(unallocated > 1e-7, ca.fmin(error, 0), error)
+    usable = ca.if_else(unallocated < -1e-7, ca.fmax(usable, 0), usable)
     fade = ca.fmax(0, 1 - (usable / INTEGRAL_FADES_AT) ** 2)
     limit = gains["integral_limit"]
     return ca.fmin(ca.fmax(integral + fade * gains["rate_gain_i"] * usable * dt, -limit), limit)

@@ -9,14 +9,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from sitl_mock.vehicle_interface import MotionState
 
 CLIMB_MAX, SPEED_MAX, TURN_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
 CONTACT_TIME, MAYBE_TIME, LANDED_TIME = 0.35, 0.25, 0.30  # s
-LOW_THRUST, LEAST_THRUST = 0.3, 0.1  # of the hover thrust
-START_UP_TIME = 2.0  # s after arming in which a rotor may not have taken up its load
+THRUST_MIN = 0.12  # MPC_THR_MIN, as a share of full thrust
+LOW_THRUST, LEAST_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from the least to the hover thrust
 
 
 @dataclass(slots=True)
@@ -34,17 +32,18 @@ class LandDetector:
             self.ground_contact = self.maybe_landed = self.landed = True
             self._since.clear()
             return
-        still = abs(now.velocity_world[2]) < CLIMB_MAX and bool(np.hypot(*now.velocity_world[0:2]) < SPEED_MAX)
-        quiet = bool(np.hypot(*now.rate_body[0:2]) < TURN_MAX)
-        contact = still and thrust < LOW_THRUST * hover_thrust + self._bonus(hover_thrust)
+        speed_x, speed_y, climb = now.velocity_world.tolist()
+        turn_x, turn_y, _ = now.rate_body.tolist()
+        still = abs(climb) < CLIMB_MAX and math.hypot(speed_x, speed_y) < SPEED_MAX
+        quiet = math.hypot(turn_x, turn_y) < TURN_MAX
+        # a landed vehicle is only believed to fly when its thrust comes near what flying takes
+        low, least = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, LEAST_THRUST)
+        span = hover_thrust - THRUST_MIN
+        contact = still and thrust < THRUST_MIN + low * span
         self.ground_contact = self._lasting("contact", contact, time, CONTACT_TIME, self.ground_contact)
-        maybe = self.ground_contact and still and quiet and thrust < LEAST_THRUST * hover_thrust + self._bonus(hover_thrust)
+        maybe = self.ground_contact and quiet and thrust < THRUST_MIN + least * span
         self.maybe_landed = self._lasting("maybe", maybe, time, MAYBE_TIME, self.maybe_landed)
         self.landed = self._lasting("landed", self.maybe_landed, time, LANDED_TIME, self.landed)
-
-    def _bonus(self, hover_thrust: float) -> float:
-        """On the ground the thrust at which a vehicle counts as flying is higher: nothing flies below it."""
-        return 0.5 * hover_thrust if self.landed else 0.0
 
     def _lasting(self, name: str, condition: bool, time: float, duration: float, was: bool) -> bool:
         if not condition:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from dynamics.effect import Expression
 
@@ -41,7 +42,7 @@ class Layout:
         """The vector of CasADi parts, all of which must be given."""
         return ca.vertcat(*[ca.densify(ca.SX(parts[name])) for name in self.sizes])
 
-    def fill(self, values: Mapping[str, ArrayLike]) -> NDArray[np.float64]:
+    def fill(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
         """The vector of numbers; matrices are flattened by column, as CasADi does. Parts not given are zero."""
         vector = np.zeros(self.size)
         for name, value in values.items():

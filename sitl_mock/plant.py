@@ -20,9 +20,10 @@ from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock import allocation, battery, ground, inner_loop
 from sitl_mock.layout import Layout
 from sitl_mock.sensors import next_estimate_error
-from sitl_mock.tuning import DEFAULT_MOTOR_LAG
+from sitl_mock.tuning import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 
 DT = 0.001  # s
+ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,9 @@ def build_plant(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Plant:
     layouts = _layouts(model)
     inputs, parts = zip(*(layout.symbol(name) for name, layout in layouts.items() if name != "record"), strict=True)
     after, record = _step(model, *parts)
-    outputs = [layouts["state"].join(after), layouts["record"].join(record)]
-    names = ["state", "command", "constants", "noise"], ["next", "record"]
-    step = ca.Function("vehicle_step", list(inputs), ca.cse(outputs), *names)
+    outputs = ca.cse([layouts["state"].join(after), layouts["record"].join(record)])
+    into, out = ["state", "command", "constants", "noise"], ["next", "record"]
+    step = ca.Function("vehicle_step", list(inputs), outputs, into, out)
     return Plant(model=model, step=step, **layouts)
 
 
@@ -65,7 +66,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     n = model.input_count
     state = {
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
-        "unallocated": 3, "yaw_torque": 1, "motor_signal": n, "charge": 1, "voltage": 1, "estimate_error": 9,
+        "unallocated": 3, "yaw_torque": 1, "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1,
+        "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -83,8 +85,9 @@ def _layouts(model: Model) -> dict[str, Layout]:
     }  # fmt: skip
     noise = {"hidden": model.hidden_count, "rotor": n, "gyro": 3, "accelerometer": 3, "estimate": 9, "rotor_speed": n}
     record = {
-        "truth": RIGID_BODY_STATES, "rate": 3, "estimate_error": 9, "gyro": 3, "specific_force": 3, "rotor_speed": n,
-        "rotor_speed_measured": n, "motor_signal": n, "ground_force": 1, "voltage": 1, "current": 1, "charge": 1,
+        "truth": RIGID_BODY_STATES, "estimate": RIGID_BODY_STATES, "force_integral": 3, "gyro_integral": 3,
+        "rotor_speed": n, "rotor_speed_measured": n, "motor_signal": n, "ground_force": 1, "voltage": 1, "current": 1,
+        "charge": 1,
     }  # fmt: skip
     sizes = {"state": state, "command": command, "constants": constants, "noise": noise, "record": record}
     return {name: Layout(parts) for name, parts in sizes.items()}
@@ -93,40 +96,30 @@ def _layouts(model: Model) -> dict[str, Layout]:
 def _step(
     model: Model, state: Values, command: Values, constants: Values, noise: Values
 ) -> tuple[dict[str, Expression], dict[str, Expression]]:
-    control = _control(model.input_count, state, command, constants)
-    speed = allocation.rotor_speed_command(
-        control["motor_signal"], curve=constants["thrust_curve"], speed_max=constants["speed_max"]
-    )
+    n = model.input_count
+    control, signal = _control(n, state, command, constants)
+    applied = state["signal_queue"][-n:]
+    speed = allocation.rotor_speed_command(applied, curve=constants["thrust_curve"], speed_max=constants["speed_max"])
     speed = ca.fmin(speed * (1 + constants["rotor_noise"] * noise["rotor"]), constants["speed_max"])
     speed = ca.if_else(command["armed"], ca.fmax(speed, constants["speed_min"]), 0)
     environment = ca.vertcat(constants["ground_height"], state["voltage"] / constants["nominal_voltage"])
     x = _fly(model, state["plant"], speed, environment, constants, noise["hidden"])
-    seen = _observe(model, x, speed, environment, constants)
-    charge, voltage, current = _discharge(state, seen["rotor_speed"], constants)
-    error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
-    gyro = x[10:13] + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
-    rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
-    turning = inner_loop.low_pass(
-        (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
-    )
-    accelerometer = constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
-    after = control | {
-        "plant": x, "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "charge": charge,
-        "voltage": voltage, "estimate_error": error,
-    }  # fmt: skip
+    observed = _observe(model, x, speed, environment, constants)
+    battery_state, current = _discharge(state, observed["rotor_speed"], constants)
+    measured, estimate = _measure(x, observed["specific_force"], state, constants, noise)
+    jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
     record = {
-        "truth": x[0:13], "rate": rate, "estimate_error": error, "gyro": gyro,
-        "specific_force": seen["specific_force"] + accelerometer, "rotor_speed": seen["rotor_speed"],
-        "rotor_speed_measured": seen["rotor_speed"] + constants["rotor_speed_noise"] * noise["rotor_speed"],
-        "motor_signal": control["motor_signal"], "ground_force": seen["ground_force"], "voltage": voltage,
-        "current": current, "charge": charge,
+        "truth": x[0:13], "estimate": estimate, "force_integral": measured["force_integral"],
+        "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
+        "rotor_speed_measured": observed["rotor_speed"] + jitter, "motor_signal": signal,
+        "ground_force": observed["ground_force"], "current": current, **battery_state,
     }  # fmt: skip
-    return after, record
+    return {"plant": x, **control, **battery_state, **measured}, record
 
 
-def _control(count: int, state: Values, command: Values, constants: Values) -> dict[str, Expression]:
-    """Motor signals, and the inner loop's own states after the step."""
-    known = quaternion.multiply(state["plant"][6:10], quaternion.exponential(state["estimate_error"][6:9]))
+def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
+    """The inner loop's own states after the step, and the motor signals that it asks for."""
+    known = _known_attitude(state["plant"], state["estimate_error"])
     turn = inner_loop.rate_setpoint(
         known, command["attitude"], command["yaw_rate"],
         gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
@@ -142,10 +135,10 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> d
     given = ca.reshape(constants["unmixer"], 4, count) @ motors
     integral = inner_loop.next_integral(state["integral"], error, state["unallocated"], constants, DT)
     integral = ca.if_else(command["landed"], state["integral"], integral)
-    armed = command["armed"]
-    signal = allocation.signal_for_thrust(motors, constants["thrust_model_factor"])
-    states = {"integral": integral, "unallocated": demand[0:3] - given[0:3], "yaw_torque": yaw, "motor_signal": signal}
-    return {name: ca.if_else(armed, value, 0) for name, value in states.items()}
+    signal = ca.if_else(command["armed"], allocation.signal_for_thrust(motors, constants["thrust_model_factor"]), 0)
+    memory = {"integral": integral, "unallocated": demand[0:3] - given[0:3], "yaw_torque": yaw}
+    after = {name: ca.if_else(command["armed"], value, 0) for name, value in memory.items()}
+    return after | {"signal_queue": ca.vertcat(signal, state["signal_queue"][:-count])}, signal
 
 
 def _points(constants: Values) -> Expression:
@@ -180,9 +173,30 @@ def _observe(
     return {"specific_force": felt, "rotor_speed": rotor_speed, "ground_force": push[2]}
 
 
-def _discharge(
-    state: Values, rotor_speed: Expression, constants: Values
-) -> tuple[Expression, Expression, Expression]:
+def _measure(
+    x: Expression, specific_force: Expression, state: Values, constants: Values, noise: Values
+) -> tuple[dict[str, Expression], Expression]:
+    """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth."""
+    error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
+    gyro = x[10:13] + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
+    rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
+    turning = inner_loop.low_pass(
+        (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
+    )
+    felt = specific_force + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
+    states = {
+        "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "estimate_error": error,
+        "force_integral": state["force_integral"] + felt * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
+    }  # fmt: skip
+    return states, ca.vertcat(x[0:3] + error[0:3], x[3:6] + error[3:6], _known_attitude(x, error), rate)
+
+
+def _known_attitude(x: Expression, error: Expression) -> Expression:
+    return quaternion.multiply(x[6:10], quaternion.exponential(error[6:9]))
+
+
+def _discharge(state: Values, rotor_speed: Expression, constants: Values) -> tuple[dict[str, Expression], Expression]:
+    """Charge and voltage after the step, and the current drawn in it, A."""
     current = battery.current_drawn(rotor_speed, constants["torque_constant"], state["voltage"])
     charge = ca.fmax(state["charge"] - current * DT / constants["capacity"], 0)
-    return charge, battery.next_voltage(charge, current, constants), current
+    return {"charge": charge, "voltage": battery.next_voltage(charge, current, constants)}, current

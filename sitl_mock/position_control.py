@@ -25,16 +25,21 @@ CRUISE_SPEED, CLIMB_SPEED, DESCENT_SPEED = 5.0, 3.0, 1.5  # MPC_XY_CRUISE, MPC_Z
 TILT_MAX = math.radians(45.0)  # MPC_TILTMAX_AIR
 THRUST_MIN, THRUST_MAX = 0.12, 1.0  # MPC_THR_MIN, MPC_THR_MAX
 SLOW_FROM, SLOW_AT = 10.0, 5.0  # MPC_LAND_ALT1, MPC_LAND_ALT2: descent slows down between these heights, m
+TAKE_OFF_SPEED = 0.2  # upward speed wanted that makes a landed vehicle take off, m/s
 ARRIVED = 1.0  # m, closer to home than this the return becomes a landing
 
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """Attitude (4,), body to world, yaw rate (rad/s) and collective thrust (0..1) for the inner loop."""
+    """What the inner loop shall do.
 
-    attitude: Vector
+    attitude: body to world, w first. yaw_rate: feed-forward, rad/s. thrust: 0..1. climbs: whether going up is wanted.
+    """
+
+    attitude: list[float]
     yaw_rate: float
     thrust: float
+    climbs: bool
 
 
 class PositionControl:
@@ -46,7 +51,7 @@ class PositionControl:
         self.tuning = tuning
         self._kind = ""
         self._anchor = home.copy()
-        self._yaw = 0.0
+        self._yaw = self._yaw_rate = 0.0
         self._integral = np.zeros(3)
         self._velocity = np.zeros(3)
 
@@ -100,38 +105,42 @@ class PositionControl:
         return np.array([self.home[0], self.home[1], level]), np.zeros(3)
 
     def _turn(self, setpoint: ControlSetpoint, dt: float) -> None:
+        self._yaw_rate = 0.0
         if math.isfinite(setpoint.yaw):
             self._yaw = setpoint.yaw
         elif math.isfinite(setpoint.yaw_rate):
+            self._yaw_rate = setpoint.yaw_rate
             self._yaw += setpoint.yaw_rate * dt
 
     def _track(self, target: Vector, velocity: Vector, now: MotionState, dt: float) -> Demand:
         wanted = velocity + np.nan_to_num(POSITION_GAIN * (target - now.position_world))
-        horizontal = math.hypot(wanted[0], wanted[1])
         limit = max(CRUISE_SPEED, math.hypot(velocity[0], velocity[1]))
-        wanted[0:2] *= min(1.0, limit / max(horizontal, 1e-6))
+        wanted[0:2] *= min(1.0, limit / max(math.hypot(wanted[0], wanted[1]), 1e-6))
         wanted[2] = min(max(wanted[2], -DESCENT_SPEED), CLIMB_SPEED)
         error = wanted - now.velocity_world
         slowing = (now.velocity_world - self._velocity) / dt
-        self._velocity = now.velocity_world.copy()
+        self._velocity = now.velocity_world
         acceleration = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
-        demand, saturated = _attitude_for(acceleration, self._yaw, self.tuning.hover_thrust)
+        attitude, thrust, saturated = _attitude_for(acceleration.tolist(), self._yaw, self.tuning.hover_thrust)
         if not saturated:
-            self._integral = np.clip(self._integral + INTEGRAL_GAIN * error * dt, -5.0, 5.0)
-        return demand
+            self._integral = np.minimum(np.maximum(self._integral + INTEGRAL_GAIN * error * dt, -5.0), 5.0)
+        return Demand(attitude, self._yaw_rate, thrust, climbs=bool(wanted[2] > TAKE_OFF_SPEED))
 
 
-def _attitude_for(acceleration: Vector, yaw: float, hover_thrust: float) -> tuple[Demand, bool]:
+def _attitude_for(acceleration: list[float], yaw: float, hover_thrust: float) -> tuple[list[float], float, bool]:
     """Attitude and thrust for an acceleration, m/s^2, and whether a limit of tilt or thrust was met."""
     horizontal = math.hypot(acceleration[0], acceleration[1])
-    most = GRAVITY * math.tan(TILT_MAX)
-    share = min(1.0, most / max(horizontal, 1e-6))
-    up = np.array([acceleration[0] * share, acceleration[1] * share, GRAVITY])
-    body_z = up / np.linalg.norm(up)
-    wanted = hover_thrust * (acceleration[2] / GRAVITY + 1) / body_z[2]
+    tilt = math.atan2(horizontal, GRAVITY)
+    wanted = hover_thrust * (acceleration[2] / GRAVITY + 1) / math.cos(min(tilt, TILT_MAX))
     thrust = min(max(wanted, THRUST_MIN), THRUST_MAX)
-    forward = np.array([math.cos(yaw), math.sin(yaw), 0.0])
-    body_y = np.cross(body_z, forward)
-    body_y /= np.linalg.norm(body_y)
-    matrix = np.stack([np.cross(body_y, body_z), body_y, body_z], axis=-1)
-    return Demand(quaternion.from_rotation_matrix(matrix), 0.0, thrust), share < 1.0 or thrust != wanted
+    heading = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
+    return _tilted(heading, acceleration, min(tilt, TILT_MAX)), thrust, tilt > TILT_MAX or thrust != wanted
+
+
+def _tilted(heading: list[float], direction: list[float], tilt: float) -> list[float]:
+    """The attitude of a heading (w, 0, 0, z) leant by an angle, rad, towards a horizontal direction of the world."""
+    length = max(math.hypot(direction[0], direction[1]), 1e-9)
+    sine = math.sin(tilt / 2)
+    a, b, c = math.cos(tilt / 2), -sine * direction[1] / length, sine * direction[0] / length
+    w, z = heading[0], heading[3]
+    return [a * w, b * w + c * z, c * w - b * z, a * z]

@@ -31,17 +31,18 @@ class StepLoop:
         self.records = np.zeros((rows, plant.record.size))
         self._next = np.zeros(plant.state.size)
         self._noise_row = plant.noise.size * 8  # bytes
-        work = np.zeros(max(1, plant.step.sz_w()))
-        integers = np.zeros(max(1, plant.step.sz_iw()), dtype=np.int64)
-        arguments, results = (np.zeros(max(4, size), dtype=np.int64) for size in (plant.step.sz_arg(), plant.step.sz_res()))
-        self._alive = (work, integers, arguments, results)
+        work, integers = np.zeros(max(1, plant.step.sz_w())), np.zeros(max(1, plant.step.sz_iw()), dtype=np.int64)
+        arguments = np.zeros(max(4, plant.step.sz_arg()), dtype=np.int64)
+        results = np.zeros(max(2, plant.step.sz_res()), dtype=np.int64)
+        scratch = (self._next, arguments, results, integers, work)
+        self._scratch = scratch  # keeps the memory alive that the addresses below point to
         wide, pointer = ctypes.c_longlong, ctypes.c_void_p
         self._advance.argtypes = [
-            wide, pointer, wide, pointer, pointer, pointer, wide, pointer, wide, wide, wide, pointer, pointer, pointer,
-            pointer, pointer,
+            wide, pointer, wide, pointer, pointer, pointer, wide, pointer, wide, wide, wide, *[pointer] * 5
         ]  # fmt: skip
-        self._before_noise = (self.state.ctypes.data, self.state.size, self.command.ctypes.data, self.constants.ctypes.data)
-        self._tail = tuple(array.ctypes.data for array in (self._next, arguments, results, integers, work))
+        self._inputs = (self.state.ctypes.data, self.state.size, self.command.ctypes.data, self.constants.ctypes.data)
+        self._scratch_addresses = tuple(array.ctypes.data for array in scratch)
+        self._records_address = self.records.ctypes.data
 
     def run(self, steps: int, first: int, noise: Array, noise_row: int) -> None:
         """Advance by a number of steps, the first of which has the given number, with noise from the given row on.
@@ -50,6 +51,5 @@ class StepLoop:
         """
         rows, width = self.records.shape
         address = noise.ctypes.data + noise_row * self._noise_row
-        self._advance(
-            steps, *self._before_noise, address, noise.shape[1], self.records.ctypes.data, width, first, rows, *self._tail
-        )
+        ring = (self._records_address, width, first, rows)
+        self._advance(steps, *self._inputs, address, noise.shape[1], *ring, *self._scratch_addresses)

@@ -16,14 +16,15 @@ from sitl_mock.allocation import torque_authority
 from sitl_mock.vehicle_interface import Tuning
 
 DEFAULT_MOTOR_LAG = 0.02  # s, for a vehicle that names none
+ACTUATION_DELAY = 0.004  # from a gyro sample to the motors, s: PX4's control period in simulation
 
-# SIH: authority 2.83 N m over 0.025 kg m^2 = 113; x 0.15 (P) x 55.6 ms (motor 50 ms, 40 Hz gyro filter 5.6 ms)
-TILT_SPEED = 0.944  # proportional rate gain in units of 1 / lag
+# SIH: authority 2.83 N m over 0.025 kg m^2 = 113; x 0.15 (P) x 59.6 ms (motor 50, 40 Hz gyro filter 5.6, actuation 4)
+TILT_SPEED = 1.012  # proportional rate gain in units of 1 / lag
 TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
 TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
-YAW_SPEED = 0.35  # yaw rate gain in units of 1 / (lag + torque filter)
+YAW_SPEED = 0.37  # yaw rate gain in units of 1 / (lag + torque filter)
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 
 
@@ -37,8 +38,9 @@ def default_tuning(vehicle: Vehicle) -> Tuning:
     """Parameters that a careful owner would set on this vehicle; PX4's defaults for `vehicles/px4_sih.toml`."""
     motor = motor_time_constant(vehicle)
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
-    lag = motor + math.sqrt(2) / (2 * math.pi * cutoff)
-    authority = torque_authority(vehicle.rotors) / np.array(vehicle.body.inertia)  # rad/s^2 for a unit of torque
+    lag = motor + math.sqrt(2) / (2 * math.pi * cutoff) + ACTUATION_DELAY
+    torque = torque_authority(vehicle.rotors) / np.array(vehicle.body.inertia)
+    authority = [float(value) for value in torque]  # rad/s^2 for a unit of torque
     speed = TILT_SPEED / lag
     tilt_p = (speed / authority[0], speed / authority[1])
     yaw_p = 0.2  # a fifth of all yaw authority for 1 rad/s, PX4's default: yaw is weak, not slow

@@ -7,6 +7,7 @@ on when setpoints arrive, not on how the time is cut into calls. Pure: no clock,
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
-from dynamics.vehicle import EffectUse
+from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock import ground
 from sitl_mock.allocation import mixer
@@ -30,8 +31,9 @@ from sitl_mock.vehicle_interface import BatteryState, ControlSetpoint, ImuSample
 Vector = NDArray[np.float64]
 
 NOISE_BLOCK = 512  # steps whose random numbers are drawn at once
-SUPERVISION = 10  # steps between two looks of position control and land detector
+SUPERVISION = 8  # steps between two looks of position control and land detector
 POSITION_KINDS = ("hold", "land", "rtl")
+LEVEL, NOTHING = [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class SimulatedVehicle:
         self._random = np.random.default_rng(seed)
         self._loop = StepLoop(self.plant)
         self._records = self.plant.record.views(self._loop.records)
-        self._command = self.plant.command.views(self._loop.command)
+        command = self.plant.command.views(self._loop.command)
+        self._armed, self._landed = command["armed"], command["landed"]
         self._constants = self.plant.constants.views(self._loop.constants)
         self._noise = np.empty((NOISE_BLOCK, self.plant.noise.size))
         self._battery = self.options.battery or usual_battery(vehicle)
@@ -122,26 +125,27 @@ class SimulatedVehicle:
     @property
     def truth(self) -> MotionState:
         """The plant's state."""
-        row = self._records["truth"][self._row(0)]
-        return MotionState(self.time, row[0:3].copy(), row[3:6].copy(), row[6:10].copy(), row[10:13].copy())
+        return self._motion("truth", 0)
 
     @property
     def estimate(self) -> MotionState:
         """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
-        return self._estimate(min(round(self.options.sensors.delay / DT), self._step))
+        return self._motion("estimate", min(round(self.options.sensors.delay / DT), self._step))
 
     @property
     def imu(self) -> ImuSample:
-        """The newest inertial measurement, averaged over the last few samples, at the centre of mass."""
-        count = max(1, min(round(self.options.sensors.imu_average / DT), self._step + 1))
-        rows = [self._row(age) for age in range(count)]
-        force, rate = self._records["specific_force"][rows], self._records["gyro"][rows]
-        return ImuSample(self.time, force.mean(axis=0), rate.mean(axis=0))
+        """The newest inertial measurement at the centre of mass, averaged as PX4's delta velocities and angles are."""
+        count = max(1, round(self.options.sensors.imu_average / DT))
+        newest, oldest = self._row(0), self._row(count)
+        duration = count * DT
+        velocity, angle = self._records["force_integral"], self._records["gyro_integral"]
+        force, rate = velocity[newest] - velocity[oldest], angle[newest] - angle[oldest]
+        return ImuSample(self.time, force / duration, rate / duration)
 
     @property
     def rotor_speed(self) -> Vector:
         """(rotors,) measured, rad/s, in the vehicle file's order."""
-        measured = self._records["rotor_speed_measured"][self._row(0)].copy()
+        measured = self._newest("rotor_speed_measured")
         for rotor, factor in self.options.rotor_speed_fault:
             measured[rotor] *= factor
         return np.maximum(quantised(measured, self.options.sensors.rotor_speed_step), 0.0)
@@ -149,12 +153,12 @@ class SimulatedVehicle:
     @property
     def true_rotor_speed(self) -> Vector:
         """(rotors,) rad/s, as they turn."""
-        return self._records["rotor_speed"][self._row(0)].copy()
+        return self._newest("rotor_speed")
 
     @property
     def motor_signal(self) -> Vector:
         """(rotors,) 0..1, in the vehicle file's order."""
-        return self._records["motor_signal"][self._row(0)].copy()
+        return self._newest("motor_signal")
 
     @property
     def rotor_position(self) -> Vector:
@@ -164,8 +168,7 @@ class SimulatedVehicle:
     @property
     def battery(self) -> BatteryState:
         """The battery now."""
-        row = self._row(0)
-        voltage, current, charge = (float(self._records[name][row, 0]) for name in ("voltage", "current", "charge"))
+        voltage, current, charge = (float(self._newest(name)[0]) for name in ("voltage", "current", "charge"))
         return BatteryState(voltage, current, charge)
 
     @property
@@ -176,24 +179,20 @@ class SimulatedVehicle:
     @property
     def ground_force(self) -> float:
         """Share of the weight that the ground carries now."""
-        return float(self._records["ground_force"][self._row(0), 0]) / ground.GRAVITY
+        return float(self._newest("ground_force")[0]) / GRAVITY
 
     # inside
 
     def _row(self, age: int) -> int:
         return (self._step - age) % self._loop.records.shape[0]
 
-    def _estimate(self, age: int) -> MotionState:
-        row = self._row(age)
-        truth, error = self._records["truth"][row], self._records["estimate_error"][row]
-        attitude = quaternion.multiply(truth[6:10], quaternion.exponential(error[6:9]))
-        return MotionState(
-            (self._step - age) * DT,
-            truth[0:3] + error[0:3],
-            truth[3:6] + error[3:6],
-            attitude,
-            self._records["rate"][row].copy(),
-        )
+    def _newest(self, name: str) -> Vector:
+        part: Vector = self._records[name][self._row(0)].copy()
+        return part
+
+    def _motion(self, name: str, age: int) -> MotionState:
+        row = self._records[name][self._row(age)].copy()
+        return MotionState((self._step - age) * DT, row[0:3], row[3:6], row[6:10], row[10:13])
 
     def _set_constants(self) -> None:
         vehicle, model = self.vehicle, self.plant.model
@@ -222,8 +221,10 @@ class SimulatedVehicle:
     def _centre_of_mass(self) -> Vector:
         """Where it really lies, body FLU, m."""
         moved = [item.values for item in self.plant.model.effects if item.effect.name == "centre_of_mass"]
-        offset = np.array(self.vehicle.body.centre_of_mass)
-        return offset + sum((np.array([values[axis] for axis in "xyz"]) for values in moved), np.zeros(3))
+        centre = np.array(self.vehicle.body.centre_of_mass)
+        for values in moved:
+            centre += [values[axis] for axis in "xyz"]
+        return centre
 
     def _set_state(self) -> None:
         model = self.plant.model
@@ -239,42 +240,49 @@ class SimulatedVehicle:
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
         state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}
         self._loop.state[:] = self.plant.state.fill(state)
-        record = {"truth": x[0:13], "charge": self._battery.charge, "voltage": voltage, "ground_force": ground.GRAVITY,
-                  "specific_force": [0, 0, ground.GRAVITY]}  # fmt: skip
-        self._loop.records[0] = self.plant.record.fill(record)
+        record = {"truth": x[0:13], "estimate": x[0:13], "charge": self._battery.charge, "voltage": voltage}
+        self._loop.records[:] = self.plant.record.fill(record | {"ground_force": GRAVITY})
+        before = np.arange(-len(self._loop.records), 0) * DT  # it has stood there for a while
+        self._records["force_integral"][:, 2] = GRAVITY * before
+        self._records["force_integral"][0] = 0.0
 
     def _take(self, setpoint: ControlSetpoint, armed: bool) -> None:
         """Hand a new setpoint to the inner loop, unless it is one that position control flies."""
+        if armed and not self._last[1]:
+            self._position_control.home = self.estimate.position_world
         self._last = setpoint, armed
-        self._command["armed"][:] = armed
         if setpoint.kind in POSITION_KINDS:
+            self._armed[:] = armed
             return
         self._position_control.leave()
-        rates = setpoint.kind in ("rates", "idle")
-        attitude = setpoint.attitude / np.linalg.norm(setpoint.attitude)
-        lost = not np.isfinite(attitude).all()  # PX4 then controls no axis at all
-        free = np.full(3, True) if lost and not rates else ~np.isfinite(setpoint.rate_body) & rates
-        thrust = 0.0 if setpoint.kind == "idle" else float(np.nan_to_num(setpoint.thrust))
-        self._command["holds_attitude"][:] = not rates and not lost
-        self._command["attitude"][:] = [1.0, 0.0, 0.0, 0.0] if lost else attitude
-        self._command["rate"][:] = np.nan_to_num(setpoint.rate_body) if rates else 0.0
-        self._command["axis_free"][:] = free
-        self._command["yaw_rate"][:] = 0.0 if rates else np.nan_to_num(setpoint.rate_body[2])
-        self._command["thrust"][:] = self._thrust = thrust
+        attitude, rate = setpoint.attitude.tolist(), setpoint.rate_body.tolist()
+        length = math.hypot(*attitude)
+        holds = setpoint.kind == "attitude" and math.isfinite(length) and length > 0
+        if holds:
+            free, rate, yaw_rate = NOTHING, NOTHING, rate[2] if math.isfinite(rate[2]) else 0.0
+        else:  # without a valid attitude PX4 controls no axis
+            free = [float(setpoint.kind == "attitude" or not math.isfinite(value)) for value in rate]
+            rate, yaw_rate = [0.0 if off else value for off, value in zip(free, rate, strict=True)], 0.0
+        thrust = setpoint.thrust if setpoint.kind != "idle" and math.isfinite(setpoint.thrust) else 0.0
+        wanted = [value / length for value in attitude] if holds else LEVEL
+        self._give([armed, holds, *wanted, *rate, *free, yaw_rate], thrust)
+
+    def _give(self, command: list[float], thrust: float) -> None:
+        """Write the inner loop's command, in the order of the plant's layout."""
+        self._loop.command[:] = [*command, thrust, self.land_detector.maybe_landed]
+        self._thrust = thrust
 
     def _supervise(self, setpoint: ControlSetpoint, armed: bool) -> None:
         """Position control and land detection, every few steps."""
-        now = self._estimate(0)
-        detector = self.land_detector
-        detector.update(self.time, now, armed=armed, thrust=self._thrust, hover_thrust=self.tuning.hover_thrust)
-        self._command["landed"][:] = detector.maybe_landed or detector.landed
-        if setpoint.kind not in POSITION_KINDS or not armed:
+        flies_itself = armed and setpoint.kind in POSITION_KINDS
+        if not flies_itself and self._step % (2 * SUPERVISION):
             return
-        demand = self._position_control.fly(setpoint, now, SUPERVISION * DT)
-        grounded = detector.ground_contact and setpoint.kind != "hold"
-        self._thrust = 0.0 if grounded else demand.thrust
-        self._command["holds_attitude"][:] = 1.0
-        self._command["attitude"][:] = demand.attitude
-        self._command["axis_free"][:] = 0.0
-        self._command["yaw_rate"][:] = demand.yaw_rate
-        self._command["thrust"][:] = self._thrust
+        now, detector = self._motion("estimate", 0), self.land_detector
+        detector.update(self.time, now, armed=armed, thrust=self._thrust, hover_thrust=self.tuning.hover_thrust)
+        self._landed[:] = detector.maybe_landed
+        if flies_itself:
+            demand = self._position_control.fly(setpoint, now, SUPERVISION * DT)
+            stays = detector.landed and not demand.climbs
+            stays = stays or (detector.ground_contact and setpoint.kind != "hold")
+            thrust = 0.0 if stays else demand.thrust
+            self._give([armed, True, *demand.attitude, *NOTHING, *NOTHING, demand.yaw_rate], thrust)
