@@ -89,7 +89,7 @@ POLICIES: Mapping[Event, Policy] = {
     ),
     Event.ESTIMATOR_RESET: Policy("the estimator was reset, the reference follows it", Severity.NOTICE),
     Event.INPUT_NOT_FINITE: Policy(
-        "the estimate is not finite", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
+        "the estimate is unusable", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),
     Event.SOLVER_FAILED: Policy("the solver failed", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05),
     Event.DEADLINES_MISSED: Policy("ticks come late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),

@@ -7,8 +7,8 @@ and the autopilot's own failsafe acts.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -18,8 +18,7 @@ from runtime.events import Fallback
 UP = np.array([0.0, 0.0, 1.0])
 
 
-@dataclass(frozen=True)
-class Bounds:
+class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How long each fallback may last. shifted_ticks: ticks. level_hold: s. recovery: s of health that refill both."""
 
     shifted_ticks: int = 10

@@ -74,22 +74,28 @@ class TickRecord(msgspec.Struct, frozen=True):
     late_cause: str
 
 
-class FactsRecord(msgspec.Struct, frozen=True):
-    """What the tick was told besides the estimate; with it a flight can be replayed."""
+class ObservationRecord(msgspec.Struct, frozen=True):
+    """Everything a tick was told besides the estimate; with both, a flight can be replayed.
+
+    estimate_arrival: which estimate, NaN before the first. findings: event names and details as a JSON object, empty
+    when there are none. reset_position, reset_yaw: what an estimator reset moved. engage: told to engage now.
+    leave: why to land, empty when not asked to.
+    """
 
     tick: int
     time: Seconds
+    estimate_arrival: Seconds
     connected: bool
     armed: bool
     offboard: bool
     mode: str
     landed: bool
-    rates_missing: str
-    clock_offset_std: Seconds
-    thrust_model_factor: float
-    specific_force_z: Annotated[float, Meta(description="m/s^2, body z, NaN when not measured")]
-    recorder_trouble: str
-    leave_requested: bool
+    findings: str
+    reset_position: Metres
+    reset_yaw: Annotated[float, Meta(description="rad")]
+    specific_force_z: Annotated[float, Meta(description="m/s^2, body z, NaN when there is no new one")]
+    engage: bool
+    leave: str
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):
@@ -175,7 +181,7 @@ Record = (
     | ReferenceRecord
     | SetpointRecord
     | TickRecord
-    | FactsRecord
+    | ObservationRecord
     | HorizonRecord
     | PhaseRecord
     | EventRecord
@@ -192,7 +198,7 @@ TOPICS: Mapping[type[Record], str] = {
     ReferenceRecord: "/reference",
     SetpointRecord: "/setpoint",
     TickRecord: "/tick",
-    FactsRecord: "/facts",
+    ObservationRecord: "/observation",
     HorizonRecord: "/horizon",
     PhaseRecord: "/phase",
     EventRecord: "/event",

@@ -10,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 
+import msgspec
+
 from runtime.events import Fallback
 
 
@@ -28,6 +30,8 @@ class Request(Enum):
 
     OFFBOARD = "offboard"
     ARM = "arm"
+    DISARM = "disarm"
+    LAND = "land"
 
 
 @dataclass(frozen=True)
@@ -60,8 +64,7 @@ class Transition:
         return f"{self.before.value} -> {self.after.value}: {self.reason}"
 
 
-@dataclass(frozen=True)
-class Settings:
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How engagement is negotiated. All times in s.
 
     stream_time: streamed before OFFBOARD is asked for (PX4 documents more than 1 s). repeat: between requests.
@@ -100,6 +103,16 @@ class Engagement:
         return self.state in (State.ENGAGED, State.FALLBACK)
 
     @property
+    def wanted(self) -> bool:
+        """Whether it was told to take control and has not given it up or refused since."""
+        return self._wanted
+
+    @property
+    def found_armed(self) -> bool:
+        """Whether the vehicle was armed already when it was first heard."""
+        return bool(self._found_armed)
+
+    @property
     def requests(self) -> tuple[Request, ...]:
         """What the last update wants asked of the vehicle."""
         return self._requests
@@ -110,8 +123,9 @@ class Engagement:
         self.refusal = ""
 
     def release(self, reason: str, time: float) -> tuple[Transition, ...]:
-        """Give control up on purpose: stop streaming."""
+        """Give control up on purpose: stop streaming, or do not begin to."""
         self._wanted = False
+        self.refusal = reason
         return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()
 
     def update(self, facts: Facts, time: float) -> tuple[Transition, ...]:

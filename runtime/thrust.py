@@ -11,6 +11,7 @@ from collections import deque
 from dataclasses import dataclass
 from math import exp, isfinite, sqrt
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -65,8 +66,7 @@ def specific_force_z(
     return float(quaternion.rotate_inverse(attitude, acceleration)[2])
 
 
-@dataclass(frozen=True)
-class EstimatorSettings:
+class EstimatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the effectiveness filter. Standard deviations; process_noise per sqrt(s); times in s.
 
     delay, response_time: how thrust follows a setpoint: pure delay, then first order. timing: uncertainty of that

@@ -1,0 +1,86 @@
+"""Checks on what the flight itself shows: age of the estimate, allowed box, thrust at its limit, rates not followed."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.vehicle import Vehicle
+from runtime.events import Event
+
+
+class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """stale: s without an estimate. margin: m outside the box until control is given up.
+
+    unfollowed: rad/s by which body rates may miss their setpoints on average over `following_time` s. rate_delay: s by
+    which rates follow their setpoints.
+    """
+
+    stale: float = 0.06
+    margin: float = 2.0
+    unfollowed: float = 3.0
+    following_time: float = 1.0
+    rate_delay: float = 0.06
+
+
+class FlightHealth:
+    """Finds events in what is measured and sent. Pure: time is an argument, s."""
+
+    def __init__(self, vehicle: Vehicle, limits: HealthLimits | None = None) -> None:
+        self.limits = limits or HealthLimits()
+        self._box = vehicle.limits.box
+        self._thrust_max = vehicle.thrust_limits[1]
+        self._thrust = 0.0
+        self._sent: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=64)
+        self._miss = 0.0
+        self._miss_time: float | None = None
+
+    def sent(self, rate_body: NDArray[np.float64], collective_thrust: float, time: float) -> None:
+        """A setpoint went out. rate_body: (3,) rad/s. collective_thrust: N."""
+        self._thrust = collective_thrust
+        self._sent.append((time, rate_body))
+
+    def rest(self) -> None:
+        """Nothing is flown: forget what was sent."""
+        self._sent.clear()
+        self._miss, self._miss_time, self._thrust = 0.0, None, 0.0
+
+    def estimate_age(self, arrival: float | None, time: float) -> dict[Event, str]:
+        """Whether estimates still arrive. arrival: of the newest, None before the first."""
+        if arrival is None:
+            return {Event.ESTIMATE_STALE: "none has arrived yet"}
+        if time - arrival > self.limits.stale:
+            return {Event.ESTIMATE_STALE: f"none for {1e3 * (time - arrival):.0f} ms"}
+        return {}
+
+    def flight(self, state: NDArray[np.float64], time: float) -> dict[Event, str]:
+        """What a fresh state (13,) of a vehicle in the air shows."""
+        found = self._position(state[0:3])
+        if self._thrust > 0.99 * self._thrust_max:
+            found[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
+        self._compare(state[10:13], time)
+        if self._miss > self.limits.unfollowed:
+            found[Event.SETPOINT_REFUSED] = f"body rates miss their setpoints by {self._miss:.1f} rad/s on average"
+        return found
+
+    def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
+        if self._box is None:
+            return {}
+        low, high = (np.array(corner) for corner in self._box)
+        outside = float(np.max(np.maximum(low - position, position - high)))
+        if outside <= 0:
+            return {}
+        event = Event.GEOFENCE if outside <= self.limits.margin else Event.GEOFENCE_LEFT
+        return {event: f"{outside:.1f} m outside of the box"}
+
+    def _compare(self, rate_body: NDArray[np.float64], time: float) -> None:
+        asked = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
+        if asked is None:
+            return
+        elapsed = 0.0 if self._miss_time is None else min(time - self._miss_time, self.limits.following_time)
+        self._miss_time = time
+        share = elapsed / self.limits.following_time
+        self._miss += share * (float(np.linalg.norm(rate_body - asked)) - self._miss)
