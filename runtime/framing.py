@@ -85,28 +85,32 @@ class FrameParser:
         if magic not in (MAGIC_V1, MAGIC_V2):
             following = [at for at in (buffer.find(MAGIC_V2, start), buffer.find(MAGIC_V1, start)) if at >= 0]
             return None, (min(following) if following else len(buffer)) - start
-        available = len(buffer) - start
-        if available < _SHORTEST_FRAME:
+        available, length = len(buffer) - start, frame_length(buffer, start)
+        if length is None:
             return None, 0
-        header, trailer = _HEADER_V1, _CHECKSUM
-        if magic == MAGIC_V2:
-            header = _HEADER_V2
-            if buffer[start + 2] & ~_SIGNED:
-                return None, 1
-            if buffer[start + 2] & _SIGNED:
-                trailer += mavlink.MAVLINK_SIGNATURE_BLOCK_LEN
-        length = header + buffer[start + 1] + trailer
+        if magic == MAGIC_V2 and buffer[start + 2] & ~_SIGNED:
+            return None, 1
         if available < length:
             return None, 0
         frame = Frame(bytes(buffer[start : start + length]))
         if frame.is_known:
-            return (frame, length) if _checksum_holds(frame, header) else (None, 1)
+            return (frame, length) if _checksum_holds(frame) else (None, 1)
         if available > length and buffer[start + length] not in (MAGIC_V1, MAGIC_V2):
             return None, 1  # its checksum cannot be verified, and what follows says that it was no frame
         return frame, length
 
 
-def _checksum_holds(frame: Frame, header: int) -> bool:
-    end = header + frame.data[1]
+def frame_length(data: bytes | bytearray, start: int) -> int | None:
+    """Bytes of the frame whose magic byte stands at start, or None when too little of it is there to say."""
+    if len(data) - start < _SHORTEST_FRAME:
+        return None
+    if data[start] == MAGIC_V1:
+        return _HEADER_V1 + data[start + 1] + _CHECKSUM
+    signature = mavlink.MAVLINK_SIGNATURE_BLOCK_LEN if data[start + 2] & _SIGNED else 0
+    return int(_HEADER_V2 + data[start + 1] + _CHECKSUM + signature)
+
+
+def _checksum_holds(frame: Frame) -> bool:
+    end = (_HEADER_V2 if frame.data[0] == MAGIC_V2 else _HEADER_V1) + frame.data[1]
     crc = x25crc(frame.data[1:end] + bytes((mavlink.mavlink_map[frame.message_id].crc_extra,)))
     return bool(crc.crc == frame.data[end] | frame.data[end + 1] << 8)

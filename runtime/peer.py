@@ -71,6 +71,8 @@ class Peer:
     def handle(self, frame: Frame, received: float) -> Reaction:
         """Takes in one frame of any sender that arrived at received, s on our monotonic clock."""
         reaction = Reaction()
+        if not frame.is_known:
+            return reaction  # without a definition not even its checksum can be verified
         if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
             self._discover(frame.system, frame.component, frame.message, received, reaction)
         if (frame.system, frame.component) != self.address:
@@ -80,7 +82,7 @@ class Peer:
         self.rates.handle(frame.message_id, received)
         if frame.message_id == mavlink.MAVLINK_MSG_ID_ODOMETRY:
             self._handle_odometry(read_odometry(frame.payload), received, reaction)
-        elif frame.is_known:
+        else:
             self._handle_message(frame.message, received, reaction)
         return reaction
 
