@@ -39,6 +39,10 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
+for _command in (mock,):
+    app.command()(_command)
+
+
 def main() -> None:
     """Run the command line; an error that a user can cause ends with its message and exit code, not a traceback."""
     try:

@@ -13,10 +13,11 @@ from sitl_mock.link_spec import LinkSpec, default_links, parse_link
 from sitl_mock.mock import MockOptions, parse_parameter, serve
 from sitl_mock.offboard import Rule
 from sitl_mock.server import Pace
+from vehicles import vehicle_path
 
 
 def mock(
-    vehicle: Annotated[Path, typer.Option(help="Vehicle file (TOML).")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")],
     effect: Annotated[
         list[str] | None,
         typer.Option(help="Effect that the vehicle file does not know: name:key=value,... Repeatable."),
@@ -50,7 +51,7 @@ def mock(
 ) -> None:
     """Fly a simulated vehicle behind PX4's side of the link, until interrupted."""
     options = MockOptions(
-        vehicle=vehicle,
+        vehicle=vehicle_path(vehicle),
         effects=tuple(effect or ()),
         scenario=scenario,
         seed=seed,

@@ -1,0 +1,5 @@
+"""`python -m alula`: the command line where the console script is not on the path."""
+
+from alula.cli import main
+
+main()
