@@ -143,9 +143,11 @@ def table(workers: list[Worker]) -> str:
     notes = []
     for worker in workers[1:]:
         gap = np.abs(np.array(worker.answers["inputs"]) - first)
-        notes.append(f"- {worker.name}: first inputs differ from {workers[0].name}'s by {np.median(gap):.2g} rad/s in the "
-                     f"median, {gap.max():.2g} at most; its median step takes {medians[worker.name] / medians[workers[0].name]:.2f} "
-                     f"times as long.")  # fmt: skip
+        ratio = medians[worker.name] / medians[workers[0].name]
+        notes.append(
+            f"- {worker.name}: first inputs differ from {workers[0].name}'s by {np.median(gap):.2g} rad/s in the median, "
+            f"{gap.max():.2g} at most; its median step takes {ratio:.2f} times as long."
+        )
     return "\n".join([*rows, "", *notes])
 
 

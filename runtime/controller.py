@@ -6,6 +6,7 @@ command is on its way, `prepare` for the next tick.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import msgspec
@@ -27,13 +28,15 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     rate_lookahead: how far ahead on the predicted trajectory the body rates are read that the autopilot is asked for,
     s; it makes up for the time its rate loop takes. delay: from a command's departure to its action, s, added to the
-    age of every estimate.
+    age of every estimate. largest_error: the reference is drawn towards a vehicle further away than this, m, because a
+    linearisation does not reach that far.
     """
 
     problem: Problem = Problem()
     period: float = 0.01
     rate_lookahead: float = 0.04
     delay: float = 0.005
+    largest_error: float = 2.0
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ class Controller:
         self.model, self.options = model, options
         self.solver = RtiSolver(model, options.problem)
         self._thrust_constants = model.thrust_constants
+        self._offsets: Array = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
         self._hover = np.full(model.input_count, model.vehicle.hover_speed)
         self._times = np.full(HISTORY, -np.inf)
         self._inputs = np.tile(self._hover, (HISTORY, 1))
@@ -82,7 +86,7 @@ class Controller:
 
     def node_times(self, time: float) -> Array:
         """(N + 1,) times at which a window of the reference is needed for a tick at a time."""
-        return time + self.options.problem.node * np.arange(self.options.problem.nodes + 1)
+        return time + self._offsets
 
     def reset(self, state: Array, time: float) -> None:
         """Start anew from a state: hover inputs, no history."""
@@ -134,6 +138,10 @@ class Controller:
         reference[:, :RIGID_BODY_STATES] = states
         if float(states[0, 6:10] @ expected[6:10]) < 0:
             reference[:, 6:10] = -states[:, 6:10]  # the same attitudes, on the side where the state's quaternion is
+        error = reference[0, 0:3] - expected[0:3]
+        distance = math.sqrt(float(error @ error))
+        if distance > self.options.largest_error:
+            reference[:, 0:3] -= (1 - self.options.largest_error / distance) * error
         self.solver.input_reference[:] = inputs
         self.solver.prepare(expected)
 

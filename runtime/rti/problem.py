@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from typing import Any
 
 import msgspec
 
@@ -33,7 +34,8 @@ class Weights(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The optimal control problem. nodes: N. horizon: s. levenberg_marquardt: added to the Hessian's diagonal.
 
-    tolerance, iterations: HPIPM's. soft_penalty: price of leaving a bound on states or thrust. keep_in_box: hold the
+    tolerance, iterations: HPIPM's; row_iterations: the same when bounds on states or thrust act. soft_penalty: price of
+    leaving such a bound, linear and quadratic. keep_in_box: hold the
     vehicle file's position box in the prediction as well.
     """
 
@@ -43,6 +45,7 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     levenberg_marquardt: float = 1e-3
     tolerance: float = 1e-5
     iterations: int = 50
+    row_iterations: int = 25
     soft_penalty: float = 300.0
     keep_in_box: bool = False
 
@@ -55,10 +58,12 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 def options_struct(states: int, inputs: int) -> type[ctypes.Structure]:
     """The C struct rti_options for so many states and inputs."""
     d = ctypes.c_double
-    fields = [(name, d * states) for name in ("Q", "P")] + [("R", d * inputs)]
-    fields += [("u_lower", d * inputs), ("u_upper", d * inputs), ("x_lower", d * states), ("x_upper", d * states)]
+    vectors = {"Q": states, "P": states, "R": inputs, "u_lower": inputs, "u_upper": inputs}
+    fields: list[tuple[str, Any]] = [(name, d * size) for name, size in vectors.items()]
+    fields += [("x_lower", d * states), ("x_upper", d * states)]
     names = ("thrust_lower", "thrust_upper", "thrust_constant", "node", "scale", "levenberg_marquardt", "tolerance")
-    fields += [(name, d) for name in (*names, "penalty")] + [("iterations", ctypes.c_int)]
+    fields += [(name, d) for name in (*names, "penalty")]
+    fields += [("iterations", ctypes.c_int), ("row_iterations", ctypes.c_int)]
     return type("RtiOptions", (ctypes.Structure,), {"_fields_": fields})
 
 
@@ -83,5 +88,6 @@ def fill_options(problem: Problem, model: Model) -> ctypes.Structure:
     options.thrust_constant = vehicle.rotors.thrust_constant
     options.node, options.scale = problem.node, 0.1 * vehicle.hover_speed
     options.levenberg_marquardt, options.tolerance = problem.levenberg_marquardt, problem.tolerance
-    options.penalty, options.iterations = problem.soft_penalty, problem.iterations
+    options.penalty = problem.soft_penalty
+    options.iterations, options.row_iterations = problem.iterations, problem.row_iterations
     return options

@@ -13,8 +13,9 @@
  * its right-hand side from the adjoint l_N = P (x_N - r_N), l_k = Q (x_k - r_k) + A_k' l_{k+1}. Columns lie along
  * the vector registers. The first columns of S_k are all that is not zero, so stage k touches only those.
  *
- * Bounds on states seldom act. The QP is first solved with the input box alone; only the rows that its solution
- * violates are added (soft), and it is solved again: the optimum of a relaxation that is feasible is the optimum. */
+ * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone; where its
+ * solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again: the
+ * optimum of a relaxation that is feasible is the optimum. */
 #include <math.h>
 #include <stdbool.h>
 #include <time.h>
@@ -34,8 +35,8 @@
 #define ROUND(n) (((n) + LANES_PER_VECTOR - 1) / LANES_PER_VECTOR * LANES_PER_VECTOR)
 #define X0 ROUND(NX) /* columns of dx_0, padded */
 #define L ROUND(X0 + V)
-#define ROWS (N * (NX + 1))
-#define QP_SIZES 3
+#define SOLVES 3
+#define FAR 1e8 /* stands for no bound: the interior-point method wants finite numbers */
 
 typedef double lanes __attribute__((vector_size(VECTOR_BYTES)));
 
@@ -44,7 +45,7 @@ typedef struct {
     double u_lower[NU], u_upper[NU], x_lower[NX], x_upper[NX];
     double thrust_lower, thrust_upper, thrust_constant;
     double node, scale, levenberg_marquardt, tolerance, penalty;
-    int iterations;
+    int iterations, row_iterations;
 } rti_options;
 
 typedef struct {
@@ -64,9 +65,10 @@ typedef struct {
     double W[2][NX][L] __attribute__((aligned(64)));
     double G[V][X0]; /* derivative of the gradient by dx_0 */
     double H[V * V], g[V], z[X0 + V], lower[V], upper[V];
-    double C[V * ROWS], row_lower[ROWS], row_upper[ROWS];
-    int row[ROWS];
-    dense_qp *box, *rows[QP_SIZES];
+    double g_measured[V];
+    double C[V * N * (NX + 1)], row_lower[N * (NX + 1)], row_upper[N * (NX + 1)];
+    bool bounded[NX + 1]; /* quantities whose rows are in the QP: the states, then collective thrust */
+    dense_qp *qp, *rows[NX + 2]; /* without rows, and with the rows of so many quantities */
     long long iw[NODE_IW + STEP_IW + 1];
     double w[NODE_W + STEP_W + 1];
 } rti;
@@ -77,20 +79,26 @@ static double now(void) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-static int row_capacity(int size) { return size == 0 ? 16 : size == 1 ? 64 : ROWS; }
+static double lower_bound(const rti *r, int i) { return i == NX ? r->o.thrust_lower : r->o.x_lower[i]; }
+static double upper_bound(const rti *r, int i) { return i == NX ? r->o.thrust_upper : r->o.x_upper[i]; }
+static bool is_bounded(const rti *r, int i) { return lower_bound(r, i) > -INFINITY || upper_bound(r, i) < INFINITY; }
 
 rti *rti_create(const rti_options *options) {
     rti *r = aligned_zeros(sizeof *r);
     r->o = *options;
-    r->box = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
-    for (int i = 0; i < QP_SIZES; i++)
-        r->rows[i] = dense_qp_create(V, row_capacity(i), options->tolerance, options->iterations, options->penalty);
+    r->qp = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
+    for (int i = 0, quantities = 0; i <= NX; i++)
+        if (is_bounded(r, i)) {
+            quantities++;
+            r->rows[quantities] =
+                dense_qp_create(V, N * quantities, options->tolerance, options->row_iterations, options->penalty);
+        }
     return r;
 }
 
 void rti_free(rti *r) {
-    dense_qp_free(r->box);
-    for (int i = 0; i < QP_SIZES; i++) dense_qp_free(r->rows[i]);
+    dense_qp_free(r->qp);
+    for (int i = 0; i < NX + 2; i++) dense_qp_free(r->rows[i]);
     free(r);
 }
 
@@ -242,14 +250,14 @@ void rti_prepare(rti *r, const double *x, const double *x_reference, const doubl
     linearise(r);
     double linearised = now();
     condense(r);
-    d_dense_qp_set_H(r->H, &r->box->qp);
+    d_dense_qp_set_H(r->H, &r->qp->qp);
     for (int k = 0; k < N; k++)
         for (int j = 0; j < NU; j++) {
             r->lower[k * NU + j] = (r->o.u_lower[j] - r->u[k][j]) / r->o.scale;
             r->upper[k * NU + j] = (r->o.u_upper[j] - r->u[k][j]) / r->o.scale;
         }
-    d_dense_qp_set_lb(r->lower, &r->box->qp);
-    d_dense_qp_set_ub(r->upper, &r->box->qp);
+    d_dense_qp_set_lb(r->lower, &r->qp->qp);
+    d_dense_qp_set_ub(r->upper, &r->qp->qp);
     double end = now();
     r->report.rollout_seconds = linearised - start;
     r->report.condense_seconds = end - linearised;
@@ -271,70 +279,50 @@ static double thrust(const rti *r, int k, const double *z) {
     return r->o.thrust_constant * sum;
 }
 
-/* One row of the QP: value so far, and bounds on what the step may change. Row NX of a node is its thrust. */
-static void write_row(rti *r, int index, int capacity, int place) {
-    int k = index / (NX + 1), i = index % (NX + 1);
-    double value;
-    for (int c = 0; c < V; c++) r->C[c * capacity + place] = 0;
-    if (i == NX) {
-        double zero[X0 + V] = {0};
-        value = thrust(r, k, zero);
+static double value_of(const rti *r, int k, int i, const double *z) {
+    return i == NX ? thrust(r, k, z) : r->x[k + 1][i] + move(r, k + 1, i, z);
+}
+
+/* Take in the rows of every quantity that the step z takes out of its bounds; returns whether there was a new one. */
+static bool take_violated(rti *r) {
+    bool more = false;
+    for (int i = 0; i <= NX; i++) {
+        if (r->bounded[i] || !is_bounded(r, i)) continue;
+        for (int k = 0; k < N && !r->bounded[i]; k++) {
+            double value = value_of(r, k, i, r->z), slack = 1e-3 * (fabs(value) + 1e-3);
+            r->bounded[i] = value < lower_bound(r, i) - slack || value > upper_bound(r, i) + slack;
+        }
+        more |= r->bounded[i];
+    }
+    return more;
+}
+
+/* The row of quantity i at node k: its derivative by the inputs, and how far it may still move. */
+static void write_row(rti *r, int k, int i, int rows, int place) {
+    double at[X0 + V] = {0};
+    memcpy(at, r->z, sizeof(double) * NX); /* the measured state moves the row as well */
+    for (int c = 0; c < V; c++) r->C[c * rows + place] = 0;
+    if (i == NX)
         for (int j = 0; j < NU; j++)
-            r->C[(k * NU + j) * capacity + place] = 2 * r->o.thrust_constant * r->o.scale * r->u[k][j];
-        r->row_lower[place] = r->o.thrust_lower - value, r->row_upper[place] = r->o.thrust_upper - value;
-        return;
-    }
-    value = r->x[k + 1][i];
-    for (int c = 0; c < NX; c++) value += r->S[k + 1][i][c] * r->z[c];
-    for (int c = 0; c < (k + 1) * NU; c++) r->C[c * capacity + place] = r->S[k + 1][i][X0 + c];
-    r->row_lower[place] = r->o.x_lower[i] - value, r->row_upper[place] = r->o.x_upper[i] - value;
+            r->C[(k * NU + j) * rows + place] = 2 * r->o.thrust_constant * r->o.scale * r->u[k][j];
+    else
+        for (int c = 0; c < (k + 1) * NU; c++) r->C[c * rows + place] = r->S[k + 1][i][X0 + c];
+    r->row_lower[place] = fmax(lower_bound(r, i) - value_of(r, k, i, at), -FAR);
+    r->row_upper[place] = fmin(upper_bound(r, i) - value_of(r, k, i, at), FAR);
 }
 
-static bool outside(double value, double lower, double upper) {
-    double slack = 1e-3 * (fabs(value) + 1e-3);
-    return value < lower - slack || value > upper + slack;
-}
-
-/* Append the rows that the step z violates to those already there; returns how many there are then. */
-static int violated_rows(rti *r, int count) {
-    for (int k = 0; k < N; k++)
-        for (int i = 0; i <= NX; i++) {
-            double lower = i == NX ? r->o.thrust_lower : r->o.x_lower[i];
-            double upper = i == NX ? r->o.thrust_upper : r->o.x_upper[i];
-            if (lower == -INFINITY && upper == INFINITY) continue;
-            double value = i == NX ? thrust(r, k, r->z) : r->x[k + 1][i] + move(r, k + 1, i, r->z);
-            if (!outside(value, lower, upper)) continue;
-            int index = k * (NX + 1) + i, known = 0;
-            for (int n = 0; n < count; n++) known |= r->row[n] == index;
-            if (!known) r->row[count++] = index;
-        }
-    return count;
-}
-
-#define FAR 1e8 /* stands for no bound: the interior-point method wants finite numbers */
-
-static int solve_with_rows(rti *r, double *g, int count) {
-    int size = 0, iterations;
-    while (row_capacity(size) < count) size++;
-    int capacity = row_capacity(size);
-    dense_qp *q = r->rows[size];
-    for (int n = 0; n < capacity; n++) {
-        if (n < count) {
-            write_row(r, r->row[n], capacity, n);
-            continue;
-        }
-        for (int c = 0; c < V; c++) r->C[c * capacity + n] = 0;
-        r->row_lower[n] = -FAR, r->row_upper[n] = FAR;
-    }
-    for (int n = 0; n < capacity; n++) {
-        r->row_lower[n] = fmax(r->row_lower[n], -FAR);
-        r->row_upper[n] = fmin(r->row_upper[n], FAR);
-    }
-    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(g, &q->qp);
+static int solve_with_rows(rti *r) {
+    int quantities = 0, place = 0, iterations;
+    for (int i = 0; i <= NX; i++) quantities += r->bounded[i];
+    dense_qp *q = r->rows[quantities];
+    for (int i = 0; i <= NX; i++)
+        for (int k = 0; k < N && r->bounded[i]; k++) write_row(r, k, i, N * quantities, place++);
+    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
     d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
     d_dense_qp_set_C(r->C, &q->qp);
     d_dense_qp_set_lg(r->row_lower, &q->qp), d_dense_qp_set_ug(r->row_upper, &q->qp);
     int status = dense_qp_solve(q, r->z + X0, &iterations);
+    r->report.rows = place;
     r->report.iterations += iterations;
     return status;
 }
@@ -360,24 +348,22 @@ static void apply(rti *r) {
  * solution, and the status is HPIPM's (1: iterations ran out, 2: step too short, 3: not a number) or -1 for an x that
  * is not finite. A QP that ran out of iterations close to its solution is still taken. */
 int rti_feedback(rti *r, const double *x) {
-    double start = now(), g[V];
+    double start = now();
     rti_report *report = &r->report;
     report->iterations = report->rows = report->solves = 0;
     report->status = -1;
     if (finite_all(x, NX)) {
         for (int i = 0; i < NX; i++) r->z[i] = x[i] - r->x_prepared[i];
         for (int v = 0; v < V; v++) {
-            g[v] = r->g[v];
-            for (int i = 0; i < NX; i++) g[v] += r->G[v][i] * r->z[i];
+            r->g_measured[v] = r->g[v];
+            for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[i];
         }
-        d_dense_qp_set_g(g, &r->box->qp);
-        report->status = dense_qp_solve(r->box, r->z + X0, &report->iterations);
-        report->solves = 1;
-        for (int count = 0; report->solves < 4 && finite_all(r->z, X0 + V); report->solves++) {
-            int more = violated_rows(r, count);
-            if (more == count) break;
-            report->rows = count = more;
-            report->status = solve_with_rows(r, g, count);
+        d_dense_qp_set_g(r->g_measured, &r->qp->qp);
+        report->status = dense_qp_solve(r->qp, r->z + X0, &report->iterations);
+        memset(r->bounded, 0, sizeof r->bounded);
+        for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + V); report->solves++) {
+            if (!take_violated(r)) break;
+            report->status = solve_with_rows(r);
         }
         bool usable = report->status <= 1 && finite_all(r->z, X0 + V);
         if (usable) apply(r);

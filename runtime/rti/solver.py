@@ -116,7 +116,7 @@ class RtiSolver:
 def build_solver(model: Model, problem: Problem) -> Path:
     """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
     node, step = _functions(model)
-    defines = {
+    defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
         "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": _vector_bytes(),
@@ -135,7 +135,7 @@ def build_solver(model: Model, problem: Problem) -> Path:
 
 
 def _functions(model: Model) -> tuple[ca.Function, ca.Function]:
-    """One RK4 step with its Jacobians, carried through the stages (fewer operations than AD of the whole), and without."""
+    """One RK4 step with its Jacobians, carried through the stages as AD of the whole would not, and one without."""
     x = ca.SX.sym("x", model.state_count)
     u = ca.SX.sym("u", model.input_count)
     p = ca.SX.sym("p", model.parameter_values.size)

@@ -131,7 +131,9 @@ def test_feedback_finds_the_optimum_of_its_quadratic_program(push: float) -> Non
     wanted = reference_step(solver, hessian, gradient)
     assert solver.feedback(measured) == 0
     np.testing.assert_allclose(solver.inputs, wanted, atol=0.05)
-    limits = (wanted < fill_options(solver.problem, solver.model).u_lower[0] + 1e-3) | (wanted > VEHICLE.rotors.speed_max - 1e-3)
+    limits = (wanted < fill_options(solver.problem, solver.model).u_lower[0] + 1e-3) | (
+        wanted > VEHICLE.rotors.speed_max - 1e-3
+    )
     assert limits.any() == (push > 0)
 
 
@@ -146,7 +148,7 @@ def gradient_by_state(solver: RtiSolver, expected: np.ndarray, index: int) -> np
 
 
 def test_body_rates_stay_within_their_limits_and_the_extra_rows_are_solved_only_then() -> None:
-    limited = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(1.5, 1.5, 1.5)))
+    limited = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(2.0, 2.0, 2.0)))
     solver = RtiSolver(build_model(limited), Problem())
     state = hovering(solver.model)
     solver.reset(state)
@@ -155,16 +157,17 @@ def test_body_rates_stay_within_their_limits_and_the_extra_rows_are_solved_only_
     solver.prepare(state)
     assert solver.feedback(state) == 0
     assert solver.report.rows == 0
-    solver.state_reference[:, 0] = 3.0
-    peaks = []
+    solver.state_reference[:, 0] = 1.0
+    peaks, rows = [], []
     for _ in range(40):
         solver.prepare(state)
         assert solver.feedback(state) == 0
         peaks.append(np.abs(solver.states[1:, 10:13]).max())
+        rows.append(solver.report.rows)
         state = solver.propagate(state, solver.inputs[0], 0.01).copy()
-    assert solver.report.solves >= 1
-    assert max(peaks) < 1.5 * 1.05
-    assert max(peaks) > 1.4  # the limit acts
+    assert max(rows) > 0
+    assert max(peaks) < 2.0 * 1.02
+    assert max(peaks) > 1.9  # the limit acts
 
 
 def test_collective_thrust_settles_within_its_limits() -> None:
@@ -186,7 +189,9 @@ def test_collective_thrust_settles_within_its_limits() -> None:
 
 
 def test_the_position_box_holds_the_prediction_back() -> None:
-    boxed = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), box=((-1.0, -1.0, 0.0), (0.3, 1.0, 2.0))))
+    boxed = msgspec.structs.replace(
+        VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), box=((-1.0, -1.0, 0.0), (0.3, 1.0, 2.0)))
+    )
     ends = []
     for keep in (False, True):
         solver = RtiSolver(build_model(boxed), Problem(keep_in_box=keep))
@@ -235,7 +240,9 @@ def test_repeated_iterations_converge_to_the_nonlinear_optimum() -> None:
         solver.prepare(state)
         solver.feedback(state)
     solver.prepare(state)
-    free = (solver.inputs > fill_options(solver.problem, solver.model).u_lower[0] + 1.0) & (solver.inputs < VEHICLE.rotors.speed_max - 1.0)
+    free = (solver.inputs > fill_options(solver.problem, solver.model).u_lower[0] + 1.0) & (
+        solver.inputs < VEHICLE.rotors.speed_max - 1.0
+    )
     assert np.abs(solver.gradient[free.ravel()]).max() < 1e-3 * np.abs(np.diag(solver.hessian)).max()
     step_before = solver.inputs.copy()
     solver.feedback(state)
