@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from alula import __version__
+from alula.commands.link import link
 from alula.commands.mock import mock
 from dynamics.errors import AlulaError
 
@@ -19,9 +20,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-
-
-app.command()(mock)
 
 
 def _show_version(asked: bool) -> None:
@@ -39,7 +37,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (mock,):
+for _command in (mock, link):
     app.command()(_command)
 
 

@@ -65,7 +65,9 @@ def send_command(link: Link, command: int, *parameters: float, timeout: float = 
 
 
 def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
-    """Asks for messages at rates in Hz, by name; the results' names. What then really arrives: link.peer.rates.
+    """Asks for messages at rates in Hz, by name; 0 is the vehicle's default. Returns the results' names.
+
+    What then really arrives is in link.peer.rates.
 
     Raises RequestError for a message that MAVLink does not have.
     """
@@ -74,7 +76,7 @@ def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
         raise RequestError(f"No MAVLink message is called {', '.join(unknown)}; wanted names such as ODOMETRY.")
     interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
     return {
-        name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else -1)
+        name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else 0)
         for name, rate in rates.items()
     }
 
