@@ -145,7 +145,7 @@ def table(workers: list[Worker]) -> str:
         gap = np.abs(np.array(worker.answers["inputs"]) - first)
         ratio = medians[worker.name] / medians[workers[0].name]
         notes.append(
-            f"- {worker.name}: first inputs differ from {workers[0].name}'s by {np.median(gap):.2g} rad/s in the median, "
+            f"- {worker.name}: first inputs differ from the first row by {np.median(gap):.2g} rad/s in the median, "
             f"{gap.max():.2g} at most; its median step takes {ratio:.2f} times as long."
         )
     return "\n".join([*rows, "", *notes])
