@@ -56,7 +56,7 @@ def build_plant(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Plant:
     layouts = _layouts(model)
     inputs, parts = zip(*(layout.symbol(name) for name, layout in layouts.items() if name != "record"), strict=True)
     after, record = _step(model, *parts)
-    outputs = ca.cse([layouts["state"].join(after), layouts["record"].join(record)])
+    outputs: Expression = ca.cse([layouts["state"].join(after), layouts["record"].join(record)])
     into, out = ["state", "command", "constants", "noise"], ["next", "record"]
     step = ca.Function("vehicle_step", list(inputs), outputs, into, out)
     return Plant(model=model, step=step, **layouts)

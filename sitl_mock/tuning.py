@@ -39,7 +39,7 @@ def default_tuning(vehicle: Vehicle) -> Tuning:
     motor = motor_time_constant(vehicle)
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
     lag = motor + math.sqrt(2) / (2 * math.pi * cutoff) + ACTUATION_DELAY
-    torque = torque_authority(vehicle.rotors) / np.array(vehicle.body.inertia)
+    torque = torque_authority(vehicle) / np.array(vehicle.body.inertia)
     authority = [float(value) for value in torque]  # rad/s^2 for a unit of torque
     speed = TILT_SPEED / lag
     tilt_p = (speed / authority[0], speed / authority[1])

@@ -128,6 +128,11 @@ class SimulatedVehicle:
         return self._motion("truth", 0)
 
     @property
+    def plant_state(self) -> Vector:
+        """The flight model's whole state, hidden states of its effects included, in the model's order."""
+        return self._loop.state[self.plant.state.places["plant"]].copy()
+
+    @property
     def estimate(self) -> MotionState:
         """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
         return self._motion("estimate", min(round(self.options.sensors.delay / DT), self._step))
@@ -197,7 +202,7 @@ class SimulatedVehicle:
     def _set_constants(self) -> None:
         vehicle, model = self.vehicle, self.plant.model
         rotors, battery = vehicle.rotors, self._battery
-        mix = mixer(rotors)
+        mix = mixer(vehicle)
         constants = {
             "model": model.parameter_values,
             "mixer": mix,

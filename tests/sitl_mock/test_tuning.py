@@ -1,0 +1,31 @@
+import dataclasses
+
+import pytest
+
+from dynamics.vehicle_file import read_vehicle
+from sitl_mock.parameters import Parameters
+from sitl_mock.tuning import default_tuning, motor_time_constant, parameter_values
+from sitl_mock.vehicle_interface import Tuning
+from vehicles import FOLDER
+
+
+def test_px4s_defaults_come_out_on_px4s_quadrotor() -> None:
+    found, px4 = default_tuning(read_vehicle(FOLDER / "px4_sih.toml")), Tuning()
+    for field in dataclasses.fields(Tuning):
+        assert getattr(found, field.name) == pytest.approx(getattr(px4, field.name), rel=0.03), field.name
+
+
+def test_a_small_vehicle_with_fast_motors_gets_a_faster_loop() -> None:
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    assert motor_time_constant(vehicle) == 0.02
+    assert default_tuning(vehicle).attitude_gain[0] > 1.5 * Tuning().attitude_gain[0]
+    assert default_tuning(vehicle).hover_thrust == pytest.approx(vehicle.weight / vehicle.rotors.thrust_max)
+
+
+def test_the_tuning_survives_the_parameter_table() -> None:
+    tuning = default_tuning(read_vehicle(FOLDER / "arpl_250g.toml"))
+    values = parameter_values(tuning)
+    parameters = Parameters(values)
+    found = parameters.tuning()
+    for field in dataclasses.fields(Tuning):
+        assert getattr(found, field.name) == pytest.approx(getattr(tuning, field.name), rel=1e-6), field.name
