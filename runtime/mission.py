@@ -61,28 +61,33 @@ class Motion(Protocol):
 
 
 class Transfer:
-    """From rest to rest between two points, straight, with yaw turned along the way."""
+    """From rest to rest between two points, straight, with yaw turned along the way; tabulated on creation."""
 
     def __init__(self, vehicle: Vehicle, start: Array, end: Array, duration: float) -> None:
         """start, end: (4,) x, y, z in m and yaw in rad. duration: s."""
-        self._vehicle = vehicle
-        self._curve = rest_to_rest(np.array([start, end]), np.array([duration]))
         self.start, self.end, self.duration = start, end, duration
+        # linear interpolation over 20 ms errs by 0.1 mm at 2 m/s^2; building 500 rows costs less than a millisecond
+        rows = int(min(max(duration / 0.02, 1.0), 500.0)) + 1
+        times = np.linspace(0.0, duration, rows)
+        flat = rest_to_rest(np.array([start, end]), np.array([duration])).derivatives(times)
+        motion = flat_motion(times, flat, vehicle)
+        self._states = np.hstack([motion.position, motion.velocity, motion.attitude, motion.rate_body])
+        self._inputs = motion.rotor_speed
 
     def states(self, times: Array) -> Array:
         """(n, 13) position and velocity (world), attitude, body rates."""
-        motion = self._motion(times)
-        return np.hstack([motion[0], motion[1], motion[2], motion[3]])
+        result = self._read(self._states, times)
+        result[:, 6:10] /= np.sqrt(np.sum(result[:, 6:10] ** 2, axis=1))[:, None]
+        return result
 
     def inputs(self, times: Array) -> Array:
         """(n, rotors) rotor speeds, rad/s."""
-        return self._motion(times)[4]
+        return self._read(self._inputs, times)
 
-    def _motion(self, times: Array) -> tuple[Array, Array, Array, Array, Array]:
-        flat = self._curve.derivatives(times)
-        flat[(times < 0) | (times > self.duration), 1:] = 0.0
-        motion = flat_motion(times, flat, self._vehicle)
-        return motion.position, motion.velocity, motion.attitude, motion.rate_body, motion.rotor_speed
+    def _read(self, table: Array, times: Array) -> Array:
+        place = np.clip(times * ((len(table) - 1) / self.duration), 0.0, len(table) - 1.000001)
+        row = place.astype(np.intp)
+        return np.asarray(table[row] + (place - row)[:, None] * (table[row + 1] - table[row]))
 
 
 class Descent:

@@ -133,7 +133,7 @@ def test_an_estimator_reset_moves_the_reference_and_not_the_vehicle(vehicle: Veh
 @pytest.mark.parametrize("yaw", [-3.0, 0.0, 3.0, 9.0])
 def test_yaw_turns_the_short_way(vehicle: Vehicle, yaw: float) -> None:
     reference = Transfer(vehicle, pose(0, 0, 1.5, yaw), pose(1, 0, 1.5, yaw), 3.0)
-    mission = Mission(vehicle, reference, Plan())
+    mission = Mission(vehicle, reference, Plan(settle=10.0))
     mission.ramp(state_at((0, 0, 0)), 0.0)
     mission.climb(state_at((0, 0, 0.1)), 1.0)
     _, states, _ = fly(mission, state_at((0, 0, 0.1)), 1.0, 14.0)

@@ -1,0 +1,192 @@
+"""A multirotor under an ideal rate loop, for flying the pure flight logic: what the flight tests share.
+
+Rigid body with first-order body rates and thrust, a ground to stand on, and a planted effectiveness; it arms and
+changes mode as told by requests, and its HEARTBEAT is what the observations say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY, Vehicle
+from runtime.controller import Controller
+from runtime.estimate import Estimate
+from runtime.events import Change, Event
+from runtime.flyer import Decision, Flyer, FlyerSettings
+from runtime.mission import Mission, Motion, Phase, Plan
+from runtime.records import ObservationRecord
+from runtime.state import Request, State, Transition
+from runtime.thrust import ThrustMap
+
+PERIOD = 0.01
+AGE = 0.02
+
+
+class RateControlledVehicle:
+    """The plant. effectiveness: thrust per modelled thrust."""
+
+    def __init__(self, vehicle: Vehicle, thrust_map: ThrustMap, effectiveness: float = 1.0) -> None:
+        self.effectiveness = effectiveness
+        self.state = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        self.force = 0.0
+        self._mass = vehicle.body.mass
+        self._map = thrust_map
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether it stands."""
+        return bool(self.state[2] <= 0.0)
+
+    def step(self, rate_body: NDArray[np.float64], thrust: float, dt: float) -> None:
+        """dt seconds under a setpoint."""
+        target = self.effectiveness * self._map.newtons(thrust)
+        self.force += (target - self.force) * min(dt / 0.04, 1.0)
+        x = self.state
+        x[10:13] += (rate_body - x[10:13]) * min(dt / 0.04, 1.0)
+        x[6:10] = quaternion.normalise(quaternion.multiply(x[6:10], quaternion.exponential(x[10:13] * dt)))
+        acceleration = quaternion.rotate(x[6:10], np.array([0.0, 0.0, self.force / self._mass]))
+        acceleration[2] -= GRAVITY
+        if self.on_ground and acceleration[2] <= 0.0:
+            x[2:6], x[6:10], x[10:13] = 0.0, quaternion.IDENTITY, 0.0
+            return
+        x[3:6] += acceleration * dt
+        x[0:3] += x[3:6] * dt
+
+
+@dataclass
+class Story:
+    """What happened in a flight, tick by tick."""
+
+    transitions: list[Transition] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
+    phases: list[Phase] = field(default_factory=list)
+    times: list[float] = field(default_factory=list)
+    states: list[NDArray[np.float64]] = field(default_factory=list)
+    errors: list[float] = field(default_factory=list)
+    decisions: list[Decision] = field(default_factory=list)
+    observations: list[tuple[ObservationRecord, Estimate | None]] = field(default_factory=list)
+
+    @property
+    def after(self) -> list[State]:
+        """States entered, in order."""
+        return [transition.after for transition in self.transitions]
+
+    @property
+    def raised(self) -> set[Event]:
+        """Events raised."""
+        return {change.event for change in self.changes if change.active}
+
+
+class Flight:
+    """Flyer and plant in lockstep; faults are planted by setting attributes between calls of `run`."""
+
+    def __init__(
+        self, vehicle: Vehicle, controller: Controller, reference: Motion, *, plan: Plan | None = None,
+        settings: FlyerSettings | None = None, effectiveness: float = 1.0,
+    ) -> None:  # fmt: skip
+        self.thrust_map = ThrustMap(vehicle.rotors.thrust_max, vehicle.rotors.thrust_curve, 0.0)
+        self.plant = RateControlledVehicle(vehicle, self.thrust_map, effectiveness)
+        self.flyer = Flyer(
+            vehicle,
+            controller,
+            Mission(vehicle, reference, plan or Plan()),
+            self.thrust_map,
+            settings or FlyerSettings(),
+        )
+        self.story = Story()
+        self.time = 100.0
+        self.tick = 0
+        self.connected, self.armed, self.mode = True, False, "HOLD"
+        self.grants: set[Request] = set(Request)
+        self.findings: dict[str, str] = {}
+        self.frozen = False  # no estimates arrive
+        self.offset = np.zeros(3)  # of the estimator's frame
+        self.reset = np.zeros(3)
+        self.engage, self.leave = True, ""
+        self._past: list[tuple[float, NDArray[np.float64]]] = []
+        self._estimate: Estimate | None = None
+        self._setpoint = (np.zeros(3), 0.0)
+
+    def run(self, seconds: float, until: Phase | State | None = None) -> Story:
+        """Fly on; ends early when a phase or state is reached."""
+        for _ in range(round(seconds / PERIOD)):
+            self._observe()
+            decision = self._tick()
+            self._grant(decision)
+            self._act(decision)
+            if until in (self.flyer.mission.phase, self.flyer.engagement.state):
+                break
+        return self.story
+
+    def _observe(self) -> None:
+        self._past.append((self.time, self.plant.state.copy()))
+        self._past = self._past[-20:]
+        if self.frozen:
+            return
+        taken, state = self._past[max(0, len(self._past) - 1 - round(AGE / PERIOD))]
+        state = state.copy()
+        state[0:3] += self.offset
+        self._estimate = Estimate(taken, self.time, state, 0, True, "ODOMETRY")
+
+    def _tick(self) -> Decision:
+        seen = ObservationRecord(
+            tick=self.tick,
+            time=self.time,
+            estimate_arrival=self._estimate.received if self._estimate else float("nan"),
+            connected=self.connected,
+            armed=self.armed,
+            offboard=self.mode == "OFFBOARD",
+            mode=self.mode,
+            landed=self.plant.on_ground,
+            findings=msgspec.json.encode(self.findings).decode() if self.findings else "",
+            reset_position=self.reset,
+            reset_yaw=0.0,
+            specific_force_z=self.plant.force / self.plant._mass,
+            engage=self.engage,
+            leave=self.leave,
+        )
+        self.engage, self.reset = False, np.zeros(3)
+        decision = self.flyer.step(seen, self._estimate)
+        self.flyer.prepare(self.time)
+        self._keep(seen, decision)
+        return decision
+
+    def _keep(self, seen: ObservationRecord, decision: Decision) -> None:
+        story, mission = self.story, self.flyer.mission
+        story.observations.append((seen, self._estimate))
+        story.decisions.append(decision)
+        story.transitions += decision.transitions
+        story.changes += decision.changes
+        story.times.append(self.time)
+        story.states.append(self.plant.state.copy())
+        if not story.phases or story.phases[-1] is not mission.phase:
+            story.phases.append(mission.phase)
+        if mission.phase is Phase.TRACK and (reference := self.flyer.reference_now(self.time)) is not None:
+            story.errors.append(float(np.linalg.norm(reference[0:3] - self.offset - self.plant.state[0:3])))
+
+    def _grant(self, decision: Decision) -> None:
+        for request in self.grants.intersection(decision.requests):
+            match request:
+                case Request.OFFBOARD:
+                    self.mode = "OFFBOARD"
+                case Request.LAND:
+                    self.mode = "LAND"
+                case Request.ARM:
+                    self.armed = True
+                case Request.DISARM:
+                    self.armed = False
+
+    def _act(self, decision: Decision) -> None:
+        if decision.rate_body is not None:
+            assert np.all(np.isfinite(decision.rate_body))
+            assert 0.0 <= decision.thrust <= 1.0
+            self._setpoint = (decision.rate_body, decision.thrust)
+        rate, thrust = self._setpoint if self.armed and self.mode == "OFFBOARD" else (np.zeros(3), 0.0)
+        self.plant.step(rate, thrust, PERIOD)
+        self.time += PERIOD
+        self.tick += 1
