@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from dynamics.frames import attitude_ned_frd
 from sitl_mock import reception, telemetry
 from sitl_mock.clock import VehicleClock
 from sitl_mock.commander import SEVERITY_NUMBER, Commander, Result
@@ -22,7 +21,7 @@ from sitl_mock.link import Link
 from sitl_mock.modes import Mode
 from sitl_mock.offboard import Rule
 from sitl_mock.parameters import Parameters
-from sitl_mock.snapshot import MotionEncoder, Setpoint, Snapshot, frd, motor_order, ned
+from sitl_mock.snapshot import MotionEncoder, Snapshot, Standing, motor_order, ned
 from sitl_mock.statustext import TextWriter
 from sitl_mock.streams import STEP, Role
 from sitl_mock.vehicle_interface import ControlSetpoint, Vehicle
@@ -193,44 +192,20 @@ class Autopilot:
 
     def snapshot(self, time: float) -> Snapshot:
         """What the streams say at a simulated time, s."""
-        vehicle, commander = self.vehicle, self.commander
-        estimate = self.estimate_fault.seen(vehicle.estimate)
-        imu, battery = vehicle.imu, vehicle.battery
-        return Snapshot(
-            now=self.clock.at(time),
-            estimate_time=self.clock.at(estimate.time),
-            epoch=self._epoch,
-            motion=self._encoder.encode(estimate),
-            reset_counter=self.estimate_fault.reset_counter,
-            child_frame=self._child_frame,
-            specific_force=frd(imu.specific_force_body),
-            gyro=frd(imu.rate_body),
-            imu_time=self.clock.at(imu.time),
-            rotor_speed=[float(vehicle.rotor_speed[index]) for index in self._order],
-            motor_signal=[float(vehicle.motor_signal[index]) for index in self._order],
-            voltage=battery.voltage,
-            current=battery.current,
-            remaining=battery.remaining,
-            setpoint=self._attitude_setpoint(),
-            target_position=self._target_position(),
-            home=ned(self._home),
+        commander = self.commander
+        standing = Standing(
             base_mode=commander.base_mode(),
             custom_mode=commander.mode.custom_mode,
             system_status=int(commander.system_status(time)),
-            vehicle_type=TYPE_OF_ROTORS.get(len(self._order), 2),
             landed_state=self._landed_state(),
             armable=commander.armed or commander.may_arm(time),
-            estimate_valid=not self.estimate_fault.invalid,
+            vehicle_type=TYPE_OF_ROTORS.get(len(self._order), 2),
+            child_frame=self._child_frame,
+            epoch=self._epoch,
+            home=ned(self._home),
+            flown=self._flown,
         )
-
-    def _attitude_setpoint(self) -> Setpoint | None:
-        flown = self._flown
-        if flown.kind not in ("rates", "attitude"):
-            return None
-        return Setpoint(attitude_ned_frd(flown.attitude).tolist(), frd(flown.rate_body), flown.thrust)
-
-    def _target_position(self) -> list[float] | None:
-        return ned(self._flown.position_world) if self._flown.kind == "hold" else None
+        return Snapshot(time, self.vehicle, self.clock, self.estimate_fault, self._encoder, self._order, standing)
 
     def _landed_state(self) -> int:
         if self.commander.landed:

@@ -7,15 +7,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from dynamics.frames import enu_from_ned
 from sitl_mock import telemetry
 from sitl_mock.commander import FORCE, Result
 from sitl_mock.dialect import AUTOPILOT_COMPONENT, Message, ProtocolVersion, mavlink
 from sitl_mock.modes import Mode, mode_from_command
 from sitl_mock.snapshot import ORIGIN_ALTITUDE, local_from_global
 from sitl_mock.vehicle_interface import ControlSetpoint
+from sitl_mock.wire_axes import enu_from_ned
 
 if TYPE_CHECKING:
     from sitl_mock.autopilot import Autopilot
@@ -102,7 +100,7 @@ def _reposition(autopilot: Autopilot, command: Command) -> Result:
     if result is Result.ACCEPTED and autopilot.commander.armed and math.isfinite(command.parameters[6]):
         north, east = local_from_global(command.parameters[4], command.parameters[5])
         target = enu_from_ned([north, east, ORIGIN_ALTITUDE - command.parameters[6]])
-        setpoint = ControlSetpoint("hold", position_world=np.asarray(target))
+        setpoint = ControlSetpoint("hold", position_world=target)
         autopilot.fly_to(autopilot.estimate_fault.meant(setpoint))
     return result
 
@@ -158,7 +156,7 @@ def _preflight_check(autopilot: Autopilot, command: Command) -> Result:
 
 def _reset_estimator(autopilot: Autopilot, command: Command) -> Result:
     numbers = [value if math.isfinite(value) else 0.0 for value in command.parameters[:4]]
-    autopilot.estimate_fault.reset(np.asarray(enu_from_ned(numbers[:3])), -numbers[3])
+    autopilot.estimate_fault.reset(enu_from_ned(numbers[:3]), -numbers[3])
     return Result.ACCEPTED
 
 

@@ -57,6 +57,7 @@ class Link:
         self._queue: list[_Queued] = []
         self._number = 0
         self._loop_end = -math.inf
+        self._answered = -math.inf
         self._gcs_heard = -math.inf
         self._flood_owed = 0.0
 
@@ -95,6 +96,11 @@ class Link:
         if len(self._queue) < LONGEST_QUEUE:
             self._number += 1
             heapq.heappush(self._queue, _Queued(time, self._number, message, frame))
+
+    def in_order(self, time: float) -> float:
+        """When an answer meant for a time leaves: never before the answer to an earlier command."""
+        self._answered = max(self._answered, time)
+        return self._answered
 
     def loop_time(self, time: float) -> float:
         """When the pass of the mavlink loop at a time puts its messages on the wire; passes never overtake."""

@@ -91,10 +91,10 @@ def _set_mode(autopilot: Autopilot, link: Link, time: float, message: Message) -
 
 def _acknowledge(autopilot: Autopilot, link: Link, time: float, message: Message, command: int, result: Result) -> None:
     asker = (message.get_srcSystem(), message.get_srcComponent())
-    at = time + autopilot.random.uniform(*ACK_DELAY)
+    at = link.in_order(time + autopilot.random.uniform(*ACK_DELAY))
     if autopilot.double_ack and command == mavlink.MAV_CMD_DO_SET_MODE:
         link.send(at, mavlink.MAVLink_command_ack_message(command, Result.ACCEPTED, 0, 0, *asker))
-        at += autopilot.random.uniform(*SECOND_ACK_DELAY)
+        at = link.in_order(at + autopilot.random.uniform(*SECOND_ACK_DELAY))
     link.send(at, mavlink.MAVLink_command_ack_message(command, result, 0, 0, *asker))
 
 

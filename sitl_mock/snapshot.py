@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from dynamics.frames import attitude_ned_frd, enu_from_ned, flu_from_frd
 from dynamics.quaternion import nearest_sign
-from sitl_mock.vehicle_interface import MotionState, Vector
+from sitl_mock.clock import VehicleClock
+from sitl_mock.estimate_fault import EstimateFault
+from sitl_mock.vehicle_interface import BatteryState, ControlSetpoint, MotionState, Vector, Vehicle
+from sitl_mock.wire_axes import attitude_ned_frd, enu_from_ned, flu_from_frd
 
 # where PX4's SITL puts its origin: near Zurich
 ORIGIN_LATITUDE, ORIGIN_LONGITUDE, ORIGIN_ALTITUDE = 47.3977428, 8.5455967, 489.0  # deg, deg, m above the sea
@@ -40,55 +43,6 @@ class Setpoint:
     thrust: float
 
 
-@dataclass(frozen=True, slots=True)
-class Snapshot:
-    """The state of the vehicle for one pass of the loop.
-
-    now, estimate_time: s of vehicle time, of the pass and of the estimate's validity. epoch: s, unix time at boot.
-    rotor_speed (rad/s), motor_signal (0..1): in PX4's motor order.
-    """
-
-    now: float
-    estimate_time: float
-    epoch: float
-    motion: Motion
-    reset_counter: int
-    child_frame: int
-    specific_force: list[float]
-    gyro: list[float]
-    imu_time: float
-    rotor_speed: list[float]
-    motor_signal: list[float]
-    voltage: float
-    current: float
-    remaining: float
-    setpoint: Setpoint | None
-    target_position: list[float] | None
-    home: list[float]
-    base_mode: int
-    custom_mode: int
-    system_status: int
-    vehicle_type: int
-    landed_state: int
-    armable: bool
-    estimate_valid: bool
-
-    @property
-    def boot_ms(self) -> int:
-        """The estimate's time as time_boot_ms."""
-        return int(self.estimate_time * 1e3) & 0xFFFFFFFF
-
-    @property
-    def estimate_us(self) -> int:
-        """The estimate's time in microseconds."""
-        return int(self.estimate_time * 1e6)
-
-    @property
-    def now_us(self) -> int:
-        """The time of the pass in microseconds."""
-        return int(self.now * 1e6)
-
-
 class MotionEncoder:
     """Turns estimates into the autopilot's axes, the quaternion's sign following on from the last one's."""
 
@@ -107,6 +61,103 @@ class MotionEncoder:
             frd(state.rate_body),
             _euler(*attitude.tolist()),
         )
+
+
+@dataclass(frozen=True, slots=True)
+class Standing:
+    """What the commander and the estimator's frame add to a snapshot; the times are s of vehicle time.
+
+    epoch: unix time at boot, s. home: (3,) m, NED. armable: arming would be allowed. flown: what is followed now.
+    """
+
+    base_mode: int
+    custom_mode: int
+    system_status: int
+    landed_state: int
+    armable: bool
+    vehicle_type: int
+    child_frame: int
+    epoch: float
+    home: list[float]
+    flown: ControlSetpoint
+
+
+class Snapshot:
+    """The state of the vehicle for one pass of the loop; what no message asks for is never worked out."""
+
+    def __init__(
+        self, time: float, vehicle: Vehicle, clock: VehicleClock, fault: EstimateFault, encoder: MotionEncoder,
+        order: list[int], standing: Standing,
+    ):  # fmt: skip
+        self.now = clock.at(time)
+        self.standing = standing
+        self.reset_counter = fault.reset_counter
+        self.estimate_valid = not fault.invalid
+        self._vehicle, self._clock, self._fault, self._encoder, self._order = vehicle, clock, fault, encoder, order
+
+    @cached_property
+    def _estimate(self) -> MotionState:
+        return self._fault.seen(self._vehicle.estimate)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """The estimate in the autopilot's axes."""
+        return self._encoder.encode(self._estimate)
+
+    @cached_property
+    def estimate_time(self) -> float:
+        """Vehicle time at which the estimate held, s."""
+        return self._clock.at(self._estimate.time)
+
+    @cached_property
+    def imu(self) -> tuple[int, list[float], list[float]]:
+        """Microseconds, specific force and rates in FRD."""
+        sample = self._vehicle.imu
+        return int(self._clock.at(sample.time) * 1e6), frd(sample.specific_force_body), frd(sample.rate_body)
+
+    @cached_property
+    def rotor_speed(self) -> list[float]:
+        """rad/s in PX4's motor order."""
+        return [float(speed) for speed in self._vehicle.rotor_speed[self._order]]
+
+    @cached_property
+    def motor_signal(self) -> list[float]:
+        """0..1 in PX4's motor order."""
+        return [float(signal) for signal in self._vehicle.motor_signal[self._order]]
+
+    @cached_property
+    def battery(self) -> BatteryState:
+        """The battery."""
+        return self._vehicle.battery
+
+    @cached_property
+    def setpoint(self) -> Setpoint | None:
+        """What the inner loops follow, none in a position mode."""
+        flown = self.standing.flown
+        if flown.kind not in ("rates", "attitude"):
+            return None
+        return Setpoint(attitude_ned_frd(flown.attitude).tolist(), frd(flown.rate_body), flown.thrust)
+
+    @cached_property
+    def target_position(self) -> list[float] | None:
+        """Where a position mode flies to, NED, m."""
+        flown = self.standing.flown
+        return ned(flown.position_world) if flown.kind == "hold" else None
+
+    @property
+    def boot_ms(self) -> int:
+        """The estimate's time as time_boot_ms."""
+        return int(self.estimate_time * 1e3) & 0xFFFFFFFF
+
+    @property
+    def estimate_us(self) -> int:
+        """The estimate's time in microseconds."""
+        return int(self.estimate_time * 1e6)
+
+    @property
+    def now_us(self) -> int:
+        """The time of the pass in microseconds."""
+        return int(self.now * 1e6)
 
 
 def ned(vector_enu: Vector) -> list[float]:

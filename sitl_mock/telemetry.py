@@ -34,7 +34,12 @@ RPM_PER_RADIAN = 60.0 / (2 * math.pi)
 def heartbeat(s: Snapshot) -> Message:
     """HEARTBEAT: type, mode, state."""
     return mavlink.MAVLink_heartbeat_message(
-        s.vehicle_type, AUTOPILOT_PX4, s.base_mode, s.custom_mode, s.system_status, 3
+        s.standing.vehicle_type,
+        AUTOPILOT_PX4,
+        s.standing.base_mode,
+        s.standing.custom_mode,
+        s.standing.system_status,
+        3,
     )
 
 
@@ -50,11 +55,13 @@ def attitude_quaternion(s: Snapshot) -> Message:
 
 def odometry(s: Snapshot) -> Message:
     """ODOMETRY; the velocity is NED or, with the option, body FRD, as child_frame_id says."""
-    velocity = _in_body(s.motion.attitude, s.motion.velocity) if s.child_frame == BODY_FRD else s.motion.velocity
+    velocity = (
+        _in_body(s.motion.attitude, s.motion.velocity) if s.standing.child_frame == BODY_FRD else s.motion.velocity
+    )
     return mavlink.MAVLink_odometry_message(
         s.estimate_us,
         LOCAL_NED,
-        s.child_frame,
+        s.standing.child_frame,
         *s.motion.position,
         s.motion.attitude,
         *velocity,
@@ -82,7 +89,7 @@ def local_position(s: Snapshot) -> Message:
 
 def global_position(s: Snapshot) -> Message:
     """GLOBAL_POSITION_INT: degrees, millimetres, centimetres per second."""
-    down, home_down = s.motion.position[2], s.home[2]
+    down, home_down = s.motion.position[2], s.standing.home[2]
     return mavlink.MAVLink_global_position_int_message(
         s.boot_ms,
         *latitude_longitude(s.motion.position),
@@ -111,17 +118,18 @@ def gps_raw(s: Snapshot) -> Message:
 
 def highres_imu(s: Snapshot) -> Message:
     """HIGHRES_IMU: specific force and rates in FRD, and the pressure at this height."""
+    time_usec, force, gyro = s.imu
     altitude = ORIGIN_ALTITUDE - s.motion.position[2]
     pressure = PRESSURE_AT_SEA * math.exp(-altitude / SCALE_HEIGHT)
     field = _in_body(s.motion.attitude, [0.21, 0.01, 0.43])  # gauss, north-east-down near the origin
     return mavlink.MAVLink_highres_imu_message(
-        int(s.imu_time * 1e6), *s.specific_force, *s.gyro, *field, pressure, 0.0, altitude, 15.0, 0x1FFF, 0
+        time_usec, *force, *gyro, *field, pressure, 0.0, altitude, 15.0, 0x1FFF, 0
     )
 
 
 def altitude(s: Snapshot) -> Message:
     """ALTITUDE: metres."""
-    down, home_down = s.motion.position[2], s.home[2]
+    down, home_down = s.motion.position[2], s.standing.home[2]
     above_sea, above_home = ORIGIN_ALTITUDE - down, home_down - down
     return mavlink.MAVLink_altitude_message(s.now_us, above_sea, above_sea, -down, above_home, 0.0, above_home)
 
@@ -138,7 +146,7 @@ def vfr_hud(s: Snapshot) -> Message:
 def servo_output_raw(s: Snapshot) -> Message:
     """SERVO_OUTPUT_RAW: pulse widths, us, in PX4's motor order; 900 while disarmed."""
     pulses = [PWM_MIN + round(PWM_RANGE * min(max(signal, 0.0), 1.0)) for signal in s.motor_signal]
-    pulses = pulses if s.base_mode & 128 else [DISARMED_PWM] * len(pulses)
+    pulses = pulses if s.standing.base_mode & 128 else [DISARMED_PWM] * len(pulses)
     pulses = [*pulses[:16], *[DISARMED_PWM] * (16 - len(pulses))]
     return mavlink.MAVLink_servo_output_raw_message(s.now_us & 0xFFFFFFFF, 0, *pulses)
 
@@ -152,9 +160,9 @@ def actuator_output_status(s: Snapshot) -> Message:
 def esc_status(s: Snapshot) -> list[Message]:
     """ESC_STATUS: rotor speeds in rpm in PX4's motor order, four rotors to a message."""
     rpm = [round(speed * RPM_PER_RADIAN) for speed in s.rotor_speed]
-    share = s.current / max(len(rpm), 1)
+    share = s.battery.current / max(len(rpm), 1)
     return [
-        EscStatus(first, s.now_us, rpm[first : first + 4], [s.voltage] * len(rpm[first : first + 4]),
+        EscStatus(first, s.now_us, rpm[first : first + 4], [s.battery.voltage] * len(rpm[first : first + 4]),
                   [share] * len(rpm[first : first + 4]))
         for first in range(0, len(rpm), 4)
     ]  # fmt: skip
@@ -188,36 +196,36 @@ def position_target(s: Snapshot) -> Message | None:
 def battery_status(s: Snapshot) -> Message:
     """BATTERY_STATUS: voltage in mV, current in cA, charge in %."""
     return mavlink.MAVLink_battery_status_message(
-        0, 1, 1, 32767, [_millivolts(s), *[NO_CELL] * 9], round(s.current * 100), -1, -1, _percent(s), 0, 1
+        0, 1, 1, 32767, [_millivolts(s), *[NO_CELL] * 9], round(s.battery.current * 100), -1, -1, _percent(s), 0, 1
     )
 
 
 def _millivolts(s: Snapshot) -> int:
-    return max(0, min(65534, round(s.voltage * 1e3)))
+    return max(0, min(65534, round(s.battery.voltage * 1e3)))
 
 
 def _percent(s: Snapshot) -> int:
-    return max(0, min(100, round(s.remaining * 100)))
+    return max(0, min(100, round(s.battery.remaining * 100)))
 
 
 def sys_status(s: Snapshot) -> Message:
     """SYS_STATUS: sensors' health and the battery; the pre-arm bit says whether arming would be allowed."""
     healthy = SENSORS if s.estimate_valid else SENSORS & ~1
-    healthy |= PREARM_CHECK if s.armable else 0
+    healthy |= PREARM_CHECK if s.standing.armable else 0
     enabled = SENSORS | PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
-        enabled, enabled, healthy, 140, _millivolts(s), round(s.current * 100), _percent(s), 0, 0, 0, 0, 0, 0
+        enabled, enabled, healthy, 140, _millivolts(s), round(s.battery.current * 100), _percent(s), 0, 0, 0, 0, 0, 0
     )
 
 
 def extended_sys_state(s: Snapshot) -> Message:
     """EXTENDED_SYS_STATE: on the ground, in the air, taking off or landing."""
-    return mavlink.MAVLink_extended_sys_state_message(0, s.landed_state)
+    return mavlink.MAVLink_extended_sys_state_message(0, s.standing.landed_state)
 
 
 def system_time(s: Snapshot) -> Message:
     """SYSTEM_TIME: unix time and time since boot."""
-    return mavlink.MAVLink_system_time_message(int((s.epoch + s.now) * 1e6), int(s.now * 1e3) & 0xFFFFFFFF)
+    return mavlink.MAVLink_system_time_message(int((s.standing.epoch + s.now) * 1e6), int(s.now * 1e3) & 0xFFFFFFFF)
 
 
 def estimator_status(s: Snapshot) -> Message:
@@ -228,10 +236,9 @@ def estimator_status(s: Snapshot) -> Message:
 
 def home_position(s: Snapshot) -> Message:
     """HOME_POSITION."""
-    return mavlink.MAVLink_home_position_message(
-        *latitude_longitude(s.home), round((ORIGIN_ALTITUDE - s.home[2]) * 1e3), *s.home, [1.0, 0.0, 0.0, 0.0],
-        0.0, 0.0, 0.0, s.now_us,
-    )  # fmt: skip
+    home = s.standing.home
+    altitude, level, approach = round((ORIGIN_ALTITUDE - home[2]) * 1e3), [1.0, 0.0, 0.0, 0.0], [0.0] * 3
+    return mavlink.MAVLink_home_position_message(*latitude_longitude(home), altitude, *home, level, *approach, s.now_us)
 
 
 def global_origin(s: Snapshot) -> Message:
