@@ -17,7 +17,7 @@ import msgspec
 from dynamics.errors import AlulaError, VehicleError
 from runtime.connection import Endpoint
 from runtime.dialect import Message, mavlink
-from runtime.estimate import Estimate
+from runtime.estimate import Estimate, ResetStep
 from runtime.framing import Frame, FrameParser
 from runtime.peer import Peer, Reaction
 from runtime.telemetry import LinkEvent, Severity, VehicleStatus
@@ -48,11 +48,13 @@ class Taps(msgspec.Struct, frozen=True):
     """Who else wants to see what passes; called from the link's and the sender's threads, must return quickly.
 
     frame: every raw frame with its direction and our monotonic time, s. message: every decoded message with its
-    time of arrival. reaction: what followed from each message of the vehicle. event: link events by name.
+    time of arrival. reset: what an estimator reset moved, told before the estimate after it is handed over. reaction:
+    what followed from each message of the vehicle. event: link events by name.
     """
 
     frame: Callable[[Direction, float, bytes], None] | None = None
     message: Callable[[Message, float], None] | None = None
+    reset: Callable[[ResetStep], None] | None = None
     reaction: Callable[[Reaction], None] | None = None
     event: Callable[[LinkEvent], None] | None = None
 
@@ -267,6 +269,8 @@ class Link:
 
     def _handle(self, frame: Frame, received: float, source: tuple[object, ...] | None) -> None:
         reaction = self.peer.handle(frame, received)
+        if reaction.reset is not None and self._taps.reset is not None:
+            self._taps.reset(reaction.reset)
         if reaction.estimate is not None:
             self._publish(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
