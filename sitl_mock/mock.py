@@ -49,11 +49,12 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     vehicle = read_vehicle(options.vehicle)
     scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
     named = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
-    tuning = default_tuning(vehicle)
+    hidden = (*scenario.hidden_effects(), *named)
+    tuning = default_tuning(vehicle, hidden)
     defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, "CA_ROTOR_COUNT": vehicle.rotors.count}
     simulated = SimulatedVehicle(
         vehicle,
-        effects=(*scenario.hidden_effects(), *named),
+        effects=hidden,
         options=scenario.vehicle_options(),
         tuning=tuning,
         seed=options.seed,

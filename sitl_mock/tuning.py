@@ -8,10 +8,11 @@ of motor and gyro filter, stay what they are on the SIH quadrotor.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.allocation import torque_authority
 from sitl_mock.vehicle_interface import Tuning
 
@@ -24,26 +25,30 @@ TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
 TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
+YAW_GAIN = 0.2  # a fifth of the yaw authority for 1 rad/s, PX4's default, where that is not too fast for the motors
 YAW_SPEED = 0.37  # yaw rate gain in units of 1 / (lag + torque filter)
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 
 
-def motor_time_constant(vehicle: Vehicle) -> float:
-    """Lag that the vehicle file names for its motors, s, or the default."""
-    named = [use.parameters.get("time_constant") for use in vehicle.effects if use.name == "motor_lag"]
-    return next((value for value in named if value is not None), DEFAULT_MOTOR_LAG)
+def motor_time_constant(effects: Sequence[EffectUse]) -> float:
+    """Lag that the last motor_lag among effects gives the motors, s, or the default."""
+    named = [use.parameters["time_constant"] for use in effects if use.name == "motor_lag" and use.parameters]
+    return named[-1] if named else DEFAULT_MOTOR_LAG
 
 
-def default_tuning(vehicle: Vehicle) -> Tuning:
-    """Parameters that a careful owner would set on this vehicle; PX4's defaults for `vehicles/px4_sih.toml`."""
-    motor = motor_time_constant(vehicle)
+def default_tuning(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Tuning:
+    """Parameters that a careful owner would set on this vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
+
+    hidden: effects that the vehicle file does not know. The owner tunes the real vehicle, slow motors included.
+    """
+    motor = motor_time_constant((*vehicle.effects, *hidden))
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
     lag = motor + math.sqrt(2) / (2 * math.pi * cutoff) + ACTUATION_DELAY
     torque = torque_authority(vehicle) / np.array(vehicle.body.inertia)
     authority = [float(value) for value in torque]  # rad/s^2 for a unit of torque
     speed = TILT_SPEED / lag
     tilt_p = (speed / authority[0], speed / authority[1])
-    yaw_p = 0.2  # a fifth of all yaw authority for 1 rad/s, PX4's default: yaw is weak, not slow
+    yaw_p = min(YAW_GAIN, 0.5 * speed / max(authority[2], 1e-3))
     yaw_filter = max(YAW_SPEED / max(yaw_p * authority[2], 1e-3) - lag, 0.01)
     attitude = min(ATTITUDE_SPEED * speed, ATTITUDE_GAIN_MAX)
     return Tuning(

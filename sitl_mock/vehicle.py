@@ -88,7 +88,7 @@ class SimulatedVehicle:
         self.land_detector = LandDetector()
         self._set_constants()
         self._set_state()
-        self.tuning = tuning or default_tuning(vehicle)
+        self.tuning = tuning or default_tuning(vehicle, effects)
         self._position_control = PositionControl(self.truth.position_world, self.tuning)
         self.tune(self.tuning)
 
@@ -135,12 +135,13 @@ class SimulatedVehicle:
     @property
     def estimate(self) -> MotionState:
         """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
-        return self._motion("estimate", min(round(self.options.sensors.delay / DT), self._step))
+        age = round(self.options.sensors.delay / DT)
+        return self._motion("estimate", min(age, self._step, len(self._loop.records) - 1))
 
     @property
     def imu(self) -> ImuSample:
         """The newest inertial measurement at the centre of mass, averaged as PX4's delta velocities and angles are."""
-        count = max(1, round(self.options.sensors.imu_average / DT))
+        count = min(max(1, round(self.options.sensors.imu_average / DT)), len(self._loop.records) - 1)
         newest, oldest = self._row(0), self._row(count)
         duration = count * DT
         velocity, angle = self._records["force_integral"], self._records["gyro_integral"]
@@ -240,7 +241,7 @@ class SimulatedVehicle:
         position = np.array([east, north, height]) + quaternion.rotate(attitude, centre)
         x = model.initial_state(np.concatenate([position, np.zeros(3), attitude, np.zeros(3)]))
         for item in model.effects:
-            if item.effect.rotor_speed is not None:
+            if "rotor_speed" in item.hidden:
                 x[item.hidden["rotor_speed"]] = 0.0
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
         state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}

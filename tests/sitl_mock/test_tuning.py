@@ -2,6 +2,7 @@ import dataclasses
 
 import pytest
 
+from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from sitl_mock.parameters import Parameters
 from sitl_mock.tuning import default_tuning, motor_time_constant, parameter_values
@@ -17,9 +18,15 @@ def test_px4s_defaults_come_out_on_px4s_quadrotor() -> None:
 
 def test_a_small_vehicle_with_fast_motors_gets_a_faster_loop() -> None:
     vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
-    assert motor_time_constant(vehicle) == 0.02
+    assert motor_time_constant(vehicle.effects) == 0.02
     assert default_tuning(vehicle).attitude_gain[0] > 1.5 * Tuning().attitude_gain[0]
     assert default_tuning(vehicle).hover_thrust == pytest.approx(vehicle.weight / vehicle.rotors.thrust_max)
+
+
+def test_slower_motors_than_the_file_knows_get_a_slower_loop() -> None:
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    slow = default_tuning(vehicle, [EffectUse("motor_lag", {"time_constant": 0.05})])
+    assert slow.rate_gain_p[0] < 0.6 * default_tuning(vehicle).rate_gain_p[0]
 
 
 def test_the_tuning_survives_the_parameter_table() -> None:

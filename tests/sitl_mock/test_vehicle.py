@@ -1,10 +1,11 @@
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from dynamics import quaternion
-from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+from dynamics.vehicle import GRAVITY, Body, EffectUse, Rotors, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from sitl_mock.sensors import SensorErrors
 from sitl_mock.vehicle import SimulatedVehicle, VehicleOptions
@@ -309,3 +310,28 @@ def test_armed_on_the_ground_in_hold_it_stays_there(small: SimulatedVehicle) -> 
     small.advance(ControlSetpoint("hold"), True, 3.0)
     assert small.on_ground
     np.testing.assert_allclose(small.motor_signal, 0)
+
+
+# vehicles of other sizes
+
+
+def crazyflie() -> Vehicle:
+    square = ((0.03, 0.03, 0.0), (-0.03, 0.03, 0.0), (-0.03, -0.03, 0.0), (0.03, -0.03, 0.0))
+    rotors = Rotors(square, (1, -1, 1, -1), 3.2e-8, 8e-10, 2400.0, thrust_curve=0.6)
+    lag = EffectUse("motor_lag", {"time_constant": 0.04})
+    return Vehicle("crazyflie", Body(0.03, (1.6e-5, 1.6e-5, 2.9e-5)), rotors, effects=(lag,))
+
+
+def hexacopter() -> Vehicle:
+    angles = np.radians(np.arange(30, 390, 60))
+    ring = tuple((0.3 * float(np.cos(a)), 0.3 * float(np.sin(a)), 0.02) for a in angles)
+    rotors = Rotors(ring, (1, -1, 1, -1, 1, -1), 1e-5, 2e-7, 800.0)
+    return Vehicle("hexacopter", Body(2.0, (0.04, 0.04, 0.07), (0.01, 0.0, -0.02)), rotors)
+
+
+@pytest.mark.parametrize("build", [crazyflie, hexacopter])
+def test_vehicles_of_other_sizes_fly_untouched(build: Callable[[], Vehicle]) -> None:
+    mock = SimulatedVehicle(build(), options=QUIET)
+    take_off(mock, duration=12.0)
+    np.testing.assert_allclose(mock.truth.position_world, [0, 0, 3], atol=0.05)
+    assert np.linalg.norm(mock.truth.rate_body) < 0.02
