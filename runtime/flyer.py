@@ -104,6 +104,18 @@ class Flyer:
         """Whether there is nothing left to fly: it was flown and given up, or refused."""
         return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.wanted
 
+    @property
+    def landed(self) -> bool:
+        """Whether the flight has ended on the ground, by our doing."""
+        return self.over and self.mission.phase is Phase.SHUTDOWN
+
+    @property
+    def horizon(self) -> tuple[Array, Array] | None:
+        """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
+        if not self._prepared:
+            return None
+        return self._controller.predicted_states, self._controller.predicted_inputs
+
     def step(self, seen: ObservationRecord, estimate: Estimate | None) -> Decision:
         """Decide what to send now. estimate: the newest believed one, the same object while there is no newer."""
         decision = Decision()

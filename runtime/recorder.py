@@ -170,6 +170,11 @@ class Recorder:
         failure = self._failure or self._mcap_file.failure or self._tlog.failure
         return failure or (f"{self.dropped} records dropped" if self.dropped else "")
 
+    @property
+    def still_writing(self) -> bool:
+        """Whether writing goes on."""
+        return not (self._failure or self._mcap_file.failure or self._tlog.failure)
+
     def put(self, record: Record, time_monotonic: float) -> None:
         """Hand a record to the writer; drops and counts it when the ring is full. Its arrays must not change later."""
         if len(self._ring) >= self._capacity:

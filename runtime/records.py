@@ -69,8 +69,7 @@ class TickRecord(msgspec.Struct, frozen=True):
     solver_status: int
     feedback_seconds: Seconds
     preparation_seconds: Seconds
-    departure_seconds: Annotated[float, Meta(description="s from the estimate's arrival to the setpoint's departure")]
-    late_by: Annotated[float, Meta(description="s behind the tick's due time, 0 in time")]
+    departure_seconds: Annotated[float, Meta(description="s from what set the tick off to the setpoint's departure")]
     late_cause: str
 
 
@@ -144,9 +143,10 @@ class ImuRecord(msgspec.Struct, frozen=True):
 
 
 class RotorRecord(msgspec.Struct, frozen=True):
-    """Rotor speeds the ESCs report, in the vehicle file's rotor order."""
+    """Rotor speeds the ESCs report, in the autopilot's motor order, from motor `first` on."""
 
     time: Seconds
+    first: int
     speed: Annotated[Array, Meta(description="rad/s")]
 
 

@@ -1,0 +1,293 @@
+"""The daemon: link, control thread, recorder and a supervisor that talks to the vehicle and to the user.
+
+The supervisor, in the caller's thread, does all that may take its time: it asks for rates, modes and arming, judges
+the slow things, tells the news, and turns SIGINT and SIGTERM into a landing.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from math import isnan
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import VehicleError
+from dynamics.vehicle import Vehicle
+from runtime import realtime
+from runtime.commands import Confirmation, request_rates, set_armed, set_mode
+from runtime.connection import Endpoint
+from runtime.control import ControlThread, News, Orders
+from runtime.controller import Controller, ControllerOptions
+from runtime.events import POLICIES, Change, Event, Severity
+from runtime.flyer import Flyer, FlyerSettings
+from runtime.link import Link, LinkSettings, Taps
+from runtime.mission import Mission, Motion, Plan
+from runtime.parameters import read_parameter
+from runtime.recorder import Recorder
+from runtime.records import ParameterRecord
+from runtime.state import Request, State, Transition
+from runtime.telemetry import VehicleStatus
+from runtime.thrust import ThrustMap
+from runtime.watch import Watch
+
+LEAST_RATE = 0.9  # of the rate of estimates that the flight wants
+HIGHEST_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200
+SUPERVISION_PERIOD = 0.1  # s
+READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
+LEAVING_PATIENCE = 60.0  # s from an order to land until streaming is stopped
+SLOW_STREAMS: Mapping[str, float] = {"EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 50.0}
+THRUST_CURVE = "THR_MDL_FAC"
+
+Announce = Callable[[str], None]
+
+
+class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How to fly. rate: Hz. record: folder for recordings. system: the vehicle's system id, None for the first heard.
+
+    timeout: s to wait for the vehicle. priority: of SCHED_FIFO, None for none. processor: to keep the control thread
+    on. metadata and attachments go into the recording: the command, versions, seeds, hashes; the vehicle file.
+    """
+
+    endpoint: Endpoint
+    rate: float = 100.0
+    plan: Plan = Plan()
+    settings: FlyerSettings = FlyerSettings()
+    record: Path | None = None
+    name: str = ""
+    system: int | None = None
+    timeout: float = 10.0
+    priority: int | None = None
+    processor: int | None = None
+    metadata: Mapping[str, str] = {}
+    attachments: Mapping[str, str] = {}
+
+
+class FlightReport(msgspec.Struct, frozen=True):
+    """What came of a flight. outcome: why it ended. landed: whether it ended on the ground, disarmed, by our doing.
+
+    tracking, timing: figures of runtime.tracking and runtime.timing, seconds and metres. start_up: s from the call to
+    the first setpoint.
+    """
+
+    outcome: str
+    landed: bool
+    landing_reason: str
+    recording: str | None
+    tracking: dict[str, object]
+    timing: dict[str, object]
+    estimate_rate: float
+    events: dict[str, int]
+    effectiveness: float
+    start_up: float
+
+
+class Daemon:
+    """One flight, from finding the vehicle to leaving it."""
+
+    def __init__(self, request: FlightRequest, vehicle: Vehicle, reference: Motion, announce: Announce) -> None:
+        """announce: takes one line of news, called from the thread that calls `fly`."""
+        self._request, self._vehicle, self._reference = request, vehicle, reference
+        self._announce = announce
+        self._began = time.monotonic()
+        self._orders = Orders()
+        self._left_at = float("inf")
+        self._refusal = ""
+        self._recorder: Recorder | None = None
+        self._watch = Watch()
+
+    def interrupt(self, name: str) -> None:
+        """Land, told by a signal's name; told again, stop streaming at once. Safe in a signal handler."""
+        if self._orders.leave:
+            self._orders.stop = True
+        self._orders.leave = self._orders.leave or name
+
+    def fly(self) -> FlightReport:
+        """Find the vehicle, fly, land. Raises VehicleError when it cannot be reached or engaged."""
+        request = self._request
+        with ExitStack() as stack:
+            if request.record is not None:
+                name = request.name or time.strftime("%Y%m%d-%H%M%S")
+                self._recorder = Recorder(
+                    request.record, name, metadata=self._metadata(), attachments=request.attachments
+                )
+                stack.callback(self._recorder.close)
+            self._watch = Watch(self._recorder)
+            watch = self._watch
+            taps = Taps(frame=watch.frame, reset=watch.reset, reaction=watch.reaction, event=watch.event)
+            link = stack.enter_context(Link(request.endpoint, LinkSettings(target_system=request.system), taps))
+            controller = Controller.build(self._vehicle, self._controller_options())  # while the link listens
+            status = link.wait_for_vehicle(request.timeout)
+            self._greet(status)
+            control = self._start(link, controller)
+            stack.callback(self._stop, control)
+            self._serve(link, control)
+            return self._report(link, control)
+
+    # --- before the flight
+
+    def _greet(self, status: VehicleStatus) -> None:
+        self._announce(f"vehicle {status.system}: {status.kind} with {status.autopilot}, mode {status.mode}")
+        if status.autopilot != "px4":
+            raise VehicleError(
+                f"The autopilot is {status.autopilot}; only PX4's modes and OFFBOARD rules are known here. "
+                "Nothing was sent."
+            )
+
+    def _controller_options(self) -> ControllerOptions:
+        return ControllerOptions(period=1.0 / self._request.rate)
+
+    def _metadata(self) -> dict[str, str]:
+        request = self._request
+        settings = {
+            "plan": msgspec.json.encode(request.plan).decode(),
+            "settings": msgspec.json.encode(self._settings()).decode(),
+            "controller": msgspec.json.encode(self._controller_options()).decode(),
+            "endpoint": str(request.endpoint),
+            "rate": repr(request.rate),
+        }
+        return {**settings, **request.metadata}
+
+    def _settings(self) -> FlyerSettings:
+        return msgspec.structs.replace(self._request.settings, period=1.0 / self._request.rate)
+
+    def _start(self, link: Link, controller: Controller) -> ControlThread:
+        request = self._request
+        realtime.prepare_interpreter()
+        if request.priority is not None and (refusal := realtime.lock_memory()):
+            self._announce(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+        asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, HIGHEST_ESTIMATE_RATE)}
+        request_rates(link, asked)
+        thrust_map = self._thrust_map(link)
+        mission = Mission(self._vehicle, self._reference, request.plan)
+        self._flyer = Flyer(self._vehicle, controller, mission, thrust_map, self._settings())
+        self._orders.slow_findings = self._slow_findings(link, time.monotonic())
+        control = ControlThread(
+            link, self._watch, self._flyer, self._orders, period=1.0 / request.rate, priority=request.priority,
+            processor=request.processor, recorder=self._recorder,
+        )  # fmt: skip
+        self._orders.engage = True
+        control.start()
+        threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()
+        return control
+
+    def _thrust_map(self, link: Link) -> ThrustMap:
+        rotors = self._vehicle.rotors
+        curve = read_parameter(link, THRUST_CURVE)
+        if curve.value is None:
+            self._announce(f"the vehicle does not tell {THRUST_CURVE} ({curve.error}); 0 is assumed")
+        factor = float(curve.value or 0.0)
+        if self._recorder is not None:
+            now = time.monotonic()
+            self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
+        return ThrustMap(rotors.thrust_max, rotors.thrust_curve, factor)
+
+    # --- during the flight
+
+    def _serve(self, link: Link, control: ControlThread) -> None:
+        """Supervise until the control thread is done."""
+        servant = threading.Thread(target=self._ask, args=(link, control), name="requests", daemon=True)
+        servant.start()
+        patience = time.monotonic() + READINESS_PATIENCE
+        while not control.join(SUPERVISION_PERIOD):
+            now = time.monotonic()
+            self._orders.slow_findings = self._slow_findings(link, now)
+            self._tell(link, control)
+            engagement = self._flyer.engagement
+            waiting = engagement.state in (State.DISCONNECTED, State.STANDBY) and engagement.wanted
+            if waiting and now > patience:
+                self._orders.leave = self._orders.leave or f"not engaged: {engagement.refusal or 'no estimate came'}"
+            if self._orders.leave:
+                self._left_at = min(self._left_at, now)
+            if now - self._left_at > LEAVING_PATIENCE:
+                self._announce(f"not landed within {LEAVING_PATIENCE:g} s, the autopilot's failsafe acts")
+                self._orders.stop = True
+        self._tell(link, control)
+
+    def _ask(self, link: Link, control: ControlThread) -> None:
+        """Pass the flight logic's requests on to the vehicle, one at a time, until the control thread is done."""
+        ask: Mapping[Request, Callable[[], Confirmation]] = {
+            Request.OFFBOARD: lambda: set_mode(link, "OFFBOARD", timeout=2.0),
+            Request.ARM: lambda: set_armed(link, True, timeout=2.0),
+            Request.DISARM: lambda: set_armed(link, False, timeout=2.0),
+            Request.LAND: lambda: set_mode(link, "LAND", timeout=2.0),
+        }
+        while True:
+            try:
+                request = control.requests.get(timeout=SUPERVISION_PERIOD)
+            except queue.Empty:
+                if control.join(0.0):
+                    return
+                continue
+            while not control.requests.empty():  # the newest one counts, the logic repeats what it still wants
+                request = control.requests.get()
+            answer = ask[request]()
+            self._refusal = "" if answer.confirmed else answer.reason
+
+    def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
+        found: dict[Event, str] = {}
+        rate, wanted = self._watch.estimate_rate(now), min(self._request.rate, HIGHEST_ESTIMATE_RATE)
+        if rate < LEAST_RATE * wanted:
+            found[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {wanted:.0f} Hz are wanted"
+        if not link.peer.clock.is_valid(now):
+            found[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"
+        if self._recorder is not None and self._recorder.trouble:
+            event = Event.RECORDER_OVERRUN if self._recorder.still_writing else Event.DISK_FULL
+            found[event] = self._recorder.trouble
+        return found
+
+    def _tell(self, link: Link, control: ControlThread) -> None:
+        while self._watch.news:
+            event = self._watch.news.popleft()
+            self._announce(f"link: {event.text}")
+        while self._watch.texts:
+            self._announce(f"vehicle: {self._watch.texts.popleft()}")
+        while not control.news.empty():
+            self._tell_news(link, control.news.get())
+
+    def _tell_news(self, link: Link, news: News) -> None:
+        match news:
+            case Transition():
+                self._announce(f"{news}" + (f" ({self._refusal})" if self._refusal else ""))
+                link.send_text(f"alula: {news.after.value}: {news.reason}", Severity.NOTICE)
+            case Change():
+                policy = POLICIES[news.event]
+                word = "" if news.active else "over: "
+                self._announce(f"{word}{news.text}")
+                if news.active and policy.severity <= Severity.NOTICE:
+                    link.send_text(f"alula: {news.text}", policy.severity)
+            case str():
+                self._announce(news)
+                link.send_text(f"alula: {news}", Severity.WARNING)
+
+    # --- after the flight
+
+    def _stop(self, control: ControlThread) -> None:
+        """No setpoint leaves after this, whatever ended the flight."""
+        self._orders.stop = True
+        control.join(1.0)
+
+    def _report(self, link: Link, control: ControlThread) -> FlightReport:
+        flyer, status = self._flyer, link.status
+        outcome = flyer.engagement.refusal or "stopped streaming at once"
+        if self._refusal and not flyer.landed:
+            outcome = f"{outcome}: {self._refusal}"
+        if status.armed:
+            outcome = f"{outcome} (the vehicle is armed, mode {status.mode}: the autopilot or the pilot has it)"
+        start_up = control.first_setpoint - self._began
+        return FlightReport(
+            outcome=outcome,
+            landed=flyer.landed and not status.armed,
+            landing_reason=flyer.mission.landing_reason,
+            recording=str(self._recorder.path) if self._recorder is not None else None,
+            tracking=control.tracking.report(),
+            timing=control.deadlines.report(),
+            estimate_rate=self._watch.estimate_rate(time.monotonic()),
+            events={event.value: count for event, count in flyer.events.counts.items() if count},
+            effectiveness=flyer.effectiveness.value,
+            start_up=-1.0 if isnan(start_up) else start_up,
+        )

@@ -1,0 +1,128 @@
+"""When a tick is due, whether it was late and whose doing that was. Pure: times are arguments, s."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+CAPACITY = 400_000  # ticks whose times are kept for the percentiles, more than half an hour at 200 Hz
+
+
+class Cause(Enum):
+    """Who is to blame for a late setpoint."""
+
+    NONE = ""
+    LINK = "link"  # no estimate came in time: the tick ran on the clock, in time, with an aged one
+    SCHEDULER = "scheduler"  # this thread was ready but did not get the processor
+    OURS = "ours"  # this thread was still, or too long, at work
+
+
+class TickTimes(msgspec.Struct, frozen=True):
+    """The instants of one tick. due: what set it off, an estimate's arrival or the clock. woken: the thread ran.
+
+    departed: the setpoint was sent. free: the previous tick's work was done. busy: processor time from woken to
+    departed. by_clock: no estimate came in time.
+    """
+
+    due: float
+    woken: float
+    departed: float
+    free: float
+    busy: float
+    by_clock: bool
+
+
+class Schedule:
+    """Sets ticks off: by the first estimate at or after half a period, at the latest after one and a half.
+
+    With estimates slower than the ticks are wanted, the clock does not wait beyond the period.
+    """
+
+    def __init__(self, period: float, *, estimates_keep_up: bool, start: float) -> None:
+        """period: s. estimates_keep_up: whether estimates come about as often as ticks are wanted."""
+        self.period = period
+        self._slack = 1.5 if estimates_keep_up else 1.0
+        self._last = start
+
+    @property
+    def latest(self) -> float:
+        """When the clock sets the next tick off."""
+        return self._last + self._slack * self.period
+
+    def wants(self, arrival: float) -> bool:
+        """Whether an estimate that arrived then sets a tick off."""
+        return arrival >= self._last + 0.5 * self.period
+
+    def ticked(self, due: float, now: float) -> None:
+        """A tick that was due is being flown now; what was missed meanwhile is left out."""
+        self._last = due if now - due < self.period else now
+
+
+class Deadlines:
+    """Latencies and missed deadlines. A setpoint is late when it departs more than half a period after it was due."""
+
+    def __init__(self, period: float) -> None:
+        self._period = period
+        self._latency = np.zeros(CAPACITY)
+        self._interval = np.zeros(CAPACITY)
+        self._answered = self._count = 0
+        self._last_departure = 0.0
+        self._recent = 0.0
+        self.ticks = 0
+        self.missed: dict[Cause, int] = {Cause.SCHEDULER: 0, Cause.OURS: 0}
+        self.by_clock = 0
+        self.worst: tuple[float, Cause] = (0.0, Cause.NONE)
+
+    @property
+    def recent_share(self) -> float:
+        """Share of late ticks, averaged over about the last 100."""
+        return self._recent
+
+    def add(self, times: TickTimes) -> Cause:
+        """Take a tick. Returns whose doing its lateness was; LINK for a tick in time without a fresh estimate."""
+        self._keep(times)
+        self.by_clock += times.by_clock
+        late = times.departed - times.due
+        missed = late > 0.5 * self._period
+        self._recent += 0.01 * (missed - self._recent)
+        if not missed:
+            return Cause.LINK if times.by_clock else Cause.NONE
+        ours = times.busy + max(times.free - times.due, 0.0)
+        cause = Cause.OURS if ours >= 0.5 * late else Cause.SCHEDULER
+        self.missed[cause] += 1
+        if late > self.worst[0]:
+            self.worst = (late, cause)
+        return cause
+
+    def _keep(self, times: TickTimes) -> None:
+        if not times.by_clock and self._answered < CAPACITY:
+            self._latency[self._answered] = times.departed - times.due
+            self._answered += 1
+        if self.ticks and self._count < CAPACITY:
+            self._interval[self._count] = times.departed - self._last_departure
+            self._count += 1
+        self._last_departure = times.departed
+        self.ticks += 1
+
+    def report(self) -> dict[str, object]:
+        """The figures of a flight: counts, and latency and interval percentiles in seconds."""
+        return {
+            "ticks": self.ticks,
+            "ticks_by_clock": self.by_clock,
+            "missed": {cause.value: count for cause, count in self.missed.items()},
+            "worst_late": self.worst[0],
+            "worst_cause": self.worst[1].value,
+            "latency": percentiles(self._latency[: self._answered]),
+            "interval": percentiles(self._interval[: self._count]),
+        }
+
+
+def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
+    """Median, 99th percentile and greatest of values (n,); NaN when there are none."""
+    if not values.size:
+        return dict.fromkeys(("median", "p99", "max"), float("nan"))
+    median, p99, greatest = (float(value) for value in np.percentile(values, [50, 99, 100]))
+    return {"median": median, "p99": p99, "max": greatest}
