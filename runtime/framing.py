@@ -58,11 +58,19 @@ class FrameParser:
 
     def feed(self, data: bytes) -> list[Frame]:
         """The frames completed by these bytes, oldest first."""
-        if self._pending and self._frame_at(bytearray(data), 0)[0] is not None:
+        frames: list[Frame] = []
+        if self._pending and self._starts_with_frame(data):
             # a whole frame at the start of a packet: what was pending was cut off and will never be completed
-            self.skipped_bytes += len(self._pending)
-            self._pending.clear()
+            frames = self._take(to_the_end=True)
         self._pending += data
+        return frames + self._take(to_the_end=False)
+
+    def _starts_with_frame(self, data: bytes) -> bool:
+        frame = self._frame_at(bytearray(data), 0)[0] if data else None
+        return frame is not None and frame.is_known
+
+    def _take(self, *, to_the_end: bool) -> list[Frame]:
+        """The frames among the pending bytes; to_the_end: one that is not complete counts as garbage."""
         frames: list[Frame] = []
         position, end = 0, len(self._pending)
         while position < end:
@@ -71,7 +79,8 @@ class FrameParser:
                 frames.append(frame)
                 self.frames += 1
                 self.unknown += not frame.is_known
-            elif used:
+            elif used or to_the_end:
+                used = used or 1
                 self.skipped_bytes += used
             else:
                 break

@@ -274,8 +274,10 @@ class Link:
         if reaction.estimate is not None:
             self._publish(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
-            self._found.set()
             self._transport.answer(source)
+            if not self._found.is_set():
+                self._found.set()
+                self._next_heartbeat = float("-inf")  # only now does anybody hear it
             for answer in reaction.answers:
                 self.send(answer)
             for listener in self._listeners:

@@ -139,6 +139,7 @@ class Peer:
 
     def _handle_heartbeat(self, message: Message, received: float, reaction: Reaction) -> None:
         before = self._status
+        reaction.texts += self._texts.expire(received)
         armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
         status = telemetry.enum_name("MAV_STATE", message.system_status, "MAV_STATE_")
         self._status = msgspec.structs.replace(before, armed=armed, system_status=status, last_heartbeat=received)
