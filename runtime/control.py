@@ -52,6 +52,7 @@ class Orders:
     engage: bool = False
     leave: str = ""
     stop: bool = False
+    estimates_keep_up: bool = True
     slow_findings: Mapping[Event, str] = field(default_factory=dict)
 
 
@@ -101,9 +102,9 @@ class ControlThread:
             for refusal in realtime.schedule_thread(self._priority, self._processor):
                 self.news.put(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
         start = self._free = time.monotonic()
-        keep_up = self._watch.estimate_rate(start) >= 0.9 / self._period
-        schedule = Schedule(self._period, estimates_keep_up=keep_up, start=start)
+        schedule = Schedule(self._period, start=start)
         while not self._orders.stop and not self._flyer.over:
+            schedule.estimates_keep_up = self._orders.estimates_keep_up
             due, by_clock = self._await(schedule)
             woken, busy = time.monotonic(), time.thread_time()
             schedule.ticked(due, woken)

@@ -231,6 +231,7 @@ class Daemon:
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
         found: dict[Event, str] = {}
         rate, wanted = self._watch.estimate_rate(now), min(self._request.rate, HIGHEST_ESTIMATE_RATE)
+        self._orders.estimates_keep_up = rate >= LEAST_RATE * self._request.rate
         if rate < LEAST_RATE * wanted:
             found[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {wanted:.0f} Hz are wanted"
         if not link.peer.clock.is_valid(now):

@@ -93,7 +93,9 @@ POLICIES: Mapping[Event, Policy] = {
     ),
     Event.SOLVER_FAILED: Policy("the solver failed", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05),
     Event.DEADLINES_MISSED: Policy("ticks come late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),
-    Event.CLOCK_UNCERTAIN: Policy("the vehicle's clock is not known well enough", Severity.WARNING, refuses=True),
+    Event.CLOCK_UNCERTAIN: Policy(
+        "the vehicle's clock is not known well enough", Severity.WARNING, clear_after=0.1, refuses=True
+    ),
     Event.CLOCK_BACKWARDS: Policy(
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
@@ -114,7 +116,7 @@ POLICIES: Mapping[Event, Policy] = {
     Event.MODEL_UNHEALTHY: Policy(
         "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
     ),
-    Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, onset=0.5, refuses=True),
+    Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.2, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),
     Event.RECORDER_OVERRUN: Policy("the recorder fell behind", Severity.WARNING),
     Event.DISK_FULL: Policy("recording ended, the flight goes on", Severity.ERROR, clear_after=NEVER),

@@ -7,14 +7,14 @@ feeds it from the link, the replay from a recording, and both get the same setpo
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf, isfinite, isnan
+from math import inf, isfinite, isnan, nan
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.vehicle import Vehicle
-from runtime.controller import Controller
+from runtime.controller import Command, Controller
 from runtime.estimate import Estimate
 from runtime.events import Change, Event, EventMonitor, Fallback
 from runtime.failsafe import Bounds, FallbackChain, LevelHold
@@ -84,6 +84,7 @@ class Flyer:
         self._nominal = nominal
         self._nominal_ready = False
         self._map = thrust_map
+        self._rate_limit = np.array(vehicle.limits.rate)
         self._chain = FallbackChain(settings.bounds)
         self._health = FlightHealth(vehicle, settings.health)
         self._hold = LevelHold(vehicle.weight)
@@ -93,6 +94,9 @@ class Flyer:
         self._hand_over: HandOver | None = None
         self._found: dict[Event, str] = {}
         self._estimate: Estimate | None = None
+        self._before: Estimate | None = None
+        self._force = nan
+        self._solution: tuple[float, Command, Controller] | None = None
         self._state: Array | None = None
         self._last: tuple[Array, float] = (ZERO_RATE, 0.0)
         self._asked_disarm = -inf
@@ -124,7 +128,7 @@ class Flyer:
             decision.changes += self.events.rearm(seen.time)
             self.engagement.engage()
         self._take_estimate(seen, estimate, fresh)
-        decision.changes += self.events.update(self._findings(seen, estimate, fresh), seen.time)
+        decision.changes += self.events.update(self._findings(seen, estimate), seen.time)
         decision.fallback = self._choose_fallback(seen.time)
         self._engage(seen, decision)
         if self.engagement.streaming:
@@ -138,6 +142,7 @@ class Flyer:
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._prepared = False
             return
+        self._learn(time)
         self.mission.update(self._state, time)
         window = self._window(self._controller, time)
         if time - self._solved > STALE_SOLUTION:
@@ -166,29 +171,34 @@ class Flyer:
     # --- what is known
 
     def _take_estimate(self, seen: ObservationRecord, estimate: Estimate | None, fresh: bool) -> None:
-        before, self._estimate = self._estimate, estimate
-        if seen.reset_yaw or np.any(seen.reset_position):
+        if seen.reset_yaw or seen.reset_position.any():
             self.mission.shift(seen.reset_position, seen.reset_yaw)
-        if estimate is None or not fresh:
-            return
-        self._state = estimate.state
-        self._hold.observe(estimate.attitude)
-        if not self.mission.airborne or not self.engagement.flying:
-            return
-        force = seen.specific_force_z
-        if isnan(force) and before is not None and estimate.time - before.time > 1e-3:
-            elapsed = estimate.time - before.time
-            force = specific_force_z(before.velocity_world, estimate.velocity_world, elapsed, estimate.attitude)
-        speed = float(np.linalg.norm(estimate.velocity_world))
-        self.effectiveness.measure(force, estimate.time, speed)
+        self._force = seen.specific_force_z
+        self._before, self._estimate = self._estimate, estimate
+        if estimate is not None and fresh:
+            self._state = estimate.state
+            self._hold.observe(estimate.attitude)
 
-    def _findings(self, seen: ObservationRecord, estimate: Estimate | None, fresh: bool) -> dict[Event, str]:
+    def _learn(self, time: float) -> None:
+        """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
+        if self._solution is not None:
+            self._shifted.keep(*self._solution)
+            self._solution = None
+        now, before = self._estimate, self._before
+        if now is None or now is before:
+            return
+        self._found |= self._health.flight(now.state, time)
+        force = self._force
+        if isnan(force) and before is not None and now.time - before.time > 1e-3:
+            elapsed = now.time - before.time
+            force = specific_force_z(before.velocity_world, now.velocity_world, elapsed, now.attitude)
+        self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
+
+    def _findings(self, seen: ObservationRecord, estimate: Estimate | None) -> dict[Event, str]:
         present, self._found = self._found, {}
         if seen.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(seen.findings).items()}
         present |= self._health.estimate_age(estimate.received if estimate is not None else None, seen.time)
-        if self.engagement.flying and self.mission.airborne and fresh and estimate is not None:
-            present |= self._health.flight(estimate.state, seen.time)
         if self.engagement.flying and self.mission.phase is not Phase.SHUTDOWN:
             if not seen.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
@@ -334,7 +344,7 @@ class Flyer:
             what = f"status {command.status}" if finite else "a solution that is not finite"
             self._found[Event.SOLVER_FAILED] = what
             return None
-        self._shifted.keep(time, command, controller)
+        self._solution = (time, command, controller)
         self._solved = time
         return command.rate_body, command.collective_thrust
 
@@ -355,8 +365,7 @@ class Flyer:
         if decision.rate_body is None or not self.engagement.streaming:
             decision.rate_body = None
             return
-        limit = self._vehicle.limits.rate
-        decision.rate_body = np.clip(decision.rate_body, [-rate for rate in limit], limit)
+        decision.rate_body = np.minimum(np.maximum(decision.rate_body, -self._rate_limit), self._rate_limit)
         decision.newtons = min(max(decision.newtons, 0.0), self._vehicle.thrust_limits[1])
         decision.thrust = self._map.setpoint(decision.newtons, self.effectiveness.value)
         self._last = (decision.rate_body, decision.newtons)

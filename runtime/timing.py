@@ -38,19 +38,19 @@ class TickTimes(msgspec.Struct, frozen=True):
 class Schedule:
     """Sets ticks off: by the first estimate at or after half a period, at the latest after one and a half.
 
-    With estimates slower than the ticks are wanted, the clock does not wait beyond the period.
+    While estimates come less often than ticks are wanted, the clock does not wait beyond the period.
     """
 
-    def __init__(self, period: float, *, estimates_keep_up: bool, start: float) -> None:
-        """period: s. estimates_keep_up: whether estimates come about as often as ticks are wanted."""
+    def __init__(self, period: float, *, start: float) -> None:
+        """period: s."""
         self.period = period
-        self._slack = 1.5 if estimates_keep_up else 1.0
+        self.estimates_keep_up = True
         self._last = start
 
     @property
     def latest(self) -> float:
         """When the clock sets the next tick off."""
-        return self._last + self._slack * self.period
+        return self._last + (1.5 if self.estimates_keep_up else 1.0) * self.period
 
     def wants(self, arrival: float) -> bool:
         """Whether an estimate that arrived then sets a tick off."""

@@ -28,12 +28,12 @@ def test_an_event_is_raised_once_and_cleared_once() -> None:
 
 def test_an_event_with_an_onset_ignores_a_short_spell() -> None:
     monitor = EventMonitor()
-    onset = POLICIES[Event.RATES_LOW].onset
-    assert monitor.update({Event.RATES_LOW: ""}, 0.0) == ()
+    onset = POLICIES[Event.THRUST_LIMIT].onset
+    assert monitor.update({Event.THRUST_LIMIT: ""}, 0.0) == ()
     assert monitor.update({}, onset / 2) == ()
-    assert monitor.update({Event.RATES_LOW: ""}, onset) == ()
-    assert monitor.update({Event.RATES_LOW: ""}, 2.1 * onset) != ()
-    assert monitor.refusal
+    assert monitor.update({Event.THRUST_LIMIT: ""}, onset) == ()
+    assert monitor.update({Event.THRUST_LIMIT: ""}, 2.1 * onset) != ()
+    assert Event.THRUST_LIMIT in monitor.active
 
 
 def test_a_latched_event_clears_only_by_engaging_anew() -> None:
