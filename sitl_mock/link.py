@@ -58,6 +58,7 @@ class Link:
         self._number = 0
         self._loop_end = -math.inf
         self._answered = -math.inf
+        self._listing_until = -math.inf
         self._gcs_heard = -math.inf
         self._flood_owed = 0.0
 
@@ -102,12 +103,24 @@ class Link:
         self._answered = max(self._answered, time)
         return self._answered
 
+    def may_list(self, time: float, duration: float) -> bool:
+        """Whether a list that takes a while may begin: not while another runs, or a flood of requests would win."""
+        if time < self._listing_until:
+            return False
+        self._listing_until = time + duration
+        return True
+
     def loop_time(self, time: float) -> float:
         """When the pass of the mavlink loop at a time puts its messages on the wire; passes never overtake."""
         if self.punctual:
             return time
         self._loop_end = max(self._loop_end, time + loop_delay(self._random))
         return self._loop_end
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait to leave."""
+        return len(self._queue)
 
     def next_departure(self) -> float:
         """When the next queued message leaves, infinity if none waits."""

@@ -104,7 +104,7 @@ def _name(message: Message) -> str:
 
 
 def _parameter_list(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
+    if _is_meant(autopilot, message) and link.may_list(time, len(autopilot.parameters) * LIST_SPACING):
         for index, name in enumerate(autopilot.parameters.names):
             link.send(time + index * LIST_SPACING, autopilot.parameters.value_message(name))
 

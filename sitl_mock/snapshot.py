@@ -131,12 +131,13 @@ class Snapshot:
         return self._vehicle.battery
 
     @cached_property
-    def setpoint(self) -> Setpoint | None:
-        """What the inner loops follow, none in a position mode."""
+    def setpoint(self) -> Setpoint:
+        """What the inner loops follow; in other modes, as nothing better is known, what the vehicle does."""
         flown = self.standing.flown
-        if flown.kind not in ("rates", "attitude"):
-            return None
-        return Setpoint(attitude_ned_frd(flown.attitude).tolist(), frd(flown.rate_body), flown.thrust)
+        if flown.kind in ("rates", "attitude"):
+            return Setpoint(attitude_ned_frd(flown.attitude).tolist(), frd(flown.rate_body), flown.thrust)
+        thrust = sum(self.motor_signal) / len(self.motor_signal)
+        return Setpoint(self.motion.attitude, [0.0, 0.0, 0.0], thrust)
 
     @cached_property
     def target_position(self) -> list[float] | None:

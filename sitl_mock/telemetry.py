@@ -137,7 +137,7 @@ def altitude(s: Snapshot) -> Message:
 def vfr_hud(s: Snapshot) -> Message:
     """VFR_HUD: what a pilot's display shows."""
     north, east, down = s.motion.velocity
-    throttle = round(100 * min(max(s.setpoint.thrust if s.setpoint else 0.0, 0.0), 1.0))
+    throttle = round(100 * min(max(s.setpoint.thrust, 0.0), 1.0))
     return mavlink.MAVLink_vfr_hud_message(
         math.nan, math.hypot(north, east), _heading(s) // 100, throttle, ORIGIN_ALTITUDE - s.motion.position[2], -down
     )
@@ -174,10 +174,8 @@ def esc_info(s: Snapshot) -> list[Message]:
     return [EscInfo(first, s.now_us, int(s.now) & 0xFFFF, count) for first in range(0, count, 4)]
 
 
-def attitude_target(s: Snapshot) -> Message | None:
-    """ATTITUDE_TARGET: what the inner loops follow; none while nothing is followed."""
-    if s.setpoint is None:
-        return None
+def attitude_target(s: Snapshot) -> Message:
+    """ATTITUDE_TARGET: what the inner loops follow."""
     return mavlink.MAVLink_attitude_target_message(
         s.boot_ms, 0, s.setpoint.attitude, *s.setpoint.rate, s.setpoint.thrust
     )

@@ -146,7 +146,7 @@ class Vehicle(Protocol):
 
     @property
     def on_ground(self) -> bool:
-        """Whether the ground carries the vehicle."""
+        """Whether the vehicle's land detector believes that it has landed."""
 
     def advance(self, setpoint: ControlSetpoint, armed: bool, duration: float) -> None:
         """Simulate a duration (s) under a setpoint; rotors stand still when not armed."""
