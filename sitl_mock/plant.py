@@ -24,6 +24,7 @@ from sitl_mock.tuning import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 
 DT = 0.001  # s
 ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
+CASCADE_STEPS = 4  # from attitude to rate control, which runs first in each of PX4's cycles of 4 ms
 
 
 @dataclass(frozen=True)
@@ -66,8 +67,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     n = model.input_count
     state = {
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
-        "unallocated": 3, "yaw_torque": 1, "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1,
-        "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
+        "turn_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1, "signal_queue": n * ACTUATION_STEPS,
+        "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -125,7 +126,7 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
         gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
     )  # fmt: skip
     limited = ca.fmin(ca.fmax(turn, -constants["rate_limit"]), constants["rate_limit"])
-    setpoint = ca.if_else(command["holds_attitude"], limited, command["rate"])
+    setpoint = ca.if_else(command["holds_attitude"], state["turn_queue"][-3:], command["rate"])
     setpoint = ca.if_else(command["axis_free"], state["rate"], setpoint)
     error = setpoint - state["rate"]
     torque = inner_loop.rate_control(error, setpoint, state["rate_acceleration"], state["integral"], constants)
@@ -138,7 +139,9 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
     signal = ca.if_else(command["armed"], allocation.signal_for_thrust(motors, constants["thrust_model_factor"]), 0)
     memory = {"integral": integral, "unallocated": demand[0:3] - given[0:3], "yaw_torque": yaw}
     after = {name: ca.if_else(command["armed"], value, 0) for name, value in memory.items()}
-    return after | {"signal_queue": ca.vertcat(signal, state["signal_queue"][:-count])}, signal
+    after["turn_queue"] = ca.vertcat(limited, state["turn_queue"][:-3])
+    after["signal_queue"] = ca.vertcat(signal, state["signal_queue"][:-count])
+    return after, signal
 
 
 def _points(constants: Values) -> Expression:

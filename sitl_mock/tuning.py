@@ -17,16 +17,16 @@ from sitl_mock.allocation import torque_authority
 from sitl_mock.vehicle_interface import Tuning
 
 DEFAULT_MOTOR_LAG = 0.02  # s, for a vehicle that names none
-ACTUATION_DELAY = 0.004  # from a gyro sample to the motors, s: PX4's control period in simulation
+ACTUATION_DELAY = 0.006  # from a gyro sample to the motors, s: PX4's cycle of 4 ms and half of the next one
 
-# SIH: authority 2.83 N m over 0.025 kg m^2 = 113; x 0.15 (P) x 59.6 ms (motor 50, 40 Hz gyro filter 5.6, actuation 4)
-TILT_SPEED = 1.012  # proportional rate gain in units of 1 / lag
+# SIH: authority 2.83 N m over 0.025 kg m^2 = 113; x 0.15 (P) x 61.6 ms (motor 50, 40 Hz gyro filter 5.6, actuation 6)
+TILT_SPEED = 1.046  # proportional rate gain in units of 1 / lag
 TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
 TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 YAW_GAIN = 0.2  # a fifth of the yaw authority for 1 rad/s, PX4's default, where that is not too fast for the motors
-YAW_SPEED = 0.37  # yaw rate gain in units of 1 / (lag + torque filter)
+YAW_SPEED = 0.3765  # yaw rate gain in units of 1 / (lag + torque filter)
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 
 

@@ -112,7 +112,7 @@ def test_rotors_follow_their_command_with_the_motor_lag(arpl_250g: Vehicle) -> N
     lag = EffectUse("motor_lag", {"time_constant": 0.1})
     mock = SimulatedVehicle(arpl_250g, effects=[lag], options=QUIET)
     setpoint = ControlSetpoint("rates", thrust=0.3)
-    mock.advance(setpoint, True, 0.104)  # 4 ms until the motors hear of it
+    mock.advance(setpoint, True, 0.106)  # 6 ms until the motors hear of it
     settled = 1741.3 * np.sqrt(0.3)
     np.testing.assert_allclose(mock.true_rotor_speed, settled * (1 - np.exp(-1)), rtol=0.02)
 

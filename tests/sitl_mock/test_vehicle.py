@@ -309,7 +309,7 @@ def test_a_crash_ends_on_the_ground_and_stays_finite(arpl_250g: Vehicle) -> None
 def test_armed_on_the_ground_in_hold_it_stays_there(small: SimulatedVehicle) -> None:
     small.advance(ControlSetpoint("hold"), True, 3.0)
     assert small.on_ground
-    np.testing.assert_allclose(small.motor_signal, 0)
+    np.testing.assert_allclose(small.motor_signal, 0, atol=1e-9)
 
 
 # vehicles of other sizes
