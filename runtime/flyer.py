@@ -188,6 +188,8 @@ class Flyer:
         if now is None or now is before:
             return
         self._found |= self._health.flight(now.state, time)
+        if self.mission.phase is Phase.TOUCHDOWN:
+            return  # the ground carries a part of the weight
         force = self._force
         if isnan(force) and before is not None and now.time - before.time > 1e-3:
             elapsed = now.time - before.time

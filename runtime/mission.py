@@ -118,14 +118,14 @@ class Descent:
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to fly besides the reference. height: m of take-off. duration: s of the reference, all of it when infinite.
+    """What to fly besides the reference. height: m of take-off. duration: s of the reference, None: all of it.
 
     speed, acceleration: of transfers, m/s and m/s^2. settle: s of hover before the reference. descent, touchdown:
     speeds of landing, m/s, the second from `low` m above the ground on.
     """
 
     height: float = 1.5
-    duration: float = math.inf
+    duration: float | None = None
     speed: float = 1.5
     acceleration: float = 2.0
     yaw_rate: float = 1.0
@@ -209,7 +209,7 @@ class Mission:
             case Phase.APPROACH:
                 self._tracked = True
                 self._enter(Phase.TRACK, self._reference, time)
-            case Phase.TRACK if self._plan.duration < self._reference.duration:
+            case Phase.TRACK if self._cut_short:
                 self._brake(state, time)
             case Phase.TRACK:
                 self._return(here, time)
@@ -246,11 +246,15 @@ class Mission:
         plain = {name: value.tolist() if isinstance(value, np.ndarray) else value for name, value in fields.items()}
         return json.dumps({name: value for name, value in plain.items() if value not in (None, math.inf)})
 
+    @property
+    def _cut_short(self) -> bool:
+        return self._plan.duration is not None and self._plan.duration < self._reference.duration
+
     def _length(self, state: Array) -> float:
         """How long the present phase lasts, s, hovering at its end included."""
         duration = self._motion.duration if self._motion else math.inf
         if self.phase is Phase.TRACK:
-            return min(duration, self._plan.duration)
+            return self._plan.duration if self._cut_short and self._plan.duration else duration
         if self.phase in (Phase.APPROACH, Phase.RETURN):
             return duration + self._plan.settle
         if self.phase is Phase.BRAKE and float(np.linalg.norm(state[3:6])) > STILL:

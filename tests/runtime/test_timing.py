@@ -1,0 +1,75 @@
+"""Ticks are set off by estimates or the clock, and whoever made one late is named."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from runtime.timing import Cause, Deadlines, Schedule, TickTimes, percentiles
+
+PERIOD = 0.01
+
+
+def test_the_first_estimate_after_half_a_period_sets_the_tick_off() -> None:
+    schedule = Schedule(PERIOD, start=1.0)
+    assert not schedule.wants(1.004)
+    assert schedule.wants(1.006)
+    assert schedule.latest == pytest.approx(1.015)
+
+
+def test_slow_estimates_do_not_slow_the_ticks() -> None:
+    schedule = Schedule(PERIOD, start=1.0)
+    schedule.estimates_keep_up = False
+    assert schedule.latest == pytest.approx(1.01)
+    ticks = 0
+    now = 1.0
+    while now < 2.0:
+        now = schedule.latest
+        schedule.ticked(now, now)
+        ticks += 1
+    assert ticks == pytest.approx(100, abs=1)
+
+
+def test_after_a_long_pause_what_was_missed_is_not_made_up_for() -> None:
+    schedule = Schedule(PERIOD, start=1.0)
+    schedule.ticked(1.015, 1.5)
+    assert schedule.latest == pytest.approx(1.515)
+
+
+def times(due: float, *, wait: float, work: float, free: float = 0.0, by_clock: bool = False) -> TickTimes:
+    return TickTimes(due, due + wait, due + wait + work, free, work, by_clock)
+
+
+def test_a_tick_in_time_is_nobody_s_fault() -> None:
+    deadlines = Deadlines(PERIOD)
+    assert deadlines.add(times(1.0, wait=0.0001, work=0.0004)) is Cause.NONE
+    assert deadlines.add(times(1.015, wait=0.0001, work=0.0004, by_clock=True)) is Cause.LINK
+    assert deadlines.report()["missed"] == {"scheduler": 0, "ours": 0}
+    assert deadlines.by_clock == 1
+
+
+def test_late_ticks_are_blamed_on_whoever_took_the_time() -> None:
+    deadlines = Deadlines(PERIOD)
+    assert deadlines.add(times(1.0, wait=0.008, work=0.0005)) is Cause.SCHEDULER
+    assert deadlines.add(times(2.0, wait=0.0001, work=0.009)) is Cause.OURS
+    # woken late because the previous tick's preparation was still running
+    assert deadlines.add(times(3.0, wait=0.008, work=0.0005, free=3.0079)) is Cause.OURS
+    # at work for long by the wall clock, but the processor was elsewhere
+    assert deadlines.add(TickTimes(4.0, 4.0001, 4.012, 0.0, 0.0005, False)) is Cause.SCHEDULER
+    report = deadlines.report()
+    assert report["missed"] == {"scheduler": 2, "ours": 2}
+    assert report["worst_cause"] == "scheduler"
+
+
+def test_latencies_count_from_the_estimate_s_arrival_only() -> None:
+    deadlines = Deadlines(PERIOD)
+    for tick in range(100):
+        deadlines.add(times(tick * PERIOD, wait=0.0002, work=0.0003))
+        deadlines.add(times(tick * PERIOD + 0.015, wait=0.004, work=0.0003, by_clock=True))
+    latency = deadlines.report()["latency"]
+    assert isinstance(latency, dict)
+    assert latency["max"] == pytest.approx(0.0005)
+
+
+def test_percentiles_of_nothing_are_not_a_number() -> None:
+    assert np.isnan(percentiles(np.zeros(0))["median"])
