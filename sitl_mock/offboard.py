@@ -14,12 +14,15 @@ import numpy as np
 
 from dynamics.quaternion import rotate, to_euler
 from sitl_mock.dialect import Message
+from sitl_mock.snapshot import ORIGIN_ALTITUDE, local_from_global
 from sitl_mock.vehicle_interface import ControlSetpoint, Vector
 from sitl_mock.wire_axes import attitude_enu_flu, enu_from_ned, flu_from_frd
 
 IGNORE_ROLL_RATE, IGNORE_PITCH_RATE, IGNORE_YAW_RATE = 1, 2, 4
 THRUST_BODY_SET, IGNORE_THROTTLE, IGNORE_ATTITUDE = 32, 64, 128
 LOCAL_NED, BODY_NED = 1, 8
+ABOVE_SEA = (0, 5)  # MAV_FRAME_GLOBAL and _GLOBAL_INT; the others count height from home, here the origin
+GLOBAL_FRAMES = (*ABOVE_SEA, 3, 6, 10, 11)
 FORCE_SET = 512
 
 Rule = Literal["documented", "measured"]
@@ -68,15 +71,23 @@ def position_target(message: Message, attitude: Vector) -> ControlSetpoint | Non
 
     attitude: (4,) the vehicle's now, body to world, for velocities given in BODY_NED.
     """
-    mask = message.type_mask
-    if message.coordinate_frame not in (LOCAL_NED, BODY_NED) or mask & FORCE_SET:
+    if message.coordinate_frame not in (LOCAL_NED, BODY_NED):
         return None
-    position = _masked((message.x, message.y, message.z), mask, 0)
+    return _position_setpoint(message, (message.x, message.y, message.z), message.coordinate_frame, attitude)
+
+
+def _position_setpoint(
+    message: Message, position_ned: tuple[float, float, float], frame: int, attitude: Vector
+) -> ControlSetpoint | None:
+    mask = message.type_mask
+    if mask & FORCE_SET:
+        return None
+    position = _masked(position_ned, mask, 0)
     velocity = _masked((message.vx, message.vy, message.vz), mask, 3)
     acceleration = _masked((message.afx, message.afy, message.afz), mask, 6)
     yaw = math.nan if mask & 1024 else math.pi / 2 - float(message.yaw)
     yaw_rate = math.nan if mask & 2048 else -float(message.yaw_rate)
-    if message.coordinate_frame == BODY_NED:
+    if frame == BODY_NED:
         position = np.full(3, math.nan)
         heading = to_euler(attitude)[2] / 2
         velocity_world = rotate(np.array([math.cos(heading), 0, 0, math.sin(heading)]), flu_from_frd(velocity))
@@ -87,6 +98,15 @@ def position_target(message: Message, attitude: Vector) -> ControlSetpoint | Non
     return ControlSetpoint(
         "hold", position_world=enu_from_ned(position), velocity_world=velocity_world, yaw=yaw, yaw_rate=yaw_rate
     )
+
+
+def global_position_target(message: Message) -> ControlSetpoint | None:
+    """The setpoint of a SET_POSITION_TARGET_GLOBAL_INT, None where PX4 refuses it."""
+    if message.coordinate_frame not in GLOBAL_FRAMES:
+        return None
+    north, east = local_from_global(message.lat_int, message.lon_int)
+    above_sea = message.alt + (0.0 if message.coordinate_frame in ABOVE_SEA else ORIGIN_ALTITUDE)
+    return _position_setpoint(message, (north, east, ORIGIN_ALTITUDE - above_sea), LOCAL_NED, np.zeros(4))
 
 
 def _masked(values: tuple[float, float, float], mask: int, shift: int) -> Vector:

@@ -10,7 +10,7 @@ from sitl_mock.commander import Result
 from sitl_mock.dialect import AUTOPILOT_COMPONENT, Message, mavlink
 from sitl_mock.link import Link
 from sitl_mock.modes import mode_from_custom
-from sitl_mock.offboard import attitude_target, position_target
+from sitl_mock.offboard import attitude_target, global_position_target, position_target
 
 if TYPE_CHECKING:
     from sitl_mock.autopilot import Autopilot
@@ -70,6 +70,13 @@ def _attitude_target(autopilot: Autopilot, _: Link, time: float, message: Messag
 def _position_target(autopilot: Autopilot, _: Link, time: float, message: Message) -> None:
     if _is_meant(autopilot, message):
         setpoint = position_target(message, autopilot.vehicle.estimate.attitude)
+        if setpoint is not None:
+            autopilot.commander.offboard.feed(time, autopilot.estimate_fault.meant(setpoint))
+
+
+def _global_position_target(autopilot: Autopilot, _: Link, time: float, message: Message) -> None:
+    if _is_meant(autopilot, message):
+        setpoint = global_position_target(message)
         if setpoint is not None:
             autopilot.commander.offboard.feed(time, autopilot.estimate_fault.meant(setpoint))
 
@@ -141,6 +148,7 @@ HANDLERS: dict[str, Callable[[Autopilot, Link, float, Message], None]] = {
     "PING": _ping,
     "SET_ATTITUDE_TARGET": _attitude_target,
     "SET_POSITION_TARGET_LOCAL_NED": _position_target,
+    "SET_POSITION_TARGET_GLOBAL_INT": _global_position_target,
     "COMMAND_LONG": _command,
     "COMMAND_INT": _command,
     "SET_MODE": _set_mode,

@@ -14,6 +14,7 @@ from sitl_mock.transport import Transport
 
 Pace = Literal["realtime", "lockstep"]
 CATCH_UP = 0.1  # s that a delayed process makes good; beyond it simulated time slips, as PX4's simulation does
+RECEPTION_TIME = 0.002  # s spent on what has arrived before the vehicle gets its turn again
 LOCKSTEP_PATIENCE = 0.05  # s without a setpoint after which lockstep lets time run by itself
 LOCKSTEP_STEPS = 25  # passes after which a setpoint's answer is given up: the client asked for no estimate
 
@@ -88,11 +89,14 @@ class Server:
         select.select(handles, [], [], max(0.0, (due - self._now()) / self._speed))
 
     def _receive(self) -> None:
+        limit = time.monotonic() + RECEPTION_TIME
         for wire in self.wires:
             for peer, data in wire.transport.receive():
                 # never ahead of the vehicle, whose state the answers describe, by more than one pass
                 now = max(self.autopilot.time, min(self._now(), self.autopilot.next_step))
                 self.autopilot.receive(wire.link, peer, data, now)
+                if time.monotonic() > limit:
+                    break  # a flood: what the socket cannot hold is lost, and the vehicle flies on
 
     def _send(self, now: float) -> None:
         for wire in self.wires:

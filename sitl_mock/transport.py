@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import select
 import socket
 import time
 from collections.abc import Hashable, Iterator
@@ -17,8 +18,7 @@ import serial
 
 from dynamics.errors import RequestError
 
-LARGEST_READ = 65536
-READS_PER_TURN = 64  # datagrams taken before the vehicle gets its turn again
+LARGEST_READ = 4096  # bytes; the rest of a larger datagram is lost, as in PX4
 PEER_MEMORY = 30.0  # s for which a UDP peer that has spoken is sent to
 MOST_PEERS = 8
 RETRY_AFTER = 0.5  # s between two attempts at a lost TCP connection or serial port
@@ -60,14 +60,14 @@ class UdpTransport:
         return [self._socket.fileno()]
 
     def receive(self) -> Iterator[tuple[Hashable, bytes]]:
-        """Datagrams with their senders' addresses; at most some per turn, so that a flood starves nobody."""
-        for _ in range(READS_PER_TURN):
+        """Datagrams with their senders' addresses."""
+        while True:
             try:
                 data, address = self._socket.recvfrom(LARGEST_READ)
             except BlockingIOError:
                 return
             except OSError:
-                continue  # a port unreachable that an earlier send brought back
+                continue  # "port unreachable", brought back by an earlier send
             self._note(address)
             yield address, data
 
@@ -145,6 +145,7 @@ class TcpClientTransport:
     def __init__(self, remote: tuple[str, int]):
         self._remote = _resolved(remote)
         self._socket: socket.socket | None = None
+        self._pending: socket.socket | None = None
         self._try_at = 0.0
 
     def filenos(self) -> list[int]:
@@ -153,15 +154,23 @@ class TcpClientTransport:
         return [self._socket.fileno()] if self._socket else []
 
     def _connect(self) -> None:
-        if self._socket is not None or time.monotonic() < self._try_at:
+        if self._socket is not None:
             return
-        self._try_at = time.monotonic() + RETRY_AFTER
-        try:
-            self._socket = socket.create_connection(self._remote, timeout=0.2)
-        except OSError:
+        if self._pending is None and time.monotonic() >= self._try_at:
+            self._try_at = time.monotonic() + RETRY_AFTER
+            self._pending = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+            self._pending.setblocking(False)
+            self._pending.connect_ex(self._remote)
+        if self._pending is not None and select.select([], [self._pending], [], 0)[1]:
+            self._take_pending(self._pending)
+
+    def _take_pending(self, pending: socket.socket) -> None:
+        self._pending = None
+        if pending.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
+            pending.close()
             return
-        self._socket.setblocking(False)
-        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        pending.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._socket = pending
 
     def receive(self) -> Iterator[tuple[Hashable, bytes]]:
         """Bytes from the remote end."""
@@ -180,9 +189,10 @@ class TcpClientTransport:
 
     def close(self) -> None:
         """Close the connection; it is tried again with the next turn."""
-        if self._socket is not None:
-            self._socket.close()
-            self._socket = None
+        for handle in (self._socket, self._pending):
+            if handle is not None:
+                handle.close()
+        self._socket = self._pending = None
 
 
 class SerialTransport:

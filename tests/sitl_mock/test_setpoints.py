@@ -9,7 +9,7 @@ import pytest
 
 from dynamics.quaternion import from_euler
 from sitl_mock.dialect import mavlink
-from sitl_mock.offboard import OffboardStream, attitude_target, position_target
+from sitl_mock.offboard import OffboardStream, attitude_target, global_position_target, position_target
 from sitl_mock.vehicle_interface import ControlSetpoint
 from tests.support.bench import OFFBOARD, Bench
 
@@ -129,6 +129,14 @@ def test_body_velocity_is_turned_by_the_heading() -> None:
 @pytest.mark.parametrize(("mask", "frame"), [(0b111111111111, 1), (0, 3), (512, 1)])
 def test_a_position_target_with_nothing_usable_is_no_signal(mask: int, frame: int) -> None:
     assert position(mask, frame) is None
+
+
+def test_global_positions_are_offboard_signals_too() -> None:
+    message = mavlink.MAVLink_set_position_target_global_int_message(
+        0, 1, 1, 5, 0b110111111000, 473977428, 85455967 + 1000, 499.0, *[0.0] * 8
+    )
+    setpoint = global_position_target(message)
+    assert setpoint.position_world == pytest.approx([7.527, 0.0, 10.0], abs=0.01)
 
 
 def test_the_documented_rule_wants_two_hertz_for_a_second() -> None:
