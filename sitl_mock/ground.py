@@ -44,16 +44,16 @@ def contact_acceleration(
 
     x: rigid-body state. points: (3, n) from the centre of mass, body FLU. mass_over_inertia: (3,) 1/m^2.
     """
-    attitude, rate = x[6:10], x[10:13]
+    rotation, rate = quaternion.rotation_matrix(x[6:10]), x[10:13]
     share = 2.0 / points.shape[1]  # half of the points touch in any rest position
-    linear, angular = ca.SX.zeros(3), ca.SX.zeros(3)
+    linear, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for i in range(points.shape[1]):
-        arm = quaternion.rotate(attitude, points[:, i])
-        velocity = x[3:6] + quaternion.rotate(attitude, ca.cross(rate, points[:, i]))
-        force = share * _point_force(ground_height - x[2] - arm[2], velocity)
+        depth = ground_height - x[2] - ca.dot(rotation[2, :].T, points[:, i])
+        velocity = x[3:6] + rotation @ ca.cross(rate, points[:, i])
+        force = share * _point_force(depth, velocity)
         linear = linear + force
-        angular = angular + mass_over_inertia * ca.cross(points[:, i], quaternion.rotate_inverse(attitude, force))
-    return linear, angular
+        moment = moment + ca.cross(points[:, i], rotation.T @ force)
+    return linear, mass_over_inertia * moment
 
 
 def _point_force(depth: Expression, velocity: Expression) -> Expression:

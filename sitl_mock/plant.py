@@ -144,24 +144,22 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
     return after, signal
 
 
-def _points(constants: Values) -> Expression:
-    feet = constants["feet"]
-    return ca.reshape(feet, 3, feet.shape[0] // 3)
-
-
 def _fly(
     model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values, noise: Expression
 ) -> Expression:
     white = noise / DT**0.5
+    push, turn = _contact(x, constants)  # held over the step: the ground is soft enough, and it is the dearest part
+    contact = ca.vertcat(ca.SX.zeros(3), push, ca.SX.zeros(4), turn, ca.SX.zeros(model.hidden_count))
 
     def field(state: Expression) -> Expression:
-        rate = model.derivative(state, speed, constants["model"], environment, white)
-        push, turn = ground.contact_acceleration(
-            state, _points(constants), constants["mass_over_inertia"], constants["ground_height"]
-        )
-        return rate + ca.vertcat(ca.SX.zeros(3), push, ca.SX.zeros(4), turn, ca.SX.zeros(model.hidden_count))
+        return model.derivative(state, speed, constants["model"], environment, white) + contact
 
     return with_unit_attitude(rk4(field, x, DT))
+
+
+def _contact(x: Expression, constants: Values) -> tuple[Expression, Expression]:
+    points = ca.reshape(constants["feet"], 3, constants["feet"].shape[0] // 3)
+    return ground.contact_acceleration(x, points, constants["mass_over_inertia"], constants["ground_height"])
 
 
 def _observe(
@@ -169,9 +167,7 @@ def _observe(
 ) -> dict[str, Expression]:
     """Specific force (ground included), rotor speeds and the ground's upward force per unit of mass."""
     force, _, rotor_speed = model.observe(x, speed, constants["model"], environment)
-    push, _ = ground.contact_acceleration(
-        x, _points(constants), constants["mass_over_inertia"], constants["ground_height"]
-    )
+    push, _ = _contact(x, constants)
     felt = force + quaternion.rotate_inverse(x[6:10], push)
     return {"specific_force": felt, "rotor_speed": rotor_speed, "ground_force": push[2]}
 
