@@ -1,7 +1,8 @@
 # make demo   fly the embedded mock, find its hidden effect, write the report
 # make test   the whole test suite
 # make lint   ruff, mypy, import-linter
-# make study  the slow measurements in benchmarks/, each of which writes its own table
+# make study  the slow measurements in benchmarks/, each of which writes its own table; -k goes on after a failure,
+#             and make benchmarks/NAME.py takes one measurement alone
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
 # make is needed beforehand.
 
@@ -9,8 +10,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 RECIPE := pyproject.toml constraints.txt
+STUDIES := $(filter-out %/provenance.py %_worker.py,$(wildcard benchmarks/*.py))
 
-.PHONY: demo test lint study clean
+.PHONY: demo test lint study clean $(STUDIES)
+.NOTPARALLEL:
 
 demo: .venv/workbench.stamp
 	$(BIN)/alula demo
@@ -24,8 +27,10 @@ lint: .venv/development.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-study: .venv/workbench.stamp
-	set -e; for script in benchmarks/*.py; do echo "== $$script"; $(BIN)/python $$script; done
+study: $(STUDIES)
+
+$(STUDIES): .venv/workbench.stamp
+	$(BIN)/python $@
 
 .venv/python.stamp:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Alula needs Python 3.11 or newer: make PYTHON=python3.12")'
