@@ -15,6 +15,7 @@ from typing import Literal, Self, TypeVar
 import msgspec
 
 from dynamics.errors import AlulaError, VehicleError
+from runtime import realtime
 from runtime.connection import Endpoint
 from runtime.dialect import Message, mavlink
 from runtime.estimate import Estimate, ResetStep
@@ -22,7 +23,7 @@ from runtime.framing import Frame, FrameParser
 from runtime.peer import Peer, Reaction
 from runtime.telemetry import LinkEvent, Severity, VehicleStatus
 from runtime.texts import text_messages
-from runtime.transport import Transport, TransportLostError, open_transport
+from runtime.transport import Address, Transport, TransportLostError, open_transport
 
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
@@ -30,6 +31,7 @@ Answer = TypeVar("Answer")
 _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128, PX4_FACTS: body rates and thrust count
 _STEP_ASIDE = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
+_LARGEST_BATCH = 32  # frames taken in before they are handled
 
 
 class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -42,6 +44,7 @@ class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     heartbeat_period: float = 1.0
     timesync_period: float = 0.1
     silence: float = 1.0  # without a message of the vehicle until it counts as silent
+    priority: int | None = None  # of SCHED_FIFO for the link's thread; no setpoint is earlier than its estimate
 
 
 class Taps(msgspec.Struct, frozen=True):
@@ -251,23 +254,38 @@ class Link:
     # --- the thread
 
     def _run(self) -> None:
+        if self.settings.priority is not None:
+            for refusal in realtime.schedule_thread(self.settings.priority):
+                self._tell(time.monotonic(), "realtime_unavailable", "warning", f"The link's thread: {refusal}.")
         while not self._stop.is_set():
             self._speak(time.monotonic())
             try:
-                received = self._transport.receive()
+                batch = self._receive()
             except TransportLostError as error:
                 self._tell(time.monotonic(), "link_lost", "error", str(error))
                 self._reopen()
                 continue
-            if received is None:
-                continue
-            for frame in self.parser.feed(received.data):
+            for frame, received, source in batch:
                 try:
-                    self._handle(frame, received.time, received.source)
+                    self._handle(frame, received, source)
                 except Exception as error:  # a defect of ours must not take the link down in flight
-                    self._tell(received.time, "link_defect", "error", f"Handling a message failed: {error!r}")
+                    self._tell(received, "link_defect", "error", f"Handling a message failed: {error!r}")
 
-    def _handle(self, frame: Frame, received: float, source: tuple[object, ...] | None) -> None:
+    def _receive(self) -> list[tuple[Frame, float, Address | None]]:
+        """What has arrived, state estimates first: autopilots send in bursts, and the rest can wait."""
+        batch: list[tuple[Frame, float, Address | None]] = []
+        received = self._transport.receive()
+        while received is not None and len(batch) < _LARGEST_BATCH:
+            batch += [(frame, received.time, received.source) for frame in self.parser.feed(received.data)]
+            try:
+                received = self._transport.receive(wait=False)
+            except TransportLostError:
+                break  # what came before the end counts; the next call finds the end again
+        if len(batch) > 1:
+            batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
+        return batch
+
+    def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
         reaction = self.peer.handle(frame, received)
         if reaction.reset is not None and self._taps.reset is not None:
             self._taps.reset(reaction.reset)

@@ -45,8 +45,8 @@ class TransportLostError(VehicleError):
 class Transport(Protocol):
     """What a link needs of UDP, TCP and serial lines."""
 
-    def receive(self) -> Received | None:
-        """The next bytes, or None after PATIENCE. Raises TransportLostError when the other end is gone."""
+    def receive(self, *, wait: bool = True) -> Received | None:
+        """The next bytes, or None after PATIENCE, or at once. Raises TransportLostError when the other end is gone."""
 
     def send(self, data: bytes) -> bool:
         """Hands bytes to the kernel without waiting; False when it did not take them all."""
@@ -100,10 +100,12 @@ class UdpTransport:
         """The local port."""
         return int(self._socket.getsockname()[1])
 
-    def receive(self) -> Received | None:
+    def receive(self, *, wait: bool = True) -> Received | None:
         """The next datagram, or None after PATIENCE or when only an ICMP error came."""
         try:
-            length, ancillary, _, source = self._socket.recvmsg_into(self._buffers, 64)
+            length, ancillary, _, source = self._socket.recvmsg_into(
+                self._buffers, 64, 0 if wait else socket.MSG_DONTWAIT
+            )
         except BlockingIOError:
             return None
         except OSError as error:
@@ -158,12 +160,12 @@ class TcpTransport:
         stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._stream = stream
 
-    def receive(self) -> Received | None:
+    def receive(self, *, wait: bool = True) -> Received | None:
         """The next bytes of the stream, or None after PATIENCE or while nobody is connected."""
         source = self._stream or self._listener
         if source is None:
             raise TransportLostError("The TCP connection is closed.")
-        if not _readable(source.fileno()).poll(PATIENCE * 1e3):
+        if not _readable(source.fileno()).poll(PATIENCE * 1e3 if wait else 0):
             return None
         if self._stream is None:
             self._accept()
@@ -217,9 +219,9 @@ class SerialTransport:
         self._device, self._descriptor = endpoint.device, int(self._port.fileno())
         self._poll = _readable(self._descriptor)
 
-    def receive(self) -> Received | None:
+    def receive(self, *, wait: bool = True) -> Received | None:
         """The bytes that have arrived, or None after PATIENCE. Raises TransportLostError once unplugged."""
-        events = self._poll.poll(PATIENCE * 1e3)
+        events = self._poll.poll(PATIENCE * 1e3 if wait else 0)
         if not events:
             return None
         try:

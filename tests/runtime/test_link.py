@@ -201,8 +201,10 @@ def test_a_flood_of_garbage_stops_nothing(link: Link, vehicle: FakeVehicle, even
         vehicle.send_bytes(source.randbytes(source.randrange(1, 300)))
         vehicle.send_bytes(bytes(heartbeat[: source.randrange(1, len(heartbeat))]))
     wait_until(lambda: link.parser.skipped_bytes > 1000)
-    vehicle.send_odometry(x=2.0)
-    estimate = link.wait_for_estimate(None, time.monotonic() + 5.0)
+    estimate, deadline = None, time.monotonic() + 5.0
+    while estimate is None and time.monotonic() < deadline:  # the flood may still fill the kernel's buffer
+        vehicle.send_odometry(x=2.0)
+        estimate = link.wait_for_estimate(None, time.monotonic() + 0.1)
     assert estimate is not None
     assert estimate.position_world[1] == pytest.approx(2.0)
     assert "link_defect" not in {event.name for event in events}
