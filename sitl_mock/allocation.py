@@ -72,7 +72,7 @@ def _desaturation_gain(motors: Expression, direction: Expression, upper: float) 
     for i in range(motors.shape[0]):
         excess = ca.fmin(ca.fmax(motors[i], 0), upper) - motors[i]
         usable = ca.fabs(direction[i]) > 1e-7
-        gain = ca.if_else(usable, excess / ca.if_else(usable, direction[i], 1), 0)
+        gain = excess * ca.if_else(usable, 1 / ca.if_else(usable, direction[i], 1), 0)  # one division for all calls
         smallest, largest = ca.fmin(smallest, gain), ca.fmax(largest, gain)
     return smallest + largest
 
