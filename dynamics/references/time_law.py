@@ -67,10 +67,7 @@ def travel(curve: NDArray[np.float64], phase: NDArray[np.float64]) -> NDArray[np
             c1 * first,
             c2 * first**2 + c1 * second,
             c3 * first**3 + 3 * c2 * first * second + c1 * third,
-            c4 * first**4
-            + 6 * c3 * first**2 * second
-            + c2 * (3 * second**2 + 4 * first * third)
-            + c1 * fourth,
+            c4 * first**4 + 6 * c3 * first**2 * second + c2 * (3 * second**2 + 4 * first * third) + c1 * fourth,
         ],
         axis=1,
     )

@@ -1,0 +1,11 @@
+"""References: smooth motions from hover to hover that a vehicle is asked to follow."""
+
+from dynamics.references.catalogue import MANOEUVRES, Shape, make_reference, named_reference
+from dynamics.references.feasibility import Feasibility, check_feasibility
+from dynamics.references.manoeuvres import PAPER, PLAIN
+from dynamics.references.reference import Reference
+
+__all__ = [
+    "MANOEUVRES", "PAPER", "PLAIN", "Feasibility", "Reference", "Shape", "check_feasibility", "make_reference",
+    "named_reference",
+]  # fmt: skip

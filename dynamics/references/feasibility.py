@@ -1,0 +1,128 @@
+"""Whether a vehicle can fly a reference, and if not, what is in the way, when, and how much slower it would do."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from dynamics.errors import RequestError
+from dynamics.references.flatness import ReferenceSamples
+from dynamics.references.reference import Reference
+from dynamics.vehicle import Vehicle
+
+MARGIN = 0.05  # of the rotors' thrust range that control keeps to itself at either end
+STEP = 0.01  # s between the instants looked at
+BISECTIONS = 12
+
+
+@dataclass(frozen=True)
+class Excess:
+    """A limit that a reference does not keep. time: s of the worst instant. value, limit: in unit."""
+
+    quantity: str
+    time: float
+    value: float
+    limit: float
+    unit: str
+
+    def __str__(self) -> str:
+        """What is exceeded, when, and by how much."""
+        word = "below" if self.value < self.limit else "above"
+        return f"{self.quantity} {self.value:.3g} {self.unit} at {self.time:.2f} s, {word} {self.limit:.3g} {self.unit}"
+
+
+@dataclass(frozen=True)
+class Feasibility:
+    """The verdict on one reference. excesses: the worst instant of every limit not kept."""
+
+    reference: str
+    excesses: tuple[Excess, ...]
+    feasible_speed: float | None
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether every limit is kept."""
+        return not self.excesses
+
+    def require(self) -> None:
+        """Raise a RequestError that says what is in the way and what would do."""
+        if self.is_feasible:
+            return
+        listed = "; ".join(map(str, self.excesses))
+        if self.feasible_speed is None:
+            advice = "slower does not help: change its place or shape"
+        else:
+            advice = f"at {self.feasible_speed:.2f} of its speed it would do (speed={self.feasible_speed:.2f})"
+        raise RequestError(f"the vehicle cannot fly {self.reference}: {listed}; {advice}.")
+
+
+def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float = 0.0) -> Feasibility:
+    """Look at a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
+    excesses = _excesses(_samples(reference), vehicle, ground)
+    slower = _feasible_speed(reference, vehicle, ground) if excesses else None
+    return Feasibility(reference.name, excesses, slower)
+
+
+def slowed(reference: Reference, speed: float) -> Reference:
+    """The same path at a factor of the speed, ramps stretched with it."""
+    law = replace(
+        reference.law, rate=reference.law.rate * speed, ramp=reference.law.ramp / speed,
+        duration=reference.law.duration / speed,
+    )  # fmt: skip
+    return replace(reference, law=law)
+
+
+def _samples(reference: Reference) -> ReferenceSamples:
+    return reference.sample(np.arange(0.0, reference.duration + STEP, STEP))
+
+
+def _feasible_speed(reference: Reference, vehicle: Vehicle, ground: float) -> float | None:
+    """The greatest factor of speed at which every limit is kept, None when it is below a twentieth."""
+
+    def fits(speed: float) -> bool:
+        return not _excesses(_samples(slowed(reference, speed)), vehicle, ground)
+
+    return _bisect(fits, 0.05, 1.0)
+
+
+def _bisect(fits: Callable[[float], bool], least: float, most: float) -> float | None:
+    if not fits(least):
+        return None
+    for _ in range(BISECTIONS):
+        middle = (least + most) / 2
+        least, most = (middle, most) if fits(middle) else (least, middle)
+    return int(100 * least) / 100
+
+
+def _excesses(motion: ReferenceSamples, vehicle: Vehicle, ground: float) -> tuple[Excess, ...]:
+    rotors, limits = vehicle.rotors, vehicle.limits
+    full = rotors.thrust_constant * rotors.speed_max**2
+    least = rotors.thrust_constant * rotors.speed_min**2
+    margin = MARGIN * (full - least)
+    thrust_least, thrust_most = vehicle.thrust_limits
+    rows = [
+        ("rotor thrust", motion.rotor_thrust, least + margin, full - margin, "N"),
+        ("collective thrust", motion.collective_thrust, thrust_least, thrust_most, "N"),
+        ("speed", np.linalg.norm(motion.velocity, axis=1), -np.inf, limits.speed, "m/s"),
+        ("height", motion.position[:, 2], ground, np.inf, "m"),
+    ]
+    for axis, rate, most in zip(("roll", "pitch", "yaw"), motion.rate_body.T, limits.rate, strict=True):
+        rows.append((f"{axis} rate", rate, -most, most, "rad/s"))
+    if limits.box is not None:
+        for axis, place, low, high in zip("xyz", motion.position.T, *limits.box, strict=True):
+            rows.append((f"position {axis}", place, low, high, "m"))
+    found = (_worst(motion.time, name, np.asarray(values), low, high, unit) for name, values, low, high, unit in rows)
+    return tuple(excess for excess in found if excess is not None)
+
+
+def _worst(time: np.ndarray, name: str, values: np.ndarray, low: float, high: float, unit: str) -> Excess | None:
+    """The instant at which values (n,) or (n, k) are furthest outside of low to high, if they are at all."""
+    values = values.reshape(len(time), -1)
+    beyond = np.maximum(values - high, low - values)
+    row, column = np.unravel_index(int(np.argmax(beyond)), beyond.shape)
+    if beyond[row, column] <= 1e-9:
+        return None
+    value = float(values[row, column])
+    return Excess(name, float(time[row]), value, high if value > high else low, unit)

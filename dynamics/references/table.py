@@ -1,0 +1,132 @@
+"""A user's own reference from a CSV table, as a smooth curve.
+
+Positions (and yaw) at given times are joined by polynomials of degree nine that agree with their neighbours in four
+derivatives: what body rates and rotor speeds need. The derivatives at the rows are estimated from the table itself
+where it does not give them.
+"""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.errors import RequestError
+from dynamics.references.curve import FLAT, ORDERS, PiecewisePolynomial
+from dynamics.references.reference import Reference
+from dynamics.references.time_law import TimeLaw
+from dynamics.vehicle import Vehicle
+
+Array = NDArray[np.float64]
+REQUIRED = ("t", "position_x", "position_y", "position_z")
+LEAST_ROWS = 5
+FASTEST = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
+_WANTED = "Wanted: a header with t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
+
+
+def read_table(path: Path, vehicle: Vehicle) -> Reference:
+    """The reference of a CSV file. Raises RequestError that names row and column where the table makes no sense."""
+    columns = _read_columns(path)
+    times = columns["t"]
+    _check(path, columns)
+    values = np.column_stack([columns["position_x"], columns["position_y"], columns["position_z"], _yaw(columns)])
+    curve = smooth_curve(times - times[0], values)
+    duration = float(times[-1] - times[0])
+    return Reference(path.name, curve, TimeLaw(1.0, 0.0, duration), vehicle)
+
+
+def smooth_curve(times: Array, values: Array) -> PiecewisePolynomial:
+    """Polynomials of degree nine through rows (n, 4) at times (n,), from rest to rest, smooth to the fourth order."""
+    derivatives = np.zeros((times.size, ORDERS, FLAT))
+    derivatives[:, 0] = values
+    for order in range(1, ORDERS):
+        derivatives[:, order] = np.gradient(derivatives[:, order - 1], times, axis=0)
+    derivatives[[0, -1], 1:] = 0.0
+    steps = np.diff(times)
+    return PiecewisePolynomial(
+        times, np.stack([_piece(derivatives[i], derivatives[i + 1], h) for i, h in enumerate(steps)])
+    )
+
+
+def _piece(start: Array, end: Array, duration: float) -> Array:
+    """Coefficients (10, 4) of the polynomial with given derivatives (5, 4) at both ends of a duration, s."""
+    scale = duration ** np.arange(ORDERS)[:, None]
+    start, end = start * scale, end * scale
+    low = start / np.array([math.factorial(order) for order in range(ORDERS)])[:, None]
+    powers = np.arange(2 * ORDERS)
+    falling = np.array([[math.perm(power, order) for power in powers] for order in range(ORDERS)], dtype=float)
+    high = np.linalg.solve(falling[:, ORDERS:], end - falling[:, :ORDERS] @ low)
+    return np.asarray(np.vstack([low, high]) / (duration**powers)[:, None])
+
+
+def _read_columns(path: Path) -> dict[str, Array]:
+    try:
+        with gzip.open(path, "rt") if path.suffix == ".gz" else path.open(encoding="utf-8", newline="") as file:
+            rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise RequestError(f"cannot read the reference {path}: {error}. Give a CSV file.") from error
+    if not rows:
+        raise RequestError(f"the reference {path} is empty. {_WANTED}.")
+    header = [name.strip() for name in rows[0]]
+    missing = [name for name in REQUIRED if name not in header]
+    if missing:
+        raise RequestError(
+            f"the reference {path} has no column {', '.join(missing)}; it has {', '.join(header)}. {_WANTED}."
+        )
+    twice = {name for name in header if header.count(name) > 1}
+    if twice:
+        raise RequestError(f"the reference {path} has the column {', '.join(sorted(twice))} twice. {_WANTED}.")
+    columns: dict[str, Array] = {name: np.empty(len(rows) - 1) for name in header}
+    for number, row in enumerate(rows[1:], start=2):
+        if len(row) != len(header):
+            raise RequestError(f"{path}, row {number}: {len(row)} values for {len(header)} columns.")
+        for name, text in zip(header, row, strict=True):
+            columns[name][number - 2] = _number(path, number, name, text)
+    return columns
+
+
+def _number(path: Path, row: int, column: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise RequestError(f"{path}, row {row}, column {column}: {text!r} is not a number.") from None
+    if not math.isfinite(value):
+        raise RequestError(f"{path}, row {row}, column {column}: {text} is not finite. Leave such rows out.")
+    return value
+
+
+def _check(path: Path, columns: dict[str, Array]) -> None:
+    times = columns["t"]
+    if times.size < LEAST_ROWS:
+        raise RequestError(f"the reference {path} has {times.size} rows, at least {LEAST_ROWS} are needed.")
+    steps = np.diff(times)
+    if np.any(steps <= 0):
+        row = int(np.argmax(steps <= 0)) + 3
+        raise RequestError(f"{path}, row {row}, column t: {times[row - 2]} s is not later than the row before it.")
+    position = np.column_stack([columns[f"position_{axis}"] for axis in "xyz"])
+    speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / steps
+    if np.any(speed > FASTEST):
+        row = int(np.argmax(speed > FASTEST)) + 3
+        raise RequestError(
+            f"{path}, row {row}: the position moves at {speed[row - 3]:.0f} m/s from the row before, more than "
+            f"{FASTEST:g} m/s. Give metres and seconds (not mm, not ms), without jumps."
+        )
+    yaw = columns.get("yaw")
+    if yaw is not None and np.any(np.abs(np.diff(yaw)) > np.pi) and np.abs(yaw).max() > 4 * np.pi:
+        raise RequestError(f"{path}, column yaw: values up to {np.abs(yaw).max():.0f} look like degrees. Give radians.")
+
+
+def _yaw(columns: dict[str, Array]) -> Array:
+    """Yaw along the table, unwrapped, rad."""
+    if "yaw" in columns:
+        return np.unwrap(columns["yaw"])
+    names = [f"attitude_{part}" for part in "wxyz"]
+    if all(name in columns for name in names):
+        attitude = np.column_stack([columns[name] for name in names])
+        return np.unwrap(quaternion.to_euler(attitude)[:, 2])
+    return np.zeros_like(columns["t"])
