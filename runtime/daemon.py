@@ -33,6 +33,8 @@ from runtime.records import ParameterRecord
 from runtime.state import Request, State, Transition
 from runtime.telemetry import VehicleStatus
 from runtime.thrust import ThrustMap
+from runtime.timing import TimingReport
+from runtime.tracking import TrackingReport
 from runtime.watch import Watch
 
 LEAST_RATE = 0.9  # of the rate of estimates that the flight wants
@@ -70,7 +72,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class FlightReport(msgspec.Struct, frozen=True):
     """What came of a flight. outcome: why it ended. landed: whether it ended on the ground, disarmed, by our doing.
 
-    tracking, timing: figures of runtime.tracking and runtime.timing, seconds and metres. start_up: s from the call to
+    start_up: s from the call to
     the first setpoint.
     """
 
@@ -78,8 +80,8 @@ class FlightReport(msgspec.Struct, frozen=True):
     landed: bool
     landing_reason: str
     recording: str | None
-    tracking: dict[str, object]
-    timing: dict[str, object]
+    tracking: TrackingReport
+    timing: TimingReport
     estimate_rate: float
     events: dict[str, int]
     effectiveness: float
@@ -119,7 +121,8 @@ class Daemon:
             self._watch = Watch(self._recorder)
             watch = self._watch
             taps = Taps(frame=watch.frame, reset=watch.reset, reaction=watch.reaction, event=watch.event)
-            link = stack.enter_context(Link(request.endpoint, LinkSettings(target_system=request.system), taps))
+            settings = LinkSettings(target_system=request.system, priority=request.priority)
+            link = stack.enter_context(Link(request.endpoint, settings, taps))
             controller = Controller.build(self._vehicle, self._controller_options())  # while the link listens
             status = link.wait_for_vehicle(request.timeout)
             self._greet(status)

@@ -16,6 +16,7 @@ class ShiftedSolution:
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._constant = vehicle.rotors.thrust_constant
+        self._since = 0.0
         self._times = np.zeros(0)
         self._rates = np.zeros((0, 3))
         self._thrusts = np.zeros(0)
@@ -24,14 +25,14 @@ class ShiftedSolution:
 
     def keep(self, time: float, command: Command, controller: Controller) -> None:
         """Remember a good solution of a tick at a time, s; copies what the solver will overwrite."""
-        self._times = controller.node_times(time)
+        self._since, self._times = time, controller.node_times(time)
         self._rates = controller.predicted_states[:, 10:13].copy()
         self._thrusts = self._constant * np.sum(controller.predicted_inputs**2, axis=1)
         self._rate, self._thrust = command.rate_body, command.collective_thrust
 
     def reaches(self, time: float) -> bool:
         """Whether the prediction covers a time, s."""
-        return self._times.size > 1 and self._times[0] <= time < self._times[-2]
+        return self._times.size > 1 and self._since <= time < self._times[-2]
 
     def at(self, time: float) -> tuple[Array, float]:
         """Rates (3,) rad/s and collective thrust, N, at a time: the last command plus what was predicted to change."""

@@ -186,7 +186,7 @@ class Engagement:
     def _streaming(self, facts: Facts, time: float) -> tuple[State, str] | None:
         if facts.refusal:
             return State.STANDBY, facts.refusal
-        if facts.fallback > Fallback.SHIFTED_SOLUTION:
+        if facts.fallback >= Fallback.LEVEL_HOLD:
             return State.STANDBY, facts.reason or facts.fallback.name.lower()
         streamed = time - self._entered
         if facts.offboard and facts.armed and streamed >= self._settings.stream_time:

@@ -2,14 +2,27 @@
 
 from __future__ import annotations
 
-from math import sqrt
+from math import nan, sqrt
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
 from runtime.estimate import Estimate
 from runtime.mission import Phase
+
+
+class TrackingReport(msgspec.Struct, frozen=True):
+    """Errors while a reference was tracked: position m (norm and world axes), velocity m/s, attitude rad."""
+
+    samples: int
+    position_rmse: float
+    position_rmse_axes: tuple[float, float, float]
+    position_max: float
+    velocity_rmse: float
+    attitude_rmse: float
+    speed_max: float
 
 
 class Tracking:
@@ -37,17 +50,16 @@ class Tracking:
         self._velocity += float(np.sum((estimate.velocity_world - reference[3:6]) ** 2))
         self._attitude += float(quaternion.angle_between(estimate.attitude, reference[6:10])) ** 2
 
-    def report(self) -> dict[str, object]:
-        """Root mean square errors: position m (norm and per axis), velocity m/s, attitude rad; NaN without samples."""
-        if not self.samples:
-            nothing = float("nan")
-            return {"samples": 0, "position_rmse": nothing, "position_max": nothing}
-        return {
-            "samples": self.samples,
-            "position_rmse": sqrt(float(np.sum(self._position)) / self.samples),
-            "position_rmse_axes": np.sqrt(self._position / self.samples).tolist(),
-            "position_max": self.greatest,
-            "velocity_rmse": sqrt(self._velocity / self.samples),
-            "attitude_rmse": sqrt(self._attitude / self.samples),
-            "speed_max": self.fastest,
-        }
+    def report(self) -> TrackingReport:
+        """Root mean square errors; all NaN without samples."""
+        count = self.samples or nan
+        axes = np.sqrt(self._position / count)
+        return TrackingReport(
+            samples=self.samples,
+            position_rmse=sqrt(float(np.sum(self._position)) / count),
+            position_rmse_axes=(float(axes[0]), float(axes[1]), float(axes[2])),
+            position_max=self.greatest,
+            velocity_rmse=sqrt(self._velocity / count),
+            attitude_rmse=sqrt(self._attitude / count),
+            speed_max=self.fastest,
+        )

@@ -1,0 +1,283 @@
+"""The daemon on a real link to the mock: it flies, and what goes wrong ends in a safe state with a clear message."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import functools
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamics.errors import VehicleError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import read_vehicle
+from runtime import daemon as daemon_module
+from runtime.connection import parse_endpoint
+from runtime.daemon import Daemon, FlightReport, FlightRequest
+from runtime.flyer import FlyerSettings
+from runtime.mission import Plan, Transfer
+from runtime.recorder import Recorder
+from runtime.recording import read_recording
+from runtime.replay import replay
+from runtime.state import Settings
+from tests.support.mock_process import free_port, mock_process
+from vehicles import FOLDER
+
+VEHICLE_FILE = FOLDER / "px4_sih.toml"
+PLAN = Plan(height=1.0, settle=0.3, speed=2.0, acceleration=3.0)
+
+
+@pytest.fixture(scope="module")
+def vehicle() -> Vehicle:
+    return read_vehicle(VEHICLE_FILE)
+
+
+def reference_of(vehicle: Vehicle) -> Transfer:
+    return Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
+
+
+class News(list[str]):
+    """What a daemon announced; calls what waits for a word of it."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting: dict[str, Callable[[], None]] = {}
+
+    def __call__(self, text: str) -> None:
+        self.append(text)
+        for word in [word for word in self.waiting if word in text]:
+            self.waiting.pop(word)()
+
+    def tells(self, word: str) -> bool:
+        return any(word in text for text in self)
+
+
+def request_for(url: str, **options: object) -> FlightRequest:
+    return FlightRequest(endpoint=parse_endpoint(url), plan=PLAN, **options)  # type: ignore[arg-type]
+
+
+def fly(vehicle: Vehicle, news: News, request: FlightRequest) -> FlightReport:
+    return Daemon(request, vehicle, reference_of(vehicle), news).fly()
+
+
+def scenario(folder: Path, *faults: str) -> list[str]:
+    path = folder / "scenario.toml"
+    path.write_text("\n".join(f"[[faults]]\n{fault}" for fault in faults))
+    return ["--scenario", str(path)]
+
+
+def test_it_flies_and_its_recording_replays_bit_for_bit(vehicle: Vehicle, tmp_path: Path) -> None:
+    news = News()
+    with mock_process(vehicle=VEHICLE_FILE) as mock:
+        report = fly(vehicle, news, request_for(mock.url, record=tmp_path, name="flight"))
+    assert report.landed, news
+    assert report.tracking.position_rmse < 0.1
+    assert report.timing.ticks > 500
+    assert 0 < report.start_up < 20
+    recording = read_recording(tmp_path / "flight.mcap")
+    assert recording.complete
+    assert {"/imu", "/battery", "/rotors", "/horizon", "/phase", "/parameter", "/pose"} <= set(recording.messages)
+    assert replay(recording, vehicle, reference_of(vehicle)).exact
+    tlog = (tmp_path / "flight.tlog").read_bytes()
+    sent = len(recording.messages["/setpoint"])
+    assert tlog.count(b"\xfd") > sent
+
+
+class SmallDisk:
+    """A raw file on a disk with room for 300 kB."""
+
+    def __init__(self, path: Path) -> None:
+        self._file = path.open("xb", buffering=0)
+        self._room = 300_000
+
+    def write(self, data: bytes) -> int:
+        if len(data) > self._room:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self._room -= len(data)
+        return self._file.write(data)
+
+    def truncate(self, size: int) -> None:
+        self._file.truncate(size)
+
+    def close(self) -> None:
+        self._file.close()
+
+
+def test_a_bad_day_is_flown_through_and_an_interrupt_lands(
+    vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(daemon_module, "Recorder", functools.partial(Recorder, opener=SmallDisk))
+    arguments = scenario(
+        tmp_path,
+        'kind = "estimate_nan"\nat = 2.0\nafter = "takeoff"\nduration = 0.12',
+        'kind = "estimator_reset"\nat = 3.0\nafter = "takeoff"\nshift = [1.0, -0.5, 0.2]\nyaw = 0.3',
+        'kind = "clock_jump"\nat = 4.5\nafter = "takeoff"\nseconds = -1.0',
+    )
+    news = News()
+    with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
+        request = request_for(mock.url, record=tmp_path, name="flight")
+        daemon = Daemon(request, vehicle, reference_of(vehicle), news)
+        interrupt = threading.Timer(6.0, lambda: daemon.interrupt("SIGINT"))
+        news.waiting["in_air"] = interrupt.start
+        report = daemon.fly()
+        interrupt.cancel()
+    assert report.landed, news
+    assert report.landing_reason == "SIGINT"
+    assert {"estimate_stale", "estimator_reset", "disk_full"} <= set(report.events)
+    assert news.tells("ran backwards"), news
+    assert news.tells("No space left"), news
+    assert len(read_recording(tmp_path / "flight.mcap").messages["/estimate"]) > 100
+
+
+def test_estimates_that_stop_end_in_silence_and_the_autopilot_s_failsafe(vehicle: Vehicle, tmp_path: Path) -> None:
+    arguments = scenario(tmp_path, 'kind = "estimate_stop"\nat = 1.0\nafter = "takeoff"')
+    news = News()
+    with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
+        report = fly(vehicle, news, request_for(mock.url))
+    assert not report.landed
+    assert "failsafe" in report.outcome
+    assert "armed" in report.outcome
+    assert news.tells("ENGAGED -> FALLBACK")
+
+
+def test_a_refused_mode_is_told_and_nothing_takes_off(vehicle: Vehicle, tmp_path: Path) -> None:
+    arguments = scenario(tmp_path, 'kind = "refuse_offboard"\nat = 0.0')
+    settings = FlyerSettings(engagement=Settings(patience=2.0))
+    news = News()
+    with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
+        report = fly(vehicle, news, request_for(mock.url, settings=settings))
+    assert not report.landed
+    assert "HEARTBEAT did not show OFFBOARD" in report.outcome
+    assert "rejected" in report.outcome
+
+
+def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(daemon_module, "READINESS_PATIENCE", 3.0)
+    arguments = scenario(tmp_path, 'kind = "packet_loss"\nat = 0.0\nprobability = 0.4')
+    news = News()
+    with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
+        report = fly(vehicle, news, request_for(mock.url))
+    assert not report.landed
+    assert "streams are too slow" in report.outcome
+    assert report.timing.latency["median"] != report.timing.latency["median"]  # no setpoint ever left
+
+
+SECOND = """
+import sys
+import numpy as np
+from dynamics.vehicle_file import read_vehicle
+from runtime.connection import parse_endpoint
+from runtime.daemon import Daemon, FlightRequest
+from runtime.mission import Transfer
+vehicle = read_vehicle(sys.argv[1])
+reference = Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
+request = FlightRequest(endpoint=parse_endpoint(sys.argv[2]))
+Daemon(request, vehicle, reference, lambda text: print(text, flush=True)).fly()
+"""
+
+
+def test_killed_in_the_air_and_restarted_it_holds_back(vehicle: Vehicle) -> None:
+    with mock_process("--param", "COM_OF_LOSS_T=20", vehicle=VEHICLE_FILE) as mock:
+        arguments = [sys.executable, "-c", SECOND, str(VEHICLE_FILE), mock.url]
+        with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as first:
+            assert first.stdout is not None
+            assert any("in_air" in line for line in first.stdout)
+            first.send_signal(signal.SIGKILL)
+        news = News()
+        report = fly(vehicle, news, request_for(mock.url))
+    # OFFBOARD is still on: one setpoint would have been obeyed
+    assert "already armed" in report.outcome
+    assert "--resume" in report.outcome
+    assert report.start_up < 0
+
+
+@contextlib.contextmanager
+def serial_cable() -> Iterator[tuple[str, str, Callable[[], None]]]:
+    """Two serial devices joined by a cable, and what unplugs the second one."""
+    ends = [os.openpty() for _ in range(2)]
+    for _, slave in ends:
+        tty.setraw(slave)
+    masters = [master for master, _ in ends]
+    stop = threading.Event()
+
+    def carry(source: int, sink: int) -> None:
+        while not stop.is_set():
+            try:
+                os.write(sink, os.read(source, 4096))
+            except OSError:
+                return
+
+    threads = [threading.Thread(target=carry, args=pair, daemon=True) for pair in (masters, masters[::-1])]
+    for thread in threads:
+        thread.start()
+
+    def unplug() -> None:
+        stop.set()
+        for descriptor in ends[1]:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+    try:
+        yield os.ttyname(ends[0][1]), os.ttyname(ends[1][1]), unplug
+    finally:
+        unplug()
+        for descriptor in ends[0]:
+            with contextlib.suppress(OSError):
+                os.close(descriptor)
+
+
+def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: Vehicle) -> None:
+    with serial_cable() as (far, near, unplug), mock_process("--link", f"serial:{far}:921600") as mock:
+        news = News()
+        news.waiting["in_air"] = unplug
+        report = fly(vehicle, news, request_for(f"serial:{near}:921600"))
+        assert mock.process.poll() is None
+    assert not report.landed
+    assert news.tells(near), news
+    assert "nothing arrives" in report.outcome or "failsafe" in report.outcome
+
+
+def test_a_link_that_never_speaks_is_told_with_what_to_check(vehicle: Vehicle) -> None:
+    with pytest.raises(VehicleError, match="Nobody spoke MAVLink"):
+        fly(vehicle, News(), request_for(f"udpin:127.0.0.1:{free_port()}", timeout=0.5))
+
+
+def test_a_wrong_system_id_is_told_with_the_ones_that_are_there(vehicle: Vehicle) -> None:
+    with mock_process(vehicle=VEHICLE_FILE) as mock, pytest.raises(VehicleError, match=r"system id 42.*Heard"):
+        fly(vehicle, News(), request_for(mock.url, system=42, timeout=3.0))
+
+
+def test_a_port_in_use_is_told(vehicle: Vehicle) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        with pytest.raises(VehicleError, match=str(port)):
+            fly(vehicle, News(), request_for(f"udpin:127.0.0.1:{port}", timeout=0.5))
+
+
+def test_a_second_interrupt_stops_streaming_at_once(vehicle: Vehicle) -> None:
+    news = News()
+    with mock_process(vehicle=VEHICLE_FILE) as mock:
+        daemon = Daemon(request_for(mock.url), vehicle, reference_of(vehicle), news)
+
+        def twice() -> None:
+            daemon.interrupt("SIGINT")
+            daemon.interrupt("SIGINT")
+
+        news.waiting["in_air"] = twice
+        began = time.monotonic()
+        report = daemon.fly()
+        assert time.monotonic() - began < 30.0
+    assert not report.landed
+    assert "at once" in report.outcome
