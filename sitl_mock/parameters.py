@@ -12,6 +12,8 @@ from sitl_mock.dialect import Message, mavlink
 from sitl_mock.parameter_table import FLOAT_DEFAULTS, INTEGER_DEFAULTS, LIMITS
 from sitl_mock.vehicle_interface import Tuning
 
+Asker = tuple[int, int]  # system and component
+
 INT32, REAL32 = 6, 9
 DOES_NOT_EXIST, OUT_OF_RANGE, TYPE_MISMATCH = 1, 2, 7
 HASH_NAME = "_HASH_CHECK"
@@ -111,35 +113,35 @@ class Parameters:
         wire = _float_of_bytes("<I", digest)
         return mavlink.MAVLink_param_value_message(HASH_NAME.encode(), wire, 5, len(self), NO_INDEX)
 
-    def read(self, name: str, index: int) -> Message:
+    def read(self, name: str, index: int, asker: Asker) -> Message:
         """The answer to PARAM_REQUEST_READ: by index, or by name where the index is -1."""
         if index >= 0:
             if index >= len(self):
-                return error_message("", index, DOES_NOT_EXIST)
+                return error_message(asker, "", index, DOES_NOT_EXIST)
             return self.value_message(self.names[index])
         if name == HASH_NAME:
             return self.hash_message()
         if name not in self._values:
-            return error_message(name, index, DOES_NOT_EXIST)
+            return error_message(asker, name, index, DOES_NOT_EXIST)
         return self.value_message(name)
 
-    def set(self, name: str, wire_value: float, kind: int) -> tuple[list[Message], bool]:
-        """The answers to PARAM_SET, and whether the value changed (then PX4 announces it a second time)."""
+    def set(self, name: str, wire_value: float, kind: int, asker: Asker) -> tuple[Message, bool]:
+        """The answer to PARAM_SET, and whether the value changed (then PX4 announces it a second time)."""
         if name not in self._values:
-            return [error_message(name, -1, DOES_NOT_EXIST)], False
+            return error_message(asker, name, -1, DOES_NOT_EXIST), False
         if kind != (INT32 if self.is_integer(name) else REAL32):
-            return [error_message(name, -1, TYPE_MISMATCH)], False
+            return error_message(asker, name, -1, TYPE_MISMATCH), False
         value = struct.unpack("<i", struct.pack("<f", wire_value))[0] if kind == INT32 else wire_value
         if not math.isfinite(value):
-            return [error_message(name, -1, OUT_OF_RANGE)], False
+            return error_message(asker, name, -1, OUT_OF_RANGE), False
         changed = self._values[name] != value
         self._values[name] = value
-        return [self.value_message(name)], changed
+        return self.value_message(name), changed
 
 
-def error_message(name: str, index: int, reason: int) -> Message:
-    """PARAM_ERROR about a parameter."""
-    return mavlink.MAVLink_param_error_message(0, 0, name.encode()[:16], index, reason)
+def error_message(asker: Asker, name: str, index: int, reason: int) -> Message:
+    """PARAM_ERROR about a parameter, to whoever asked."""
+    return mavlink.MAVLink_param_error_message(*asker, name.encode()[:16], index, reason)
 
 
 def _float_of_bytes(layout: str, value: float) -> float:

@@ -36,6 +36,10 @@ def _is_own(autopilot: Autopilot, message: Message) -> bool:
     return bool(message.get_srcSystem() == autopilot.system and message.get_srcComponent() == AUTOPILOT_COMPONENT)
 
 
+def _asker(message: Message) -> tuple[int, int]:
+    return message.get_srcSystem(), message.get_srcComponent()
+
+
 def _is_meant(autopilot: Autopilot, message: Message) -> bool:
     return message.target_system in (0, autopilot.system) and message.target_component in (0, AUTOPILOT_COMPONENT)
 
@@ -54,9 +58,7 @@ def _ping(autopilot: Autopilot, link: Link, time: float, message: Message) -> No
     if message.target_system == 0 and message.target_component == 0:
         link.send(
             time,
-            mavlink.MAVLink_ping_message(
-                message.time_usec, message.seq, message.get_srcSystem(), message.get_srcComponent()
-            ),
+            mavlink.MAVLink_ping_message(message.time_usec, message.seq, *_asker(message)),
         )
 
 
@@ -97,7 +99,7 @@ def _set_mode(autopilot: Autopilot, link: Link, time: float, message: Message) -
 
 
 def _acknowledge(autopilot: Autopilot, link: Link, time: float, message: Message, command: int, result: Result) -> None:
-    asker = (message.get_srcSystem(), message.get_srcComponent())
+    asker = _asker(message)
     at = link.in_order(time + autopilot.random.uniform(*ACK_DELAY))
     if autopilot.double_ack and command == mavlink.MAV_CMD_DO_SET_MODE:
         link.send(at, mavlink.MAVLink_command_ack_message(command, Result.ACCEPTED, 0, 0, *asker))
@@ -118,16 +120,15 @@ def _parameter_list(autopilot: Autopilot, link: Link, time: float, message: Mess
 
 def _parameter_read(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
     if _is_meant(autopilot, message):
-        link.send(time, autopilot.parameters.read(_name(message), message.param_index))
+        link.send(time, autopilot.parameters.read(_name(message), message.param_index, _asker(message)))
 
 
 def _parameter_set(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
     if not _is_meant(autopilot, message):
         return
     name = _name(message)
-    answers, changed = autopilot.parameters.set(name, message.param_value, message.param_type)
-    for answer in answers:
-        link.send(time, answer)
+    answer, changed = autopilot.parameters.set(name, message.param_value, message.param_type, _asker(message))
+    link.send(time, answer)
     if changed:
         autopilot.apply_parameters()
         again = time + autopilot.random.uniform(*SECOND_VALUE_DELAY)
@@ -138,8 +139,7 @@ def _parameter_set(autopilot: Autopilot, link: Link, time: float, message: Messa
 def _mission_list(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
     if _is_meant(autopilot, message):
         kind = getattr(message, "mission_type", 0)
-        asker = (message.get_srcSystem(), message.get_srcComponent())
-        link.send(time, mavlink.MAVLink_mission_count_message(*asker, 0, kind))
+        link.send(time, mavlink.MAVLink_mission_count_message(*_asker(message), 0, kind))
 
 
 HANDLERS: dict[str, Callable[[Autopilot, Link, float, Message], None]] = {

@@ -63,6 +63,19 @@ def test_a_good_frame_after_noise_from_the_same_peer_is_understood() -> None:
     assert bench.mock.commander.armed
 
 
+def test_mavlink_1_and_signed_frames_are_understood_as_by_px4_without_signing() -> None:
+    command = mavlink.MAVLink_command_long_message(1, 1, ARM, 0, 1, 0, 0, 0, 0, 0, 0)
+    bench = Bench()
+    bench.mock.receive(bench.link, "old", command.pack(PACKER, force_mavlink1=True))
+    assert bench.mock.commander.armed
+    signing = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
+    signing.signing.secret_key = b"x" * 32
+    signing.signing.sign_outgoing = True
+    bench = Bench()
+    bench.mock.receive(bench.link, "signed", command.pack(signing))
+    assert bench.mock.commander.armed
+
+
 def test_unknown_message_ids_are_ignored() -> None:
     bench = Bench()
     for identifier in (3, 500, 12345, 0xFFFFFF):

@@ -95,7 +95,7 @@ def test_an_unknown_parameter_is_an_error_and_no_value(index: int) -> None:
     bench = Bench()
     read(bench, "NO_SUCH_PARAM", index)
     (error,) = bench.of("PARAM_ERROR")
-    assert error.error == 1
+    assert (error.error, error.target_system, error.target_component) == (1, 1, 191)
     assert not bench.of("PARAM_VALUE")
 
 
