@@ -13,6 +13,7 @@ from rich.table import Column, Table
 from dynamics.errors import VehicleError
 from runtime.connection import parse_endpoint
 from runtime.link_check import LinkReport, check_link
+from runtime.rates import WINDOW
 
 
 def link(
@@ -24,11 +25,12 @@ def link(
     system: Annotated[int | None, typer.Option(min=1, max=255, help="Its system id; the first heard if left out.")] = (
         None
     ),
+    window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Check a link without flying: rates, latency, clock offset, frames, mode, parameters."""
     streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
-    report = check_link(parse_endpoint(link), timeout=timeout, target_system=system, streams=streams)
+    report = check_link(parse_endpoint(link), timeout=timeout, target_system=system, streams=streams, window=window)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(_as_plain(report))) + b"\n")
     else:

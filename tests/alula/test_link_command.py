@@ -42,7 +42,9 @@ def test_a_vehicle_without_an_estimate_is_reported_and_ends_with_4(
     port = free_port()
     with FakeVehicle(("127.0.0.1", port)) as vehicle:
         vehicle.parameters = {}
-        code = run(monkeypatch, "--link", f"udpin:127.0.0.1:{port}", *(["--json"] if as_json else []))
+        code = run(
+            monkeypatch, "--link", f"udpin:127.0.0.1:{port}", "--window", "0.5", *(["--json"] if as_json else [])
+        )
     shown = capsys.readouterr()
     assert code == 4
     assert "the reasons are in the report" in shown.err
