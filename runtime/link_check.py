@@ -109,7 +109,7 @@ def check_link(
     with Link(endpoint, LinkSettings(target_system=target_system), Taps(event=events.append)) as link:
         link.wait_for_vehicle(timeout)
         time.sleep(window)
-        before = {name: link.peer.rates.rate(name, time.monotonic()).rate for name in streams}
+        before = {name: link.peer.rates.rate(name, time.monotonic(), window).rate for name in streams}
         answers = commands.request_rates(link, streams)
         asked = time.monotonic()
         parameters = read_parameters(link, PARAMETERS)
@@ -117,7 +117,7 @@ def check_link(
         time.sleep(max(0.0, window - (time.monotonic() - asked)) + 0.1)
         now = time.monotonic()
         checks = tuple(
-            StreamCheck(name, before[name], rate, answers[name], link.peer.rates.rate(name, now))
+            StreamCheck(name, before[name], rate, answers[name], link.peer.rates.rate(name, now, window))
             for name, rate in streams.items()
         )
         report = _report(link, now, checks, parameters, acknowledgements, tuple(events))

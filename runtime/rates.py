@@ -42,8 +42,8 @@ class RateMeter:
         while arrivals[0] < received - self._window:
             arrivals.popleft()
 
-    def rate(self, name: str, now: float) -> StreamRate:
-        """What the message of this name achieves within the window before now."""
+    def rate(self, name: str, now: float, window: float = WINDOW) -> StreamRate:
+        """What the message of this name achieves within a window, s, before now; at most the one that is kept."""
         times = [
             time for time in tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ())) if time >= now - self._window
         ]

@@ -45,9 +45,10 @@ class StreamingVehicle(FakeVehicle):
         super().__exit__(*error)
 
     def _stream(self) -> None:
-        start = time.monotonic()
+        due = time.monotonic()
         for n in range(100_000):
-            if self._streaming.wait(max(0.0, start + n / self._rate - time.monotonic())):
+            due += 1.0 / self._rate
+            if self._streaming.wait(max(0.0, due - time.monotonic())):
                 return
             self.send_odometry(**self._odometry)
             self.send(mavlink.MAVLink_highres_imu_message(0, *self.specific_force, *[0.0] * 10, 63))
@@ -151,3 +152,16 @@ def test_a_link_that_never_speaks_is_refused(port: int) -> None:
 def test_an_unknown_stream_is_refused(port: int, vehicle: StreamingVehicle) -> None:
     with pytest.raises(RequestError, match="ODOMETER"):
         check_link(Endpoint("udpin", "127.0.0.1", port), timeout=5.0, streams={"ODOMETER": 100.0}, window=0.01)
+
+
+def test_rates_after_the_request_are_not_mixed_with_those_before(port: int) -> None:
+    class Obedient(StreamingVehicle):
+        def _answer_command(self, message: Any) -> None:
+            super()._answer_command(message)
+            if (message.command, message.param1) == (511, 331.0):
+                self._rate = 100.0
+
+    with Obedient(port, rate=20.0):
+        stream = check(port).streams[0]
+    assert stream.before == pytest.approx(20.0, rel=0.3)
+    assert stream.after.rate == pytest.approx(100.0, rel=0.2)
