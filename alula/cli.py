@@ -8,8 +8,10 @@ from typing import Annotated
 import typer
 
 from alula import __version__
+from alula.commands.fly import fly
 from alula.commands.link import link
 from alula.commands.mock import mock
+from alula.commands.replay import replay
 from dynamics.errors import AlulaError
 
 app = typer.Typer(
@@ -37,7 +39,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (mock, link):
+for _command in (mock, fly, link, replay):
     app.command()(_command)
 
 

@@ -82,7 +82,7 @@ class ControlThread:
         self._period, self._priority, self._processor = period, priority, processor
         self._recorder = recorder
         self._estimate: Estimate | None = None
-        self._free = 0.0
+        self._free = self._busy_before = self._busy_at_departure = 0.0
         self._tick = self._defects = 0
         self._preparation = 0.0
         self._phase = Phase.GROUND
@@ -117,6 +117,7 @@ class ControlThread:
                 if self._defects >= MOST_DEFECTS:
                     self.news.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
+            self._busy_before = time.thread_time() - self._busy_at_departure
             self._free = time.monotonic()
 
     def _await(self, schedule: Schedule) -> tuple[float, bool]:
@@ -130,14 +131,15 @@ class ControlThread:
             if schedule.wants(newest.received):
                 return newest.received, False
 
-    def _fly(self, due: float, by_clock: bool, woken: float, busy: float) -> None:
+    def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float) -> None:
         seen = self._observe(woken)
         estimate = self._estimate
         decision = self._flyer.step(seen, estimate)
         if decision.rate_body is not None:
             self._send(decision)
-        departed = time.monotonic()
-        times = TickTimes(due, woken, departed, self._free, time.thread_time() - busy, by_clock)
+        departed, self._busy_at_departure = time.monotonic(), time.thread_time()
+        busy = self._busy_at_departure - busy_at_start
+        times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
         cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
         self._flyer.prepare(seen.time)
         self._preparation = time.monotonic() - departed

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from dynamics.errors import VehicleError
+from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.commands import Confirmation, request_rates, set_armed, set_mode
@@ -98,12 +98,18 @@ class Daemon:
         self._began = time.monotonic()
         self._orders = Orders()
         self._left_at = float("inf")
+        self._engaging = False
         self._refusal = ""
         self._recorder: Recorder | None = None
         self._watch = Watch()
 
     def interrupt(self, name: str) -> None:
-        """Land, told by a signal's name; told again, stop streaming at once. Safe in a signal handler."""
+        """Land, told by a signal's name; told again, stop streaming at once. For signal handlers.
+
+        Raises KeyboardInterrupt while nothing has been asked of the vehicle yet.
+        """
+        if not self._engaging:
+            raise KeyboardInterrupt
         if self._orders.leave:
             self._orders.stop = True
         self._orders.leave = self._orders.leave or name
@@ -113,10 +119,7 @@ class Daemon:
         request = self._request
         with ExitStack() as stack:
             if request.record is not None:
-                name = request.name or time.strftime("%Y%m%d-%H%M%S")
-                self._recorder = Recorder(
-                    request.record, name, metadata=self._metadata(), attachments=request.attachments
-                )
+                self._recorder = self._open_recorder(request.record)
                 stack.callback(self._recorder.close)
             self._watch = Watch(self._recorder)
             watch = self._watch
@@ -132,6 +135,15 @@ class Daemon:
             return self._report(link, control)
 
     # --- before the flight
+
+    def _open_recorder(self, folder: Path) -> Recorder:
+        name = self._request.name or time.strftime("%Y%m%d-%H%M%S")
+        try:
+            return Recorder(folder, name, metadata=self._metadata(), attachments=self._request.attachments)
+        except OSError as error:
+            raise RequestError(
+                f"cannot record {name} in {folder}: {error.strerror}. Give --record a folder that can be written."
+            ) from None
 
     def _greet(self, status: VehicleStatus) -> None:
         self._announce(f"vehicle {status.system}: {status.kind} with {status.autopilot}, mode {status.mode}")
@@ -173,6 +185,7 @@ class Daemon:
             link, self._watch, self._flyer, self._orders, period=1.0 / request.rate, priority=request.priority,
             processor=request.processor, recorder=self._recorder,
         )  # fmt: skip
+        self._engaging = True
         self._orders.engage = True
         control.start()
         threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()

@@ -212,15 +212,16 @@ class Flyer:
         if not self.engagement.flying:
             return self.events.fallback
         usable = self._state is not None and not any(event in self.events.active for event in _UNUSABLE)
-        # a flight on the nominal model falls back to what it flies already
         solves = self._nominal_ready or (self._nominal is None and Event.SOLVER_FAILED not in self.events.active)
-        return self._chain.choose(
+        chosen = self._chain.choose(
             self.events.fallback,
             time=time,
             estimate_usable=usable,
             solution_left=self._shifted.reaches(time) or not self.mission.airborne,
             nominal_available=solves,
         )
+        # a flight on the nominal model flies already what it would fall back to
+        return Fallback.NONE if chosen is Fallback.NOMINAL_MODEL and self._nominal is None else chosen
 
     # --- who has control
 

@@ -23,8 +23,8 @@ class Cause(Enum):
 class TickTimes(msgspec.Struct, frozen=True):
     """The instants of one tick. due: what set it off, an estimate's arrival or the clock. woken: the thread ran.
 
-    departed: the setpoint was sent. free: the previous tick's work was done. busy: processor time from woken to
-    departed. by_clock: no estimate came in time.
+    departed: the setpoint was sent. free: the previous tick's work was done. busy, busy_before: processor time from
+    woken to departed, and of the previous tick after its departure. by_clock: no estimate came in time.
     """
 
     due: float
@@ -32,6 +32,7 @@ class TickTimes(msgspec.Struct, frozen=True):
     departed: float
     free: float
     busy: float
+    busy_before: float
     by_clock: bool
 
 
@@ -104,7 +105,7 @@ class Deadlines:
         self._recent += 0.01 * (missed - self._recent)
         if not missed:
             return Cause.LINK if times.by_clock else Cause.NONE
-        ours = times.busy + max(times.free - times.due, 0.0)
+        ours = times.busy + min(times.busy_before, max(times.free - times.due, 0.0))
         cause = Cause.OURS if ours >= 0.5 * late else Cause.SCHEDULER
         self.missed[cause] += 1
         if late > self.worst[0]:

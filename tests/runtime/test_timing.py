@@ -37,7 +37,7 @@ def test_after_a_long_pause_what_was_missed_is_not_made_up_for() -> None:
 
 
 def times(due: float, *, wait: float, work: float, free: float = 0.0, by_clock: bool = False) -> TickTimes:
-    return TickTimes(due, due + wait, due + wait + work, free, work, by_clock)
+    return TickTimes(due, due + wait, due + wait + work, free, work, free - due, by_clock)
 
 
 def test_a_tick_in_time_is_nobody_s_fault() -> None:
@@ -55,9 +55,11 @@ def test_late_ticks_are_blamed_on_whoever_took_the_time() -> None:
     # woken late because the previous tick's preparation was still running
     assert deadlines.add(times(3.0, wait=0.008, work=0.0005, free=3.0079)) is Cause.OURS
     # at work for long by the wall clock, but the processor was elsewhere
-    assert deadlines.add(TickTimes(4.0, 4.0001, 4.012, 0.0, 0.0005, False)) is Cause.SCHEDULER
+    assert deadlines.add(TickTimes(4.0, 4.0001, 4.012, 0.0, 0.0005, 0.0, False)) is Cause.SCHEDULER
+    # the previous tick took long because the processor was elsewhere
+    assert deadlines.add(TickTimes(5.0, 5.008, 5.0085, 5.0079, 0.0005, 0.0004, False)) is Cause.SCHEDULER
     report = deadlines.report()
-    assert report.missed == {"scheduler": 2, "ours": 2}
+    assert report.missed == {"scheduler": 3, "ours": 2}
     assert report.worst_cause == "scheduler"
 
 

@@ -1,0 +1,134 @@
+"""What a flight is made of, from what a user writes: vehicle, reference, request, and their return from a recording."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import sys
+import tempfile
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from alula import __version__
+from dynamics.errors import DataError, RequestError
+from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from runtime.connection import parse_endpoint
+from runtime.daemon import FlightRequest
+from runtime.flyer import FlyerSettings
+from runtime.mission import Plan
+from runtime.recording import Recording
+from runtime.state import Settings
+from vehicles import vehicle_path
+
+LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
+VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
+
+
+class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A flight as it is asked for; see the options of `alula fly`."""
+
+    link: str
+    reference: str
+    vehicle: str | None = None
+    bundle: Path | None = None
+    duration: float | None = None
+    height: float = 1.5
+    rate: float = 100.0
+    record: Path | None = None
+    arm: bool = True
+    resume: bool = False
+    priority: int | None = None
+    processor: int | None = None
+    system: int | None = None
+    timeout: float = 10.0
+
+
+class PreparedFlight(msgspec.Struct, frozen=True):
+    """Everything that the daemon needs; the reference is one that the vehicle can fly."""
+
+    request: FlightRequest
+    vehicle: Vehicle
+    reference: Reference
+
+
+def prepare_flight(setup: FlightSetup) -> PreparedFlight:
+    """Read, check and put together. Raises RequestError for whatever makes no sense or cannot be flown."""
+    endpoint = parse_endpoint(setup.link)
+    text = vehicle_text(setup.vehicle, setup.bundle)
+    vehicle = parse_vehicle(text)
+    reference = named_reference(setup.reference, vehicle, duration=setup.duration)
+    check_feasibility(reference, vehicle).require()
+    attachments = {VEHICLE_TEXT: text}
+    if Path(setup.reference).is_file():
+        attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
+    request = FlightRequest(
+        endpoint=endpoint,
+        rate=setup.rate,
+        plan=Plan(height=setup.height, duration=setup.duration),
+        settings=FlyerSettings(engagement=Settings(arm=setup.arm, resume=setup.resume)),
+        record=setup.record,
+        system=setup.system,
+        timeout=setup.timeout,
+        priority=setup.priority,
+        processor=setup.processor,
+        metadata=_metadata(setup, attachments),
+        attachments=attachments,
+    )
+    return PreparedFlight(request, vehicle, reference)
+
+
+def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
+    """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
+    if (vehicle is None) == (bundle is None):
+        raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
+    if bundle is not None and (bundle / "model.onnx").exists():
+        raise RequestError(
+            f"{bundle} holds a learned model, which this version cannot fly yet. Fly its physics alone with "
+            f"--vehicle {bundle / VEHICLE_TEXT}."
+        )
+    path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from None
+
+
+def recorded_flight(recording: Recording, vehicle: str | None, bundle: Path | None) -> tuple[Vehicle, Reference]:
+    """Vehicle (another one if given) and reference of a recording. Raises DataError when it does not tell them."""
+    if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
+        raise DataError(f"{recording.path} tells neither vehicle nor reference: it was not written by `alula fly`.")
+    given = vehicle is not None or bundle is not None
+    flown = parse_vehicle(recording.attachments[VEHICLE_TEXT])
+    duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
+    # the reference is what was asked for then, whatever vehicle is put under it now
+    if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
+        reference = named_reference(recording.metadata["reference"], flown, duration=duration)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / REFERENCE_TEXT
+            path.write_text(table, encoding="utf-8")
+            reference = named_reference(str(path), flown, duration=duration)
+    return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference
+
+
+def _table_text(path: Path) -> str:
+    data = path.read_bytes()
+    return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
+
+
+def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]:
+    hashes = {f"sha256 of {name}": hashlib.sha256(text.encode()).hexdigest() for name, text in attachments.items()}
+    versions = {f"version of {name}": metadata.version(name) for name in LIBRARIES}
+    return {
+        "command": " ".join(sys.argv),
+        "reference": setup.reference,
+        "seed": "none, nothing in the daemon is random",
+        "version": __version__,
+        "python": sys.version.split()[0],
+        **versions,
+        **hashes,
+    }
