@@ -1,0 +1,128 @@
+"""From streams on their own clocks to one uniform table: the only place where streams are joined.
+
+Never on equal stamps: every stream is resampled onto the common clock by itself, and where it has a gap its columns
+are NaN.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import DataError
+from flights.log import Floats, Log, Origin, Stream
+from flights.quantities import MOTION, ROTORS
+
+GAP_PERIODS = 5.0  # of a stream's own period without a sample are a gap,
+SHORTEST_GAP = 0.02  # s, but never less than this
+JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
+HIGHEST_RATE = 2000.0  # Hz
+MOST_ROWS = 50_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """Streams on one uniform clock. time: (n,) s. columns: (n,) each, NaN in gaps."""
+
+    time: Floats
+    columns: Mapping[str, Floats]
+    origins: Mapping[str, Origin]
+
+
+def align(log: Log, *, rate: float | None = None) -> Table:
+    """The log's streams, the first of each quantity, on one uniform clock.
+
+    rate: Hz; by default that of the body rates, or else of the fastest stream of motion. The table spans the streams
+    of motion and rotors, or all there is when there are none.
+
+    Raises DataError when there is nothing to align.
+    """
+    streams = [stream for name in log.names if (stream := log.stream(name)) is not None]
+    if not streams:
+        raise DataError(f"{log.provenance.path}: no flight data in it. " + " ".join(log.provenance.notes))
+    time = _common_clock(streams, rate)
+    columns: dict[str, Floats] = {}
+    for stream in streams:
+        values = stream.values if np.array_equal(stream.time, time) else resample(stream, time)
+        columns.update(zip(stream.columns, np.ascontiguousarray(values.T), strict=True))
+    origins = {s.name: Origin(s.source, round(s.rate, 3), len(s.time)) for s in streams}
+    return Table(time, columns, origins)
+
+
+def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
+    """The uniform clock; the streams' own when they already share a uniform one."""
+    shared = streams[0].time
+    if rate is None and is_uniform(shared) and all(np.array_equal(s.time, shared) for s in streams):
+        return shared
+    spanning = [s for s in streams if s.name in MOTION or s.name in ROTORS] or streams
+    start = min(float(s.time[0]) for s in spanning)
+    end = max(float(s.time[-1]) for s in spanning)
+    chosen = rate if rate is not None else _natural_rate(spanning)
+    count = int(np.floor((end - start) * chosen + 1e-6)) + 1
+    if count > MOST_ROWS:
+        raise DataError(
+            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time column's unit, or give a lower rate."
+        )
+    return np.asarray(start + np.arange(count) / chosen)
+
+
+def _natural_rate(streams: list[Stream]) -> float:
+    """The rate of the gyro, or of the fastest stream: whole hertz, so that its period is a short decimal."""
+    named = {stream.name: stream.rate for stream in streams}
+    fastest = named.get("rate") or max(named.values())
+    return float(min(max(round(fastest), 1), HIGHEST_RATE))
+
+
+def is_uniform(time: Floats) -> bool:
+    """Whether stamps are equally spaced but for rounding. time: (n,) s."""
+    if len(time) < 3:
+        return True
+    steps = np.diff(time)
+    period = float(np.median(steps))
+    return bool(np.max(np.abs(steps - period)) <= JITTER * period + 1e-9)
+
+
+def resample(stream: Stream, time: Floats) -> Floats:
+    """A stream's values at other times: (m, k), NaN in its gaps and beyond its ends. time: (m,) s, increasing."""
+    if stream.quantity.kind == "step":
+        return _held(stream, time)
+    known = np.flatnonzero(np.isfinite(stream.values).all(axis=1))
+    if not len(known):
+        return np.full((len(time), stream.values.shape[1]), np.nan)
+    stamps, values = stream.time[known], stream.values[known]
+    if len(stamps) == 1:
+        hit = time == stamps[0]
+        return np.where(hit[:, None], values[0], np.nan)
+    right = np.clip(np.searchsorted(stamps, time, side="right"), 1, len(stamps) - 1)
+    left = right - 1
+    span = stamps[right] - stamps[left]
+    share = (time - stamps[left]) / span
+    result = values[left] + share[:, None] * (values[right] - values[left])
+    exact = share == 0
+    result[exact] = values[left[exact]]
+    if stream.quantity.kind == "attitude":
+        result = _on_sphere(result, exact)
+    limit = max(GAP_PERIODS * stream.period, SHORTEST_GAP)
+    result[_outside(share) | ((span > limit) & (share > 0) & (share < 1))] = np.nan
+    return result
+
+
+def _outside(share: Floats) -> NDArray[np.bool_]:
+    # a common clock may end a rounding error past the last sample
+    return np.asarray((share < -1e-6) | (share > 1 + 1e-6))
+
+
+def _on_sphere(attitude: Floats, untouched: NDArray[np.bool_]) -> Floats:
+    length = np.linalg.norm(attitude, axis=1, keepdims=True)
+    unit = np.where(length > 1e-9, attitude / np.maximum(length, 1e-9), np.nan)
+    return np.where(untouched[:, None], attitude, unit)
+
+
+def _held(stream: Stream, time: Floats) -> Floats:
+    """The last value at or before each time; NaN before the first."""
+    at = np.searchsorted(stream.time, time, side="right") - 1
+    held = stream.values[np.maximum(at, 0)]
+    return np.where((at < 0)[:, None], np.nan, held)

@@ -1,0 +1,190 @@
+"""A flight: one aligned table whose every column has a unit and a frame, and which knows where it came from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import DataError, RequestError
+from flights import tables
+from flights.alignment import align
+from flights.log import Floats, Log, Origin, Provenance
+from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
+from flights.reading import read_log
+
+SHORTEST_SEGMENT = 0.5  # s
+
+
+@dataclass(frozen=True, eq=False)
+class Flight:
+    """One flight on one uniform clock; unit and frame of every column are those of `flights.quantities`.
+
+    time: (n,) s. columns: name to (n,), read-only, NaN where there was no sample. origins: where each quantity came
+    from and at which rate it was logged. parameters: of the vehicle, as it logged them.
+    """
+
+    time: Floats
+    columns: Mapping[str, Floats]
+    provenance: Provenance
+    origins: Mapping[str, Origin] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    metadata: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Order the columns and make everything read-only; refuse columns that are not the flight CSV's."""
+        unknown = [name for name in self.columns if quantity_of(name) is None]
+        if unknown:
+            raise DataError(f"{', '.join(unknown)} are no columns of a flight. Known: {', '.join(known_columns())}.")
+        order = {name: index for index, name in enumerate(QUANTITIES)}
+        names = sorted(self.columns, key=lambda name: _place(name, order))
+        frozen = {name: _read_only(self.columns[name]) for name in names}
+        if any(values.shape != self.time.shape for values in frozen.values()):
+            raise DataError("the columns of a flight must all be as long as its time.")
+        object.__setattr__(self, "time", _read_only(self.time))
+        object.__setattr__(self, "columns", MappingProxyType(frozen))
+
+    @classmethod
+    def read(cls, path: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Self:
+        """The flight that any log holds, told apart by content. mapping: column-mapping TOML for a foreign CSV.
+
+        rate: Hz of the common clock, by default that of the log's gyro. Raises RequestError for a path or a mapping
+        that is wrong, DataError for a log that cannot be read or holds no flight.
+        """
+        return cls.from_log(read_log(path, mapping=mapping), rate=rate)
+
+    @classmethod
+    def from_log(cls, log: Log, *, rate: float | None = None) -> Self:
+        """A log's streams as one aligned table. Raises DataError when there is nothing to align."""
+        table = align(log, rate=rate)
+        return cls(table.time, table.columns, log.provenance, table.origins, log.parameters, log.metadata)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @property
+    def period(self) -> float:
+        """Seconds between two rows, 0 for fewer than two."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else 0.0
+
+    @property
+    def rate(self) -> float:
+        """Rows a second, 0 for fewer than two."""
+        return 1.0 / self.period if self.period else 0.0
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first row to the last."""
+        return float(self.time[-1] - self.time[0]) if len(self.time) else 0.0
+
+    @property
+    def quantities(self) -> tuple[str, ...]:
+        """The quantities it has, in the order of the flight CSV."""
+        return tuple(dict.fromkeys(kind.name for name in self.columns if (kind := quantity_of(name)) is not None))
+
+    def has(self, *names: str) -> bool:
+        """Whether it has all of these quantities."""
+        return set(names) <= set(self.quantities)
+
+    def __getitem__(self, name: str) -> Floats:
+        """A column (n,), or all columns of a quantity (n, k).
+
+        Raises DataError when the flight has neither.
+        """
+        if name in self.columns:
+            return self.columns[name]
+        parts = [column for column in self.columns if (kind := quantity_of(column)) is not None and kind.name == name]
+        if not parts:
+            raise DataError(
+                f"{self.provenance.path} has no {name}; it has {', '.join(self.quantities)}. Log it, or give a flight "
+                "that has it."
+            )
+        return np.stack([self.columns[part] for part in parts], axis=1)
+
+    def unit(self, name: str) -> str:
+        """Unit of a column or quantity. Raises RequestError for one that no flight has."""
+        return self._known(name).unit
+
+    def frame(self, name: str) -> str:
+        """Frame of a column or quantity, empty where there is none. Raises RequestError for one that no flight has."""
+        return self._known(name).frame
+
+    @staticmethod
+    def _known(name: str) -> Quantity:
+        known = quantity_of(name) or QUANTITIES.get(name)
+        if known is None:
+            raise RequestError(f"{name!r} is no column of a flight. Known: {', '.join(known_columns())}.")
+        return known
+
+    def rows(self, start: int, stop: int) -> Self:
+        """The rows from start to before stop, with their times as they are."""
+        columns = {name: values[start:stop] for name, values in self.columns.items()}
+        return type(self)(self.time[start:stop], columns, self.provenance, self.origins, self.parameters, self.metadata)
+
+    def usable(self) -> NDArray[np.bool_]:
+        """(n,) whether the vehicle was armed, as far as that was logged, and no quantity of motion has a gap."""
+        good = np.ones(len(self.time), dtype=bool)
+        if "armed" in self.columns:
+            good &= self.columns["armed"] != 0.0  # before the first word about it nothing is excluded
+        for name in MOTION:
+            if self.has(name):
+                good &= np.isfinite(self[name]).all(axis=1)
+        return good
+
+    def segments(
+        self, *, exclude: NDArray[np.bool_] | None = None, shortest: float = SHORTEST_SEGMENT
+    ) -> tuple[Self, ...]:
+        """The stretches without a gap, a disarmed vehicle or an estimator reset inside.
+
+        exclude: (n,) further rows to leave out, as ground contact and crashes. shortest: s, shorter ones are dropped.
+        """
+        good = self.usable()
+        if exclude is not None:
+            good &= ~exclude
+        breaks = np.zeros(len(self.time), dtype=bool)
+        for name in RESET_COUNTERS:
+            if name in self.columns:
+                breaks[1:] |= np.diff(_filled(self.columns[name])) != 0
+        stretch = np.cumsum(breaks | np.concatenate([[True], good[1:] != good[:-1]])) if len(good) else good
+        edges = np.flatnonzero(np.diff(stretch, prepend=-1, append=-1)) if len(good) else np.empty(0, dtype=int)
+        pieces = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
+        least = max(2, round(shortest * self.rate))
+        return tuple(self.rows(start, stop) for start, stop in pieces if good[start] and stop - start >= least)
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write the flight CSV, numbers so that reading them gives the same bits. Raises RequestError if it cannot."""
+        return tables.write_csv(self.time, self.columns, Path(path))
+
+    def to_parquet(self, path: str | Path) -> Path:
+        """Write a Parquet file that also holds origins and provenance. Raises RequestError if it cannot."""
+        notes = tables.Notes(self.provenance, dict(self.origins), dict(self.parameters), dict(self.metadata))
+        return tables.write_parquet(self.time, self.columns, notes, Path(path))
+
+
+def _place(name: str, order: Mapping[str, int]) -> tuple[int, int, str]:
+    quantity = quantity_of(name)
+    if quantity is None:
+        return len(order), 0, name
+    if quantity.parts is None:
+        return order[quantity.name], int(name.rpartition("_")[2]), name
+    return order[quantity.name], quantity.columns(len(quantity.parts)).index(name), name
+
+
+def _read_only(values: Floats) -> Floats:
+    view = np.ascontiguousarray(values, dtype=float).view()
+    view.setflags(write=False)
+    return view
+
+
+def _filled(values: Floats) -> Floats:
+    """Values with what is unknown at the start replaced by the first known one."""
+    known = np.flatnonzero(np.isfinite(values))
+    if not len(known):
+        return np.zeros_like(values)
+    at = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), known[0]))
+    return values[at]

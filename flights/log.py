@@ -1,0 +1,143 @@
+"""What one file says of a flight, before anything is joined: streams, each on its own clock and rate.
+
+Readers turn files into a `Reading`; `flights.reading.read_log` adds where it came from and makes it a `Log`.
+Whatever a reader changes about the file's content is a named `Repair`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from flights.quantities import QUANTITIES, Quantity
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Repair:
+    """One change that reading made to what the file holds. name: for programs. detail: for people."""
+
+    name: str
+    detail: str
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.detail}"
+
+
+@dataclass(frozen=True, eq=False)
+class Stream:
+    """One quantity as one source told it.
+
+    time: (n,) s since the log's start, strictly increasing. values: (n, k) SI in our frames; NaN where the source had
+    no value. source: the topic or the columns it was read from.
+    """
+
+    name: str
+    time: Floats
+    values: Floats
+    source: str
+
+    @property
+    def quantity(self) -> Quantity:
+        """Unit, frame and kind."""
+        return QUANTITIES[self.name]
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Names of the columns of `values`."""
+        return self.quantity.columns(self.values.shape[1])
+
+    @property
+    def unit(self) -> str:
+        """Unit of every column."""
+        return self.quantity.unit
+
+    @property
+    def frame(self) -> str:
+        """Frame of the components, empty where there is none."""
+        return self.quantity.frame
+
+    @cached_property
+    def period(self) -> float:
+        """Median time between two samples, s; infinite for a single one."""
+        return float(np.median(np.diff(self.time))) if len(self.time) > 1 else float("inf")
+
+    @property
+    def rate(self) -> float:
+        """Samples a second while it was logged, 0 for a single one."""
+        return 1.0 / self.period
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a quantity of a flight came from. rate: Hz, samples: as they were logged."""
+
+    source: str
+    rate: float
+    samples: int
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A file's content. start: the file's own clock at time 0, s. parameters: of the vehicle, by their own names.
+
+    Several streams may tell the same quantity; the first is the one to use. notes: what the file could not give or
+    what had to be assumed.
+    """
+
+    streams: tuple[Stream, ...]
+    start: float = 0.0
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    repairs: tuple[Repair, ...] = ()
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """Where a log came from. sha256: of the file as it lies on disk, compressed or not."""
+
+    path: str
+    sha256: str
+    format: str
+    reader: str
+    notes: tuple[str, ...] = ()
+    repairs: tuple[Repair, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Log:
+    """All streams of one file with their provenance."""
+
+    streams: tuple[Stream, ...]
+    provenance: Provenance
+    start: float = 0.0
+    metadata: Mapping[str, str] = field(default_factory=dict)
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The quantities it tells, each once, in the order of the flight CSV."""
+        told = {stream.name for stream in self.streams}
+        return tuple(name for name in QUANTITIES if name in told)
+
+    def stream(self, name: str) -> Stream | None:
+        """The stream to use for a quantity, None when there is none."""
+        return next((stream for stream in self.streams if stream.name == name), None)
+
+    def alternatives(self, name: str) -> tuple[Stream, ...]:
+        """Every stream that tells a quantity, the one to use first."""
+        return tuple(stream for stream in self.streams if stream.name == name)
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first sample of any stream to the last."""
+        if not self.streams:
+            return 0.0
+        first = min(stream.time[0] for stream in self.streams)
+        return float(max(stream.time[-1] for stream in self.streams) - first)

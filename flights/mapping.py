@@ -1,0 +1,144 @@
+"""Column mappings: what a foreign table's columns mean, as a TOML file."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from collections.abc import Mapping as Table
+from functools import cache
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from dynamics.errors import RequestError
+from dynamics.vehicle import GRAVITY
+from dynamics.vehicle_file import nearest, refuse_unknown_keys
+from flights.quantities import MAX_ROTORS, QUANTITIES
+
+FOLDER = Path(__file__).parent / "mappings"
+
+TIME_UNITS: Table[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# What a unit is in the quantity's own unit.
+UNITS: Table[str, float] = {
+    "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "rad": 1.0, "deg": np.pi / 180,
+    "rad/s": 1.0, "deg/s": np.pi / 180, "m/s^2": 1.0, "g": GRAVITY, "N": 1.0, "N m": 1.0, "rpm": 2 * np.pi / 60,
+    "V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3, "1": 1.0, "0..1": 1.0, "%": 0.01, "0..65535": 1 / 65_535,
+}  # fmt: skip
+# Units that each unit of a quantity may be given in.
+_KIND_OF_UNIT: Table[str, tuple[str, ...]] = {
+    "m": ("m", "mm", "cm"), "m/s": ("m/s", "mm/s", "cm/s"), "rad": ("rad", "deg"),
+    "rad/s": ("rad/s", "deg/s", "rpm"), "m/s^2": ("m/s^2", "g"), "N": ("N",), "N m": ("N m",), "V": ("V", "mV"),
+    "A": ("A", "mA"), "0..1": ("0..1", "1", "%", "0..65535"), "1": ("1", "rad", "deg"), "0 or 1": ("1",),
+}  # fmt: skip
+
+
+class FileLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How the text is laid out. prefix: regular expression of what every line begins with besides its cells."""
+
+    delimiter: str = ","
+    prefix: str = ""
+
+
+class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The time. from_first_row: count from the first row, for clocks that start long before the log."""
+
+    column: str
+    unit: Literal["s", "ms", "us", "ns"] = "s"
+    from_first_row: bool = True
+
+
+class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The axes of vectors in the world and on the body; the attitude turns from one to the other."""
+
+    world: Literal["ENU", "NED"]
+    body: Literal["FLU", "FRD"]
+
+
+class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One quantity. columns: in the order of its parts; rotors in the vehicle file's order.
+
+    unit: theirs, the quantity's own if left out. scale: further factor. order: of an attitude, wxyz, xyzw, or euler for
+    roll, pitch and yaw. frame: when it differs from [frames].
+    """
+
+    quantity: str
+    columns: tuple[str, ...]
+    unit: str = ""
+    scale: float | tuple[float, ...] = 1.0
+    order: Literal["", "wxyz", "xyzw", "euler"] = ""
+    frame: Literal["", "ENU", "NED", "FLU", "FRD"] = ""
+
+    def __post_init__(self) -> None:
+        """Refuse what is no quantity, has the wrong number of columns, or an impossible unit."""
+        if self.quantity not in QUANTITIES:
+            raise RequestError(
+                f"unknown quantity {self.quantity!r}{nearest(self.quantity, QUANTITIES)}. Known: {', '.join(QUANTITIES)}."
+            )
+        quantity = QUANTITIES[self.quantity]
+        parts = quantity.parts
+        count = None if parts is None else max(1, len(parts))
+        if parts == ("w", "x", "y", "z"):
+            count = 3 if self.order == "euler" else 4
+            if not self.order:
+                raise RequestError(f"{self.quantity}: say order = 'wxyz', 'xyzw' or 'euler'; it cannot be guessed.")
+        elif self.order:
+            raise RequestError(f"{self.quantity} is no attitude: leave order out.")
+        if count is None and not 1 <= len(self.columns) <= MAX_ROTORS:
+            raise RequestError(f"{self.quantity}: give one column a rotor, 1 to {MAX_ROTORS} of them.")
+        if count is not None and len(self.columns) != count:
+            raise RequestError(f"{self.quantity} has {count} columns; {len(self.columns)} are given.")
+        known = _KIND_OF_UNIT[quantity.unit]
+        if self.unit and self.unit not in known:
+            raise RequestError(f"{self.quantity}: unit {self.unit!r} is none of {', '.join(known)}.")
+        if isinstance(self.scale, tuple) and len(self.scale) != len(self.columns):
+            raise RequestError(f"{self.quantity}: give one scale, or one a column.")
+
+    @property
+    def frame_of_quantity(self) -> str:
+        """The frame that the quantity has in a flight."""
+        return QUANTITIES[self.quantity].frame
+
+
+class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A column mapping."""
+
+    name: str
+    time: TimeColumn
+    frames: Frames
+    streams: tuple[MappedStream, ...]
+    description: str = ""
+    file: FileLayout = FileLayout()
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Every column that it needs."""
+        return (self.time.column, *(column for stream in self.streams for column in stream.columns))
+
+
+def read_mapping(path: Path) -> Mapping:
+    """A mapping from its file. Raises RequestError when it cannot be read or is wrong."""
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise RequestError(f"cannot read the column mapping {path}: {error}. See flights/mappings/.") from None
+    try:
+        refuse_unknown_keys(table, Mapping)
+        mapping = msgspec.convert(table, Mapping)
+        re.compile(mapping.file.prefix)
+    except RequestError as error:
+        raise RequestError(f"{path}: {error}") from None
+    except (msgspec.ValidationError, re.error) as error:
+        cause = error.__cause__ if isinstance(error.__cause__, RequestError) else error
+        raise RequestError(f"{path}: {cause}") from None
+    if len(mapping.file.delimiter) != 1:
+        raise RequestError(f"{path}: delimiter {mapping.file.delimiter!r} must be one character.")
+    return mapping
+
+
+@cache
+def shipped() -> tuple[Mapping, ...]:
+    """The mappings that come with Alula, those with the most columns first."""
+    found = [read_mapping(path) for path in sorted(FOLDER.glob("*.toml"))]
+    return tuple(sorted(found, key=lambda mapping: -len(mapping.columns)))

@@ -1,0 +1,190 @@
+"""Do units and frames hold? What a file only claims is held against physics before anybody relies on it.
+
+Each check compares two streams that must agree whatever was flown: velocity with the change of position, body rates
+with the change of attitude, specific force with gravity, horizontal acceleration with tilt. It speaks only when the
+flight moved enough to tell.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY
+from flights.alignment import resample
+from flights.log import Floats, Stream
+
+_GRID_RATE = 50.0  # Hz of the comparisons
+_LONGEST = 60_000  # rows compared at most
+_SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
+_FASTEST_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
+_LEAST_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
+_LEAST_SPEED = 0.15  # m/s rms
+_LEAST_ACCELERATION = 0.3  # m/s^2 rms
+_AGREEMENT = 0.5  # correlation beyond which a comparison is taken seriously
+_DEGREES = 180 / np.pi
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A contradiction. name: for programs. text: what was seen, wanted and to be done."""
+
+    name: str
+    text: str
+
+
+def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
+    """Everything about units and frames that the streams contradict, empty when they agree or cannot tell."""
+    first: dict[str, Stream] = {}
+    for stream in streams:
+        first.setdefault(stream.name, stream)
+    grid = _grid(list(first.values()))
+    on_grid = {
+        name: resample(first[name], grid)
+        for name in ("position", "velocity", "attitude", "rate", "specific_force")
+        if name in first
+    }
+    found = [
+        _impossible_rates(first),
+        _rates_against_attitude(on_grid, grid),
+        _gravity(on_grid),
+        _velocity_against_position(on_grid, grid),
+        _tilt_against_acceleration(on_grid, grid),
+    ]
+    return tuple(finding for finding in found if finding is not None)
+
+
+def _grid(streams: list[Stream]) -> Floats:
+    start = min((float(stream.time[0]) for stream in streams), default=0.0)
+    end = max((float(stream.time[-1]) for stream in streams), default=0.0)
+    count = min(int((end - start) * _GRID_RATE) + 1, _LONGEST)
+    return np.asarray(start + np.arange(count) / _GRID_RATE)
+
+
+def _impossible_rates(first: dict[str, Stream]) -> Finding | None:
+    if "rate" not in first:
+        return None
+    largest = float(np.nanpercentile(np.abs(first["rate"].values), 99.5))
+    if largest <= _FASTEST_RATE:
+        return None
+    return Finding(
+        "rates_in_degrees",
+        f"the body rates reach {largest:.0f} rad/s, which no gyroscope measures: they are in deg/s. Wanted rad/s; "
+        "multiply by pi/180, or give a column mapping with unit = 'deg/s'.",
+    )
+
+
+def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+    """Body rates must be those by which the attitude turns, on every axis that turns."""
+    if not {"attitude", "rate"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    attitude, rate = on_grid["attitude"], _mean(on_grid["rate"], span)
+    turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-span]), attitude[span:]))
+    turning = turned / (span / _GRID_RATE)
+    known = np.isfinite(turning).all(axis=1) & np.isfinite(rate).all(axis=1)
+    known &= np.linalg.norm(turned, axis=1) < 1.5  # a long turn between two samples is no rotation vector's rate
+    if np.count_nonzero(known) < 50:
+        return None
+    turning, rate = turning[known], rate[known]
+    speed = float(np.sqrt(np.mean(turning**2)))
+    if speed < _LEAST_RATE:
+        return None
+    ratio = float(np.sqrt(np.mean(rate**2))) / speed
+    if 0.5 * _DEGREES < ratio < 2 * _DEGREES:
+        return Finding(
+            "rates_in_degrees",
+            f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
+        )
+    for axis in range(3):
+        a, b = turning[:, axis], rate[:, axis]
+        if min(np.std(a), np.std(b)) > _LEAST_RATE and np.corrcoef(a, b)[0, 1] < -_AGREEMENT:
+            return Finding(
+                "rate_frame",
+                f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
+                "the same axes (FRD and FLU?), or the attitude is world to body. Wanted both in body FLU, w first.",
+            )
+    return None
+
+
+def _gravity(on_grid: dict[str, Floats]) -> Finding | None:
+    """The mean specific force must point up with about g."""
+    if "specific_force" not in on_grid:
+        return None
+    force = on_grid["specific_force"]
+    attitude = on_grid.get("attitude")
+    known = np.isfinite(force).all(axis=1)
+    if attitude is not None:
+        known &= np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(known) < 20:
+        return None
+    up = force[known] if attitude is None else quaternion.rotate(attitude[known], force[known])
+    mean = np.median(up, axis=0)
+    if mean[2] < -0.5 * GRAVITY:
+        return Finding(
+            "frames_upside_down",
+            f"the specific force points down ({mean[2]:.1f} m/s^2 along z): these are FRD or NED axes. Wanted FLU and "
+            "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
+        )
+    if 0.5 < float(np.linalg.norm(mean)) < 2.0:
+        return Finding(
+            "force_in_g",
+            f"the specific force is {np.linalg.norm(mean):.2f} on average: it is in g. Wanted m/s^2.",
+        )
+    return None
+
+
+def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+    if not {"position", "velocity"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    moved = (on_grid["position"][span:] - on_grid["position"][:-span]) / (span / _GRID_RATE)
+    velocity = _mean(on_grid["velocity"], span)
+    known = np.isfinite(moved).all(axis=1) & np.isfinite(velocity).all(axis=1)
+    known &= np.linalg.norm(np.nan_to_num(moved), axis=1) < 50.0  # an estimator's reset is no motion
+    if np.count_nonzero(known) < 50:
+        return None
+    for axis in range(3):
+        a, b = moved[known, axis], velocity[known, axis]
+        if min(np.std(a), np.std(b)) > _LEAST_SPEED and np.corrcoef(a, b)[0, 1] < -_AGREEMENT:
+            return Finding(
+                "velocity_frame",
+                f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
+                "same axes (NED and ENU?). Wanted both in ENU.",
+            )
+    return None
+
+
+def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+    """Thrust pulls where body z leans: a multirotor that leans east accelerates east."""
+    if not {"attitude", "velocity"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    acceleration = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) / (span / _GRID_RATE)
+    lean = _mean(GRAVITY * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)
+    known = np.isfinite(acceleration).all(axis=1) & np.isfinite(lean).all(axis=1)
+    if np.count_nonzero(known) < 50:
+        return None
+    a, b = acceleration[known, :2], lean[known, :2]
+    if min(np.std(a), np.std(b)) < _LEAST_ACCELERATION:
+        return None
+    agreement = float(np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    if agreement > -_AGREEMENT:
+        return None
+    return Finding(
+        "attitude_frame",
+        f"the vehicle accelerates away from where its thrust points (agreement {agreement:.2f}): attitude and velocity "
+        "are not in the same axes, as NED labelled as ENU. Wanted ENU and FLU; convert them, or give a column mapping.",
+    )
+
+
+def _mean(values: Floats, span: int) -> Floats:
+    """Mean over each interval of `span` steps by the trapezium rule: (n - span, k)."""
+    steps = 0.5 * (values[1:] + values[:-1])
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(np.nan_to_num(steps, nan=0.0), axis=0)])
+    gaps = np.concatenate([[0], np.cumsum(~np.isfinite(steps).all(axis=1))])
+    mean = (sums[span:] - sums[:-span]) / span
+    return np.where((gaps[span:] - gaps[:-span])[:, None] > 0, np.nan, mean)

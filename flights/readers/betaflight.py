@@ -1,0 +1,25 @@
+"""Betaflight blackbox logs: recognised, and refused with the tool that converts them.
+
+No kept-up parser can be installed (orangebox 0.5 is refused by current installers), and the format's predictors are
+no place for one of our own.
+"""
+
+from __future__ import annotations
+
+from flights.log import Reading
+from flights.source import Source
+
+from dynamics.errors import DataError
+
+
+def matches(source: Source) -> bool:
+    """Whether it begins with the header that every blackbox log has."""
+    return source.head.startswith(b"H Product:Blackbox")
+
+
+def read(source: Source) -> Reading:
+    """Raises DataError with the way to a CSV."""
+    raise DataError(
+        "this is a Betaflight blackbox log, which is not read directly. Convert it with blackbox_decode of "
+        "blackbox-tools (--unit-rotation rad/s --unit-acceleration m/s2) and give its CSV with a column-mapping TOML."
+    )

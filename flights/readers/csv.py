@@ -1,0 +1,141 @@
+"""The flight CSV: the columns of `flights.quantities` by name, in any order, with `t` in seconds."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+
+from dynamics.errors import DataError
+from dynamics.vehicle_file import nearest
+from flights.assembly import Assembly
+from flights.log import Floats, Reading
+from flights.quantities import QUANTITIES, known_columns, quantity_of
+from flights.source import Source
+from flights.tables import TIME
+
+_BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
+_BLOCK = 1 << 22
+_MOST_TORN = 0.01  # share of rows with another number of cells than the header
+
+
+def matches(source: Source) -> bool:
+    """Whether it is text whose first line names the time and a column of a flight."""
+    names = _names(source.first_line())
+    return TIME in names and any(quantity_of(name) is not None for name in names)
+
+
+def read(source: Source) -> Reading:
+    """The streams of a flight CSV. Raises DataError for one that contradicts itself."""
+    assembly = Assembly()
+    names = _names(source.first_line())
+    _refuse_duplicates(names)
+    wanted = [name for name in names if name == TIME or quantity_of(name) is not None]
+    add_table(assembly, read_columns(source.file, names, wanted, assembly), names)
+    return assembly.finish(keep_time=True)
+
+
+def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[str]) -> None:
+    """Streams from columns of a flight table. names: all columns of the file, to say which were left out.
+
+    Raises DataError when a part of a quantity is missing.
+    """
+    time = columns[TIME]
+    grouped: dict[str, list[str]] = {}
+    for name in names:
+        quantity = quantity_of(name)
+        if quantity is not None:
+            grouped.setdefault(quantity.name, []).append(name)
+        elif name not in (TIME, ""):
+            assembly.note(f"column {name!r} is none of a flight and is left out{nearest(name, known_columns())}")
+    for name in QUANTITIES:
+        if name not in grouped:
+            continue
+        parts = _all_parts(name, grouped[name])
+        table = np.stack([columns[part] for part in parts], axis=1)
+        blank = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
+        if blank:
+            assembly.repair("missing_values", f"{name}: {blank} of {len(time)} rows without a number masked")
+        assembly.add(name, time, table, ", ".join((parts[0], "...", parts[-1]) if len(parts) > 2 else parts))
+
+
+def read_columns(
+    file: Path,
+    names: Sequence[str],
+    wanted: Sequence[str],
+    assembly: Assembly,
+    *,
+    skip_rows: int = 1,
+    delimiter: str = ",",
+) -> dict[str, Floats]:
+    """Columns of a delimited text file as numbers, read in blocks; blank cells are NaN.
+
+    names: of all columns, in the file's order. skip_rows: lines before the first row. Rows with another number of
+    cells, as a torn last one, are dropped and named. Raises DataError when cells are no numbers or many rows are torn.
+    """
+    torn: list[str] = []
+
+    def drop(row: pa_csv.InvalidRow) -> str:
+        torn.append(f"{row.actual_columns} instead of {row.expected_columns} cells")
+        return "skip"
+
+    keys = [f"{index}:{name}" for index, name in enumerate(names)]
+    included = [keys[list(names).index(name)] for name in wanted]
+    options = {
+        "read_options": pa_csv.ReadOptions(column_names=keys, skip_rows=skip_rows, block_size=_BLOCK),
+        "parse_options": pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=drop),
+        "convert_options": pa_csv.ConvertOptions(
+            column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
+        ),
+    }
+    parts: dict[str, list[Floats]] = {key: [] for key in included}
+    try:
+        with pa_csv.open_csv(file, **options) as reader:
+            for batch in reader:
+                for key, column in zip(included, batch.columns, strict=True):
+                    parts[key].append(column.to_numpy(zero_copy_only=False).astype(float))
+    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
+        raise DataError(
+            f"its rows cannot be read as numbers: {error}. Wanted a number or nothing in each cell."
+        ) from None
+    columns = {
+        name: np.concatenate(parts[key]) if parts[key] else np.empty(0)
+        for name, key in zip(wanted, included, strict=True)
+    }
+    rows = len(columns[wanted[0]])
+    if not rows:
+        raise DataError("it has a header but no rows. Wanted at least one sample.")
+    if torn:
+        if len(torn) > max(1, _MOST_TORN * rows):
+            raise DataError(f"{len(torn)} of {rows + len(torn)} rows have {torn[0]}. Wanted as many cells as columns.")
+        assembly.repair("torn_rows", f"{len(torn)} rows with {torn[0]} dropped")
+    return columns
+
+
+def _names(line: str) -> list[str]:
+    return [name.strip().strip('"') for name in line.split(",")]
+
+
+def _refuse_duplicates(names: Sequence[str]) -> None:
+    twice = sorted({name for name in names if name and names.count(name) > 1})
+    if twice:
+        raise DataError(
+            f"the columns {', '.join(twice)} are there more than once. Wanted each once; remove the others."
+        )
+
+
+def _all_parts(name: str, found: list[str]) -> tuple[str, ...]:
+    """The quantity's columns in their own order; DataError when some of them are missing."""
+    quantity = QUANTITIES[name]
+    width = len(found) if quantity.parts is None else len(quantity.parts)
+    parts = quantity.columns(width)
+    missing = [part for part in parts if part not in found]
+    if missing:
+        raise DataError(
+            f"{', '.join(missing)} missing beside {', '.join(sorted(found))}. Wanted all columns of {name} or none; "
+            "rename or add them."
+        )
+    return parts

@@ -1,0 +1,158 @@
+"""ArduPilot DataFlash logs (.bin), read by pymavlink: NED and FRD become ENU and FLU."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import os
+from array import array
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from pymavlink.DFReader import DFReader_binary
+
+from dynamics import frames, quaternion
+from dynamics.errors import DataError
+from flights.assembly import Assembly
+from flights.log import Floats, Reading
+from flights.readers.px4_rotors import QUAD_X, in_our_order
+from flights.source import Source
+
+_MAGIC = b"\xa3\x95\x80"  # the header of a FMT message, with which every log begins
+_PWM_LOW, _PWM_HIGH = 1000.0, 2000.0  # microseconds, ArduPilot's MOT_PWM_MIN and MAX by default
+_MOTOR_1 = 33  # SERVOn_FUNCTION
+_QUAD_FRAME = 1  # FRAME_CLASS
+
+# Message to its fields; instances other than the first are left out where the message has an instance field.
+_WANTED: Mapping[str, tuple[str, ...]] = {
+    "XKF1": ("PN", "PE", "PD", "VN", "VE", "VD"),
+    "NKF1": ("PN", "PE", "PD", "VN", "VE", "VD"),
+    "XKQ": ("Q1", "Q2", "Q3", "Q4"),
+    "NKQ": ("Q1", "Q2", "Q3", "Q4"),
+    "ATT": ("Roll", "Pitch", "Yaw"),
+    "IMU": ("GyrX", "GyrY", "GyrZ", "AccX", "AccY", "AccZ"),
+    "RATE": ("RDes", "PDes", "YDes"),
+    "RCOU": ("C1", "C2", "C3", "C4", "C5", "C6", "C7", "C8"),
+    "BAT": ("Volt", "Curr"),
+    "CURR": ("Volt", "Curr"),
+    "ARM": ("ArmState",),
+}
+_INSTANCES = ("C", "I", "Instance", "Inst")
+
+
+def matches(source: Source) -> bool:
+    """Whether it begins with a FMT message."""
+    return source.head.startswith(_MAGIC)
+
+
+def read(source: Source) -> Reading:
+    """The streams of a DataFlash log. Raises DataError when it cannot be read."""
+    assembly = Assembly()
+    said = io.StringIO()  # pymavlink prints what it finds wrong
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        try:
+            log = DFReader_binary(os.fspath(source.file), zero_time_base=True)
+            collected, speeds = _collect(log, assembly)
+            log.close()
+        except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
+            raise DataError(f"this DataFlash log cannot be read ({error!r}): it is cut off or damaged.") from None
+    if said.getvalue():
+        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {said.getvalue().splitlines()[0]}")
+    _add_streams(assembly, collected)
+    _add_rotors(assembly, collected, speeds)
+    return assembly.finish()
+
+
+class _Rows:
+    """Rows of one message: microseconds since boot and numbers."""
+
+    def __init__(self) -> None:
+        self.stamps = array("q")
+        self.numbers = array("d")
+
+    def add(self, stamp: int, numbers: Sequence[float]) -> None:
+        self.stamps.append(stamp)
+        self.numbers.extend(float(number) for number in numbers)
+
+    @property
+    def table(self) -> Floats:
+        return np.array(self.numbers).reshape(len(self.stamps), -1)
+
+
+def _collect(log: DFReader_binary, assembly: Assembly) -> tuple[dict[str, _Rows], dict[int, _Rows]]:
+    collected: dict[str, _Rows] = {}
+    speeds: dict[int, _Rows] = {}
+    while (message := log.recv_match(type=[*_WANTED, "PARM", "ESC"])) is not None:
+        kind = message.get_type()
+        if kind == "PARM":
+            assembly.parameters[str(message.Name)] = float(message.Value)
+        elif not hasattr(message, "TimeUS"):
+            assembly.note(f"{kind} has no TimeUS, as of ArduPilot before 2015, and is left out")
+        elif kind == "ESC":
+            if hasattr(message, "Instance"):
+                speeds.setdefault(int(message.Instance), _Rows()).add(message.TimeUS, [message.RPM])
+        elif not any(getattr(message, name, 0) for name in _INSTANCES):
+            numbers = [getattr(message, field, np.nan) for field in _WANTED[kind]]
+            collected.setdefault(kind, _Rows()).add(message.TimeUS, numbers)
+    return collected, speeds
+
+
+def _add_streams(assembly: Assembly, collected: Mapping[str, _Rows]) -> None:
+    def rows(*kinds: str) -> tuple[Floats, Floats, str] | None:
+        kind = next((kind for kind in kinds if kind in collected), None)
+        if kind is None:
+            return None
+        return assembly.seconds(np.array(collected[kind].stamps), 1_000_000), collected[kind].table, kind
+
+    if found := rows("XKF1", "NKF1"):
+        time, table, kind = found
+        assembly.add("position", time, frames.enu_from_ned(table[:, :3]), kind)
+        assembly.add("velocity", time, frames.enu_from_ned(table[:, 3:]), kind)
+    if found := rows("XKQ", "NKQ"):
+        time, table, kind = found
+        assembly.add("attitude", time, frames.attitude_enu_flu(table), kind)
+    if found := rows("ATT"):
+        time, table, kind = found
+        angles = np.radians(table)
+        attitude = frames.attitude_enu_flu(quaternion.from_euler(angles[:, 0], angles[:, 1], angles[:, 2]))
+        assembly.add("attitude", time, attitude, kind)
+    if found := rows("IMU"):
+        time, table, kind = found
+        assembly.add("rate", time, frames.flu_from_frd(table[:, :3]), kind)
+        assembly.add("specific_force", time, frames.flu_from_frd(table[:, 3:]), kind)
+    if found := rows("RATE"):
+        time, table, kind = found
+        assembly.add("rate_setpoint", time, frames.flu_from_frd(np.radians(table)), kind)
+    if found := rows("BAT", "CURR"):
+        time, table, kind = found
+        assembly.add("battery_voltage", time, table[:, 0], kind)
+        assembly.add("battery_current", time, table[:, 1], kind)
+    if found := rows("ARM"):
+        time, table, kind = found
+        assembly.add("armed", time, table[:, 0] != 0, kind)
+
+
+def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapping[int, _Rows]) -> None:
+    parameters = assembly.parameters
+    is_quad = parameters.get("FRAME_CLASS", 0) == _QUAD_FRAME and parameters.get("FRAME_TYPE", -1) == 1
+    order = QUAD_X if is_quad else None  # ArduPilot's quad x numbers its motors as PX4 does
+    assembly.note("motors put in our order as ArduPilot's quad x" if is_quad else "motors left in ArduPilot's order")
+    if "RCOU" in collected:
+        low, high = parameters.get("MOT_PWM_MIN", _PWM_LOW), parameters.get("MOT_PWM_MAX", _PWM_HIGH)
+        channels = {
+            int(parameters.get(f"SERVO{channel}_FUNCTION", 0)) - _MOTOR_1: channel - 1 for channel in range(1, 9)
+        }
+        motors = [channels[motor] for motor in range(8) if motor in channels]
+        if motors:
+            pulses = collected["RCOU"].table[:, motors]
+            command = np.clip((pulses - low) / (high - low), 0.0, 1.0)
+            time = assembly.seconds(np.array(collected["RCOU"].stamps), 1_000_000)
+            assembly.add("rotor_command", time, in_our_order(command, order), "RCOU")
+        else:
+            assembly.note("no SERVOn_FUNCTION says which output is a motor: RCOU is left out")
+    if speeds and sorted(speeds) == list(range(len(speeds))):
+        count = min(len(rows.stamps) for rows in speeds.values())
+        time = assembly.seconds(np.array(speeds[0].stamps)[:count], 1_000_000)
+        rpm = np.stack([speeds[esc].table[:count, 0] for esc in sorted(speeds)], axis=1)
+        assembly.note("the ESCs report one after the other: their speeds share the first one's time stamps")
+        assembly.add("rotor_speed", time, in_our_order(rpm * (2 * np.pi / 60), order), "ESC")

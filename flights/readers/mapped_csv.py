@@ -1,0 +1,118 @@
+"""Any other table of text, by a column mapping: a TOML file that names columns, units, frames and the time.
+
+The mappings in flights/mappings/ are tried by themselves when all of their columns are there.
+"""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from dynamics import frames, quaternion
+from dynamics.errors import RequestError
+from flights import mapping as mappings
+from flights.assembly import Assembly
+from flights.log import Floats, Reading
+from flights.mapping import Mapping, MappedStream
+from flights.readers import csv
+from flights.source import Source
+
+_LONGEST_LINE = 60_000
+
+
+def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]:
+    """The names of a text table's columns, empty for anything that is no text table."""
+    line = source.first_line()
+    if mapping is not None:
+        line = re.sub(mapping.file.prefix, "", line, count=1) if mapping.file.prefix else line
+        delimiter = mapping.file.delimiter
+    else:
+        delimiter = max(",;\t", key=line.count)
+    names = tuple(name.strip().strip('"') for name in line.split(delimiter))
+    return names if len(names) > 1 and len(line) < _LONGEST_LINE else ()
+
+
+def matches(source: Source) -> bool:
+    """Whether one of the shipped mappings finds all of its columns."""
+    return not source.is_folder and _shipped_for(source) is not None
+
+
+def read(source: Source) -> Reading:
+    """The streams that a mapping makes of a table. Raises RequestError when mapping and table do not fit."""
+    mapping = _shipped_for(source) if source.mapping is None else mappings.read_mapping(source.mapping)
+    if mapping is None:
+        raise RequestError("no mapping fits these columns.")
+    names = header_of(source, mapping)
+    missing = [column for column in mapping.columns if column not in names]
+    if missing:
+        raise RequestError(
+            f"the mapping {mapping.name!r} wants the columns {', '.join(missing)}, which are not among "
+            f"{', '.join(names) or '(no columns: is it text?)'}. Correct the mapping."
+        )
+    assembly = Assembly()
+    assembly.metadata["mapping"] = mapping.name
+    assembly.note(f"columns by the mapping {mapping.name!r}")
+    columns = _columns(source.file, names, mapping, assembly)
+    time = _time(columns[mapping.time.column], mapping, assembly)
+    for stream in mapping.streams:
+        values = np.stack([columns[column] for column in stream.columns], axis=1)
+        assembly.add(stream.quantity, time, _converted(values, stream, mapping), ", ".join(stream.columns))
+    return assembly.finish()
+
+
+def _shipped_for(source: Source) -> Mapping | None:
+    for mapping in mappings.shipped():
+        if set(mapping.columns) <= set(header_of(source, mapping)):
+            return mapping
+    return None
+
+
+def _columns(file: Path, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
+    wanted = list(dict.fromkeys(mapping.columns))
+    delimiter = mapping.file.delimiter
+    if not mapping.file.prefix:
+        return csv.read_columns(file, names, wanted, assembly, delimiter=delimiter)
+    tags = re.compile(mapping.file.prefix)
+    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+        bare = Path(folder) / "bare.csv"
+        with file.open(encoding="utf-8", errors="replace") as tagged, bare.open("w", encoding="utf-8") as plain:
+            plain.writelines(tags.sub("", line, count=1) for line in tagged)
+        return csv.read_columns(bare, names, wanted, assembly, delimiter=delimiter)
+
+
+def _time(values: Floats, mapping: Mapping, assembly: Assembly) -> Floats:
+    """Seconds; what counts in small units from far away is first counted from the first row."""
+    known = np.flatnonzero(np.isfinite(values))
+    origin = values[known[0]] if len(known) and mapping.time.from_first_row else 0.0
+    return np.asarray((values - origin) * mappings.TIME_UNITS[mapping.time.unit])
+
+
+def _converted(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
+    """Values in our units, order and frames."""
+    values = values * mappings.UNITS[stream.unit] * np.asarray(stream.scale) if stream.unit else values * stream.scale
+    if stream.quantity in ("attitude", "attitude_setpoint"):
+        return _attitude(values, stream, mapping)
+    frame = stream.frame or _default_frame(stream, mapping)
+    if frame == "NED":
+        return frames.enu_from_ned(values)
+    if frame == "FRD":
+        return frames.flu_from_frd(values)
+    return values
+
+
+def _attitude(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
+    if stream.order == "euler":
+        attitude = quaternion.from_euler(values[:, 0], values[:, 1], values[:, 2])
+    elif stream.order == "xyzw":
+        attitude = frames.quaternion_from_xyzw(values)
+    else:
+        attitude = values
+    return frames.attitude_enu_flu(attitude) if mapping.frames.world == "NED" else np.asarray(attitude)
+
+
+def _default_frame(stream: MappedStream, mapping: Mapping) -> str:
+    """The frame of a vector by what the mapping says of the world and the body."""
+    return {"world ENU": mapping.frames.world, "body FLU": mapping.frames.body}.get(stream.frame_of_quantity, "")

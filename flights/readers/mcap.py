@@ -1,0 +1,165 @@
+"""Alula's own recordings: MCAP with JSON messages, read by scanning so that a torn one gives all it holds."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from array import array
+
+import msgspec
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Channel, Footer, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from zstandard import ZstdError
+
+from dynamics.errors import DataError
+from flights.assembly import Assembly
+from flights.log import Floats, Reading
+from flights.readers import rosbag
+from flights.source import Source
+
+_MAGIC = b"\x89MCAP0\r\n"
+
+Numbers = Sequence[float | None]
+
+
+class _Estimate(msgspec.Struct):
+    time: float
+    position_world: Numbers
+    velocity_world: Numbers
+    attitude: Numbers
+    rate_body: Numbers
+    reset_counter: int
+
+
+class _Reference(msgspec.Struct):
+    time: float
+    position_world: Numbers
+    velocity_world: Numbers
+    attitude: Numbers
+
+
+class _Setpoint(msgspec.Struct):
+    time: float
+    rate_body: Numbers
+    collective_thrust: float | None
+    thrust: float | None
+
+
+class _Imu(msgspec.Struct):
+    time: float
+    specific_force_body: Numbers
+    rate_body: Numbers
+
+
+class _Rotors(msgspec.Struct):
+    time: float
+    speed: Numbers
+
+
+class _Battery(msgspec.Struct):
+    time: float
+    voltage: float | None
+    current: float | None
+
+
+class _Observation(msgspec.Struct):
+    time: float
+    armed: bool
+    landed: bool
+
+
+_Row = _Estimate | _Reference | _Setpoint | _Imu | _Rotors | _Battery | _Observation
+
+# topic: its struct, and per field the quantity it tells; of two for one quantity the first is preferred
+_TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
+    "/estimate": (_Estimate, {"position_world": "position", "velocity_world": "velocity", "attitude": "attitude",
+                              "rate_body": "rate", "reset_counter": "reset_counter"}),
+    "/imu": (_Imu, {"specific_force_body": "specific_force", "rate_body": "rate"}),
+    "/rotors": (_Rotors, {"speed": "rotor_speed"}),
+    "/battery": (_Battery, {"voltage": "battery_voltage", "current": "battery_current"}),
+    "/reference": (_Reference, {"position_world": "position_setpoint", "velocity_world": "velocity_setpoint",
+                                "attitude": "attitude_setpoint"}),
+    "/setpoint": (_Setpoint, {"rate_body": "rate_setpoint", "thrust": "thrust_setpoint",
+                              "collective_thrust": "collective_thrust_command"}),
+    "/observation": (_Observation, {"armed": "armed", "landed": "landed"}),
+}  # fmt: skip
+
+
+class _Collected:
+    """One topic's rows as flat numbers, so that a long recording stays small in memory."""
+
+    def __init__(self, kind: type[_Row], fields: Mapping[str, str]) -> None:
+        self._decoder = msgspec.json.Decoder(kind)
+        self.time = array("d")
+        self.fields = {field: array("d") for field in fields}
+
+    def add(self, data: bytes) -> None:
+        row = self._decoder.decode(data)
+        self.time.append(row.time)
+        for field, numbers in self.fields.items():
+            value = getattr(row, field)
+            values = value if isinstance(value, list) else (value,)
+            numbers.extend(float("nan") if number is None else number for number in values)
+
+
+def matches(source: Source) -> bool:
+    """Whether it is an MCAP file that is no ROS 2 bag."""
+    return source.head.startswith(_MAGIC) and not rosbag.is_ros2_mcap(source.head)
+
+
+def read(source: Source) -> Reading:
+    """The streams of a recording. Raises DataError for an MCAP file that is none of ours."""
+    assembly = Assembly()
+    collected = {topic: _Collected(kind, fields) for topic, (kind, fields) in _TOPICS.items()}
+    metadata: dict[str, str] = {}
+    complete, damaged = False, 0
+    topics: dict[int, str] = {}
+    for part in _parts(source):
+        match part:
+            case Channel():
+                topics[part.id] = part.topic
+            case Message() if (rows := collected.get(topics.get(part.channel_id, ""))) is not None:
+                try:
+                    rows.add(part.data)
+                except (msgspec.DecodeError, msgspec.ValidationError):
+                    damaged += 1
+            case Metadata() if part.name == "alula":
+                metadata.update(part.metadata)
+            case Footer():
+                complete = True
+            case _:
+                pass
+    if not metadata and not any(len(rows.time) for rows in collected.values()):
+        raise DataError(
+            f"this MCAP file has the topics {', '.join(sorted(topics.values())[:8]) or '(none)'}, and none of a "
+            "recording of `alula fly`. Bags of ROS 2 are read as well."
+        )
+    if not complete:
+        assembly.repair("torn_end", "the recording was cut off, as by a crash; read up to its last whole chunk")
+    if damaged:
+        assembly.repair("damaged_messages", f"{damaged} messages that cannot be decoded left out")
+    assembly.metadata.update({key: value for key, value in metadata.items() if len(value) < 1000})
+    for topic, rows in collected.items():
+        _add_topic(assembly, topic, rows)
+    return assembly.finish()
+
+
+def _add_topic(assembly: Assembly, topic: str, rows: _Collected) -> None:
+    time = np.array(rows.time)
+    for field, name in _TOPICS[topic][1].items():
+        values: Floats = np.array(rows.fields[field])
+        if len(time) and len(values) % len(time) == 0:
+            assembly.add(name, time, values.reshape(len(time), -1), topic)
+        elif len(time):
+            assembly.note(f"{topic}.{field} changes its length and is left out")
+
+
+def _parts(source: Source) -> Iterator[McapRecord]:
+    """Records up to the end or to where the file was torn off."""
+    with source.file.open("rb") as stream:
+        try:
+            yield from StreamReader(stream).records
+        except (McapError, struct.error, ValueError, ZstdError, EOFError):
+            return

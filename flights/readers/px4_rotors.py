@@ -1,0 +1,43 @@
+"""PX4's motor numbers in our rotor order, from the geometry that the log states."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from flights.log import Floats
+
+QUADROTOR = 2  # MAV_TYPE
+# PX4's quad x: motor 1 front right, 2 back left, 3 front left, 4 back right
+QUAD_X = (2, 1, 3, 0)
+FIRST_MOTOR_FUNCTION, LAST_MOTOR_FUNCTION = 101, 112
+_QUADRANTS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of our rotors 0 to 3: signs of x forward and y left
+
+
+def rotor_order(parameters: Mapping[str, float], vehicle_type: int | None) -> tuple[tuple[int, ...] | None, str]:
+    """For each of our rotors PX4's motor index, or None to leave them in PX4's order; and what it rests on.
+
+    parameters: PX4's, by name. vehicle_type: MAV_TYPE, where it is known.
+    """
+    count = int(parameters.get("CA_ROTOR_COUNT", 0))
+    if count == 4:
+        positions = [
+            (parameters.get(f"CA_ROTOR{i}_PX", 0.0), -parameters.get(f"CA_ROTOR{i}_PY", 0.0)) for i in range(count)
+        ]
+        quadrants = [(int(np.sign(x)), int(np.sign(y))) for x, y in positions]
+        if sorted(quadrants) == sorted(_QUADRANTS):
+            order = tuple(quadrants.index(quadrant) for quadrant in _QUADRANTS)
+            return order, "rotors put in our order by CA_ROTORn_PX and PY"
+    if count == 0 and vehicle_type == QUADROTOR:
+        return QUAD_X, "rotors put in our order as PX4's quad x: the log states no geometry"
+    if count:
+        return None, f"{count} rotors left in PX4's order: they do not stand one in each quadrant"
+    return None, "motors left in PX4's order: the log states neither geometry nor a quadrotor"
+
+
+def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
+    """Columns of motors as rotors. motors: (n, k). Motors beyond the order are dropped."""
+    if order is None or motors.shape[1] < len(order):
+        return motors
+    return motors[:, list(order)]

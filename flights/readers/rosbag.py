@@ -1,0 +1,130 @@
+"""Bags of ROS 1 and ROS 2, read without ROS (rosbags).
+
+World frames of ROS are ENU and bodies FLU (REP 103), but the twist of an Odometry may be in either, and some vehicles
+publish an IMU in FRD: what the convention leaves open is measured against the bag's own motion and noted.
+
+The paper's published bags (PI-TCN) are told by their three topics, `odom`, `imu` and `motor_rpm` under one vehicle's
+namespace: there the velocity is in the world and the IMU's rates are FRD.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rosbags.highlevel import AnyReader, AnyReaderError
+from rosbags.interfaces import Connection
+from rosbags.rosbag1 import ReaderError as Reader1Error
+from rosbags.rosbag2 import ReaderError as Reader2Error
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_typestore
+
+from dynamics.errors import DataError
+from flights.assembly import Assembly
+from flights.log import Reading
+from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
+from flights.source import Source
+
+_ROS1 = b"#ROSBAG V2.0"
+_ANY_ROS1 = b"#ROSBAG"
+_SQLITE = b"SQLite format 3\0"
+_MCAP = b"\x89MCAP0\r\n"
+_PAPER_TOPICS = ("odom", "imu", "motor_rpm")
+
+
+def is_bag_folder(path: Path) -> bool:
+    """Whether a folder is a bag of ROS 2."""
+    return path.is_dir() and (path / "metadata.yaml").is_file()
+
+
+def is_ros2_mcap(head: bytes) -> bool:
+    """Whether the header of an MCAP file names the profile of ROS 2."""
+    return head.startswith(_MCAP) and head[17:25] == (4).to_bytes(4, "little") + b"ros2"
+
+
+def matches(source: Source) -> bool:
+    """Whether it is a ROS 1 bag of any version, a ROS 2 bag's folder, or its storage by itself."""
+    if source.is_folder:
+        return is_bag_folder(source.file)
+    return source.head.startswith((_ANY_ROS1, _SQLITE)) or is_ros2_mcap(source.head)
+
+
+def read(source: Source) -> Reading:
+    """The streams of a bag. Raises DataError for a version or a storage that cannot be read."""
+    if source.head.startswith(_ANY_ROS1) and not source.head.startswith(_ROS1):
+        version = source.head.split(b"\n", 1)[0].decode("ascii", "replace")
+        raise DataError(f"this is a bag of another version ({version}); wanted #ROSBAG V2.0. Use `rosbag migrate`.")
+    assembly = Assembly()
+    try:
+        with AnyReader([_readable(source)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+            _read_topics(reader, assembly)
+    except (AnyReaderError, Reader1Error, Reader2Error) as error:
+        raise DataError(
+            f"this bag cannot be read: {error}. If it was cut off, `rosbag reindex` or `ros2 bag reindex` mends it."
+        ) from None
+    return assembly.finish()
+
+
+def _readable(source: Source) -> Path:
+    """A path by which rosbags finds the bag: it tells ROS 1 by the name, and wants the folder of ROS 2."""
+    if source.is_folder:
+        return source.file
+    if not source.head.startswith(_ROS1):
+        raise DataError(
+            "this is the storage of a ROS 2 bag by itself. Give the folder that holds it and its metadata.yaml; "
+            "`ros2 bag reindex` writes a missing one."
+        )
+    if source.file.suffix == ".bag":
+        return source.file
+    raise DataError("rosbags tells bags of ROS 1 by their name: rename it to end in .bag.")
+
+
+def _read_topics(reader: AnyReader, assembly: Assembly) -> None:
+    connections = [connection for connection in reader.connections if _is_wanted(connection, reader)]
+    paper = _paper_namespace(connections)
+    if paper is not None:
+        assembly.metadata["data_set"] = "PI-TCN"
+        assembly.note(
+            f"this is a bag of the paper's set: {paper}odom has the velocity in the world, {paper}imu its rates in "
+            "FRD, and rpm_0 to rpm_3 are rotors 0 to 3"
+        )
+    skipped = sorted({f"{c.topic} ({c.msgtype})" for c in reader.connections if c not in connections})
+    if skipped:
+        assembly.note(f"topics that are none of a flight's quantities: {', '.join(skipped[:12])}")
+    samples: dict[str, Samples] = {}
+    for connection, stamp, raw in reader.messages(connections=connections):
+        rows = samples.get(connection.topic)
+        if rows is None:
+            rows = samples[connection.topic] = Samples(connection.msgtype)
+        try:
+            rows.add(stamp, reader.deserialize(raw, connection.msgtype))
+        except (SerdeError, TypesysError, KeyError, ValueError, AttributeError) as error:
+            assembly.repair(
+                "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
+            )
+    for topic in sorted(samples, key=_preference):
+        rows = samples[topic]
+        if len(rows):
+            rows.convert(assembly, topic, is_paper=paper is not None)
+
+
+def _is_wanted(connection: Connection, reader: AnyReader) -> bool:
+    if connection.msgtype in CONVERTERS:
+        return True
+    definition = reader.typestore.fielddefs.get(connection.msgtype)
+    return definition is not None and bool(rotor_fields([name for name, _ in definition[1]]))
+
+
+def _paper_namespace(connections: Sequence[Connection]) -> str | None:
+    """The namespace under which all of the paper's topics are, None in any other bag."""
+    topics = {connection.topic: connection.msgtype for connection in connections}
+    for topic in topics:
+        space = topic.removesuffix(_PAPER_TOPICS[2])
+        if topic == f"{space}{_PAPER_TOPICS[2]}" and all(f"{space}{name}" in topics for name in _PAPER_TOPICS):
+            return space
+    return None
+
+
+def _preference(topic: str) -> tuple[bool, bool, str]:
+    """Estimates of the vehicle's own before what was commanded or set, then by name."""
+    return "setpoint" in topic or "command" in topic, "mocap" in topic or "vicon" in topic, topic

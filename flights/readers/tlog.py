@@ -1,0 +1,168 @@
+"""MAVLink tlogs of either or both directions: each frame behind its unix time in microseconds.
+
+Payloads are collected per message and turned into arrays at the end, so that only what a flight needs is kept.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from collections.abc import Iterator
+from typing import Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.generator.mavcrc import x25crc
+
+from flights.assembly import Assembly
+from flights.log import Reading
+from flights.readers import mavlink_streams
+from flights.source import Source
+
+_TOKEN = re.compile(r"(\d*)([a-zA-Z])")
+_STAMP = struct.Struct(">Q")
+_V1, _V2 = 0xFE, 0xFD
+_HEADERS = {_V1: 6, _V2: 10}
+_SIGNED, _SIGNATURE_BYTES = 0x01, 13
+_LARGEST_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
+_PIECE = 1 << 20
+_LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100
+_NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
+_MOST_SKIPPED = 0.5  # of the bytes, above which it was no tlog after all
+
+
+class Messages:
+    """The payloads of one kind of message with their arrival. Grows by bytes, reads as one structured array."""
+
+    def __init__(self, number: int) -> None:
+        kind = mavlink.mavlink_map.get(number)
+        self.dtype = mavlink_streams.ESC_STATUS if kind is None else wire_dtype(kind)
+        self.extra: int = mavlink_streams.ESC_STATUS_EXTRA if kind is None else kind.crc_extra
+        self.arrivals = bytearray()
+        self.payloads = bytearray()
+
+    def add(self, arrival: int, payload: bytes) -> None:
+        """One payload, the zeros that MAVLink 2 cuts off put back. arrival: unix time, microseconds."""
+        size = self.dtype.itemsize
+        self.arrivals += arrival.to_bytes(8, "little")
+        self.payloads += payload[:size].ljust(size, b"\0")
+
+    @property
+    def arrival(self) -> NDArray[np.int64]:
+        """(n,) unix time, microseconds."""
+        return np.frombuffer(bytes(self.arrivals), dtype="<i8")
+
+    @property
+    def table(self) -> NDArray[np.void]:
+        """(n,) fields by name."""
+        return np.frombuffer(bytes(self.payloads), dtype=self.dtype)
+
+
+def wire_dtype(kind: type[Any]) -> np.dtype[np.void]:
+    """A message's payload as it travels. kind: one of pymavlink's generated message classes."""
+    layout = kind.unpacker.format
+    tokens = _TOKEN.findall(layout.decode() if isinstance(layout, bytes) else layout)
+    return np.dtype([_field(*field) for field in zip(kind.ordered_fieldnames, tokens, strict=True)])
+
+
+def _field(name: str, token: tuple[str, str]) -> tuple[Any, ...]:
+    count, letter = token
+    base = np.dtype(letter).newbyteorder("<").str
+    return (name, base, (int(count),)) if count else (name, base)
+
+
+def matches(source: Source) -> bool:
+    """Whether it begins with a time stamp of this century and a MAVLink frame."""
+    head = source.head
+    if len(head) < _STAMP.size + 8 or head[_STAMP.size] not in _HEADERS:
+        return False
+    return 0 < _STAMP.unpack_from(head)[0] < _LATEST_STAMP
+
+
+def read(source: Source) -> Reading:
+    """The streams of a tlog. Raises DataError when its time stamps cannot be those of one recording."""
+    assembly = Assembly()
+    collected = {number: Messages(number) for number in mavlink_streams.WANTED}
+    vehicle: tuple[int, int] | None = None
+    counts = {"frames": 0, "damaged": 0, "skipped": 0}
+    with source.file.open("rb") as stream:
+        for arrival, frame in _frames(stream, counts):
+            header = _HEADERS[frame[0]]
+            sender, number = _address(frame)
+            counts["frames"] += 1
+            messages = collected.get(number)
+            if messages is None:
+                continue
+            payload = frame[header : header + frame[1]]
+            if not _is_whole(frame, header, messages.extra):
+                counts["damaged"] += 1
+                continue
+            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT and vehicle is None and _is_autopilot(payload):
+                vehicle = sender
+            if sender == vehicle or vehicle is None or number in mavlink_streams.SENT_TO_VEHICLE:
+                messages.add(arrival, payload)
+    if counts["damaged"]:
+        assembly.repair("damaged_frames", f"{counts['damaged']} of {counts['frames']} frames fail their checksum")
+    if counts["skipped"]:
+        assembly.repair("skipped_bytes", f"{counts['skipped']} bytes between frames or of a torn last one skipped")
+    if vehicle is None:
+        assembly.note("no autopilot's heartbeat in it: every sender is taken for the vehicle")
+    tables = {number: messages for number, messages in collected.items() if messages.arrivals}
+    mavlink_streams.add_streams(assembly, {n: (m.arrival, m.table) for n, m in tables.items()})
+    return assembly.finish()
+
+
+def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, bytes]]:
+    """Arrival and bytes of each frame; what is none is skipped and counted."""
+    buffer, position, ended = bytearray(), 0, False
+    while True:
+        if len(buffer) - position < _STAMP.size + _LARGEST_FRAME and not ended:
+            del buffer[:position]
+            position = 0
+            piece = stream.read(_PIECE)
+            ended = not piece
+            buffer += piece
+        start = position + _STAMP.size
+        if start + 3 > len(buffer):
+            counts["skipped"] += len(buffer) - position
+            return
+        length = _length(buffer, start)
+        if length is None or _STAMP.unpack_from(buffer, position)[0] >= _LATEST_STAMP:
+            counts["skipped"] += 1
+            position += 1
+            continue
+        if start + length > len(buffer):
+            counts["skipped"] += len(buffer) - position
+            return
+        yield _STAMP.unpack_from(buffer, position)[0], bytes(buffer[start : start + length])
+        position = start + length
+
+
+def _length(buffer: bytearray, start: int) -> int | None:
+    magic = buffer[start]
+    if magic not in _HEADERS:
+        return None
+    if magic == _V1:
+        return _HEADERS[_V1] + buffer[start + 1] + 2
+    if buffer[start + 2] & ~_SIGNED:
+        return None
+    return _HEADERS[_V2] + buffer[start + 1] + 2 + (_SIGNATURE_BYTES if buffer[start + 2] & _SIGNED else 0)
+
+
+def _address(frame: bytes) -> tuple[tuple[int, int], int]:
+    """Sender and message number."""
+    if frame[0] == _V2:
+        return (frame[5], frame[6]), frame[7] | frame[8] << 8 | frame[9] << 16
+    return (frame[3], frame[4]), frame[5]
+
+
+def _is_whole(frame: bytes, header: int, extra: int) -> bool:
+    end = header + frame[1]
+    crc = x25crc(frame[1:end] + bytes((extra,))).crc
+    return bool(crc == frame[end] | frame[end + 1] << 8)
+
+
+def _is_autopilot(payload: bytes) -> bool:
+    heartbeat = payload.ljust(9, b"\0")  # u32 custom_mode, u8 type, u8 autopilot, ...
+    return heartbeat[5] != mavlink.MAV_AUTOPILOT_INVALID and heartbeat[4] not in _NOT_AUTOPILOTS

@@ -1,0 +1,252 @@
+"""PX4 ULog files, of today's topic names and of those before: NED and FRD become ENU and FLU.
+
+Every topic keeps its own clock: the sample's time where it is logged, or else that of publication.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import mmap
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+from pyulog import ULog
+from pyulog.core import ULogException
+
+from dynamics import frames, quaternion
+from dynamics.errors import DataError
+from flights.assembly import Assembly
+from flights.log import Floats, Reading
+from flights.readers import ulog_rotors
+from flights.readers.ulog_topics import Topic, Topics
+from flights.source import Source
+
+_MAGIC = b"ULog\x01\x12\x35"
+_HEADER_BYTES = 16
+_SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
+_ARMED_STATE = 2
+_NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
+# vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
+_VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
+_WANTED = (
+    "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
+    "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
+    "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
+    "vehicle_rates_setpoint", "vehicle_mocap_odometry",
+    *ulog_rotors.TOPICS,
+)  # fmt: skip
+
+
+def matches(source: Source) -> bool:
+    """Whether it begins as a ULog does."""
+    return source.head.startswith(_MAGIC)
+
+
+def read(source: Source) -> Reading:
+    """The streams of a ULog. Raises DataError when even its header cannot be read."""
+    assembly = Assembly()
+    log = _parse(source, assembly)
+    topics = Topics(log.data_list, assembly)
+    assembly.parameters.update({name: float(value) for name, value in log.initial_parameters.items()})
+    vehicle_type = _describe(log, topics, assembly)
+    for add in _MOTION:
+        add(assembly, topics)
+    ulog_rotors.add_streams(assembly, topics, vehicle_type)
+    for add in _REST:
+        add(assembly, topics)
+    return assembly.finish()
+
+
+def _parse(source: Source, assembly: Assembly) -> ULog:
+    said = io.StringIO()  # pyulog prints what it finds wrong
+    try:
+        with contextlib.redirect_stdout(said):
+            log = ULog(str(source.file), message_name_filter_list=list(_WANTED))
+    except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
+        raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
+    if log.file_corruption or "orrupt" in said.getvalue():
+        assembly.repair("damaged_messages", "parts of the ULog are damaged; read around them")
+    if _is_torn(source.file):
+        assembly.repair("torn_end", "the ULog ends within a message; read up to there")
+    if log.dropouts:
+        lost = sum(dropout.duration for dropout in log.dropouts) * 1e-3
+        assembly.note(f"the logger dropped out {len(log.dropouts)} times, {lost:.2f} s in all")
+    return log
+
+
+def _is_torn(file: Path) -> bool:
+    """Whether the last message is incomplete. Messages are followed from the last sync point, or else from the start."""
+    size = file.stat().st_size
+    with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
+        sync = data.rfind(_SYNC)
+        position = sync + len(_SYNC) if sync >= 0 else _HEADER_BYTES
+        while position + 3 <= size:
+            position += 3 + (data[position] | data[position + 1] << 8)
+    return position != size
+
+
+def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
+    """Metadata for people and for the verdict. Returns MAV_TYPE where it is known."""
+    for key in ("sys_name", "ver_hw", "ver_sw"):
+        if key in log.msg_info_dict:
+            assembly.metadata[key] = str(log.msg_info_dict[key])
+    version = log.get_version_info_str()
+    if version:
+        assembly.metadata["version"] = version
+    status = topics.get("vehicle_status")
+    kind = int(status["system_type"][0]) if status is not None and status.has("system_type") else None
+    if kind is None and "MAV_TYPE" in log.initial_parameters:
+        kind = int(log.initial_parameters["MAV_TYPE"])
+    if kind is not None:
+        assembly.metadata["vehicle_type"] = str(kind)
+    return kind
+
+
+def _local_position(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("vehicle_local_position")
+    if topic is None:
+        return
+    for name, parts, flags in (("position", "xyz", ("xy_valid", "z_valid")),
+                               ("velocity", ("vx", "vy", "vz"), ("v_xy_valid", "v_z_valid"))):  # fmt: skip
+        if topic.has(*parts):
+            valid = [topic.flag(flag) for flag in (flags[0], *flags)]
+            ned = np.stack([np.where(ok, topic[part], np.nan) for part, ok in zip(parts, valid, strict=True)], axis=1)
+            assembly.add(name, topic.time, frames.enu_from_ned(ned), topic.name)
+    for name, counters in (("position", ("xy_reset_counter", "z_reset_counter")),
+                           ("velocity", ("vxy_reset_counter", "vz_reset_counter"))):  # fmt: skip
+        if topic.has(*counters):
+            # as one number that changes whenever either does
+            assembly.add(f"{name}_reset_counter", topic.time, topic[counters[0]] * 256 + topic[counters[1]], topic.name)
+
+
+def _attitude(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("vehicle_attitude")
+    if topic is None or not topic.has("q[0]"):
+        return
+    assembly.add("attitude", topic.time, frames.attitude_enu_flu(topic.array("q", 4)), topic.name)
+    if topic.has("quat_reset_counter"):
+        assembly.add("attitude_reset_counter", topic.time, topic["quat_reset_counter"], topic.name)
+
+
+def _rates(assembly: Assembly, topics: Topics) -> None:
+    """Body rates of every topic that has them, the one with the highest rate first."""
+    found: list[tuple[Topic, Floats]] = []
+    topic = topics.get("vehicle_angular_velocity")
+    if topic is not None and topic.has("xyz[0]"):
+        found.append((topic, topic.array("xyz", 3)))
+    topic = topics.get("sensor_combined")
+    if topic is not None and topic.has("gyro_rad[0]"):
+        found.append((topic, topic.array("gyro_rad", 3)))
+    topic = topics.get("vehicle_attitude")
+    if topic is not None and topic.has("rollspeed", "pitchspeed", "yawspeed"):
+        found.append((topic, topic.stack("rollspeed", "pitchspeed", "yawspeed")))
+    for topic, rate in sorted(found, key=lambda pair: -len(pair[0].time)):
+        assembly.add("rate", topic.time, frames.flu_from_frd(rate), topic.name)
+
+
+def _specific_force(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("sensor_combined")
+    if topic is None or not topic.has("accelerometer_m_s2[0]"):
+        return
+    time, force = topic.time, frames.flu_from_frd(topic.array("accelerometer_m_s2", 3))
+    if topic.has("accelerometer_timestamp_relative"):
+        offset = topic["accelerometer_timestamp_relative"]
+        known = offset != _NO_OFFSET
+        time, force = (time + offset * 1e-6)[known], force[known]
+    assembly.add("specific_force", time, force, topic.name)
+
+
+def _odometry(assembly: Assembly, topics: Topics) -> None:
+    """The estimator's and then mocap's odometry, behind what `vehicle_local_position` and `vehicle_attitude` gave."""
+    for name in ("vehicle_odometry", "vehicle_visual_odometry", "vehicle_mocap_odometry"):
+        topic = topics.get(name)
+        if topic is None:
+            continue
+        attitude = frames.attitude_enu_flu(topic.array("q", 4)) if topic.has("q[0]") else None
+        if topic.has("position[0]"):
+            assembly.add("position", topic.time, frames.enu_from_ned(topic.array("position", 3)), name)
+        elif topic.has("x", "y", "z"):
+            assembly.add("position", topic.time, frames.enu_from_ned(topic.stack("x", "y", "z")), name)
+        if attitude is not None and np.isfinite(attitude).any():
+            assembly.add("attitude", topic.time, attitude, name)
+        velocity = _odometry_velocity(topic, attitude, assembly)
+        if velocity is not None:
+            assembly.add("velocity", topic.time, velocity, name)
+        if topic.has("reset_counter") and name == "vehicle_odometry":
+            assembly.add("reset_counter", topic.time, topic["reset_counter"], name)
+
+
+def _odometry_velocity(topic: Topic, attitude: Floats | None, assembly: Assembly) -> Floats | None:
+    """Velocity in ENU by the frame that the topic names; versions without the field have NED."""
+    if topic.has("velocity[0]"):
+        given = topic.array("velocity", 3)
+    elif topic.has("vx", "vy", "vz"):
+        given = topic.stack("vx", "vy", "vz")
+    else:
+        return None
+    ned = _VELOCITY_NED if topic.has("velocity[0]") else _OLD_VELOCITY_NED
+    frame = topic["velocity_frame"] if topic.has("velocity_frame") else np.full(len(given), float(ned))
+    if not topic.has("velocity_frame"):
+        assembly.note(f"{topic.name} has no velocity_frame: its velocity is taken for NED, as of PX4 before 1.11")
+    in_body = frame == _VELOCITY_BODY
+    known = (frame == ned) | (in_body & np.array(attitude is not None))
+    velocity = np.where(known[:, None], frames.enu_from_ned(given), np.nan)
+    if in_body.any() and attitude is not None:
+        world = quaternion.rotate(attitude, frames.flu_from_frd(given))
+        velocity = np.where(in_body[:, None], world, velocity)
+    if not known.all():
+        assembly.repair("unknown_frame", f"{topic.name}: {np.count_nonzero(~known)} velocities in other frames masked")
+    return velocity
+
+
+def _armed(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("actuator_armed")
+    if topic is not None and topic.has("armed"):
+        assembly.add("armed", topic.time, topic["armed"] != 0, topic.name)
+    topic = topics.get("vehicle_status")
+    if topic is not None and topic.has("arming_state"):
+        assembly.add("armed", topic.time, topic["arming_state"] == _ARMED_STATE, topic.name)
+
+
+def _landed(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("vehicle_land_detected")
+    if topic is not None and topic.has("landed"):
+        assembly.add("landed", topic.time, topic["landed"] != 0, topic.name)
+
+
+def _battery(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("battery_status")
+    if topic is None or not topic.has("voltage_v"):
+        return
+    connected = topic.flag("connected")
+    assembly.add("battery_voltage", topic.time, np.where(connected, topic["voltage_v"], np.nan), topic.name)
+    if topic.has("current_a"):
+        current = topic["current_a"]
+        assembly.add("battery_current", topic.time, np.where(connected & (current >= 0), current, np.nan), topic.name)
+
+
+def _setpoints(assembly: Assembly, topics: Topics) -> None:
+    topic = topics.get("trajectory_setpoint")
+    if topic is not None and topic.has("position[0]"):
+        assembly.add("position_setpoint", topic.time, frames.enu_from_ned(topic.array("position", 3)), topic.name)
+        assembly.add("velocity_setpoint", topic.time, frames.enu_from_ned(topic.array("velocity", 3)), topic.name)
+    topic = topics.get("vehicle_local_position_setpoint")
+    if topic is not None and topic.has("x", "vx"):
+        assembly.add("position_setpoint", topic.time, frames.enu_from_ned(topic.stack("x", "y", "z")), topic.name)
+        assembly.add("velocity_setpoint", topic.time, frames.enu_from_ned(topic.stack("vx", "vy", "vz")), topic.name)
+    topic = topics.get("vehicle_attitude_setpoint")
+    if topic is not None and topic.has("q_d[0]"):
+        assembly.add("attitude_setpoint", topic.time, frames.attitude_enu_flu(topic.array("q_d", 4)), topic.name)
+    topic = topics.get("vehicle_rates_setpoint")
+    if topic is not None and topic.has("roll", "pitch", "yaw"):
+        rate = frames.flu_from_frd(topic.stack("roll", "pitch", "yaw"))
+        assembly.add("rate_setpoint", topic.time, rate, topic.name)
+        thrust = -topic["thrust_body[2]"] if topic.has("thrust_body[2]") else topic["thrust"]
+        assembly.add("thrust_setpoint", topic.time, thrust, topic.name)
+
+
+_Add = Callable[[Assembly, Topics], None]
+_MOTION: Sequence[_Add] = (_local_position, _attitude, _rates, _specific_force, _odometry)
+_REST: Sequence[_Add] = (_battery, _setpoints, _armed, _landed)

@@ -1,0 +1,128 @@
+"""Any log into streams: the format is told by the content, never by the file's name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynamics.errors import AlulaError, DataError, RequestError
+from flights import plausibility
+from flights.log import Log, Provenance, Reading
+from flights.readers import (
+    betaflight,
+    crazyflie,
+    csv,
+    dataflash,
+    mapped_csv,
+    mcap,
+    parquet,
+    rosbag,
+    tlog,
+    ulog,
+)
+from flights.source import Source, opened, sha256
+
+
+@dataclass(frozen=True)
+class Format:
+    """A kind of log. declares_frames: whether its specification fixes units and frames, so that they need no proof."""
+
+    label: str
+    matches: Callable[[Source], bool]
+    read: Callable[[Source], Reading]
+    declares_frames: bool
+
+
+# Asked in this order: what begins with a signature first, text last.
+FORMATS: Mapping[str, Format] = {
+    "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True),
+    "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
+    "rosbag": Format("ROS bag", rosbag.matches, rosbag.read, False),
+    "parquet": Format("Parquet flight table", parquet.matches, parquet.read, False),
+    "crazyflie": Format("Crazyflie micro-SD log", crazyflie.matches, crazyflie.read, True),
+    "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True),
+    "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
+    "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
+    "csv": Format("flight CSV", csv.matches, csv.read, False),
+    "mapped_csv": Format("CSV with a column mapping", mapped_csv.matches, mapped_csv.read, False),
+}
+
+
+def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
+    """The streams of any log, gzipped or not. mapping: column-mapping TOML for a foreign CSV.
+
+    Raises RequestError for a path or mapping that is wrong or a format that is not known, DataError for a log that
+    cannot be read or contradicts the units and frames it ought to be in.
+    """
+    path = Path(path)
+    with opened(path, None if mapping is None else Path(mapping)) as source:
+        name = "mapped_csv" if mapping is not None else sniff(source)
+        form = FORMATS[name]
+        try:
+            reading = form.read(source)
+        except AlulaError as error:
+            raise type(error)(_naming(path, str(error))) from error
+        digest = sha256(path)
+    if not reading.streams:
+        raise DataError(f"{path} is a {form.label} without flight data. {' '.join(reading.notes)}".rstrip())
+    notes = list(reading.notes)
+    for finding in plausibility.check(reading.streams):
+        if not form.declares_frames:
+            raise DataError(f"{path}: {finding.text}")
+        notes.append(finding.text)
+    provenance = Provenance(
+        str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + reading.repairs
+    )
+    return Log(reading.streams, provenance, reading.start, reading.metadata, reading.parameters)
+
+
+def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
+    """Every log below a folder in the order of names, each with what it holds or why it cannot be read.
+
+    Raises RequestError when it is no folder.
+    """
+    root = Path(folder)
+    if not root.is_dir():
+        raise RequestError(f"{root} is no folder. Give a folder of logs, or one log to Flight.read.")
+    for path in _logs_below(root):
+        try:
+            yield path, read_log(path)
+        except AlulaError as error:
+            yield path, error
+
+
+def sniff(source: Source) -> str:
+    """The name of a log's format. Raises RequestError when it is none that is known."""
+    name = next((name for name, form in FORMATS.items() if form.matches(source)), None)
+    if name is not None:
+        return name
+    known = ", ".join(form.label for form in FORMATS.values())
+    if source.is_folder:
+        raise RequestError(
+            f"{source.path} is a folder, and no bag of ROS 2. Give one log, or read it with flights.read_folder."
+        )
+    columns = mapped_csv.header_of(source)
+    if columns:
+        raise RequestError(
+            f"{source.path} is a text table, but its columns ({', '.join(columns[:8])}, ...) are neither those of the "
+            "flight CSV nor those of a mapping that is known. Write a column-mapping TOML as in flights/mappings/ and "
+            "give it as mapping."
+        )
+    raise RequestError(f"{source.path} is no log that is known: it begins with {source.head[:8]!r}. Known: {known}.")
+
+
+def _logs_below(root: Path) -> Iterator[Path]:
+    """Files below a folder, a ROS 2 bag's folder as one."""
+    if rosbag.is_bag_folder(root):
+        yield root
+        return
+    for path in sorted(root.iterdir()):
+        if path.is_dir():
+            yield from _logs_below(path)
+        elif not path.name.startswith("."):
+            yield path
+
+
+def _naming(path: Path, text: str) -> str:
+    return text if str(path) in text else f"{path}: {text}"

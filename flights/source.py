@@ -1,0 +1,101 @@
+"""The file behind a log: opened, unpacked if it is gzipped, and hashed."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import tempfile
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from dynamics.errors import DataError, RequestError
+from flights.log import Repair
+
+HEAD_BYTES = 65_536
+_PIECE = 1 << 20
+_GZIP = b"\x1f\x8b"
+
+
+@dataclass(frozen=True)
+class Source:
+    """A log to read. path: as it was given. file: the same content unpacked, on disk. head: its first bytes.
+
+    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave.
+    """
+
+    path: Path
+    file: Path
+    head: bytes
+    repairs: tuple[Repair, ...] = ()
+    mapping: Path | None = None
+
+    @property
+    def is_folder(self) -> bool:
+        """Whether it is a folder, as bags of ROS 2 are."""
+        return self.file.is_dir()
+
+    def first_line(self) -> str:
+        """The first line of a text file, empty for anything else."""
+        line = self.head.split(b"\n", 1)[0]
+        try:
+            text = line.decode("utf-8-sig").strip()
+        except UnicodeDecodeError:
+            return ""
+        return "" if "\0" in text else text
+
+
+@contextmanager
+def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
+    """The log at a path, its gzip unpacked into a temporary file so that nothing has to fit into memory.
+
+    Raises RequestError when there is no such file or it cannot be read, DataError for an empty one.
+    """
+    try:
+        if path.is_dir():
+            yield Source(path, path, b"", mapping=mapping)
+            return
+        with path.open("rb") as stream:
+            magic = stream.read(2)
+        if not magic:
+            raise DataError(f"{path} is empty. Wanted a flight log.")
+        if magic != _GZIP:
+            yield Source(path, path, _head(path), mapping=mapping)
+            return
+        with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+            file = Path(folder) / path.name.removesuffix(".gz")
+            repairs = _unpack(path, file)
+            if not file.stat().st_size:
+                raise DataError(f"{path} is gzipped and holds nothing. Wanted a flight log.")
+            yield Source(path, file, _head(file), repairs, mapping)
+    except OSError as error:
+        raise RequestError(f"cannot read {path}: {error.strerror or error}. Give a flight log.") from error
+
+
+def sha256(path: Path) -> str:
+    """Hash of a file, or of the files of a folder in the order of their names."""
+    digest = hashlib.sha256()
+    files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
+    for file in files:
+        with file.open("rb") as stream:
+            while piece := stream.read(_PIECE):
+                digest.update(piece)
+    return digest.hexdigest()
+
+
+def _head(file: Path) -> bytes:
+    with file.open("rb") as stream:
+        return stream.read(HEAD_BYTES)
+
+
+def _unpack(path: Path, file: Path) -> tuple[Repair, ...]:
+    """Unpack what can be unpacked; a torn or damaged end is left out and named."""
+    with gzip.open(path, "rb") as packed, file.open("wb") as plain:
+        try:
+            while piece := packed.read1(_PIECE):  # read1 hands over what is whole before it meets the damage
+                plain.write(piece)
+        except (EOFError, zlib.error, gzip.BadGzipFile) as error:
+            return (Repair("torn_gzip", f"the gzip file ends early or is damaged ({error}); read up to there"),)
+    return ()

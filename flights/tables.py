@@ -1,0 +1,74 @@
+"""Flights as files: the flight CSV and its Parquet twin, both read back bit for bit."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+import msgspec
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pa_parquet
+
+from dynamics.errors import RequestError
+from flights.log import Floats, Origin, Provenance
+from flights.quantities import quantity_of
+
+
+TIME = "t"
+_KEY = b"alula.flight"
+
+
+class Notes(msgspec.Struct, frozen=True):
+    """What a Parquet file says of a flight besides its columns."""
+
+    provenance: Provenance
+    origins: dict[str, Origin]
+    parameters: dict[str, float]
+    metadata: dict[str, str]
+
+
+def write_csv(time: Floats, columns: Mapping[str, Floats], path: Path) -> Path:
+    """Write the flight CSV; what is not known is an empty cell. Raises RequestError when it cannot be written."""
+    arrays = [pa.array(time), *(pa.array(values, from_pandas=True) for values in columns.values())]
+    table = pa.table(arrays, names=[TIME, *columns])
+    header = (",".join([TIME, *columns]) + "\n").encode()
+
+    def write(file: Path) -> None:
+        with file.open("wb") as stream:
+            stream.write(header)
+            pa_csv.write_csv(table, stream, pa_csv.WriteOptions(include_header=False))
+
+    return _in_full(path, write)
+
+
+def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, path: Path) -> Path:
+    """Write a Parquet file with units and frames in its schema. Raises RequestError when it cannot be written."""
+    fields = [pa.field(TIME, pa.float64(), metadata={"unit": "s"})]
+    for name in columns:
+        quantity = quantity_of(name)
+        details = {} if quantity is None else {"unit": quantity.unit, "frame": quantity.frame}
+        fields.append(pa.field(name, pa.float64(), metadata=details))
+    schema = pa.schema(fields, metadata={_KEY: msgspec.json.encode(notes)})
+    table = pa.table([pa.array(time), *(pa.array(values) for values in columns.values())], schema=schema)
+    return _in_full(path, lambda file: pa_parquet.write_table(table, file, compression="zstd"))
+
+
+def decode_notes(metadata: Mapping[bytes, bytes] | None) -> Notes | None:
+    """The notes in a Parquet schema, None for a file that was not written here."""
+    text = (metadata or {}).get(_KEY)
+    return None if text is None else msgspec.json.decode(text, type=Notes)
+
+
+def _in_full(path: Path, write: Callable[[Path], None]) -> Path:
+    """Write beside the path and move there, so that no torn file ever bears the name."""
+    part = path.with_name(path.name + ".part")
+    try:
+        write(part)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RequestError(
+            f"cannot write {path}: {error.strerror or error}. Give a folder that can be written."
+        ) from None
+    return path
