@@ -1,8 +1,9 @@
 """A user's own reference from a CSV table, as a smooth curve.
 
 Positions (and yaw) at given times are joined by polynomials of degree nine that agree with their neighbours in four
-derivatives: what body rates and rotor speeds need. The derivatives at the rows are estimated from the table itself
-where it does not give them.
+derivatives: what body rates and rotor speeds need. Values and derivatives at a row come from a polynomial fitted to the
+rows around it, which smooths small noise. A table that begins or ends in motion is travelled with a soft start and
+stop: its clock runs up to full speed over two seconds.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from dynamics.vehicle import Vehicle
 
 Array = NDArray[np.float64]
 REQUIRED = ("t", "position_x", "position_y", "position_z")
-LEAST_ROWS = 5
+LEAST_ROWS = 7
+WINDOW, DEGREE = 9, 6  # of the local fits: rows, and degree of the polynomial
+AT_REST = 0.05  # m/s or rad/s
+RAMP = 2.0  # s
 FASTEST = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
 _WANTED = "Wanted: a header with t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
 
@@ -32,25 +36,37 @@ _WANTED = "Wanted: a header with t (s), position_x, position_y, position_z (m), 
 def read_table(path: Path, vehicle: Vehicle) -> Reference:
     """The reference of a CSV file. Raises RequestError that names row and column where the table makes no sense."""
     columns = _read_columns(path)
-    times = columns["t"]
     _check(path, columns)
+    times = columns["t"] - columns["t"][0]
     values = np.column_stack([columns["position_x"], columns["position_y"], columns["position_z"], _yaw(columns)])
-    curve = smooth_curve(times - times[0], values)
-    duration = float(times[-1] - times[0])
-    return Reference(path.name, curve, TimeLaw(1.0, 0.0, duration), vehicle)
+    derivatives = _local_fits(times, values)
+    moving = np.abs(derivatives[[0, -1], 1]).max() > AT_REST
+    if not moving:
+        derivatives[[0, -1], 1:] = 0.0
+    ramp = min(RAMP, times[-1] / 2) if moving else 0.0
+    law = TimeLaw(1.0, ramp, float(times[-1]) + ramp)
+    return Reference(path.name, _joined(times, derivatives), law, vehicle)
 
 
-def smooth_curve(times: Array, values: Array) -> PiecewisePolynomial:
-    """Polynomials of degree nine through rows (n, 4) at times (n,), from rest to rest, smooth to the fourth order."""
-    derivatives = np.zeros((times.size, ORDERS, FLAT))
-    derivatives[:, 0] = values
-    for order in range(1, ORDERS):
-        derivatives[:, order] = np.gradient(derivatives[:, order - 1], times, axis=0)
-    derivatives[[0, -1], 1:] = 0.0
+def _local_fits(times: Array, values: Array) -> Array:
+    """Values and four derivatives at every row. times: (n,). values: (n, 4). Returns (n, 5, 4)."""
+    result = np.empty((times.size, ORDERS, FLAT))
+    window = min(WINDOW, times.size)
+    factorials = np.array([math.factorial(order) for order in range(ORDERS)], dtype=float)
+    for i, time in enumerate(times):
+        first = min(max(i - window // 2, 0), times.size - window)
+        since = times[first : first + window] - time
+        scale = np.abs(since).max()
+        powers = np.vander(since / scale, min(DEGREE, window - 1) + 1, increasing=True)
+        coefficients = np.linalg.lstsq(powers, values[first : first + window], rcond=None)[0][:ORDERS]
+        result[i] = coefficients * (factorials / scale ** np.arange(ORDERS))[:, None]
+    return result
+
+
+def _joined(times: Array, derivatives: Array) -> PiecewisePolynomial:
     steps = np.diff(times)
-    return PiecewisePolynomial(
-        times, np.stack([_piece(derivatives[i], derivatives[i + 1], h) for i, h in enumerate(steps)])
-    )
+    pieces = [_piece(derivatives[i], derivatives[i + 1], step) for i, step in enumerate(steps)]
+    return PiecewisePolynomial(times, np.stack(pieces))
 
 
 def _piece(start: Array, end: Array, duration: float) -> Array:
