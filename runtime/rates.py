@@ -44,9 +44,8 @@ class RateMeter:
 
     def rate(self, name: str, now: float, window: float = WINDOW) -> StreamRate:
         """What the message of this name achieves within a window, s, before now; at most the one that is kept."""
-        times = [
-            time for time in tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ())) if time >= now - self._window
-        ]
+        arrivals = tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ()))
+        times = [time for time in arrivals if time >= now - window]
         if len(times) < 2:
             return msgspec.structs.replace(SILENT, count=len(times))
         intervals = sorted(after - before for before, after in pairwise(times))
