@@ -177,7 +177,8 @@ class Flyer:
         self._before, self._estimate = self._estimate, estimate
         if estimate is not None and fresh:
             self._state = estimate.state
-            self._hold.observe(estimate.attitude)
+            if self._health.is_current(estimate, seen.time):
+                self._hold.observe(estimate.attitude)
 
     def _learn(self, time: float) -> None:
         """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
@@ -200,7 +201,7 @@ class Flyer:
         present, self._found = self._found, {}
         if seen.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(seen.findings).items()}
-        present |= self._health.estimate_age(estimate.received if estimate is not None else None, seen.time)
+        present |= self._health.estimate_age(estimate, seen.time)
         if self.engagement.flying and self.mission.phase is not Phase.SHUTDOWN:
             if not seen.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"

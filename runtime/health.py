@@ -9,17 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.vehicle import Vehicle
+from runtime.estimate import Estimate
 from runtime.events import Event
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """stale: s without an estimate. margin: m outside the box until control is given up.
+    """stale: s without an estimate. oldest: s that an estimate may be old, on the road or by a clock that slipped.
+
+    margin: m outside the box until control is given up.
 
     unfollowed: rad/s by which body rates may miss their setpoints on average over `following_time` s. rate_delay: s by
     which rates follow their setpoints.
     """
 
     stale: float = 0.06
+    oldest: float = 0.12
     margin: float = 2.0
     unfollowed: float = 3.0
     following_time: float = 1.0
@@ -48,13 +52,20 @@ class FlightHealth:
         self._sent.clear()
         self._miss, self._miss_time, self._thrust = 0.0, None, 0.0
 
-    def estimate_age(self, arrival: float | None, time: float) -> dict[Event, str]:
-        """Whether estimates still arrive. arrival: of the newest, None before the first."""
-        if arrival is None:
+    def is_current(self, estimate: Estimate, time: float) -> bool:
+        """Whether what an estimate says can be carried to now by the model."""
+        return time - estimate.received <= self.limits.stale and time - estimate.time <= self.limits.oldest
+
+    def estimate_age(self, estimate: Estimate | None, time: float) -> dict[Event, str]:
+        """Whether estimates still arrive, and in time. estimate: the newest, None before the first."""
+        if estimate is None:
             return {Event.ESTIMATE_STALE: "none has arrived yet"}
-        if time - arrival > self.limits.stale:
-            return {Event.ESTIMATE_STALE: f"none for {1e3 * (time - arrival):.0f} ms"}
-        return {}
+        if self.is_current(estimate, time):
+            return {}
+        silence = time - estimate.received
+        if silence > self.limits.stale:
+            return {Event.ESTIMATE_STALE: f"none for {1e3 * silence:.0f} ms"}
+        return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
 
     def flight(self, state: NDArray[np.float64], time: float) -> dict[Event, str]:
         """What a fresh state (13,) of a vehicle in the air shows."""

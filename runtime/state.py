@@ -137,13 +137,15 @@ class Engagement:
         if step is None:
             return ()
         after, reason = step
-        return (self._enter(after, reason, time),)
+        hindered = self.state is State.STREAMING and after is State.STANDBY and bool(facts.refusal)
+        return (self._enter(after, reason, time, keep=hindered),)
 
-    def _enter(self, after: State, reason: str, time: float) -> Transition:
+    def _enter(self, after: State, reason: str, time: float, *, keep: bool = False) -> Transition:
+        """Change the state. keep: being told to engage still holds, because control was never taken."""
         transition = Transition(time, self.state, after, reason)
         if after in (State.STANDBY, State.DISCONNECTED) and self.streaming:
             # control was given up, on purpose or not: only being told again may take it back
-            self._wanted = False
+            self._wanted = self._wanted and keep
             self.refusal = reason
         if after is State.STREAMING:
             self.refusal = ""

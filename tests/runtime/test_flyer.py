@@ -151,6 +151,18 @@ def test_estimates_that_stop_lead_through_the_fallbacks_to_silence(vehicle: Vehi
     assert flight.story.decisions[-1].rate_body is None
 
 
+def test_a_slipped_clock_is_not_compensated_but_fallen_back_from(vehicle: Vehicle, controller: Controller) -> None:
+    flight = tracking(vehicle, controller)
+    flight.slip = 0.3
+    flight.run(0.5)
+    assert flight.flyer.engagement.state is State.FALLBACK
+    assert "old" in flight.story.transitions[-1].reason
+    assert upright(flight) > 0.95
+    flight.slip = 0.0
+    story = flight.run(40.0)
+    assert story.phases == WHOLE
+
+
 @pytest.mark.parametrize("event", [Event.INPUT_NOT_FINITE, Event.ESTIMATE_JUMP, Event.CLOCK_BACKWARDS])
 def test_a_doubted_estimate_is_not_followed(vehicle: Vehicle, controller: Controller, event: Event) -> None:
     flight = tracking(vehicle, controller)

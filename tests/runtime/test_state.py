@@ -141,6 +141,18 @@ def test_low_rates_refuse_engagement_until_they_are_met() -> None:
     assert machine.state is State.STREAMING
 
 
+def test_a_hindrance_while_streaming_delays_engagement_and_does_not_end_it() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 0.5)
+    machine.update(replace(GROUND, refusal="no fresh estimate"), 0.5)
+    assert machine.state is State.STANDBY
+    assert "no fresh estimate" in machine.refusal
+    machine.update(GROUND, 0.51)
+    assert machine.state is State.STREAMING
+
+
 def test_a_fallback_is_entered_and_left_with_reasons() -> None:
     machine = engaged()
     bad = replace(FLYING, fallback=Fallback.SHIFTED_SOLUTION, reason="no fresh estimate: 60 ms old")
@@ -190,7 +202,7 @@ def test_whatever_happens_streaming_starts_only_after_being_told_since_the_last_
         if engage:
             machine.engage()
             told = True
-        before = machine.streaming
+        before, flew = machine.streaming, machine.flying
         for transition in machine.update(facts, time):
             assert transition.reason
             assert transition.before is not transition.after
@@ -198,7 +210,8 @@ def test_whatever_happens_streaming_starts_only_after_being_told_since_the_last_
             assert told
             assert not machine.refusal
         if before and not machine.streaming:
-            told = False
+            assert not (flew and machine.wanted)
+            told = machine.wanted
         if machine.flying and facts.connected:
             assert facts.armed
             assert facts.offboard

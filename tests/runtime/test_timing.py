@@ -37,7 +37,7 @@ def test_after_a_long_pause_what_was_missed_is_not_made_up_for() -> None:
 
 
 def times(due: float, *, wait: float, work: float, free: float = 0.0, by_clock: bool = False) -> TickTimes:
-    return TickTimes(due, due + wait, due + wait + work, free, work, free - due, by_clock)
+    return TickTimes(due, due + wait, due + wait + work, free, work, max(free - due, 0.0), by_clock)
 
 
 def test_a_tick_in_time_is_nobody_s_fault() -> None:

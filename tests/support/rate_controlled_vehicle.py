@@ -105,6 +105,7 @@ class Flight:
         self.grants: set[Request] = set(Request)
         self.findings: dict[str, str] = {}
         self.frozen = False  # no estimates arrive
+        self.slip = 0.0  # s by which estimates claim to be older than they are
         self.offset = np.zeros(3)  # of the estimator's frame
         self.reset = np.zeros(3)
         self.engage, self.leave = True, ""
@@ -131,7 +132,7 @@ class Flight:
         taken, state = self._past[max(0, len(self._past) - 1 - round(AGE / PERIOD))]
         state = state.copy()
         state[0:3] += self.offset
-        self._estimate = Estimate(taken, self.time, state, 0, True, "ODOMETRY")
+        self._estimate = Estimate(taken - self.slip, self.time, state, 0, True, "ODOMETRY")
 
     def _tick(self) -> Decision:
         seen = ObservationRecord(
