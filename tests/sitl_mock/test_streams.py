@@ -7,6 +7,9 @@ import struct
 import numpy as np
 import pytest
 
+from sitl_mock.link import Link
+from sitl_mock.streams import STEP
+from sitl_mock.telemetry import BUILDERS
 from tests.support.bench import GET_INTERVAL, REQUEST, SET_INTERVAL, Bench, finite
 
 # PX4_FACTS: rates measured on the offboard link of PX4, Hz
@@ -78,16 +81,20 @@ def test_minus_one_stops_a_stream_and_zero_brings_its_default_back() -> None:
 
 
 def test_jitter_of_a_hundred_hertz_stream_is_px4s() -> None:
-    bench = Bench()
-    bench.ask(SET_INTERVAL, ODOMETRY, 10_000)
-    bench.run(60.0)
-    intervals = np.diff(bench.times("ODOMETRY")[50:]) * 1e3
+    link = Link("test", "onboard", 1, frozenset(BUILDERS))
+    link.streams.set_interval(0.0, ODOMETRY, 10_000)
+    sent = []
+    for number in range(15_000):
+        departure = link.loop_time(number * STEP)
+        if ODOMETRY in link.streams.due(number * STEP):
+            sent.append(departure)
+    intervals = np.diff(sent) * 1e3
     low, middle, high = np.percentile(intervals, [1, 50, 99])
-    assert low == pytest.approx(5.9, abs=0.7)
+    assert low == pytest.approx(5.9, abs=0.5)
     assert middle == pytest.approx(10.1, abs=1.0)  # between the 8 and 12 ms that PX4 alternates between
-    assert intervals.mean() == pytest.approx(10.0, abs=0.05)
-    assert high == pytest.approx(14.3, abs=0.7)
-    assert intervals.max() <= 17.0
+    assert intervals.mean() == pytest.approx(10.0, abs=0.02)
+    assert high == pytest.approx(14.3, abs=0.5)
+    assert 15.0 <= intervals.max() <= 16.5
 
 
 def test_a_message_is_sent_once_on_request() -> None:

@@ -89,7 +89,7 @@ class Bench:
 
     def fly(self, height: float = 1.0) -> None:
         """Take off in OFFBOARD to some height, hovering under a setpoint stream."""
-        self.stream(1.2)
+        self.stream(0.1 if self.mock.commander.offboard.rule == "measured" else 1.2)
         assert self.ask(SET_MODE, 1, 6) == 0
         self.setpoint()
         assert self.ask(ARM, 1) == 0
