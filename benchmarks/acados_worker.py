@@ -79,12 +79,12 @@ def run(solver: AcadosOcpSolver, scale: float, cases: dict, first: int, last: in
         solver.cost_set(nodes, "yref", cases["state_reference"][tick, nodes])
         solver.options_set("rti_phase", 1)
         solver.solve()
-        prepare.append(float(solver.get_stats("time_tot")))
+        prepare.append(float(np.ravel(solver.get_stats("time_tot"))[0]))
         solver.constraints_set(0, "lbx", cases["state"][tick])
         solver.constraints_set(0, "ubx", cases["state"][tick])
         solver.options_set("rti_phase", 2)
         status.append(int(solver.solve()))
-        feedback.append(float(solver.get_stats("time_tot")))
+        feedback.append(float(np.ravel(solver.get_stats("time_tot"))[0]))
         inputs.append((scale * solver.get(0, "u")).tolist())
     return {"prepare": prepare, "feedback": feedback, "inputs": inputs, "status": status}
 

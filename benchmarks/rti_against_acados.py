@@ -164,6 +164,7 @@ def main() -> None:
     worker_file = str(Path(__file__).with_name("acados_worker.py"))
     acados = [str(ENVIRONMENT / "bin" / "python"), worker_file, str(ROOT / "vehicles" / "arpl_250g.toml"), str(problem)]
     paths = {"PYTHONPATH": str(ROOT), "ACADOS_SOURCE_DIR": str(install)}
+    paths["ACADOS_PYTHON_INTERFACE_PATH"] = str(install.parent / "acados_template")
     paths |= {"LD_LIBRARY_PATH": str(install / "lib"), "TERA_PATH": str(install / "bin" / "t_renderer")}
     workers = [
         Worker("Alula, CasADi wheel's BLASFEO (generic)", own),
