@@ -11,10 +11,12 @@ import tty
 from collections.abc import Callable, Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pymavlink.dialects.v20 import development as mavlink
+from pymavlink.generator.mavcrc import x25crc
 
 from dynamics.errors import VehicleError
 from runtime.connection import Endpoint
@@ -381,3 +383,26 @@ def test_achieved_rates_are_measured(desk: Desk) -> None:
     assert rate("ODOMETRY", 16.5).rate < 60.0
     assert rate("ODOMETRY", 30.0).rate == 0.0
     assert rate("HIGHRES_IMU", 15.0).count == 0
+
+
+def frame_of(message_id: int, payload: bytes) -> bytes:
+    """A frame of the vehicle with a right checksum, whatever is in it."""
+    kind = mavlink.mavlink_map[message_id]
+    header = bytes((len(payload), 0, 0, 0, 1, 1)) + message_id.to_bytes(3, "little")
+    crc = x25crc(header + payload + bytes((kind.crc_extra,))).crc
+    return bytes((0xFD,)) + header + payload + crc.to_bytes(2, "little")
+
+
+HANDLED = [0, 1, 22, 30, 31, 32, 36, 77, 105, 111, 147, 245, 253, 291, 331, 345, 375, 436]
+payloads = st.binary(min_size=1, max_size=255) | st.binary(min_size=4, max_size=8).map(lambda part: part * 30)
+
+
+@given(st.lists(st.tuples(st.sampled_from(HANDLED), payloads, st.floats(0, 3)), max_size=30))
+def test_no_contents_of_a_message_break_its_handling(messages: list[tuple[int, bytes, float]]) -> None:
+    desk, now = Desk(), 1.0
+    for message_id, payload, pause in messages:
+        now += pause
+        (frame,) = FrameParser().feed(frame_of(message_id, payload))
+        reaction = desk.peer.handle(frame, now)
+        assert reaction.estimate is None or np.isfinite(reaction.estimate.state).all()
+    assert np.isfinite(desk.peer.clock.offset(now))
