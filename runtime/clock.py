@@ -62,6 +62,8 @@ class VehicleClock:
         if sent <= self._latest_sent or round_trip < 0.0:
             return "out_of_order"
         self._latest_sent = sent
+        if not self.is_two_way:
+            self.samples = 0  # the first exchange is worth more than all stamps before it, which were late by a delay
         middle = (sent + received) / 2
         self._round_trips.append(round_trip)
         self._last_round_trip = round_trip

@@ -152,3 +152,13 @@ def test_stamps_without_a_round_trip_do_not_disturb_answers() -> None:
     exchange, vehicle = Exchange(0.001), linear(5.0, 0.0)
     exchange.run(2.0, vehicle)
     assert exchange.clock.handle_one_way(exchange.now + 0.05, vehicle(exchange.now)) is None
+
+
+def test_the_first_answer_replaces_stamps_that_came_late() -> None:
+    exchange, vehicle = Exchange(0.001), linear(5.0, 0.0)
+    for _ in range(20):
+        exchange.clock.handle_one_way(exchange.now + 0.03, vehicle(exchange.now))
+        exchange.now += PERIOD
+    exchange.run(2.0, vehicle)
+    assert set(exchange.verdicts) == {"accepted"}
+    assert exchange.error(vehicle) < 1e-3
