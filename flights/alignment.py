@@ -64,7 +64,7 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     count = int(np.floor((end - start) * chosen + 1e-6)) + 1
     if count > MOST_ROWS:
         raise DataError(
-            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time column's unit, or give a lower rate."
+            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, or give a lower rate."
         )
     return np.asarray(start + np.arange(count) / chosen)
 

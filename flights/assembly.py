@@ -118,11 +118,14 @@ class Assembly:
     def _unit_length(self, values: Floats, what: str) -> Floats:
         """Attitudes of unit length and continuous sign, unless they have both already; NaN where they are none."""
         length = np.linalg.norm(values, axis=1)
+        empty = length < 1e-6  # how senders write that there is none
+        values = np.where(empty[:, None], np.nan, values)
+        length = np.where(empty, np.nan, length)
         wrong = np.isfinite(length) & (np.abs(length - 1) > LENGTH_TOLERANCE)
         if wrong.mean() > 0.5:
             raise DataError(
-                f"{what}: the quaternions' length is {np.nanmedian(length):.3g}, wanted 1. Check that these columns are "
-                "an attitude, and its scale."
+                f"{what}: the quaternions' length is {np.nanmedian(length):.3g}, wanted 1. Check that these "
+                "columns are an attitude, and its scale."
             )
         if wrong.any():
             self.repair("no_attitude", f"{what}: {np.count_nonzero(wrong)} rows that are no unit quaternion masked")

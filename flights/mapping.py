@@ -74,7 +74,8 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Refuse what is no quantity, has the wrong number of columns, or an impossible unit."""
         if self.quantity not in QUANTITIES:
             raise RequestError(
-                f"unknown quantity {self.quantity!r}{nearest(self.quantity, QUANTITIES)}. Known: {', '.join(QUANTITIES)}."
+                f"unknown quantity {self.quantity!r}{nearest(self.quantity, QUANTITIES)}. "
+                f"Known: {', '.join(QUANTITIES)}."
             )
         quantity = QUANTITIES[self.quantity]
         parts = quantity.parts

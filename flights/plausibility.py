@@ -16,6 +16,7 @@ from dynamics import quaternion
 from dynamics.vehicle import GRAVITY
 from flights.alignment import resample
 from flights.log import Floats, Stream
+from flights.quantities import MOTION
 
 _GRID_RATE = 50.0  # Hz of the comparisons
 _LONGEST = 60_000  # rows compared at most
@@ -42,11 +43,7 @@ def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
     for stream in streams:
         first.setdefault(stream.name, stream)
     grid = _grid(list(first.values()))
-    on_grid = {
-        name: resample(first[name], grid)
-        for name in ("position", "velocity", "attitude", "rate", "specific_force")
-        if name in first
-    }
+    on_grid: dict[str, Floats] = {name: resample(first[name], grid) for name in MOTION if name in first}
     found = [
         _impossible_rates(first),
         _rates_against_attitude(on_grid, grid),

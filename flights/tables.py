@@ -14,7 +14,6 @@ from dynamics.errors import RequestError
 from flights.log import Floats, Origin, Provenance
 from flights.quantities import quantity_of
 
-
 TIME = "t"
 _KEY = b"alula.flight"
 

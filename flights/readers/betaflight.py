@@ -6,10 +6,9 @@ no place for one of our own.
 
 from __future__ import annotations
 
+from dynamics.errors import DataError
 from flights.log import Reading
 from flights.source import Source
-
-from dynamics.errors import DataError
 
 
 def matches(source: Source) -> bool:

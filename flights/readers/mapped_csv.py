@@ -16,7 +16,7 @@ from dynamics.errors import RequestError
 from flights import mapping as mappings
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
-from flights.mapping import Mapping, MappedStream
+from flights.mapping import MappedStream, Mapping
 from flights.readers import csv
 from flights.source import Source
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Mapping, Sequence
 from array import array
+from collections.abc import Iterator, Mapping, Sequence
 
 import msgspec
 import numpy as np

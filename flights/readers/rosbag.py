@@ -9,7 +9,11 @@ namespace: there the velocity is in the world and the IMU's rates are FRD.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import sqlite3
+import struct
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from rosbags.highlevel import AnyReader, AnyReaderError
@@ -29,6 +33,11 @@ _ROS1 = b"#ROSBAG V2.0"
 _ANY_ROS1 = b"#ROSBAG"
 _SQLITE = b"SQLite format 3\0"
 _MCAP = b"\x89MCAP0\r\n"
+_SUFFIXES = {_ROS1: ".bag", _SQLITE: ".db3", _MCAP: ".mcap"}
+_BROKEN = (
+    AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError, sqlite3.Error, struct.error, ValueError,
+    KeyError, IndexError, EOFError, AssertionError, UnicodeDecodeError, NotImplementedError,
+)  # fmt: skip
 _PAPER_TOPICS = ("odom", "imu", "motor_rpm")
 
 
@@ -55,28 +64,28 @@ def read(source: Source) -> Reading:
         version = source.head.split(b"\n", 1)[0].decode("ascii", "replace")
         raise DataError(f"this is a bag of another version ({version}); wanted #ROSBAG V2.0. Use `rosbag migrate`.")
     assembly = Assembly()
+    store = get_typestore(Stores.ROS2_HUMBLE)  # for bags of ROS 2 from before definitions travelled with them
     try:
-        with AnyReader([_readable(source)], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        with _named(source) as path, AnyReader([path], default_typestore=store) as reader:
             _read_topics(reader, assembly)
-    except (AnyReaderError, Reader1Error, Reader2Error) as error:
+    except _BROKEN as error:
         raise DataError(
             f"this bag cannot be read: {error}. If it was cut off, `rosbag reindex` or `ros2 bag reindex` mends it."
         ) from None
     return assembly.finish()
 
 
-def _readable(source: Source) -> Path:
-    """A path by which rosbags finds the bag: it tells ROS 1 by the name, and wants the folder of ROS 2."""
+@contextmanager
+def _named(source: Source) -> Iterator[Path]:
+    """A path that bears the name by which rosbags tells the storage, which we know by its content."""
     if source.is_folder:
-        return source.file
-    if not source.head.startswith(_ROS1):
-        raise DataError(
-            "this is the storage of a ROS 2 bag by itself. Give the folder that holds it and its metadata.yaml; "
-            "`ros2 bag reindex` writes a missing one."
-        )
-    if source.file.suffix == ".bag":
-        return source.file
-    raise DataError("rosbags tells bags of ROS 1 by their name: rename it to end in .bag.")
+        yield source.file
+        return
+    suffix = next(suffix for magic, suffix in _SUFFIXES.items() if source.head.startswith(magic))
+    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+        link = Path(folder) / f"bag{suffix}"
+        link.symlink_to(source.file.resolve())
+        yield link
 
 
 def _read_topics(reader: AnyReader, assembly: Assembly) -> None:
@@ -98,7 +107,7 @@ def _read_topics(reader: AnyReader, assembly: Assembly) -> None:
             rows = samples[connection.topic] = Samples(connection.msgtype)
         try:
             rows.add(stamp, reader.deserialize(raw, connection.msgtype))
-        except (SerdeError, TypesysError, KeyError, ValueError, AttributeError) as error:
+        except (AnyReaderError, KeyError, ValueError, AttributeError, IndexError) as error:
             assembly.repair(
                 "damaged_messages", f"{connection.topic}: messages that cannot be decoded left out ({error})"
             )
@@ -117,7 +126,7 @@ def _is_wanted(connection: Connection, reader: AnyReader) -> bool:
 
 def _paper_namespace(connections: Sequence[Connection]) -> str | None:
     """The namespace under which all of the paper's topics are, None in any other bag."""
-    topics = {connection.topic: connection.msgtype for connection in connections}
+    topics: set[str] = {connection.topic for connection in connections}
     for topic in topics:
         space = topic.removesuffix(_PAPER_TOPICS[2])
         if topic == f"{space}{_PAPER_TOPICS[2]}" and all(f"{space}{name}" in topics for name in _PAPER_TOPICS):

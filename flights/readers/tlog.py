@@ -29,7 +29,6 @@ _LARGEST_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
 _PIECE = 1 << 20
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
-_MOST_SKIPPED = 0.5  # of the bytes, above which it was no tlog after all
 
 
 class Messages:
@@ -77,40 +76,60 @@ def matches(source: Source) -> bool:
     head = source.head
     if len(head) < _STAMP.size + 8 or head[_STAMP.size] not in _HEADERS:
         return False
-    return 0 < _STAMP.unpack_from(head)[0] < _LATEST_STAMP
+    return bool(0 < _STAMP.unpack_from(head)[0] < _LATEST_STAMP)
 
 
 def read(source: Source) -> Reading:
     """The streams of a tlog. Raises DataError when its time stamps cannot be those of one recording."""
     assembly = Assembly()
-    collected = {number: Messages(number) for number in mavlink_streams.WANTED}
-    vehicle: tuple[int, int] | None = None
+    collected: dict[tuple[int, int], dict[int, Messages]] = {}
+    autopilots: list[tuple[int, int]] = []
     counts = {"frames": 0, "damaged": 0, "skipped": 0}
     with source.file.open("rb") as stream:
         for arrival, frame in _frames(stream, counts):
-            header = _HEADERS[frame[0]]
-            sender, number = _address(frame)
             counts["frames"] += 1
-            messages = collected.get(number)
-            if messages is None:
+            sender, number = _address(frame)
+            if number not in mavlink_streams.WANTED:
                 continue
+            messages = collected.setdefault(sender, {}).setdefault(number, Messages(number))
+            header = _HEADERS[frame[0]]
             payload = frame[header : header + frame[1]]
             if not _is_whole(frame, header, messages.extra):
                 counts["damaged"] += 1
                 continue
-            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT and vehicle is None and _is_autopilot(payload):
-                vehicle = sender
-            if sender == vehicle or vehicle is None or number in mavlink_streams.SENT_TO_VEHICLE:
-                messages.add(arrival, payload)
+            messages.add(arrival, payload)
+            if number == mavlink.MAVLINK_MSG_ID_HEARTBEAT and sender not in autopilots and _is_autopilot(payload):
+                autopilots.append(sender)
+    _note_counts(assembly, counts)
+    vehicle = _vehicle(collected, autopilots, assembly)
+    chosen = {
+        number: (messages.arrival, messages.table)
+        for sender, kinds in collected.items()
+        for number, messages in kinds.items()
+        if messages.arrivals and (sender != vehicle) == (number in mavlink_streams.SENT_TO_VEHICLE)
+    }
+    mavlink_streams.add_streams(assembly, chosen)
+    return assembly.finish()
+
+
+def _note_counts(assembly: Assembly, counts: dict[str, int]) -> None:
     if counts["damaged"]:
         assembly.repair("damaged_frames", f"{counts['damaged']} of {counts['frames']} frames fail their checksum")
     if counts["skipped"]:
         assembly.repair("skipped_bytes", f"{counts['skipped']} bytes between frames or of a torn last one skipped")
-    if vehicle is None:
-        assembly.note("no autopilot's heartbeat in it: every sender is taken for the vehicle")
-    tables = {number: messages for number, messages in collected.items() if messages.arrivals}
-    mavlink_streams.add_streams(assembly, {n: (m.arrival, m.table) for n, m in tables.items()})
-    return assembly.finish()
+
+
+def _vehicle(
+    collected: dict[tuple[int, int], dict[int, Messages]], autopilots: list[tuple[int, int]], assembly: Assembly
+) -> tuple[int, int] | None:
+    """The sender that is the vehicle: the first autopilot, or else whoever tells most."""
+    if len(autopilots) > 1:
+        assembly.note(f"{len(autopilots)} vehicles are on this link; read is the first, system {autopilots[0][0]}")
+    if autopilots or not collected:
+        return autopilots[0] if autopilots else None
+    sender = max(collected, key=lambda one: sum(len(kind.arrivals) for kind in collected[one].values()))
+    assembly.note(f"no autopilot's heartbeat in it: system {sender[0]}, which tells most, is taken for the vehicle")
+    return sender
 
 
 def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, bytes]]:

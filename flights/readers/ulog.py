@@ -77,7 +77,7 @@ def _parse(source: Source, assembly: Assembly) -> ULog:
 
 
 def _is_torn(file: Path) -> bool:
-    """Whether the last message is incomplete. Messages are followed from the last sync point, or else from the start."""
+    """Whether the last message is incomplete, followed from the last sync point or else from the start."""
     size = file.stat().st_size
     with file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         sync = data.rfind(_SYNC)

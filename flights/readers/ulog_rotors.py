@@ -19,9 +19,8 @@ from flights.readers.ulog_topics import Topic, Topics
 
 TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status", "esc_report")
 
-_CHANNELS = 16
+_ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
 _LOW_PWM, _HIGH_PWM = 1000.0, 2000.0  # PX4's defaults, microseconds
-_DISARMED_PWM = 700.0  # below: the output is not used
 # PX4's quad x mixer, one row a motor: roll, pitch, yaw
 _QUAD_X_MIXER = np.array(
     [[-1.0, 1.0, np.sqrt(2)], [1.0, -1.0, np.sqrt(2)], [1.0, 1.0, -np.sqrt(2)], [-1.0, -1.0, -np.sqrt(2)]]
@@ -36,7 +35,7 @@ def add_streams(assembly: Assembly, topics: Topics, vehicle_type: int | None) ->
         assembly.add("rotor_speed", speeds[0].time, in_our_order(speeds[1], order), "esc_status")
     commands = [
         found
-        for found in (_motors(topics), _outputs(assembly, topics), _mixed(assembly, topics, vehicle_type))
+        for found in (_motors(topics), _outputs(assembly, topics, vehicle_type), _mixed(assembly, topics, vehicle_type))
         if found is not None
     ]
     for topic, motors in sorted(commands, key=lambda pair: -len(pair[0].time)):
@@ -79,26 +78,26 @@ def _motors(topics: Topics) -> tuple[Topic, Floats] | None:
     if topic is None:
         return None
     control = topic.array("control", 12)
-    existing = np.isfinite(control).any(axis=0)
-    count = int(np.argmin(existing)) if not existing.all() else len(existing)
+    missing = np.flatnonzero(~np.isfinite(control).any(axis=0))
+    count = int(missing[0]) if len(missing) else control.shape[1]
     return (topic, control[:, :count]) if count else None
 
 
-def _outputs(assembly: Assembly, topics: Topics) -> tuple[Topic, Floats] | None:
+def _outputs(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:
     """actuator_outputs as 0..1 by motor: pulses scaled by their limits, channels mapped by their function."""
-    parameters = assembly.parameters
     for instance, port in ((0, "MAIN"), (1, "AUX")):
         topic = topics.get("actuator_outputs", instance)
         if topic is None:
             continue
         motors = _channels_of_motors(assembly, port)
         if motors is None:
-            output = topic.array("output", _CHANNELS)
-            used = (output > _DISARMED_PWM).any(axis=0) & (np.ptp(output, axis=0) > 0)
-            count = int(parameters.get("CA_ROTOR_COUNT", 0)) or (4 if used[:4].all() else 0)
-            motors = {motor: motor for motor in range(count)} if used[:count].all() else {}
-            if motors:
-                assembly.note("the log names no output functions: output n of actuator_outputs is taken for motor n")
+            count = _ROTORS_OF_TYPE.get(vehicle_type or 0, 0)
+            motors = {motor: motor for motor in range(count)}
+            assembly.note(
+                "the log names no output functions: output n of actuator_outputs is taken for motor n"
+                if count
+                else "the log names neither output functions nor a multirotor: actuator_outputs is left out"
+            )
         if not motors or sorted(motors) != list(range(len(motors))):
             continue
         columns = [_normalised(topic, motors[motor], port, assembly) for motor in range(len(motors))]
