@@ -7,7 +7,8 @@ where the attitude wins because its loop overwrites the rates every step), nothi
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections import deque
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -96,7 +97,12 @@ def _position_setpoint(
     if not (np.isfinite(position).any() or np.isfinite(velocity).any() or np.isfinite(acceleration).any()):
         return None
     return ControlSetpoint(
-        "hold", position_world=enu_from_ned(position), velocity_world=velocity_world, yaw=yaw, yaw_rate=yaw_rate
+        "hold",
+        position_world=enu_from_ned(position),
+        velocity_world=velocity_world,
+        acceleration_world=enu_from_ned(acceleration),
+        yaw=yaw,
+        yaw_rate=yaw_rate,
     )
 
 
@@ -122,10 +128,11 @@ class OffboardStream:
     """
 
     rule: Rule = "documented"
-    setpoint: ControlSetpoint | None = None
     last: float = -math.inf
     began: float = math.inf
     count: int = 0
+    _flown: ControlSetpoint | None = None
+    _arrived: deque[tuple[float, ControlSetpoint]] = field(default_factory=lambda: deque(maxlen=16))
 
     def feed(self, time: float, setpoint: ControlSetpoint) -> None:
         """Take a valid setpoint that arrived at a time."""
@@ -133,7 +140,13 @@ class OffboardStream:
             self.began = time
         self.last = time
         self.count += 1
-        self.setpoint = setpoint
+        self._arrived.append((time, setpoint))
+
+    def setpoint(self, time: float) -> ControlSetpoint | None:
+        """The newest setpoint that had arrived by a time, which later calls must not precede."""
+        while self._arrived and self._arrived[0][0] <= time:
+            self._flown = self._arrived.popleft()[1]
+        return self._flown
 
     def is_alive(self, time: float, timeout: float) -> bool:
         """Whether the last setpoint is younger than COM_OF_LOSS_T."""

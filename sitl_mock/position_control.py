@@ -65,7 +65,7 @@ class PositionControl:
             self._enter(setpoint, now)
         target, velocity = self._target(setpoint, now)
         self._turn(setpoint, dt)
-        return self._track(target, velocity, now, dt)
+        return self._track(target, velocity, setpoint.acceleration_world, now, dt)
 
     def _enter(self, setpoint: ControlSetpoint, now: MotionState) -> None:
         self._kind = setpoint.kind
@@ -83,9 +83,13 @@ class PositionControl:
             return self._return(now)
         position, velocity = setpoint.position_world, setpoint.velocity_world
         moves = np.isfinite(velocity)
-        self._anchor = np.where(moves & ~np.isfinite(position), now.position_world, self._anchor)
-        nowhere = np.where(moves, np.nan, self._anchor)
-        return np.where(np.isfinite(position), position, nowhere), np.where(moves, velocity, 0.0)
+        leaves = (moves | np.isfinite(setpoint.acceleration_world)) & ~np.isfinite(position)
+        self._anchor = np.where(leaves, now.position_world, self._anchor)
+        nowhere = np.where(leaves, np.nan, self._anchor)
+        pushed = leaves & ~moves
+        return np.where(np.isfinite(position), position, nowhere), np.where(
+            moves, velocity, np.where(pushed, np.nan, 0.0)
+        )
 
     def _descend(self, place: Vector, now: MotionState) -> tuple[Vector, Vector]:
         height = now.position_world[2] - self.home[2]
@@ -112,19 +116,25 @@ class PositionControl:
             self._yaw_rate = setpoint.yaw_rate
             self._yaw += setpoint.yaw_rate * dt
 
-    def _track(self, target: Vector, velocity: Vector, now: MotionState, dt: float) -> Demand:
+    def _track(self, target: Vector, velocity: Vector, push: Vector, now: MotionState, dt: float) -> Demand:
+        """Position and velocity control with an acceleration besides; where the velocity is NaN, that alone."""
+        pushed = np.isnan(velocity)
+        velocity = np.where(pushed, now.velocity_world, velocity)
         wanted = velocity + np.nan_to_num(POSITION_GAIN * (target - now.position_world))
         limit = max(CRUISE_SPEED, math.hypot(velocity[0], velocity[1]))
         wanted[0:2] *= min(1.0, limit / max(math.hypot(wanted[0], wanted[1]), 1e-6))
         wanted[2] = min(max(wanted[2], -DESCENT_SPEED), CLIMB_SPEED)
-        error = wanted - now.velocity_world
+        error = np.where(pushed, 0.0, wanted - now.velocity_world)
         slowing = (now.velocity_world - self._velocity) / dt
         self._velocity = now.velocity_world
-        acceleration = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
+        tracking = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
+        acceleration = np.where(pushed, 0.0, tracking) + np.nan_to_num(push)
         attitude, thrust, saturated = _attitude_for(acceleration.tolist(), self._yaw, self.tuning.hover_thrust)
         if not saturated:
             self._integral = np.minimum(np.maximum(self._integral + INTEGRAL_GAIN * error * dt, -5.0), 5.0)
-        return Demand(attitude, self._yaw_rate, thrust, climbs=bool(wanted[2] > TAKE_OFF_SPEED))
+        return Demand(
+            attitude, self._yaw_rate, thrust, climbs=bool(wanted[2] > TAKE_OFF_SPEED or (pushed[2] and push[2] > 0.0))
+        )
 
 
 def _attitude_for(acceleration: list[float], yaw: float, hover_thrust: float) -> tuple[list[float], float, bool]:

@@ -56,7 +56,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """All of a scenario file; what is left out is as without one.
 
     effects: hidden from the vehicle file. sensors: as in `SensorErrors`. ground_height: m. position: east and north,
-    m. yaw: rad. rotor_noise: standard deviation of a rotor's speed over its speed.
+    m. yaw: rad from east. rotor_noise: standard deviation of a rotor's speed over its speed.
     """
 
     effects: tuple[EffectUse, ...] = ()
@@ -66,7 +66,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     clock: Clock = Clock()
     ground_height: float = 0.0
     position: tuple[float, float] = (0.0, 0.0)
-    yaw: float = 0.0
+    yaw: float = math.pi / 2  # north, as PX4's own simulators stand
     rotor_noise: float = 0.002
     parameters: dict[str, float] = {}
     faults: tuple[Fault, ...] = ()

@@ -18,8 +18,11 @@ from sitl_mock.wire_axes import attitude_ned_frd, enu_from_ned, flu_from_frd
 ORIGIN_LATITUDE, ORIGIN_LONGITUDE, ORIGIN_ALTITUDE = 47.3977428, 8.5455967, 489.0  # deg, deg, m above the sea
 METRES_PER_DEGREE = 111_194.93  # of latitude, on PX4's sphere of 6,371 km
 PRESSURE_AT_SEA, SCALE_HEIGHT = 1013.25, 8434.0  # hPa, m
-# SYS_STATUS bits of the sensors that are there and well, by PX4's recording: gyro, accelerometer, magnetometer, ...
-SENSORS = 1 | 2 | 4 | 8 | 32 | (1 << 16) | (1 << 20) | (1 << 21) | (1 << 24) | (1 << 25)
+# SYS_STATUS bits as recorded from PX4: gyro, accelerometer, magnetometer, barometer, GPS, position control, logging
+# and battery are there; a radio is wanted but absent; motors, attitude control, AHRS and airspeed are only ever "well"
+SENSORS = 1 | 2 | 4 | 8 | 32 | (1 << 14) | (1 << 24) | (1 << 25)
+RADIO = 1 << 16
+ALSO_WELL = 16 | (1 << 11) | (1 << 15) | (1 << 21)
 PREARM_CHECK = 1 << 28
 
 

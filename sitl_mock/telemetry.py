@@ -7,9 +7,11 @@ from collections.abc import Callable
 
 from sitl_mock.dialect import EscInfo, EscStatus, Message, ProtocolVersion, mavlink
 from sitl_mock.snapshot import (
+    ALSO_WELL,
     ORIGIN_ALTITUDE,
     PREARM_CHECK,
     PRESSURE_AT_SEA,
+    RADIO,
     SCALE_HEIGHT,
     SENSORS,
     Snapshot,
@@ -27,6 +29,7 @@ for _index, _variance in ((0, 0.0036), (6, 0.0035), (11, 0.0024)):
     VELOCITY_COVARIANCE[_index] = _variance
 NO_ORIGIN_OFFSET = [0.0, 0.0, 0.0, 0.0]
 NO_CELL = 0xFFFF
+ALL_BUT_AIRSPEED = 0x1BFF  # HIGHRES_IMU fields
 DISARMED_PWM, PWM_MIN, PWM_RANGE = 900, 1000, 1000
 RPM_PER_RADIAN = 60.0 / (2 * math.pi)
 
@@ -123,7 +126,7 @@ def highres_imu(s: Snapshot) -> Message:
     pressure = PRESSURE_AT_SEA * math.exp(-altitude / SCALE_HEIGHT)
     field = _in_body(s.motion.attitude, [0.21, 0.01, 0.43])  # gauss, north-east-down near the origin
     return mavlink.MAVLink_highres_imu_message(
-        time_usec, *force, *gyro, *field, pressure, 0.0, altitude, 15.0, 0x1FFF, 0
+        time_usec, *force, *gyro, *field, pressure, 0.0, altitude, 15.0, ALL_BUT_AIRSPEED, 0
     )
 
 
@@ -208,12 +211,12 @@ def _percent(s: Snapshot) -> int:
 
 def sys_status(s: Snapshot) -> Message:
     """SYS_STATUS: sensors' health and the battery; the pre-arm bit says whether arming would be allowed."""
-    healthy = SENSORS if s.estimate_valid else SENSORS & ~1
+    healthy = (SENSORS if s.estimate_valid else SENSORS & ~1) | ALSO_WELL
     healthy |= PREARM_CHECK if s.standing.armable else 0
-    enabled = SENSORS | PREARM_CHECK
     return mavlink.MAVLink_sys_status_message(
-        enabled, enabled, healthy, 140, _millivolts(s), round(s.battery.current * 100), _percent(s), 0, 0, 0, 0, 0, 0
-    )
+        SENSORS, SENSORS | RADIO, healthy, 140, _millivolts(s), round(s.battery.current * 100), _percent(s),
+        0, 0, 0, 0, 0, 0, 0, 0, 1,
+    )  # fmt: skip
 
 
 def extended_sys_state(s: Snapshot) -> Message:

@@ -34,7 +34,8 @@ class ControlSetpoint:
     attitude: (4,) body to world, any sign, unit norm. rate_body: (3,) rad/s; with kind attitude a feed-forward of
     which only the yaw rate is used. A rate that is NaN leaves that axis without control.
     thrust: collective, 0..1 of the most, not clamped on the wire. yaw, yaw_rate: rad and rad/s for kind hold, NaN for
-    as it is.
+    as it is. acceleration_world: m/s^2, for kind hold: added to what position and velocity ask for, and followed alone
+    where neither is finite.
     """
 
     kind: ControlKind
@@ -43,6 +44,7 @@ class ControlSetpoint:
     thrust: float = 0.0
     position_world: Vector = field(default_factory=_unset)
     velocity_world: Vector = field(default_factory=_unset)
+    acceleration_world: Vector = field(default_factory=_unset)
     yaw: float = float("nan")
     yaw_rate: float = float("nan")
 

@@ -80,3 +80,19 @@ def test_a_return_climbs_first_then_flies_home_then_sinks(control: PositionContr
     assert thrust_direction(homing.attitude)[0] < -0.1
     sinking = control.fly(back, at([0.2, 0, 30]), DT)
     assert sinking.thrust < 0.5
+
+
+def test_an_acceleration_alone_is_followed_whatever_the_speed(control: PositionControl) -> None:
+    push = ControlSetpoint("hold", acceleration_world=np.array([1.0, -2.0, 0.5]))
+    demand = control.fly(push, at([5, 5, 5], [3, 3, -1]), DT)
+    leaning = thrust_direction(demand.attitude)
+    np.testing.assert_allclose(leaning[:2] / leaning[2], np.array([1.0, -2.0]) / 9.81, rtol=2e-3)
+    assert demand.thrust * leaning[2] == pytest.approx(0.5 * (1 + 0.5 / 9.81), rel=1e-3)
+
+
+def test_after_an_acceleration_it_holds_where_it_then_is(control: PositionControl) -> None:
+    control.fly(hold([0, 0, 3]), at([0, 0, 3]), DT)
+    control.fly(ControlSetpoint("hold", acceleration_world=np.ones(3)), at([9, 0, 3]), DT)
+    stay = ControlSetpoint("hold", velocity_world=np.array([np.nan, np.nan, 0.0]))
+    leaning = thrust_direction(control.fly(stay, at([9, 0, 3]), DT).attitude)
+    np.testing.assert_allclose(leaning, [0, 0, 1], atol=0.02)
