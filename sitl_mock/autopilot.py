@@ -21,6 +21,7 @@ from sitl_mock.link import Link
 from sitl_mock.modes import Mode
 from sitl_mock.offboard import Rule
 from sitl_mock.parameters import Parameters
+from sitl_mock.position_control import is_home
 from sitl_mock.snapshot import MotionEncoder, Snapshot, Standing, motor_order, ned
 from sitl_mock.statustext import TextWriter
 from sitl_mock.streams import STEP, Role
@@ -73,7 +74,8 @@ class Autopilot:
         self._flown = IDLE
         self._flown_mode: Mode | None = None
         self._motors_from = 0.0
-        self.next_step = vehicle.time
+        self.next_step = vehicle.time + STEP
+        self._due = vehicle.time
         self.estimates_sent = 0
         self.apply_parameters()
 
@@ -95,9 +97,12 @@ class Autopilot:
             reception.receive(self, link, when, message)
 
     def advance(self, duration: float) -> None:
-        """Simulate a duration, s, in passes of 4 ms; what is to be sent waits in the links."""
-        end = self.time + duration
-        while self.next_step <= end - 1e-9:
+        """Simulate a duration, s, in passes of 4 ms; what is to be sent waits in the links.
+
+        A part of a pass that is left over is simulated with the next call.
+        """
+        self._due = max(self._due, self.time) + duration
+        while self.next_step <= self._due + 1e-9:
             self.step()
 
     def step(self) -> None:
@@ -139,7 +144,7 @@ class Autopilot:
         mode = commander.mode
         if mode is Mode.OFFBOARD:
             self._flown_mode = mode
-            return commander.offboard.setpoint or IDLE
+            return commander.offboard.setpoint(self.time) or IDLE
         if commander.landed and mode is not Mode.TAKEOFF:
             self._flown_mode = None  # chosen again once in the air
             return self._flown if self._flown.kind == "land" else IDLE
@@ -210,4 +215,6 @@ class Autopilot:
     def _landed_state(self) -> int:
         if self.commander.landed:
             return ON_GROUND
+        if self.commander.mode is Mode.RTL and is_home(self.vehicle.estimate.position_world, self._home):
+            return LANDING
         return {Mode.TAKEOFF: TAKING_OFF, Mode.LAND: LANDING}.get(self.commander.mode, IN_AIR)

@@ -221,7 +221,7 @@ class Commander:
         """HEARTBEAT's base_mode; PX4's own says auto, guided and stabilised by what its controllers do."""
         flags = CUSTOM | (ARMED if self.armed else 0)
         if self.mode is Mode.OFFBOARD:
-            return flags | (STABILISED if self.offboard.setpoint is not None else 0)
+            return flags | (STABILISED if self.offboard.count else 0)
         if self.mode.needs_pilot:
             return flags | MANUAL_INPUT | STABILISED
         return flags | AUTO | GUIDED | STABILISED
