@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from importlib import metadata
 
 import pytest
 import typer
@@ -10,40 +11,48 @@ from alula import __version__, cli
 from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
 
 
-def run(*arguments):
-    """The command line in a process of its own."""
-    command = [sys.executable, "-m", "alula", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+@pytest.fixture
+def run(monkeypatch, capsys):
+    """Run the command line; gives its exit code, what it printed and what it printed as an error."""
+
+    def ended(*arguments):
+        monkeypatch.setattr(sys, "argv", ["alula", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return caught.value.code, *capsys.readouterr()
+
+    return ended
 
 
-def test_help_names_every_command_in_one_line():
-    shown = run("--help").stdout
+def test_help_names_every_command_in_one_line(run):
+    code, shown, _ = run("--help")
+    assert code == 0
     for command in cli.app.registered_commands:
         assert command.callback.__doc__
         assert command.callback.__name__ in shown
 
 
 def test_version_is_the_distributions():
-    assert run("--version").stdout == f"alula {__version__}\n"
+    done = subprocess.run([sys.executable, "-m", "alula", "--version"], capture_output=True, text=True, check=True)
+    assert done.stdout == f"alula {__version__}\n"
+    assert metadata.version("alula") == __version__
 
 
 @pytest.mark.parametrize("arguments", [["flie"], ["--bogus"], ["mock", "--vehicel", "x"], ["mock"]])
-def test_what_the_command_line_does_not_know_is_a_wrong_request(arguments):
-    done = run(*arguments)
-    assert done.returncode == 2
-    assert "Traceback" not in done.stderr
-    assert arguments[0] in done.stderr
+def test_what_the_command_line_does_not_know_is_a_wrong_request(run, arguments):
+    code, _, message = run(*arguments)
+    assert code == 2
+    assert arguments[0] in message
 
 
-def test_a_file_that_is_not_there_ends_with_a_message_and_code_2(tmp_path):
-    done = run("mock", "--vehicle", str(tmp_path / "absent.toml"))
-    assert done.returncode == 2
-    assert "cannot read the vehicle file" in done.stderr
-    assert "Traceback" not in done.stderr
+def test_a_file_that_is_not_there_ends_with_a_message_and_code_2(run, tmp_path):
+    code, _, message = run("mock", "--vehicle", str(tmp_path / "absent.toml"))
+    assert code == 2
+    assert "cannot read the vehicle file" in message
 
 
 @pytest.mark.parametrize(("error", "code"), [(RequestError, 2), (DataError, 3), (VehicleError, 4), (AlulaError, 1)])
-def test_each_kind_of_error_has_its_exit_code(error, code, monkeypatch, capsys):
+def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
     failing = typer.Typer()
 
     @failing.command()
@@ -51,14 +60,10 @@ def test_each_kind_of_error_has_its_exit_code(error, code, monkeypatch, capsys):
         raise error("what was wanted")
 
     monkeypatch.setattr(cli, "app", failing)
-    monkeypatch.setattr(sys, "argv", ["alula"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == code
-    assert capsys.readouterr().err == "alula: what was wanted\n"
+    assert run() == (code, "", "alula: what was wanted\n")
 
 
-def test_an_interrupt_ends_without_a_traceback(monkeypatch, capsys):
+def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
     interrupted = typer.Typer()
 
     @interrupted.command()
@@ -66,11 +71,7 @@ def test_an_interrupt_ends_without_a_traceback(monkeypatch, capsys):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cli, "app", interrupted)
-    monkeypatch.setattr(sys, "argv", ["alula"])
-    with pytest.raises(SystemExit) as ended:
-        cli.main()
-    assert ended.value.code == 130
-    assert "Traceback" not in capsys.readouterr().err
+    assert run() == (130, "", "")
 
 
 def test_starting_imports_nothing_of_the_desk():
