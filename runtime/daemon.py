@@ -15,6 +15,8 @@ from math import isnan
 from pathlib import Path
 
 import msgspec
+import numpy as np
+from numpy.typing import NDArray
 
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
@@ -44,6 +46,10 @@ READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
 LEAVING_PATIENCE = 60.0  # s from an order to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {"EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 50.0}
 THRUST_CURVE = "THR_MDL_FAC"
+
+FARTHEST_START = 50.0  # m from the vehicle to the start of the reference
+LEAST_CLEARANCE = 0.15  # m of the reference above where the vehicle stands
+LONGEST_LOOK = 600.0  # s of the reference that are looked at before take-off
 
 Announce = Callable[[str], None]
 
@@ -180,6 +186,7 @@ class Daemon:
         thrust_map = self._thrust_map(link)
         mission = Mission(self._vehicle, self._reference, request.plan)
         self._flyer = Flyer(self._vehicle, controller, mission, thrust_map, self._settings())
+        self._check_place(link)
         self._orders.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(
             link, self._watch, self._flyer, self._orders, period=1.0 / request.rate, priority=request.priority,
@@ -201,6 +208,26 @@ class Daemon:
             now = time.monotonic()
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
         return ThrustMap(rotors.thrust_max, rotors.thrust_curve, factor)
+
+    def _check_place(self, link: Link) -> None:
+        """Refuse a reference that leads from here into the ground or far away."""
+        estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
+        if estimate is None:
+            return  # the rates will say so, and refuse
+        span = min(self._reference.duration, LONGEST_LOOK)
+        path = self._reference.states(np.arange(0.0, span, 0.02))[:, 0:3]
+        distance = float(np.linalg.norm(path[0] - estimate.position_world))
+        if distance > FARTHEST_START:
+            raise RequestError(
+                f"the reference starts {distance:.0f} m from the vehicle, which is at "
+                f"{_place(estimate.position_world)} m (east, north, up). Begin nearer than {FARTHEST_START:g} m."
+            )
+        ground, lowest = float(estimate.position_world[2]), float(np.min(path[:, 2]))
+        if not link.status.armed and lowest < ground + LEAST_CLEARANCE:
+            raise RequestError(
+                f"the reference comes down to {lowest:.2f} m, the vehicle stands at {ground:.2f} m. Keep "
+                f"{LEAST_CLEARANCE:g} m above it: give the manoeuvre a height, as in lemniscate:height=1."
+            )
 
     # --- during the flight
 
@@ -293,6 +320,8 @@ class Daemon:
         outcome = flyer.engagement.refusal or "stopped streaming at once"
         if self._refusal and not flyer.landed:
             outcome = f"{outcome}: {self._refusal}"
+        if control.defect:
+            outcome = f"{outcome}; a defect of ours: {control.defect}"
         if status.armed:
             outcome = f"{outcome} (the vehicle is armed, mode {status.mode}: the autopilot or the pilot has it)"
         start_up = control.first_setpoint - self._began
@@ -308,3 +337,7 @@ class Daemon:
             effectiveness=flyer.effectiveness.value,
             start_up=-1.0 if isnan(start_up) else start_up,
         )
+
+
+def _place(position: NDArray[np.float64]) -> str:
+    return ", ".join(f"{value:.1f}" for value in position)

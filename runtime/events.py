@@ -116,7 +116,7 @@ POLICIES: Mapping[Event, Policy] = {
     Event.MODEL_UNHEALTHY: Policy(
         "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
     ),
-    Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.2, refuses=True),
+    Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),
     Event.RECORDER_OVERRUN: Policy("the recorder fell behind", Severity.WARNING),
     Event.DISK_FULL: Policy("recording ended, the flight goes on", Severity.ERROR, clear_after=NEVER),

@@ -37,7 +37,7 @@ FINDINGS: Mapping[str, Event] = {
 }
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}
 STILL = np.zeros(3)
-RATE_WINDOW = 0.6  # s over which the rate of estimates is measured
+RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
 LOW_CHARGE = 0.1  # of the battery
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from dynamics import quaternion
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
-from runtime.controller import Controller
+from runtime.controller import Command, Controller
 from runtime.events import Event, Fallback
 from runtime.flyer import FlyerSettings
 from runtime.mission import Phase, Plan, Transfer
@@ -257,6 +261,89 @@ def test_the_same_observations_give_the_same_setpoints_bit_for_bit(vehicle: Vehi
         if then.rate_body is not None:
             assert decision.rate_body is not None
             np.testing.assert_array_equal(decision.rate_body, then.rate_body)
+
+
+class Watched:
+    """A controller that counts its solutions and fails when told to, and is the real one otherwise."""
+
+    def __init__(self, real: Controller) -> None:
+        self._real = real
+        self.fails, self.solutions = False, 0
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._real, name)
+
+    def feedback(self, state: np.ndarray, time: float) -> Command:
+        self.solutions += 1
+        command = self._real.feedback(state, time)
+        return replace(command, status=3, rate_body=command.rate_body * np.nan) if self.fails else command
+
+
+def test_a_model_that_stopped_fitting_is_replaced_by_the_nominal_one(vehicle: Vehicle, controller: Controller) -> None:
+    nominal = Watched(Controller.build(vehicle))
+    flight = prepare(vehicle, controller, nominal=nominal)
+    flight.run(30.0, until=Phase.TRACK)
+    assert nominal.solutions == 0
+    flight.findings = {Event.MODEL_UNHEALTHY.value: "5 times the training error"}
+    flight.run(0.6)
+    assert flight.flyer.engagement.state is State.FALLBACK
+    story = flight.run(40.0)
+    assert nominal.solutions > 500
+    assert story.phases == WHOLE
+    assert max(story.errors) < 0.3
+
+
+def test_a_solver_that_fails_for_a_moment_is_bridged_and_one_that_stays_so_is_left(
+    vehicle: Vehicle, controller: Controller
+) -> None:
+    failing = Watched(controller)
+    flight = prepare(vehicle, failing)  # type: ignore[arg-type]
+    flight.run(30.0, until=Phase.TRACK)
+    failing.fails = True
+    flight.run(0.06)
+    failing.fails = False
+    flight.run(0.5)
+    assert Event.SOLVER_FAILED in flight.story.raised
+    assert flight.flyer.engagement.state is State.ENGAGED
+    assert max(flight.story.errors) < 0.2
+    failing.fails = True
+    flight.run(3.0)
+    assert flight.story.after[-1] is State.STANDBY
+    assert flight.story.decisions[-1].rate_body is None
+
+
+EVENTS = st.dictionaries(st.sampled_from([event.value for event in Event]), st.just("planted"), max_size=2)
+
+
+@settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
+@given(
+    st.lists(
+        st.tuples(st.floats(0.01, 2.5), EVENTS, st.booleans(), st.sampled_from(["OFFBOARD", "OFFBOARD", "HOLD"])),
+        max_size=8,
+    ),
+    st.floats(0.5, 1.5),
+)
+def test_whatever_happens_no_tick_raises_and_no_setpoint_is_out_of_bounds(
+    vehicle: Vehicle,
+    controller: Controller,
+    events: list[tuple[float, dict[str, str], bool, str]],
+    effectiveness: float,
+) -> None:
+    flight = prepare(vehicle, controller, effectiveness=effectiveness)
+    flight.run(4.0)
+    for duration, findings, frozen, mode in events:
+        flight.findings, flight.frozen = findings, frozen
+        flight.mode = mode if flight.flyer.engagement.flying else flight.mode
+        flight.run(duration)
+    limit = np.array(vehicle.limits.rate) + 1e-9
+    for (seen, _), decision in zip(flight.story.observations, flight.story.decisions, strict=True):
+        if decision.rate_body is None:
+            continue
+        assert np.all(np.abs(decision.rate_body) <= limit)
+        assert 0.0 <= decision.thrust <= 1.0
+        assert seen.connected
+    if flight.story.after[-1] is State.STANDBY:
+        assert flight.story.decisions[-1].rate_body is None
 
 
 def test_plans_of_zero_settling_fly_too(vehicle: Vehicle, controller: Controller) -> None:

@@ -87,17 +87,12 @@ class Flight:
 
     def __init__(
         self, vehicle: Vehicle, controller: Controller, reference: Motion, *, plan: Plan | None = None,
-        settings: FlyerSettings | None = None, effectiveness: float = 1.0,
+        settings: FlyerSettings | None = None, effectiveness: float = 1.0, nominal: Controller | None = None,
     ) -> None:  # fmt: skip
         self.thrust_map = ThrustMap(vehicle.rotors.thrust_max, vehicle.rotors.thrust_curve, 0.0)
         self.plant = RateControlledVehicle(vehicle, self.thrust_map, effectiveness)
-        self.flyer = Flyer(
-            vehicle,
-            controller,
-            Mission(vehicle, reference, plan or Plan()),
-            self.thrust_map,
-            settings or FlyerSettings(),
-        )
+        mission = Mission(vehicle, reference, plan or Plan())
+        self.flyer = Flyer(vehicle, controller, mission, self.thrust_map, settings or FlyerSettings(), nominal=nominal)
         self.story = Story()
         self.time = 100.0
         self.tick = 0
