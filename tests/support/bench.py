@@ -19,9 +19,16 @@ FINE = 0.0005  # s, resolution of the times at which messages are seen
 class Bench:
     """Sends messages to the mock and keeps every message that it answers with, and when."""
 
-    def __init__(self, *, role: Role = "onboard", parameters: dict[str, float] | None = None, **behaviour: Any):
-        self.vehicle = KinematicVehicle()
-        self.mock = Autopilot(self.vehicle, Parameters(parameters), Behaviour(**behaviour))
+    def __init__(
+        self,
+        *,
+        role: Role = "onboard",
+        parameters: dict[str, float] | None = None,
+        mock: Autopilot | None = None,
+        **behaviour: Any,
+    ):
+        self.vehicle: Any = KinematicVehicle() if mock is None else mock.vehicle
+        self.mock = mock or Autopilot(self.vehicle, Parameters(parameters), Behaviour(**behaviour))
         self.link = self.mock.add_link("test", role)
         self.seen: list[tuple[float, Any]] = []
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
@@ -43,10 +50,12 @@ class Bench:
             start = self.mock.time
             self.mock.step()
             for part in range(round(STEP / FINE)):
-                self._hear(start + (part + 1) * FINE)
+                self.hear(start + (part + 1) * FINE)
         return [message for _, message in self.seen[first:]]
 
-    def _hear(self, time: float) -> None:
+    def hear(self, until: float | None = None) -> None:
+        """Take what the mock has sent until a time, now by default."""
+        time = self.time if until is None else until
         for frame in self.link.take(time):
             self.seen.extend((time, message) for message in self._parser.parse_buffer(frame) or [])
 
