@@ -147,9 +147,11 @@ class Link:
 
     def _pack(self, message: Message) -> bytes | None:
         try:
-            return bytes(message.pack(self._packer))
+            frame = bytes(message.pack(self._packer))
         except (ValueError, OverflowError, mavlink.struct.error):
             return None  # a number that its field cannot hold: a crashed or diverged vehicle says nothing instead
+        self._packer.seq = (self._packer.seq + 1) % 256
+        return frame
 
     def flood(self, time: float, duration: float) -> None:
         """Queue the unknown frames that the flood fault owes for a duration."""

@@ -29,6 +29,11 @@ TAKE_OFF_SPEED = 0.2  # upward speed wanted that makes a landed vehicle take off
 ARRIVED = 1.0  # m, closer to home than this the return becomes a landing
 
 
+def is_home(position: Vector, home: Vector) -> bool:
+    """Whether a return that is here goes down. position, home: (3,) world, m."""
+    return math.hypot(position[0] - home[0], position[1] - home[1]) < ARRIVED
+
+
 @dataclass(frozen=True, slots=True)
 class Demand:
     """What the inner loop shall do.
@@ -99,8 +104,7 @@ class PositionControl:
 
     def _return(self, now: MotionState) -> tuple[Vector, Vector]:
         height = self.home[2] + self.tuning.return_altitude
-        away = float(np.hypot(*(now.position_world[0:2] - self.home[0:2])))
-        if away < ARRIVED:
+        if is_home(now.position_world, self.home):
             return self._descend(self.home[0:2], now)
         level = max(height, self._anchor[2])
         if now.position_world[2] < level - 1.0 and self._anchor[2] < level:

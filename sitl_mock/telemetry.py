@@ -28,7 +28,8 @@ VELOCITY_COVARIANCE = [0.0] * 21
 for _index, _variance in ((0, 0.0036), (6, 0.0035), (11, 0.0024)):
     VELOCITY_COVARIANCE[_index] = _variance
 NO_ORIGIN_OFFSET = [0.0, 0.0, 0.0, 0.0]
-NO_CELL = 0xFFFF
+NO_CELL, NO_MISSION = 0xFFFF, 0xFFFF
+LIDAR_RANGE = 10_000  # cm
 ALL_BUT_AIRSPEED = 0x1BFF  # HIGHRES_IMU fields
 DISARMED_PWM, PWM_MIN, PWM_RANGE = 900, 1000, 1000
 RPM_PER_RADIAN = 60.0 / (2 * math.pi)
@@ -275,6 +276,28 @@ def autopilot_version(s: Snapshot) -> Message:
     )
 
 
+def flight_information(s: Snapshot) -> Message:
+    """FLIGHT_INFORMATION: that of a flight whose times nobody noted."""
+    return mavlink.MAVLink_flight_information_message(int(s.now * 1e3) & 0xFFFFFFFF, 0, 0, 0)
+
+
+def ping(s: Snapshot) -> Message:
+    """PING as PX4 asks it of everyone, once a second."""
+    return mavlink.MAVLink_ping_message(s.now_us, int(s.now) & 0xFFFFFFFF, 0, 0)
+
+
+def mission_current(_: Snapshot) -> Message:
+    """MISSION_CURRENT: there is no mission, and none is flown."""
+    return mavlink.MAVLink_mission_current_message(0, NO_MISSION, 1, 2)
+
+
+def distance_sensor(s: Snapshot) -> Message:
+    """DISTANCE_SENSOR: a lidar that looks down, cm."""
+    height = s.standing.home[2] - s.motion.position[2]
+    seen = max(0, min(LIDAR_RANGE, round(height * 100)))
+    return mavlink.MAVLink_distance_sensor_message(s.now_us // 1000 & 0xFFFFFFFF, 0, LIDAR_RANGE, seen, 0, 0, 25, 0)
+
+
 def protocol_version(_: Snapshot) -> Message:
     """PROTOCOL_VERSION."""
     return ProtocolVersion()
@@ -308,6 +331,10 @@ BUILDERS: dict[int, Callable[[Snapshot], Built]] = {
     mavlink.MAVLINK_MSG_ID_SCALED_PRESSURE: scaled_pressure,
     mavlink.MAVLINK_MSG_ID_VIBRATION: vibration,
     mavlink.MAVLINK_MSG_ID_TIMESYNC: timesync_request,
+    mavlink.MAVLINK_MSG_ID_PING: ping,
+    mavlink.MAVLINK_MSG_ID_MISSION_CURRENT: mission_current,
+    mavlink.MAVLINK_MSG_ID_DISTANCE_SENSOR: distance_sensor,
+    mavlink.MAVLINK_MSG_ID_FLIGHT_INFORMATION: flight_information,
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     ProtocolVersion.id: protocol_version,
 }
