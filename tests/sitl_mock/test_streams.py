@@ -28,6 +28,13 @@ def test_onboard_link_streams_at_the_measured_default_rates_before_anyone_spoke(
     assert counts == pytest.approx(MEASURED, rel=0.03)
 
 
+def test_frames_are_numbered_without_gaps() -> None:
+    bench = Bench()
+    messages = bench.run(2.0)
+    numbers = np.array([message.get_seq() for message in messages])
+    assert set(np.diff(numbers) % 256) == {1}
+
+
 def test_attitude_target_says_what_is_flown() -> None:
     bench = Bench()
     bench.fly()
