@@ -31,7 +31,7 @@ def test_onboard_link_streams_at_the_measured_default_rates_before_anyone_spoke(
 def test_frames_are_numbered_without_gaps() -> None:
     bench = Bench()
     messages = bench.run(2.0)
-    numbers = np.array([message.get_seq() for message in messages])
+    numbers = np.array([int(message.get_msgbuf()[4]) for message in messages])
     assert set(np.diff(numbers) % 256) == {1}
 
 
@@ -155,3 +155,12 @@ def test_servo_outputs_are_900_disarmed_and_follow_the_motors_armed() -> None:
     last = bench.of("SERVO_OUTPUT_RAW")[-1]
     assert last.servo3_raw == pytest.approx(1500, abs=5)
     assert last.servo1_raw > last.servo4_raw > last.servo2_raw > last.servo3_raw
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_200_hz_is_quantised_whenever_it_was_asked(seed: int) -> None:
+    streams = Streams("onboard", frozenset({QUATERNION}), seed)
+    asked = 0.004 * 7 + 0.004 * seed / 20
+    streams.set_interval(asked, QUATERNION, 5000)
+    sent = sum(QUATERNION in streams.due(0.004 * step) for step in range(8, 1008))
+    assert sent == pytest.approx(500, abs=3)
