@@ -38,7 +38,8 @@ class TickTimes(msgspec.Struct, frozen=True):
 
 class TimingReport(msgspec.Struct, frozen=True):
     """Figures of a flight. missed: late setpoints by cause. latency: from an estimate's arrival to the setpoint's
-    departure. interval: between departures. Both: median, p99 and max, s.
+    departure. busy: processor time of the control thread therein. interval: between departures. All: median, p99 and
+    max, s.
     """
 
     ticks: int
@@ -47,6 +48,7 @@ class TimingReport(msgspec.Struct, frozen=True):
     worst_late: float
     worst_cause: str
     latency: dict[str, float]
+    busy: dict[str, float]
     interval: dict[str, float]
 
 
@@ -81,7 +83,7 @@ class Deadlines:
 
     def __init__(self, period: float) -> None:
         self._period = period
-        self._latency = np.zeros(CAPACITY)
+        self._latency, self._busy = np.zeros(CAPACITY), np.zeros(CAPACITY)
         self._interval = np.zeros(CAPACITY)
         self._answered = self._count = 0
         self._last_departure = 0.0
@@ -115,6 +117,7 @@ class Deadlines:
     def _keep(self, times: TickTimes) -> None:
         if not times.by_clock and self._answered < CAPACITY:
             self._latency[self._answered] = times.departed - times.due
+            self._busy[self._answered] = times.busy
             self._answered += 1
         if self.ticks and self._count < CAPACITY:
             self._interval[self._count] = times.departed - self._last_departure
@@ -131,6 +134,7 @@ class Deadlines:
             worst_late=self.worst[0],
             worst_cause=self.worst[1].value,
             latency=percentiles(self._latency[: self._answered]),
+            busy=percentiles(self._busy[: self._answered]),
             interval=percentiles(self._interval[: self._count]),
         )
 
