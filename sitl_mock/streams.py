@@ -93,8 +93,10 @@ class Streams:
             self._start(identifier, 1.0 / rate, 0.0)
 
     def _start(self, identifier: int, interval: float, time: float) -> None:
-        # PX4's streams do not start in step, so neither do these
-        self._streams[identifier] = _Stream(interval, time - self._random.random() * interval)
+        # PX4's streams do not start in step, so neither do these; but all are sent in passes of the loop, and a phase
+        # between two passes would let some intervals escape the quantisation
+        passes = round(time / STEP) - self._random.randrange(max(1, round(interval / STEP)))
+        self._streams[identifier] = _Stream(interval, passes * STEP)
 
     def set_interval(self, time: float, identifier: int, interval_us: float) -> bool:
         """Apply SET_MESSAGE_INTERVAL (us; 0 the default rate, negative stops). False where PX4 answers FAILED."""

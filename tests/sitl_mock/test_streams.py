@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sitl_mock.link import Link
-from sitl_mock.streams import STEP
+from sitl_mock.streams import STEP, Streams
 from sitl_mock.telemetry import BUILDERS
 from tests.support.bench import GET_INTERVAL, REQUEST, SET_INTERVAL, Bench, finite
 
@@ -155,6 +155,9 @@ def test_servo_outputs_are_900_disarmed_and_follow_the_motors_armed() -> None:
     last = bench.of("SERVO_OUTPUT_RAW")[-1]
     assert last.servo3_raw == pytest.approx(1500, abs=5)
     assert last.servo1_raw > last.servo4_raw > last.servo2_raw > last.servo3_raw
+
+
+QUATERNION = 31
 
 
 @pytest.mark.parametrize("seed", range(20))

@@ -1,0 +1,24 @@
+"""One mock as a process and one client on its companion link, shared by the tests of a file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import pytest
+
+from tests.conformance.raw_link import RawLink
+from tests.support.mock_process import MockProcess, mock_process
+
+
+@pytest.fixture(scope="module")
+def mock(request: pytest.FixtureRequest) -> Iterator[MockProcess]:
+    """PX4's SIH quadrotor; a file's MOCK holds further arguments of `alula mock`."""
+    with mock_process(*getattr(request.module, "MOCK", ())) as process:
+        yield process
+
+
+@pytest.fixture(scope="module")
+def link(mock: MockProcess) -> Iterator[RawLink]:
+    """A companion that has heard the mock."""
+    with RawLink(mock.port) as link:
+        yield link
