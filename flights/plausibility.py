@@ -25,7 +25,7 @@ _FASTEST_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
 _LEAST_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _LEAST_SPEED = 0.15  # m/s rms
 _LEAST_ACCELERATION = 0.3  # m/s^2 rms
-_AGREEMENT = 0.5  # correlation beyond which a comparison is taken seriously
+_AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
 _DEGREES = 180 / np.pi
 
 
@@ -87,10 +87,10 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
     if np.count_nonzero(known) < 50:
         return None
     turning, rate = turning[known], rate[known]
-    speed = float(np.sqrt(np.mean(turning**2)))
+    speed = _rms(turning)
     if speed < _LEAST_RATE:
         return None
-    ratio = float(np.sqrt(np.mean(rate**2))) / speed
+    ratio = _rms(rate) / speed
     if 0.5 * _DEGREES < ratio < 2 * _DEGREES:
         return Finding(
             "rates_in_degrees",
@@ -98,7 +98,7 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
         )
     for axis in range(3):
         a, b = turning[:, axis], rate[:, axis]
-        if min(np.std(a), np.std(b)) > _LEAST_RATE and np.corrcoef(a, b)[0, 1] < -_AGREEMENT:
+        if min(_rms(a), _rms(b)) > _LEAST_RATE and _agreement(a, b) < -_AGREEMENT:
             return Finding(
                 "rate_frame",
                 f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
@@ -146,7 +146,7 @@ def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Find
         return None
     for axis in range(3):
         a, b = moved[known, axis], velocity[known, axis]
-        if min(np.std(a), np.std(b)) > _LEAST_SPEED and np.corrcoef(a, b)[0, 1] < -_AGREEMENT:
+        if min(_rms(a), _rms(b)) > _LEAST_SPEED and _agreement(a, b) < -_AGREEMENT:
             return Finding(
                 "velocity_frame",
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
@@ -166,9 +166,9 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Find
     if np.count_nonzero(known) < 50:
         return None
     a, b = acceleration[known, :2], lean[known, :2]
-    if min(np.std(a), np.std(b)) < _LEAST_ACCELERATION:
+    if min(_rms(a), _rms(b)) < _LEAST_ACCELERATION:
         return None
-    agreement = float(np.sum(a * b) / np.sqrt(np.sum(a**2) * np.sum(b**2)))
+    agreement = _agreement(a, b)
     if agreement > -_AGREEMENT:
         return None
     return Finding(
@@ -176,6 +176,15 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Find
         f"the vehicle accelerates away from where its thrust points (agreement {agreement:.2f}): attitude and velocity "
         "are not in the same axes, as NED labelled as ENU. Wanted ENU and FLU; convert them, or give a column mapping.",
     )
+
+
+def _rms(values: Floats) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _agreement(one: Floats, other: Floats) -> float:
+    """Correlation about zero: 1 for the same motion, -1 for the opposite one."""
+    return float(np.mean(one * other) / (_rms(one) * _rms(other)))
 
 
 def _mean(values: Floats, span: int) -> Floats:

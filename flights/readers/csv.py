@@ -76,17 +76,39 @@ def read_columns(
     names: of all columns, in the file's order. skip_rows: lines before the first row. Rows with another number of
     cells, as a torn last one, are dropped and named. Raises DataError when cells are no numbers or many rows are torn.
     """
+    try:
+        columns, torn = _parsed(file, names, wanted, skip_rows, delimiter, strict=True)
+    except DataError:
+        columns, torn = _parsed(file, names, wanted, skip_rows, delimiter, strict=False)
+    rows = len(columns[wanted[0]])
+    if not rows:
+        raise DataError("it has a header but no rows. Wanted at least one sample.")
+    if torn:
+        if len(torn) > max(1, _MOST_TORN * rows):
+            raise DataError(f"{len(torn)} of {rows + len(torn)} rows have {torn[0]}. Wanted as many cells as columns.")
+        assembly.repair("torn_rows", f"{len(torn)} rows with {torn[0]} dropped")
+    return columns
+
+
+def _parsed(
+    file: Path, names: Sequence[str], wanted: Sequence[str], skip_rows: int, delimiter: str, *, strict: bool
+) -> tuple[dict[str, Floats], list[str]]:
+    """The wanted columns, and what was wrong with each row that was dropped. strict: drop none, and be fast."""
     torn: list[str] = []
 
     def drop(row: pa_csv.InvalidRow) -> str:
         torn.append(f"{row.actual_columns} instead of {row.expected_columns} cells")
         return "skip"
 
-    keys = [f"{index}:{name}" for index, name in enumerate(names)]
-    included = [keys[list(names).index(name)] for name in wanted]
+    keys = [f"{index}:{name}" for index, name in enumerate(names)]  # names may be blank or there twice
+    included = [keys[names.index(name)] for name in wanted]
+    # in Latin-1 every byte is a letter, so that a damaged row can be told from a whole one
+    encoding = "utf8" if strict else "latin-1"
     options = {
-        "read_options": pa_csv.ReadOptions(column_names=keys, skip_rows=skip_rows, block_size=_BLOCK),
-        "parse_options": pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=drop),
+        "read_options": pa_csv.ReadOptions(
+            column_names=keys, skip_rows=skip_rows, block_size=_BLOCK, encoding=encoding
+        ),
+        "parse_options": pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=None if strict else drop),
         "convert_options": pa_csv.ConvertOptions(
             column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
         ),
@@ -97,22 +119,12 @@ def read_columns(
             for batch in reader:
                 for key, column in zip(included, batch.columns, strict=True):
                     parts[key].append(column.to_numpy(zero_copy_only=False).astype(float))
-    except (pa.ArrowInvalid, UnicodeDecodeError) as error:
+    except pa.ArrowInvalid as error:
         raise DataError(
             f"its rows cannot be read as numbers: {error}. Wanted a number or nothing in each cell."
         ) from None
-    columns = {
-        name: np.concatenate(parts[key]) if parts[key] else np.empty(0)
-        for name, key in zip(wanted, included, strict=True)
-    }
-    rows = len(columns[wanted[0]])
-    if not rows:
-        raise DataError("it has a header but no rows. Wanted at least one sample.")
-    if torn:
-        if len(torn) > max(1, _MOST_TORN * rows):
-            raise DataError(f"{len(torn)} of {rows + len(torn)} rows have {torn[0]}. Wanted as many cells as columns.")
-        assembly.repair("torn_rows", f"{len(torn)} rows with {torn[0]} dropped")
-    return columns
+    columns = {name: np.concatenate(parts[key] or [np.empty(0)]) for name, key in zip(wanted, included, strict=True)}
+    return columns, torn
 
 
 def _names(line: str) -> list[str]:

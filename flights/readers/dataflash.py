@@ -18,7 +18,8 @@ from flights.log import Floats, Reading
 from flights.readers.px4_rotors import QUAD_X, in_our_order
 from flights.source import Source
 
-_MAGIC = b"\xa3\x95\x80"  # the header of a FMT message, with which every log begins
+# the message with which every log begins: FMT (128), which describes itself as 89 bytes long
+_MAGIC = b"\xa3\x95\x80\x80\x59FMT\0"
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0  # microseconds, ArduPilot's MOT_PWM_MIN and MAX by default
 _MOTOR_1 = 33  # SERVOn_FUNCTION
 _QUAD_FRAME = 1  # FRAME_CLASS
@@ -50,12 +51,16 @@ def read(source: Source) -> Reading:
     assembly = Assembly()
     said = io.StringIO()  # pymavlink prints what it finds wrong
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        log = DFReader_binary.__new__(DFReader_binary)  # in two steps: one that fails would leave its file open
         try:
-            log = DFReader_binary(os.fspath(source.file), zero_time_base=True)
+            log.__init__(os.fspath(source.file), zero_time_base=True)
             collected, speeds = _collect(log, assembly)
-            log.close()
         except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, ZeroDivisionError) as error:
             raise DataError(f"this DataFlash log cannot be read ({error!r}): it is cut off or damaged.") from None
+        finally:
+            for held in ("data_map", "filehandle"):
+                if hasattr(log, held):
+                    getattr(log, held).close()
     if said.getvalue():
         assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {said.getvalue().splitlines()[0]}")
     _add_streams(assembly, collected)

@@ -62,8 +62,8 @@ def read(source: Source) -> Reading:
 def _parse(source: Source, assembly: Assembly) -> ULog:
     said = io.StringIO()  # pyulog prints what it finds wrong
     try:
-        with contextlib.redirect_stdout(said):
-            log = ULog(str(source.file), message_name_filter_list=list(_WANTED))
+        with contextlib.redirect_stdout(said), source.file.open("rb") as stream:
+            log = ULog(stream, message_name_filter_list=list(_WANTED))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
     if log.file_corruption or "orrupt" in said.getvalue():
