@@ -79,7 +79,7 @@ def main() -> None:
     parser.add_argument("--plain", action="store_true")
     options = parser.parse_args()
     lines = [
-        "| flight | setpoints | arrival to departure, ms: median / p99 / max | processor time in it, ms: median / p99 | "
+        "| flight | setpoints | arrival to departure, ms: median / p99 / max | processor time in it, ms: median, p99 | "
         "late: ours + scheduler | without estimate | worst, ms | hover error, mm | start-up, s | ended |",
         "| --- " * 10 + "|",
     ]

@@ -17,7 +17,6 @@
  * solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again: the
  * optimum of a relaxation that is feasible is the optimum. */
 #include <math.h>
-#include <stdbool.h>
 #include <time.h>
 
 #include "dense_qp.h"
@@ -251,6 +250,7 @@ void rti_prepare(rti *r, const double *x, const double *x_reference, const doubl
     double linearised = now();
     condense(r);
     d_dense_qp_set_H(r->H, &r->qp->qp);
+    dense_qp_factor(r->qp);
     for (int k = 0; k < N; k++)
         for (int j = 0; j < NU; j++) {
             r->lower[k * NU + j] = (r->o.u_lower[j] - r->u[k][j]) / r->o.scale;
@@ -358,8 +358,11 @@ int rti_feedback(rti *r, const double *x) {
             r->g_measured[v] = r->g[v];
             for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[i];
         }
-        d_dense_qp_set_g(r->g_measured, &r->qp->qp);
-        report->status = dense_qp_solve(r->qp, r->z + X0, &report->iterations);
+        report->status = 0;
+        if (!dense_qp_free_optimum(r->qp, r->g_measured, r->lower, r->upper, r->z + X0)) {
+            d_dense_qp_set_g(r->g_measured, &r->qp->qp);
+            report->status = dense_qp_solve(r->qp, r->z + X0, &report->iterations);
+        }
         memset(r->bounded, 0, sizeof r->bounded);
         for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + V); report->solves++) {
             if (!take_violated(r)) break;
