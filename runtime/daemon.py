@@ -41,6 +41,7 @@ from runtime.watch import Watch
 
 LEAST_RATE = 0.9  # of the rate of estimates that the flight wants
 HIGHEST_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200
+BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
 LEAVING_PATIENCE = 60.0  # s from an order to land until streaming is stopped
@@ -135,6 +136,7 @@ class Daemon:
             controller = Controller.build(self._vehicle, self._controller_options())  # while the link listens
             status = link.wait_for_vehicle(request.timeout)
             self._greet(status)
+            stack.callback(realtime.lower_thread)
             control = self._start(link, controller)
             stack.callback(self._stop, control)
             self._serve(link, control)
@@ -179,8 +181,10 @@ class Daemon:
     def _start(self, link: Link, controller: Controller) -> ControlThread:
         request = self._request
         realtime.prepare_interpreter()
-        if request.priority is not None and (refusal := realtime.lock_memory()):
-            self._announce(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+        if request.priority is not None:
+            for refusal in (realtime.lock_memory(), realtime.raise_threads(BACKGROUND_PRIORITY, besides="link")):
+                if refusal:
+                    self._announce(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
         asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, HIGHEST_ESTIMATE_RATE)}
         request_rates(link, asked)
         thrust_map = self._thrust_map(link)

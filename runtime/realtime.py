@@ -6,6 +6,7 @@ import ctypes
 import gc
 import os
 import sys
+import threading
 from collections.abc import Callable
 
 SWITCH_INTERVAL = 5e-4  # s; the interpreter's 5 ms would let a busy thread hold the control thread up for half a tick
@@ -53,6 +54,26 @@ def _attempt(what: str, remedy: str, action: Callable[[], None]) -> str:
 def lock_memory() -> str:
     """Keep the whole process in memory. Returns why that was refused, empty when it was not."""
     return _attempt("mlockall", "raise `ulimit -l` or give CAP_IPC_LOCK", _lock_memory)
+
+
+def raise_threads(priority: int, *, besides: str) -> str:
+    """Run all threads of this process but one, and those started from here later, ahead of other processes.
+
+    An ordinary thread that holds the interpreter's lock while it waits for the processor would hold a real-time one
+    up. besides: name of the thread that keeps its own priority. Returns why it was refused, empty when it was not.
+    """
+
+    def raise_all() -> None:
+        for thread in threading.enumerate():
+            if thread.native_id is not None and thread.name != besides:
+                os.sched_setscheduler(thread.native_id, os.SCHED_FIFO, os.sched_param(priority))
+
+    return _attempt(f"SCHED_FIFO {priority}", "raise `ulimit -r` or give CAP_SYS_NICE", raise_all)
+
+
+def lower_thread() -> None:
+    """Run the calling thread as ordinary ones are."""
+    os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def schedule_thread(priority: int, processor: int | None = None) -> tuple[str, ...]:
