@@ -1,0 +1,46 @@
+"""The paper's eight manoeuvres with the nominal model, over real MAVLink in real time, on a mock without hidden effects.
+
+All latencies on: the mock's estimate delay and jitter, motor lag, actuation delay, sensor noise. 100 Hz. Beside the
+nominal column of the paper's Table II, which was flown by a real vehicle with all its aerodynamics.
+
+    python benchmarks/manoeuvres.py [--runs 3]
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from provenance import write_result
+
+from alula.demo import DemoOptions, run_demo
+from alula.paper import TRACKING_NOMINAL
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=3)
+    runs = parser.parse_args().runs
+    errors: dict[str, list[float]] = {name: [] for name in TRACKING_NOMINAL}
+    speeds: dict[str, float] = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for run in range(runs):
+            names = tuple(TRACKING_NOMINAL)
+            options = DemoOptions(Path(folder), effects=(), manoeuvres=names, duration=25.0, seed=100 + run)
+            for flown in run_demo(options, lambda _: None, lambda name: print(f"run {run}: {name}")).nominal:
+                errors[flown.name].append(flown.position_rmse)
+                speeds[flown.name] = max(speeds.get(flown.name, 0.0), flown.speed_max)
+    rows = ["| manoeuvre | top speed m/s | position RMSE m, mean +- std | the paper's nominal m |", "| --- " * 4 + "|"]
+    for name, values in errors.items():
+        paper, spread = TRACKING_NOMINAL[name]
+        rows.append(
+            f"| {name} | {speeds[name]:.2f} | {np.mean(values):.3f} +- {np.std(values):.3f} | {paper:.3f} +- {spread:.3f} |"
+        )
+    rows += ["", f"{runs} runs each, seeds 100 to {99 + runs}."]
+    write_result("manoeuvres", "Tracking with the nominal model, nothing hidden", "\n".join(rows))
+
+
+if __name__ == "__main__":
+    main()
