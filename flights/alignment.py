@@ -89,10 +89,19 @@ def resample(stream: Stream, time: Floats) -> Floats:
     """A stream's values at other times: (m, k), NaN in its gaps and beyond its ends. time: (m,) s, increasing."""
     if stream.quantity.kind == "step":
         return _held(stream, time)
-    known = np.flatnonzero(np.isfinite(stream.values).all(axis=1))
+    finite = np.isfinite(stream.values)
+    if stream.quantity.kind == "linear" and (finite.any(axis=1) != finite.all(axis=1)).any():
+        # a height may be known where a place is not: each column by itself
+        return np.concatenate([_between(stream, column[:, None], time) for column in stream.values.T], axis=1)
+    return _between(stream, stream.values, time)
+
+
+def _between(stream: Stream, values: Floats, time: Floats) -> Floats:
+    """Values (n, k) of a stream at other times, between the rows that are whole."""
+    known = np.flatnonzero(np.isfinite(values).all(axis=1))
     if not len(known):
-        return np.full((len(time), stream.values.shape[1]), np.nan)
-    stamps, values = stream.time[known], stream.values[known]
+        return np.full((len(time), values.shape[1]), np.nan)
+    stamps, values = stream.time[known], values[known]
     if len(stamps) == 1:
         hit = time == stamps[0]
         return np.where(hit[:, None], values[0], np.nan)

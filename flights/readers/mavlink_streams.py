@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from dynamics import frames, quaternion
 from flights.assembly import Assembly
 from flights.log import Floats
-from flights.readers.px4_rotors import QUAD_X, QUADROTOR, in_our_order
+from flights.readers.px4_rotors import QUAD_X, QUADROTOR, in_our_order, join_groups
 
 # Upstream's ESC_STATUS, which pymavlink's definitions lack: payload as it travels, and its CRC_EXTRA.
 ESC_STATUS = np.dtype(
@@ -167,10 +167,13 @@ def _servo_output(assembly: Assembly, got: Received) -> None:
 
 
 def _esc_status(assembly: Assembly, got: Received) -> None:
-    first = got["index"] == 0
-    rpm = np.abs(got["rpm"][first])
-    assembly.note("rotor speeds are ESC_STATUS's, ESC n taken for motor n of PX4's quad x")
-    assembly.add("rotor_speed", got.time[first], in_our_order(rpm * (2 * np.pi / 60), QUAD_X), "ESC_STATUS")
+    time, rpm = join_groups(got.time, got["index"], np.abs(got["rpm"]))
+    order = QUAD_X if rpm.shape[1] == len(QUAD_X) else None
+    assembly.note(
+        "rotor speeds are ESC_STATUS's, ESC n taken for motor n"
+        + (" and put in our order as PX4's quad x" if order else f", {rpm.shape[1]} motors left in their order")
+    )
+    assembly.add("rotor_speed", time, in_our_order(rpm * (2 * np.pi / 60), order), "ESC_STATUS")
 
 
 def _sys_status(assembly: Assembly, got: Received) -> None:

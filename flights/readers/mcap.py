@@ -17,6 +17,7 @@ from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
 from flights.readers import rosbag
+from flights.readers.px4_rotors import QUAD_X, in_our_order, join_groups
 from flights.source import Source
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -55,6 +56,7 @@ class _Imu(msgspec.Struct):
 
 class _Rotors(msgspec.Struct):
     time: float
+    first: int
     speed: Numbers
 
 
@@ -77,7 +79,7 @@ _TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
     "/estimate": (_Estimate, {"position_world": "position", "velocity_world": "velocity", "attitude": "attitude",
                               "rate_body": "rate", "reset_counter": "reset_counter"}),
     "/imu": (_Imu, {"specific_force_body": "specific_force", "rate_body": "rate"}),
-    "/rotors": (_Rotors, {"speed": "rotor_speed"}),
+    "/rotors": (_Rotors, {"first": "", "speed": "rotor_speed"}),
     "/battery": (_Battery, {"voltage": "battery_voltage", "current": "battery_current"}),
     "/reference": (_Reference, {"position_world": "position_setpoint", "velocity_world": "velocity_setpoint",
                                 "attitude": "attitude_setpoint"}),
@@ -142,7 +144,10 @@ def read(source: Source) -> Reading:
         assembly.repair("damaged_messages", f"{damaged} messages that cannot be decoded left out")
     assembly.metadata.update({key: value for key, value in metadata.items() if len(value) < 1000})
     for topic, rows in collected.items():
-        _add_topic(assembly, topic, rows)
+        if topic == "/rotors":
+            _add_rotors(assembly, rows)
+        else:
+            _add_topic(assembly, topic, rows)
     return assembly.finish()
 
 
@@ -154,6 +159,20 @@ def _add_topic(assembly: Assembly, topic: str, rows: _Collected) -> None:
             assembly.add(name, time, values.reshape(len(time), -1), topic)
         elif len(time):
             assembly.note(f"{topic}.{field} changes its length and is left out")
+
+
+def _add_rotors(assembly: Assembly, rows: _Collected) -> None:
+    time, speed = np.array(rows.time), np.array(rows.fields["speed"])
+    if not len(time) or len(speed) % len(time):
+        return
+    time, speed = join_groups(time, np.array(rows.fields["first"]), speed.reshape(len(time), -1))
+    order = QUAD_X if speed.shape[1] == len(QUAD_X) else None
+    assembly.note(
+        "rotor speeds are the autopilot's, put in our order as PX4's quad x"
+        if order
+        else f"rotor speeds are the autopilot's, {speed.shape[1]} motors left in its order"
+    )
+    assembly.add("rotor_speed", time, in_our_order(speed, order), "/rotors")
 
 
 def _parts(source: Source) -> Iterator[McapRecord]:

@@ -41,3 +41,24 @@ def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
     if order is None or motors.shape[1] < len(order):
         return motors
     return motors[:, list(order)]
+
+
+def join_groups(time: Floats, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
+    """ESC reports of a few motors at a time as rows of all motors, at the times of the first motors' reports.
+
+    time: (n,). first: (n,) index of a report's first motor. speed: (n, k). Returns (m,) and (m, motors), without the
+    motors at the end that never turned.
+    """
+    starts = np.unique(first)
+    base = time[first == starts[0]]
+    parts = []
+    for start in starts:
+        stamps, values = time[first == start], speed[first == start]
+        after = np.clip(np.searchsorted(stamps, base), 0, len(stamps) - 1)
+        before = np.maximum(after - 1, 0)
+        nearest = np.where(np.abs(stamps[before] - base) < np.abs(stamps[after] - base), before, after)
+        parts.append(values[nearest])
+    joined = np.concatenate(parts, axis=1)
+    turning = np.flatnonzero((joined != 0).any(axis=0))
+    count = max(4, int(turning[-1]) + 1) if len(turning) else joined.shape[1]
+    return base, joined[:, :count]

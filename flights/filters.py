@@ -1,0 +1,98 @@
+"""Filters for flight data, applied to every stretch without a gap by itself.
+
+`lowpass` and `derivative` look ahead: they make labels and judgements, never the input of a network that shall fly.
+`causal_lowpass` looks back only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import signal
+
+from dynamics.errors import RequestError
+from flights.log import Floats
+
+ORDER = 4  # of the Butterworth filters, PI-TCN section IV-A
+PAPER_CUTOFF = 5.0  # Hz, PI-TCN section IV-A
+ANTI_ALIAS = 0.4  # cutoff over the new rate when a stream is thinned out
+
+
+def lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
+    """Zero-phase Butterworth low-pass: forward and backward, so that nothing is delayed.
+
+    values: (n,) or (n, k); NaN rows split it, stretches too short to filter become NaN. rate, cutoff: Hz.
+
+    Raises RequestError for a cutoff that the rate does not reach.
+    """
+    sections = _sections(rate, cutoff, order)
+    padding = 3 * (2 * len(sections) + 1)
+
+    def both_ways(stretch: Floats) -> Floats:
+        if len(stretch) <= padding:
+            return np.full_like(stretch, np.nan)
+        return np.asarray(signal.sosfiltfilt(sections, stretch, axis=0))
+
+    return each_stretch(values, both_ways)
+
+
+def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
+    """The same Butterworth low-pass, forward only: what a network in flight may be given.
+
+    values: (n,) or (n, k), NaN rows split it. rate, cutoff: Hz. It starts settled at the first value of each stretch.
+    Raises RequestError for a cutoff that the rate does not reach.
+    """
+    sections = _sections(rate, cutoff, order)
+    settled = signal.sosfilt_zi(sections)
+
+    def forward(stretch: Floats) -> Floats:
+        start = settled.reshape(*settled.shape, *[1] * (stretch.ndim - 1)) * stretch[0]
+        return np.asarray(signal.sosfilt(sections, stretch, axis=0, zi=start)[0])
+
+    return each_stretch(values, forward)
+
+
+def anti_aliased(values: Floats, rate: float, new_rate: float) -> Floats:
+    """Values as they may be sampled at a lower rate: without what that rate would fold back; unchanged at a higher one.
+
+    values: (n,) or (n, k). rate, new_rate: Hz.
+    """
+    if new_rate >= 0.99 * rate:
+        return values
+    return lowpass(values, rate, ANTI_ALIAS * new_rate)
+
+
+def derivative(values: Floats, period: float) -> Floats:
+    """Central differences, one-sided at the ends of each stretch. values: (n,) or (n, k). period: s."""
+
+    def differences(stretch: Floats) -> Floats:
+        if len(stretch) < 2:
+            return np.full_like(stretch, np.nan)
+        return np.asarray(np.gradient(stretch, period, axis=0))
+
+    return each_stretch(values, differences)
+
+
+def each_stretch(values: Floats, function: Callable[[Floats], Floats]) -> Floats:
+    """A function of consecutive rows, applied to each run of rows without NaN; rows with NaN stay NaN."""
+    table = values.reshape(len(values), -1)
+    known = np.isfinite(table).all(axis=1)
+    result = np.full_like(values, np.nan, dtype=float)
+    for start, stop in runs(known):
+        result[start:stop] = function(values[start:stop])
+    return result
+
+
+def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    """Start and end (exclusive) of every run of True. flags: (n,) bool."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]
+
+
+def _sections(rate: float, cutoff: float, order: int) -> Floats:
+    if not 0.0 < cutoff < 0.5 * rate:
+        raise RequestError(
+            f"a low-pass at {cutoff:g} Hz on data of {rate:g} Hz: wanted more than 0 and less than {0.5 * rate:g} Hz."
+        )
+    return np.asarray(signal.butter(order, cutoff, fs=rate, output="sos"))
