@@ -33,7 +33,7 @@ def records(rng: np.random.Generator, tick: int, now: float) -> list[Record]:
     made: list[Record] = [
         EstimateRecord(now, now, v3, v3, v4, v3, 3),
         ObservationRecord(
-            tick, now, now, True, True, True, "OFFBOARD", False, "", np.zeros(3), 0.0, 9.8, False, ""
+            tick, now, now, True, True, True, "OFFBOARD", False, "", False, np.zeros(3), 0.0, 9.8, False, ""
         ),
         TickRecord(
             tick, now, "estimate", now, 0.02, "ENGAGED", "track", "none", 0, 1e-4, 2e-4, 4e-4, ""

@@ -172,6 +172,7 @@ class ControlThread:
             mode=status.mode,
             landed=status.landed == "on_ground",
             findings=_as_text(findings),
+            reset=found.reset,
             reset_position=found.reset_position,
             reset_yaw=found.reset_yaw,
             specific_force_z=found.specific_force_z,

@@ -160,7 +160,9 @@ class EventMonitor:
     @property
     def fallback(self) -> Fallback:
         """The strongest fallback that an active event asks for."""
-        return max((POLICIES[event].fallback for event in self._active), default=Fallback.NONE)
+        if not self._active:
+            return Fallback.NONE
+        return max(POLICIES[event].fallback for event in self._active)
 
     @property
     def reason(self) -> str:
@@ -179,6 +181,8 @@ class EventMonitor:
 
     def update(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
         """Take what the checks of one tick found, event to detail. Returns what was raised and cleared."""
+        if not present and not self._active and not self._present_since:
+            return ()  # the rule in flight, and cheap
         changes = []
         for event, detail in present.items():
             self._last_present[event] = time

@@ -84,7 +84,9 @@ class Flyer:
         self._nominal = nominal
         self._nominal_ready = False
         self._map = thrust_map
-        self._rate_limit = np.array(vehicle.limits.rate)
+        self._rate_limit = vehicle.limits.rate
+        self._thrust_limit = vehicle.thrust_limits[1]
+        self._sent: tuple[Array, float, float, float] | None = None
         self._chain = FallbackChain(settings.bounds)
         self._health = FlightHealth(vehicle, settings.health)
         self._hold = LevelHold(vehicle.weight)
@@ -139,6 +141,7 @@ class Flyer:
 
     def prepare(self, time: float) -> None:
         """Advance the mission and linearise for the tick after the one at a time, s; after the setpoint left."""
+        self._remember_sent()
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._prepared = False
             return
@@ -171,7 +174,7 @@ class Flyer:
     # --- what is known
 
     def _take_estimate(self, seen: ObservationRecord, estimate: Estimate | None, fresh: bool) -> None:
-        if seen.reset_yaw or seen.reset_position.any():
+        if seen.reset:
             self.mission.shift(seen.reset_position, seen.reset_yaw)
         self._force = seen.specific_force_z
         self._before, self._estimate = self._estimate, estimate
@@ -179,6 +182,14 @@ class Flyer:
             self._state = estimate.state
             if self._health.is_current(estimate, seen.time):
                 self._hold.observe(estimate.attitude)
+
+    def _remember_sent(self) -> None:
+        if self._sent is None:
+            return
+        rate_body, newtons, thrust, time = self._sent
+        self._sent = None
+        self.effectiveness.command(self._map.newtons(thrust), time)
+        self._health.sent(rate_body, newtons, time)
 
     def _learn(self, time: float) -> None:
         """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
@@ -212,8 +223,9 @@ class Flyer:
     def _choose_fallback(self, time: float) -> Fallback:
         if not self.engagement.flying:
             return self.events.fallback
-        usable = self._state is not None and not any(event in self.events.active for event in _UNUSABLE)
-        solves = self._nominal_ready or (self._nominal is None and Event.SOLVER_FAILED not in self.events.active)
+        active = self.events.active
+        usable = self._state is not None and not (active and any(event in active for event in _UNUSABLE))
+        solves = self._nominal_ready or (self._nominal is None and not (active and Event.SOLVER_FAILED in active))
         chosen = self._chain.choose(
             self.events.fallback,
             time=time,
@@ -370,12 +382,12 @@ class Flyer:
         if decision.rate_body is None or not self.engagement.streaming:
             decision.rate_body = None
             return
-        decision.rate_body = np.minimum(np.maximum(decision.rate_body, -self._rate_limit), self._rate_limit)
-        decision.newtons = min(max(decision.newtons, 0.0), self._vehicle.thrust_limits[1])
+        asked = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
+        decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in asked])
+        decision.newtons = min(max(decision.newtons, 0.0), self._thrust_limit)
         decision.thrust = self._map.setpoint(decision.newtons, self.effectiveness.value)
         self._last = (decision.rate_body, decision.newtons)
-        self.effectiveness.command(self._map.newtons(decision.thrust), seen.time)
-        self._health.sent(decision.rate_body, decision.newtons, seen.time)
+        self._sent = (decision.rate_body, decision.newtons, decision.thrust, seen.time)
 
     def _window(self, controller: Controller, time: float) -> tuple[Array, Array]:
         assert self._state is not None

@@ -77,7 +77,8 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     """Everything a tick was told besides the estimate; with both, a flight can be replayed.
 
     estimate_arrival: which estimate, NaN before the first. findings: event names and details as a JSON object, empty
-    when there are none. reset_position, reset_yaw: what an estimator reset moved. engage: told to engage now.
+    when there are none. reset: an estimator was reset, which moved its frame by reset_position and
+    reset_yaw. engage: told to engage now.
     leave: why to land, empty when not asked to.
     """
 
@@ -90,6 +91,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     mode: str
     landed: bool
     findings: str
+    reset: bool
     reset_position: Metres
     reset_yaw: Annotated[float, Meta(description="rad")]
     specific_force_z: Annotated[float, Meta(description="m/s^2, body z, NaN when there is no new one")]

@@ -34,8 +34,7 @@ class Request(Enum):
     LAND = "land"
 
 
-@dataclass(frozen=True)
-class Facts:
+class Facts(msgspec.Struct, frozen=True):
     """What is known about vehicle and link at one instant.
 
     connected: heartbeats or estimates arrive. armed, offboard, mode: of the last HEARTBEAT. refusal: why engaging is

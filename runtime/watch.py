@@ -42,9 +42,13 @@ LOW_CHARGE = 0.1  # of the battery
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """What was collected since the last tick. reset_position: (3,) m. reset_yaw: rad. specific_force_z: m/s^2."""
+    """What was collected since the last tick. reset: an estimator was reset, which moved its frame by the next two.
+
+    reset_position: (3,) m. reset_yaw: rad. specific_force_z: m/s^2.
+    """
 
     events: dict[Event, str]
+    reset: bool
     reset_position: NDArray[np.float64]
     reset_yaw: float
     specific_force_z: float
@@ -98,12 +102,12 @@ class Watch:
             told = self._events.popleft()
             if told.name in FINDINGS:
                 events[FINDINGS[told.name]] = told.text
-        position, yaw = STILL, 0.0
+        reset, position, yaw = bool(self._resets), STILL, 0.0
         while self._resets:
             moved, turned = self._resets.popleft()
             position, yaw = position + moved, yaw + turned
         force, self._force = self._force, nan
-        return Finding(events, position, yaw, force)
+        return Finding(events, reset, position, yaw, force)
 
     def _estimate(self, estimate: Estimate) -> None:
         self._arrivals.append(estimate.received)

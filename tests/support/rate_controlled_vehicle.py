@@ -140,6 +140,7 @@ class Flight:
             mode=self.mode,
             landed=self.plant.on_ground,
             findings=msgspec.json.encode(self.findings).decode() if self.findings else "",
+            reset=bool(self.reset.any()),
             reset_position=self.reset,
             reset_yaw=0.0,
             specific_force_z=self.plant.force / self.plant._mass,
