@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import signal
 
 from dynamics.errors import RequestError
@@ -77,14 +78,14 @@ def derivative(values: Floats, period: float) -> Floats:
 def each_stretch(values: Floats, function: Callable[[Floats], Floats]) -> Floats:
     """A function of consecutive rows, applied to each run of rows without NaN; rows with NaN stay NaN."""
     table = values.reshape(len(values), -1)
-    known = np.isfinite(table).all(axis=1)
+    known = np.asarray(np.isfinite(table).all(axis=1))
     result = np.full_like(values, np.nan, dtype=float)
     for start, stop in runs(known):
         result[start:stop] = function(values[start:stop])
     return result
 
 
-def runs(flags: np.ndarray) -> list[tuple[int, int]]:
+def runs(flags: NDArray[np.bool_]) -> list[tuple[int, int]]:
     """Start and end (exclusive) of every run of True. flags: (n,) bool."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
     return [(int(start), int(stop)) for start, stop in edges.reshape(-1, 2)]

@@ -64,17 +64,16 @@ def ukf_acceleration(velocity: Floats, rate: float, cutoff: float) -> Floats:
 
 def _filter(model: KinematicModel, velocity: Floats) -> tuple[Floats, Floats]:
     """Filtered states (n, 2, k) and their covariances (n, 2, 2), the same for every axis."""
-    states = np.empty((len(velocity), 2, *velocity.shape[1:]))
+    states = np.empty((len(velocity), 2, velocity.shape[1]))
     covariances = np.empty((len(velocity), 2, 2))
     mean = np.stack([velocity[0], np.zeros_like(velocity[0])])
     covariance = np.diag([model.measurement, _START * model.process[1, 1]])
     for row, measured in enumerate(velocity):
         if row:
-            mean = model.transition @ mean.reshape(2, -1)
-            mean = mean.reshape(2, *velocity.shape[1:])
+            mean = model.transition @ mean
             covariance = model.transition @ covariance @ model.transition.T + model.process
         gain = covariance[:, 0] / (covariance[0, 0] + model.measurement)
-        mean = mean + np.multiply.outer(gain, measured - mean[0])
+        mean = mean + np.outer(gain, measured - mean[0])
         covariance = covariance - np.outer(gain, covariance[0])
         states[row], covariances[row] = mean, covariance
     return states, covariances
@@ -82,29 +81,27 @@ def _filter(model: KinematicModel, velocity: Floats) -> tuple[Floats, Floats]:
 
 def _smooth(model: KinematicModel, states: Floats, covariances: Floats) -> Floats:
     """The backward pass (Rauch, Tung, Striebel 1965, eq. 3.28)."""
-    flat = states.reshape(len(states), 2, -1)
-    smoothed = flat.copy()
+    smoothed = states.copy()
     predicted = model.transition @ covariances @ model.transition.T + model.process
     gains = covariances @ model.transition.T @ np.linalg.inv(predicted)
-    ahead = model.transition @ flat
-    for row in range(len(flat) - 2, -1, -1):
+    ahead = model.transition @ states
+    for row in range(len(states) - 2, -1, -1):
         smoothed[row] += gains[row] @ (smoothed[row + 1] - ahead[row])
-    return smoothed.reshape(states.shape)
+    return smoothed
 
 
 def _unscented(model: KinematicModel, velocity: Floats) -> Floats:
     """Filtered accelerations by sigma points (Julier, Uhlmann 2004; kappa = 1, so that all weights are positive)."""
-    count, spread = 2, np.sqrt(3.0)
+    spread = float(np.sqrt(3.0))
     weights = np.array([1 / 3, *[1 / 6] * 4])
-    axes = velocity.reshape(len(velocity), -1)
-    result = np.empty_like(axes)
-    mean = np.stack([axes[0], np.zeros(axes.shape[1])])
+    result = np.empty_like(velocity)
+    mean = np.stack([velocity[0], np.zeros_like(velocity[0])])
     covariance = np.diag([model.measurement, _START * model.process[1, 1]])
-    for row, measured in enumerate(axes):
+    for row, measured in enumerate(velocity):
         if row:
             points = model.transition @ _sigma_points(mean, covariance, spread)
             mean = np.tensordot(weights, points, axes=1)
-            covariance = _scatter(points, mean, weights)[:count, :count] + model.process
+            covariance = _scatter(points, mean, weights) + model.process
         points = _sigma_points(mean, covariance, spread)
         seen = points[:, 0]
         expected = weights @ seen
@@ -114,14 +111,14 @@ def _unscented(model: KinematicModel, velocity: Floats) -> Floats:
         mean = mean + np.outer(gain, measured - expected)
         covariance = covariance - variance * np.outer(gain, gain)
         result[row] = mean[1]
-    return result.reshape(velocity.shape)
+    return result
 
 
 def _sigma_points(mean: Floats, covariance: Floats, spread: float) -> Floats:
     """Five points (5, 2, k) about the mean (2, k)."""
     root = spread * np.linalg.cholesky(covariance)
     steps = np.concatenate([np.zeros((1, 2)), root.T, -root.T])
-    return mean[None] + steps[:, :, None]
+    return np.asarray(mean[None] + steps[:, :, None])
 
 
 def _scatter(points: Floats, mean: Floats, weights: Floats) -> Floats:
