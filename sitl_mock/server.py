@@ -15,7 +15,7 @@ from sitl_mock.transport import Transport
 Pace = Literal["realtime", "lockstep"]
 CATCH_UP = 0.1  # s that a delayed process makes good; beyond it simulated time slips, as PX4's simulation does
 RECEPTION_TIME = 0.002  # s spent on what has arrived before the vehicle gets its turn again
-LOCKSTEP_PATIENCE = 0.05  # s without a setpoint after which lockstep lets time run by itself
+LOCKSTEP_PATIENCE = 0.5  # s without a setpoint after which lockstep lets time run by itself
 LOCKSTEP_STEPS = 25  # passes after which a setpoint's answer is given up: the client asked for no estimate
 
 
