@@ -19,6 +19,7 @@ from runtime.mission import Phase, Plan, Transfer
 from runtime.state import Request, Settings, State
 from tests.support.rate_controlled_vehicle import Flight
 
+PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)
 WHOLE = [
     Phase.GROUND, Phase.RAMP, Phase.CLIMB, Phase.APPROACH, Phase.TRACK, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
     Phase.SHUTDOWN,
@@ -38,7 +39,7 @@ def controller(vehicle: Vehicle) -> Controller:
 def prepare(vehicle: Vehicle, controller: Controller, **options: object) -> Flight:
     controller.reset(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]), 0.0)
     reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), 3.0)
-    return Flight(vehicle, controller, reference, **options)  # type: ignore[arg-type]
+    return Flight(vehicle, controller, reference, **{"plan": PLAN, **options})  # type: ignore[arg-type]
 
 
 def upright(flight: Flight) -> float:
@@ -62,7 +63,7 @@ def test_it_takes_off_tracks_and_lands_whatever_the_vehicle_really_weighs(
 
 
 def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Controller) -> None:
-    flight = prepare(vehicle, controller, effectiveness=0.85)
+    flight = prepare(vehicle, controller, effectiveness=0.85, plan=Plan())
     flight.run(10.0, until=Phase.CLIMB)
     start = len(flight.story.decisions) - 1
     flight.run(1.0)

@@ -109,13 +109,15 @@ class Flight:
         self._setpoint = (np.zeros(3), 0.0)
 
     def run(self, seconds: float, until: Phase | State | None = None) -> Story:
-        """Fly on; ends early when a phase or state is reached."""
+        """Fly on; ends early when a phase or state is reached, or the flight is over."""
         for _ in range(round(seconds / PERIOD)):
             self._observe()
             decision = self._tick()
             self._grant(decision)
             self._act(decision)
             if until in (self.flyer.mission.phase, self.flyer.engagement.state):
+                break
+            if self.flyer.over and decision.transitions:
                 break
         return self.story
 
