@@ -31,7 +31,7 @@ from runtime.link import Link, LinkSettings, Taps
 from runtime.mission import Mission, Motion, Plan
 from runtime.parameters import read_parameter
 from runtime.recorder import Recorder
-from runtime.records import ParameterRecord
+from runtime.records import EventRecord, ParameterRecord
 from runtime.state import Request, State, Transition
 from runtime.telemetry import VehicleStatus
 from runtime.thrust import ThrustMap
@@ -79,12 +79,13 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class FlightReport(msgspec.Struct, frozen=True):
     """What came of a flight. outcome: why it ended. landed: whether it ended on the ground, disarmed, by our doing.
 
-    start_up: s from the call to
-    the first setpoint.
+    completed: landed, and not before it was meant to. landing_reason: why it was cut short, empty when it was not.
+    start_up: s from making the daemon to the first setpoint, negative when none was sent.
     """
 
     outcome: str
     landed: bool
+    completed: bool
     landing_reason: str
     recording: str | None
     tracking: TrackingReport
@@ -184,7 +185,7 @@ class Daemon:
         if request.priority is not None:
             for refusal in (realtime.lock_memory(), realtime.raise_threads(BACKGROUND_PRIORITY, besides="link")):
                 if refusal:
-                    self._announce(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+                    self._note(Event.REALTIME_UNAVAILABLE, refusal)
         asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, HIGHEST_ESTIMATE_RATE)}
         request_rates(link, asked)
         thrust_map = self._thrust_map(link)
@@ -222,16 +223,28 @@ class Daemon:
         path = self._reference.states(np.arange(0.0, span, 0.02))[:, 0:3]
         distance = float(np.linalg.norm(path[0] - estimate.position_world))
         if distance > FARTHEST_START:
-            raise RequestError(
+            raise self._infeasible(
                 f"the reference starts {distance:.0f} m from the vehicle, which is at "
                 f"{_place(estimate.position_world)} m (east, north, up). Begin nearer than {FARTHEST_START:g} m."
             )
         ground, lowest = float(estimate.position_world[2]), float(np.min(path[:, 2]))
         if not link.status.armed and lowest < ground + LEAST_CLEARANCE:
-            raise RequestError(
+            raise self._infeasible(
                 f"the reference comes down to {lowest:.2f} m, the vehicle stands at {ground:.2f} m. Keep "
                 f"{LEAST_CLEARANCE:g} m above it: give the manoeuvre a height, as in lemniscate:height=1."
             )
+
+    def _infeasible(self, reason: str) -> RequestError:
+        self._note(Event.REFERENCE_INFEASIBLE, reason)
+        return RequestError(reason)
+
+    def _note(self, event: Event, detail: str) -> None:
+        """Tell and record an event that is found outside of the tick."""
+        now, policy = time.monotonic(), POLICIES[event]
+        text = f"{policy.text}: {detail}"
+        self._announce(text)
+        if self._recorder is not None:
+            self._recorder.put(EventRecord(now, event.value, True, int(policy.severity), text), now)
 
     # --- during the flight
 
@@ -328,11 +341,13 @@ class Daemon:
             outcome = f"{outcome}; a defect of ours: {control.defect}"
         if status.armed:
             outcome = f"{outcome} (the vehicle is armed, mode {status.mode}: the autopilot or the pilot has it)"
+        landed, cut_short = flyer.landed and not status.armed, flyer.mission.landing_reason
         start_up = control.first_setpoint - self._began
         return FlightReport(
             outcome=outcome,
-            landed=flyer.landed and not status.armed,
-            landing_reason=flyer.mission.landing_reason,
+            landed=landed,
+            completed=landed and cut_short in ("", self._orders.leave),
+            landing_reason=cut_short,
             recording=str(self._recorder.path) if self._recorder is not None else None,
             tracking=control.tracking.report(),
             timing=control.deadlines.report(),

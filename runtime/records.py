@@ -12,7 +12,6 @@ from typing import Annotated, Any
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
 Seconds = Annotated[float, Meta(description="s")]
 Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -237,8 +236,3 @@ _encoder = msgspec.json.Encoder(enc_hook=_array_as_list)
 def encode(record: Record) -> bytes:
     """A record as JSON; floats are written so that reading them gives the same bits, NaN becomes null."""
     return _encoder.encode(record)
-
-
-def vector(values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A copy that stays as it is when the caller's buffer moves on. values: any shape."""
-    return np.array(values, dtype=float)

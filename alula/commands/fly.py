@@ -69,6 +69,8 @@ def fly(
         _print(report, console)
     if not report.landed:
         raise VehicleError(f"The flight did not end with a landing of ours: {report.outcome}.")
+    if not report.completed:
+        raise VehicleError(f"The flight was cut short and landed: {report.landing_reason}.")
 
 
 @contextmanager
