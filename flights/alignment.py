@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import DataError
+from flights import filters
 from flights.log import Floats, Log, Origin, Stream
 from flights.quantities import MOTION, ROTORS
 
@@ -20,6 +21,7 @@ GAP_PERIODS = 5.0  # of a stream's own period without a sample are a gap,
 SHORTEST_GAP = 0.02  # s, but never less than this
 JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
 HIGHEST_RATE = 2000.0  # Hz
+THINNING = 0.8  # of a stream's rate, below which a common clock would fold its noise back
 MOST_ROWS = 50_000_000
 
 
@@ -46,7 +48,7 @@ def align(log: Log, *, rate: float | None = None) -> Table:
     time = _common_clock(streams, rate)
     columns: dict[str, Floats] = {}
     for stream in streams:
-        values = stream.values if np.array_equal(stream.time, time) else resample(stream, time)
+        values = stream.values if np.array_equal(stream.time, time) else resample(_thinned(stream, time), time)
         columns.update(zip(stream.columns, np.ascontiguousarray(values.T), strict=True))
     origins = {s.name: Origin(s.source, round(s.rate, 3), len(s.time)) for s in streams}
     return Table(time, columns, origins)
@@ -128,6 +130,23 @@ def _on_sphere(attitude: Floats, untouched: NDArray[np.bool_]) -> Floats:
     length = np.linalg.norm(attitude, axis=1, keepdims=True)
     unit = np.where(length > 1e-9, attitude / np.maximum(length, 1e-9), np.nan)
     return np.where(untouched[:, None], attitude, unit)
+
+
+def _thinned(stream: Stream, time: Floats) -> Stream:
+    """The stream as it may be sampled on a slower clock: a zero-phase low-pass takes away what that would fold back.
+
+    It looks ahead by about two periods of the slower clock. Streams that hold their values, and slower ones, are
+    left alone.
+    """
+    if len(time) < 2 or len(stream.time) < 3 or stream.quantity.kind == "step":
+        return stream
+    rate = (len(time) - 1) / float(time[-1] - time[0])
+    if rate > THINNING * stream.rate:
+        return stream
+    count = int(np.floor((stream.time[-1] - stream.time[0]) * stream.rate + 1e-6)) + 1
+    even = np.asarray(stream.time[0] + np.arange(count) * stream.period)
+    smooth = filters.anti_aliased(resample(stream, even), stream.rate, rate)
+    return Stream(stream.name, even, smooth, stream.source)
 
 
 def _held(stream: Stream, time: Floats) -> Floats:

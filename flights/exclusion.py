@@ -1,0 +1,251 @@
+"""What of a log is no free flight: standing on the ground, hitting something, crashing. Mask it before any fit.
+
+Everything is found from what the log has: the land detector's word, effort of the rotors, specific force, motion. A
+log without rotors, accelerometer and motion is left as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY
+from flights.filters import runs
+from flights.flight import SHORTEST_SEGMENT, Flight
+from flights.log import Floats
+
+Reason = Literal["ground", "impact", "crash"]
+Rows = NDArray[np.bool_]
+
+IDLE_EFFORT = 0.35  # of the usual effort, below which rotors do not carry the vehicle
+IDLE_TIME = 0.15  # s for which it must last
+RESTING_FORCE = 0.5  # g of specific force: less is free fall, not the ground
+STILL_SPEED, STILL_RATE = 0.15, 0.3  # m/s, rad/s
+GROUND_HEIGHT = 0.07  # m
+GROUND_MARGIN = 0.3  # s before and after ground contact: spool-up, touch-down
+IMPACT_FORCE = 20.0  # m/s^2 within an instant, and
+IMPACT_SPREAD = 12.0  # times the usual scatter, to be an impact
+IMPACT_MARGIN = 0.25  # s
+AFTERMATH = 1.5  # s after an impact in which a crash shows
+TILT_FALLEN = np.deg2rad(75.0)
+TILT_RESTING = np.deg2rad(30.0)  # no multirotor stands still in the air at such a tilt
+RECOVERED = 1.0  # s of upright flight that end a crash
+
+
+@dataclass(frozen=True)
+class Exclusion:
+    """A stretch that no fit may use. start, stop: s of the flight's time. detail: what was seen."""
+
+    reason: Reason
+    start: float
+    stop: float
+    detail: str
+
+    def __str__(self) -> str:
+        return f"{self.reason} {self.start:.2f} to {self.stop:.2f} s: {self.detail}"
+
+
+def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
+    """Every stretch of a flight that is no free flight, in the order of time."""
+    if len(flight) < 3:
+        return ()
+    seen = _Seen.of(flight)
+    ground = seen.ground()
+    impacts, force = seen.impacts()
+    crash = _crashes(seen, ground, impacts)
+    touching = _grown(ground, seen.rows(GROUND_MARGIN))
+    bumps = _grown(impacts, seen.rows(IMPACT_MARGIN)) & ~touching & ~crash
+    found = [
+        *_named("crash", flight, crash, "hit something or fell over, and did not fly on"),
+        *_named("ground", flight, touching & ~crash, "stood on the ground"),
+        *_named("impact", flight, bumps, f"specific force jumped by {force:.0f} m/s^2"),
+    ]
+    return tuple(sorted(found, key=lambda item: item.start))
+
+
+def excluded_rows(flight: Flight, exclusions: Sequence[Exclusion]) -> Rows:
+    """(n,) whether a row of the flight lies in any of the stretches."""
+    rows = np.zeros(len(flight), dtype=bool)
+    for item in exclusions:
+        rows |= (flight.time >= item.start) & (flight.time <= item.stop)
+    return rows
+
+
+def free_flight(flight: Flight, *, shortest: float = SHORTEST_SEGMENT) -> tuple[Flight, ...]:
+    """The segments of free flight: no gap, reset, disarmed vehicle, ground contact, impact or crash inside."""
+    return flight.segments(exclude=excluded_rows(flight, find_exclusions(flight)), shortest=shortest)
+
+
+def effort(flight: Flight) -> Floats | None:
+    """(n,) collective thrust over its usual value in flight, as far as rotors or commands tell; None if none do."""
+    for name, power in (
+        ("rotor_speed", 2.0), ("rotor_speed_command", 2.0), ("rotor_thrust_command", 1.0), ("rotor_command", 1.5),
+        ("collective_thrust_command", 1.0), ("thrust_setpoint", 1.0),
+    ):  # fmt: skip
+        if not flight.has(name):
+            continue
+        total = np.sum(np.abs(flight[name].reshape(len(flight), -1)) ** power, axis=1)
+        known = total[np.isfinite(total)]
+        working = known[known > 0.2 * np.percentile(known, 95)] if len(known) else known
+        if len(working) and np.median(working) > 0:
+            return np.asarray(total / np.median(working))
+    return None
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """What decides, (n,) each, None where the log cannot tell."""
+
+    count: int
+    period: float
+    effort: Floats | None
+    force: Floats | None
+    speed: Floats | None
+    turning: Floats | None
+    tilt: Floats | None
+    landed: Floats | None
+    height: Floats | None
+
+    @classmethod
+    def of(cls, flight: Flight) -> _Seen:
+        def norm(name: str) -> Floats | None:
+            return np.linalg.norm(flight[name], axis=1) if flight.has(name) else None
+
+        tilt = None
+        if flight.has("attitude"):
+            upward = quaternion.rotate(flight["attitude"], np.array([0.0, 0.0, 1.0]))[:, 2]
+            tilt = np.arccos(np.clip(upward, -1.0, 1.0))
+        landed = flight["landed"] if "landed" in flight.columns else None
+        height = flight["position"][:, 2] if flight.has("position") else None
+        force, speed, turning = (norm(name) for name in ("specific_force", "velocity", "rate"))
+        return cls(len(flight), flight.period, effort(flight), force, speed, turning, tilt, landed, height)
+
+    def rows(self, seconds: float) -> int:
+        return max(1, round(seconds / self.period))
+
+    def idle(self) -> Rows | None:
+        """Rows in which the rotors do not carry the vehicle for a while."""
+        if self.effort is None:
+            return None
+        return _lasting(np.nan_to_num(self.effort, nan=1.0) < IDLE_EFFORT, self.rows(IDLE_TIME))
+
+    def still(self) -> Rows | None:
+        """Rows in which nothing moves, as far as that can be seen."""
+        parts = [(self.speed, STILL_SPEED), (self.turning, STILL_RATE)]
+        known = [np.nan_to_num(values, nan=np.inf) < most for values, most in parts if values is not None]
+        return None if self.speed is None else np.logical_and.reduce(known)
+
+    def ground(self) -> Rows:
+        """Standing on the ground: the land detector's word, or idle rotors under something that carries."""
+        if self.landed is not None and np.any(np.isfinite(self.landed)):
+            return np.asarray(np.nan_to_num(self.landed, nan=1.0) != 0.0)
+        idle, still = self.idle(), self.still()
+        if idle is None:
+            return np.zeros(self.count, dtype=bool)
+        carried = idle
+        if self.force is not None:
+            smooth = ndimage.uniform_filter1d(np.nan_to_num(self.force, nan=GRAVITY), self.rows(0.1))
+            carried = idle & (smooth > RESTING_FORCE * GRAVITY)
+        elif still is not None:
+            carried = idle & still
+        resting = _lasting(carried, self.rows(IDLE_TIME))
+        return resting | self._at_rest_on(resting, still)
+
+    def _at_rest_on(self, resting: Rows, still: Rows | None) -> Rows:
+        """Standing with turning rotors: still, and as high as where the vehicle has rested with idle ones."""
+        found = np.zeros_like(resting)
+        if self.height is None or still is None:
+            return found
+        for start, stop in runs(resting):
+            level = float(np.nanmedian(self.height[max(start, stop - self.rows(0.2)) : stop]))
+            found |= still & (np.abs(np.nan_to_num(self.height, nan=np.inf) - level) < GROUND_HEIGHT)
+        return _lasting(found, self.rows(IDLE_TIME))
+
+    def impacts(self) -> tuple[Rows, float]:
+        """Instants at which the specific force jumps as no rotor makes it, and by how much at most, m/s^2."""
+        none = np.zeros(self.count, dtype=bool)
+        if self.force is None or not np.any(np.isfinite(self.force)):
+            return none, 0.0
+        force = np.nan_to_num(self.force, nan=GRAVITY)
+        jump = np.abs(force - ndimage.median_filter(force, size=2 * self.rows(0.1) + 1))
+        scatter = 1.4826 * float(np.median(jump))
+        hit = jump > max(IMPACT_FORCE, IMPACT_SPREAD * scatter)
+        return hit, float(jump[hit].max(initial=0.0))
+
+    def fallen(self) -> Rows:
+        """Lying at an angle without moving."""
+        still = self.still()
+        if still is None or self.tilt is None:
+            return np.zeros(self.count, dtype=bool)
+        return _lasting(still & (np.nan_to_num(self.tilt) > TILT_RESTING), self.rows(0.5))
+
+    def overturned(self) -> Rows:
+        """Tilted further than any flight that ends well."""
+        return np.zeros(self.count, dtype=bool) if self.tilt is None else np.nan_to_num(self.tilt) > TILT_FALLEN
+
+
+def _crashes(seen: _Seen, ground: Rows, impacts: Rows) -> Rows:
+    """From each crash until the vehicle flies again, if it does."""
+    count, fallen = len(ground), seen.fallen()
+    bad_end = fallen | seen.overturned() | ground
+    flew = ~ground & ~fallen
+    crash = np.zeros(count, dtype=bool)
+    for start, _ in runs(impacts):
+        before = flew[max(0, start - seen.rows(AFTERMATH)) : start]
+        after = bad_end[start : start + seen.rows(AFTERMATH)]
+        gentle = _touches_down(seen, start)
+        if len(before) and before.mean() > 0.9 and after.any() and not gentle:
+            crash[max(0, start - seen.rows(IMPACT_MARGIN)) : _recovery(seen, ground, start)] = True
+    for start, _ in runs(fallen & ~crash):
+        crash[_loss_of_control(seen, start) : _recovery(seen, ground, start)] = True
+    return crash
+
+
+def _touches_down(seen: _Seen, row: int) -> bool:
+    """Whether an impact is a landing: upright, and sinking no faster than one lands."""
+    span = slice(max(0, row - seen.rows(0.2)), row)
+    upright = seen.tilt is not None and bool(np.all(seen.tilt[span] < TILT_RESTING))
+    return upright and seen.speed is not None and bool(np.all(seen.speed[span] < 1.5))
+
+
+def _loss_of_control(seen: _Seen, row: int) -> int:
+    """Where a vehicle that lies on its side at a row was last seen flying upright."""
+    assert seen.tilt is not None
+    upright = np.flatnonzero(seen.tilt[:row] < TILT_RESTING)
+    last = int(upright[-1]) if len(upright) else 0
+    return max(0, last - seen.rows(IMPACT_MARGIN))
+
+
+def _recovery(seen: _Seen, ground: Rows, row: int) -> int:
+    """The first row after a crash from which on it flies upright for a while; the end if it never does."""
+    idle = seen.idle()
+    flies = ~ground & ~seen.fallen() & ~seen.overturned()
+    if idle is not None:
+        flies &= ~idle
+    for start, stop in runs(flies[row:]):
+        if stop - start >= seen.rows(RECOVERED) and start > 0:
+            return row + start
+    return len(ground)
+
+
+def _named(reason: Reason, flight: Flight, rows: Rows, detail: str) -> list[Exclusion]:
+    return [Exclusion(reason, float(flight.time[a]), float(flight.time[b - 1]), detail) for a, b in runs(rows)]
+
+
+def _lasting(rows: Rows, least: int) -> Rows:
+    """Rows without runs shorter than `least`."""
+    kept = np.zeros_like(rows)
+    for start, stop in runs(rows):
+        if stop - start >= least:
+            kept[start:stop] = True
+    return kept
+
+
+def _grown(rows: Rows, margin: int) -> Rows:
+    return np.asarray(ndimage.binary_dilation(rows, iterations=margin)) if rows.any() else rows
