@@ -1,7 +1,7 @@
-"""The maps of `dynamics.frames` as matrices, for the many small vectors that the wire needs in every pass.
+"""The maps of `dynamics.frames` made quick, for the many small vectors that the wire needs in every pass.
 
-All four maps are linear, so their images of the unit vectors say everything, and one small matrix product costs a
-tenth of the general functions.
+All four maps are linear, so their images of the unit vectors say everything: a small matrix for attitudes, and for
+vectors an order and signs, so that a NaN component (on the wire: not wanted) stays alone.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics import frames
 
 _WORLD = frames.enu_from_ned(np.eye(3)).T
-_BODY = frames.flu_from_frd(np.eye(3)).T
+_WORLD_ORDER, _WORLD_SIGN = np.abs(_WORLD).argmax(axis=1), _WORLD.sum(axis=1)
+_BODY_SIGN = np.diag(frames.flu_from_frd(np.eye(3)))
 _ATTITUDE_OUT = frames.attitude_ned_frd(np.eye(4)).T
 _ATTITUDE_IN = frames.attitude_enu_flu(np.eye(4)).T
 
@@ -21,12 +22,12 @@ Vector = NDArray[np.float64]
 
 def enu_from_ned(vector: ArrayLike) -> Vector:
     """A world vector (3,) with north-east-down components as east-north-up, or the other way round."""
-    return np.asarray(_WORLD @ np.asarray(vector, dtype=float))
+    return np.asarray(np.asarray(vector, dtype=float)[_WORLD_ORDER] * _WORLD_SIGN)
 
 
 def flu_from_frd(vector: ArrayLike) -> Vector:
     """A body vector (3,) with forward-right-down components as forward-left-up, or the other way round."""
-    return np.asarray(_BODY @ np.asarray(vector, dtype=float))
+    return np.asarray(np.asarray(vector, dtype=float) * _BODY_SIGN)
 
 
 def attitude_enu_flu(attitude_ned_frd: ArrayLike) -> Vector:

@@ -64,6 +64,16 @@ def test_rates_count_only_with_roll_and_pitch(mask: int) -> None:
     assert target(mask) is None
 
 
+def test_an_ignored_yaw_rate_leaves_the_other_axes() -> None:
+    assert target(128 + 4).rate_body == pytest.approx([0.1, -0.2, math.nan], nan_ok=True)
+
+
+def test_an_axis_may_have_position_where_the_others_have_speed() -> None:
+    setpoint = position(1 | 2 | 32 | 448)
+    assert setpoint.position_world == pytest.approx([math.nan, math.nan, 3.0], nan_ok=True)
+    assert setpoint.velocity_world == pytest.approx([0.2, 0.1, math.nan], nan_ok=True)
+
+
 def test_an_ignored_yaw_rate_is_not_a_number() -> None:
     assert np.isnan(target(128 + 4).rate_body[2])
 
