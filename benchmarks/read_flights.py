@@ -128,9 +128,7 @@ def main() -> None:
             continue
         size += path.stat().st_size
         name = os.path.relpath(path, folder)
-        rows.append(
-            row(name, found.__class__(str(found).replace(str(path), name)) if isinstance(found, AlulaError) else found)
-        )
+        rows.append(row(name, found))
     elapsed = time.perf_counter() - started
     head = (
         "| file | format | seconds (of them usable, in segments) | quantities, Hz as logged | what it lacks, "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
@@ -21,7 +21,7 @@ from flights.readers import (
     tlog,
     ulog,
 )
-from flights.source import Source, opened, sha256
+from flights.source import Source, Span, opened, sha256
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,43 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
     """
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
-        name = "mapped_csv" if mapping is not None else sniff(source)
-        form = FORMATS[name]
-        try:
-            reading = form.read(source)
-        except AlulaError as error:
-            raise type(error)(_naming(path, str(error))) from error
-        digest = sha256(path)
+        name = _format_name(source)
+        return _judge(source, name, sha256(path), _read(source, name))
+
+
+def read_pieces(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
+    """A log that is larger than memory as consecutive logs of so many seconds; stretches without data are passed over.
+
+    Raises what `read_log` raises, and RequestError when seconds is not positive.
+    """
+    if not seconds > 0:
+        raise RequestError(f"pieces of {seconds} s cannot be; give a positive number of seconds.")
+    path = Path(path)
+    with opened(path, None if mapping is None else Path(mapping)) as source:
+        name, digest, index, more = _format_name(source), sha256(path), 0, True
+        while more:
+            span = Span(index * seconds, (index + 1) * seconds)
+            piece = replace(source, span=span)
+            reading = _read(piece, name)
+            if reading.streams or not (index or span.more):
+                yield _judge(piece, name, digest, reading)
+            index, more = index + 1, span.more
+
+
+def _format_name(source: Source) -> str:
+    return "mapped_csv" if source.mapping is not None else sniff(source)
+
+
+def _read(source: Source, name: str) -> Reading:
+    try:
+        return FORMATS[name].read(source)
+    except AlulaError as error:
+        raise type(error)(_naming(source.path, str(error))) from error
+
+
+def _judge(source: Source, name: str, digest: str, reading: Reading) -> Log:
+    """The log that a reading makes, refused when it is empty or contradicts its units and frames."""
+    form, path = FORMATS[name], source.path
     if not reading.streams:
         raise DataError(f"{path} is a {form.label} without flight data. {' '.join(reading.notes)}".rstrip())
     notes = list(reading.notes)

@@ -11,6 +11,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from dynamics.errors import DataError, RequestError
 from flights.log import Repair
 
@@ -19,11 +22,34 @@ _PIECE = 1 << 20
 _GZIP = b"\x1f\x8b"
 
 
+@dataclass
+class Span:
+    """A stretch of a log that is larger than memory: what lies before start or from end on is not kept.
+
+    start, end: s since the log's first sample. more: whether anything came at or after the end.
+    """
+
+    start: float
+    end: float
+    more: bool = False
+
+    def holds(self, elapsed: float) -> bool:
+        """Whether a sample belongs to it. elapsed: s since the log's first sample."""
+        self.more = self.more or elapsed >= self.end
+        return self.start <= elapsed < self.end
+
+    def mask(self, elapsed: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Which samples belong to it. elapsed: (n,) s since the log's first sample."""
+        self.more = self.more or bool((elapsed >= self.end).any())
+        return np.asarray((elapsed >= self.start) & (elapsed < self.end))
+
+
 @dataclass(frozen=True)
 class Source:
     """A log to read. path: as it was given. file: the same content unpacked, on disk. head: its first bytes.
 
-    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave.
+    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave. span: the stretch to
+    keep, everything if None.
     """
 
     path: Path
@@ -31,6 +57,7 @@ class Source:
     head: bytes
     repairs: tuple[Repair, ...] = ()
     mapping: Path | None = None
+    span: Span | None = None
 
     @property
     def is_folder(self) -> bool:

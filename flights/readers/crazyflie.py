@@ -22,7 +22,7 @@ from dynamics.frames import quaternion_from_xyzw
 from dynamics.vehicle import GRAVITY
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
-from flights.source import Source
+from flights.source import Source, Span
 
 _MAGIC = 0xBC
 _CLOCKS = {1: ("<u4", 1_000), 2: ("<u8", 1_000_000)}
@@ -72,12 +72,14 @@ def read(source: Source) -> Reading:
     header = parse_header(source.head)
     with source.file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
         end = _end_of_records(data, header, assembly)
-        tables, position = _records(data, header, end)
+        tables, position = _records(data, header, end, source.span)
     if position < end:
         assembly.repair("torn_record", f"{end - position} bytes at the end that are no whole record dropped")
     assembly.metadata["version"] = str(header.version)
     table = tables.get(_main_type(header, tables))
     if table is None or not len(table):
+        if source.span is not None:
+            return assembly.finish()
         raise DataError("this Crazyflie log has a header but no records.")
     _add_streams(assembly, table, header.ticks)
     for number, kind in header.types.items():
@@ -142,9 +144,10 @@ def _end_of_records(data: mmap.mmap, header: Header, assembly: Assembly) -> int:
     return size
 
 
-def _records(data: mmap.mmap, header: Header, end: int) -> tuple[dict[int, NDArray[np.void]], int]:
+def _records(data: mmap.mmap, header: Header, end: int, span: Span | None) -> tuple[dict[int, NDArray[np.void]], int]:
     """Records by type, in runs of one type each, and where reading ended: an id that is none ends it."""
     found: dict[int, list[NDArray[np.void]]] = {}
+    first: int | None = None
     position, run = header.size, _FIRST_RUN
     while position + 2 <= end:
         kind = header.types.get(int.from_bytes(data[position : position + 2], "little"))
@@ -157,7 +160,11 @@ def _records(data: mmap.mmap, header: Header, end: int) -> tuple[dict[int, NDArr
         records = np.frombuffer(data[position : position + count * size], dtype=kind.dtype)
         other = np.flatnonzero(records["id"] != kind.number)
         whole = int(other[0]) if len(other) else count
-        found.setdefault(kind.number, []).append(records[:whole])
+        first = int(records["time"][0]) if first is None else first
+        kept = records[:whole]
+        if span is not None:
+            kept = kept[span.mask((kept["time"].astype(np.int64) - first) / header.ticks)]
+        found.setdefault(kind.number, []).append(kept)
         position += whole * size
         run = min(2 * run, _LONGEST_RUN) if whole == count else _FIRST_RUN
     return {number: np.concatenate(runs) for number, runs in found.items()}, position

@@ -2,24 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
+from numpy.typing import NDArray
 
 from dynamics.errors import DataError
 from dynamics.vehicle_file import nearest
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
 from flights.quantities import QUANTITIES, known_columns, quantity_of
-from flights.source import Source
+from flights.source import Source, Span
 from flights.tables import TIME
 
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 22
 _MOST_TORN = 0.01  # share of rows with another number of cells than the header
+
+
+class Cut:
+    """Keeps a span of the rows by their time. column: of the time. unit: of it, s."""
+
+    def __init__(self, span: Span, column: str, unit: float = 1.0) -> None:
+        self._span, self._column, self._unit = span, column, unit
+        self._first: float | None = None
+
+    def mask(self, block: Mapping[str, Floats]) -> NDArray[np.bool_]:
+        """Which rows of the next block belong to the span."""
+        time = block[self._column]
+        if self._first is None and np.isfinite(time).any():
+            self._first = float(time[np.isfinite(time)][0])
+        return self._span.mask((time - (self._first or 0.0)) * self._unit)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """A text table. names: of all columns in the file's order. cut: what to keep of it, everything if None."""
+
+    names: Sequence[str]
+    delimiter: str = ","
+    cut: Cut | None = None
 
 
 def matches(source: Source) -> bool:
@@ -34,7 +60,10 @@ def read(source: Source) -> Reading:
     names = _names(source.first_line())
     _refuse_duplicates(names)
     wanted = [name for name in names if name == TIME or quantity_of(name) is not None]
-    add_table(assembly, read_columns(source.file, names, wanted, assembly), names)
+    layout = Layout(names, cut=None if source.span is None else Cut(source.span, TIME))
+    columns = read_columns(source.file, layout, wanted, assembly)
+    if len(columns[TIME]):
+        add_table(assembly, columns, names)
     return assembly.finish(keep_time=True)
 
 
@@ -62,26 +91,18 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
         assembly.add(name, time, table, ", ".join((parts[0], "...", parts[-1]) if len(parts) > 2 else parts))
 
 
-def read_columns(
-    file: Path,
-    names: Sequence[str],
-    wanted: Sequence[str],
-    assembly: Assembly,
-    *,
-    skip_rows: int = 1,
-    delimiter: str = ",",
-) -> dict[str, Floats]:
+def read_columns(file: Path, layout: Layout, wanted: Sequence[str], assembly: Assembly) -> dict[str, Floats]:
     """Columns of a delimited text file as numbers, read in blocks; blank cells are NaN.
 
-    names: of all columns, in the file's order. skip_rows: lines before the first row. Rows with another number of
-    cells, as a torn last one, are dropped and named. Raises DataError when cells are no numbers or many rows are torn.
+    Rows with another number of cells, as a torn last one, are dropped and named. Raises DataError when cells are no
+    numbers or many rows are torn.
     """
     try:
-        columns, torn = _parsed(file, names, wanted, skip_rows, delimiter, strict=True)
+        columns, torn = _parsed(file, layout, wanted, strict=True)
     except DataError:
-        columns, torn = _parsed(file, names, wanted, skip_rows, delimiter, strict=False)
+        columns, torn = _parsed(file, layout, wanted, strict=False)
     rows = len(columns[wanted[0]])
-    if not rows:
+    if not rows and layout.cut is None:
         raise DataError("it has a header but no rows. Wanted at least one sample.")
     if torn:
         if len(torn) > max(1, _MOST_TORN * rows):
@@ -90,9 +111,7 @@ def read_columns(
     return columns
 
 
-def _parsed(
-    file: Path, names: Sequence[str], wanted: Sequence[str], skip_rows: int, delimiter: str, *, strict: bool
-) -> tuple[dict[str, Floats], list[str]]:
+def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) -> tuple[dict[str, Floats], list[str]]:
     """The wanted columns, and what was wrong with each row that was dropped. strict: drop none, and be fast."""
     torn: list[str] = []
 
@@ -100,31 +119,31 @@ def _parsed(
         torn.append(f"{row.actual_columns} instead of {row.expected_columns} cells")
         return "skip"
 
-    keys = [f"{index}:{name}" for index, name in enumerate(names)]  # names may be blank or there twice
-    included = [keys[names.index(name)] for name in wanted]
+    keys = [f"{index}:{name}" for index, name in enumerate(layout.names)]  # names may be blank or there twice
+    included = [keys[layout.names.index(name)] for name in wanted]
     # in Latin-1 every byte is a letter, so that a damaged row can be told from a whole one
     encoding = "utf8" if strict else "latin-1"
-    options = {
-        "read_options": pa_csv.ReadOptions(
-            column_names=keys, skip_rows=skip_rows, block_size=_BLOCK, encoding=encoding
-        ),
-        "parse_options": pa_csv.ParseOptions(delimiter=delimiter, invalid_row_handler=None if strict else drop),
-        "convert_options": pa_csv.ConvertOptions(
-            column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
-        ),
-    }
-    parts: dict[str, list[Floats]] = {key: [] for key in included}
+    read = pa_csv.ReadOptions(column_names=keys, skip_rows=1, block_size=_BLOCK, encoding=encoding)
+    parse = pa_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=None if strict else drop)
+    convert = pa_csv.ConvertOptions(
+        column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
+    )
+    parts: dict[str, list[Floats]] = {name: [] for name in wanted}
     try:
-        with pa_csv.open_csv(file, **options) as reader:
+        with pa_csv.open_csv(file, read_options=read, parse_options=parse, convert_options=convert) as reader:
             for batch in reader:
-                for key, column in zip(included, batch.columns, strict=True):
-                    parts[key].append(column.to_numpy(zero_copy_only=False).astype(float))
+                block = {
+                    name: column.to_numpy(zero_copy_only=False).astype(float)
+                    for name, column in zip(wanted, batch.columns, strict=True)
+                }
+                kept = slice(None) if layout.cut is None else layout.cut.mask(block)
+                for name, values in block.items():
+                    parts[name].append(values[kept])
     except pa.ArrowInvalid as error:
         raise DataError(
             f"its rows cannot be read as numbers: {error}. Wanted a number or nothing in each cell."
         ) from None
-    columns = {name: np.concatenate(parts[key] or [np.empty(0)]) for name, key in zip(wanted, included, strict=True)}
-    return columns, torn
+    return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}, torn
 
 
 def _names(line: str) -> list[str]:

@@ -55,8 +55,8 @@ def read(source: Source) -> Reading:
     assembly = Assembly()
     assembly.metadata["mapping"] = mapping.name
     assembly.note(f"columns by the mapping {mapping.name!r}")
-    columns = _columns(source.file, names, mapping, assembly)
-    time = _time(columns[mapping.time.column], mapping, assembly)
+    columns = _columns(source, names, mapping, assembly)
+    time = _time(columns[mapping.time.column], mapping)
     for stream in mapping.streams:
         values = np.stack([columns[column] for column in stream.columns], axis=1)
         assembly.add(stream.quantity, time, _converted(values, stream, mapping), ", ".join(stream.columns))
@@ -70,20 +70,22 @@ def _shipped_for(source: Source) -> Mapping | None:
     return None
 
 
-def _columns(file: Path, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
+def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
     wanted = list(dict.fromkeys(mapping.columns))
-    delimiter = mapping.file.delimiter
+    unit = mappings.TIME_UNITS[mapping.time.unit]
+    cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
+    layout = csv.Layout(names, mapping.file.delimiter, cut)
     if not mapping.file.prefix:
-        return csv.read_columns(file, names, wanted, assembly, delimiter=delimiter)
+        return csv.read_columns(source.file, layout, wanted, assembly)
     tags = re.compile(mapping.file.prefix)
     with tempfile.TemporaryDirectory(prefix="alula-") as folder:
         bare = Path(folder) / "bare.csv"
-        with file.open(encoding="utf-8", errors="replace") as tagged, bare.open("w", encoding="utf-8") as plain:
+        with source.file.open(encoding="utf-8", errors="replace") as tagged, bare.open("w", encoding="utf-8") as plain:
             plain.writelines(tags.sub("", line, count=1) for line in tagged)
-        return csv.read_columns(bare, names, wanted, assembly, delimiter=delimiter)
+        return csv.read_columns(bare, layout, wanted, assembly)
 
 
-def _time(values: Floats, mapping: Mapping, assembly: Assembly) -> Floats:
+def _time(values: Floats, mapping: Mapping) -> Floats:
     """Seconds; what counts in small units from far away is first counted from the first row."""
     known = np.flatnonzero(np.isfinite(values))
     origin = values[known[0]] if len(known) and mapping.time.from_first_row else 0.0

@@ -118,11 +118,15 @@ def read(source: Source) -> Reading:
     metadata: dict[str, str] = {}
     complete, damaged = False, 0
     topics: dict[int, str] = {}
+    first: int | None = None
     for part in _parts(source):
         match part:
             case Channel():
                 topics[part.id] = part.topic
             case Message() if (rows := collected.get(topics.get(part.channel_id, ""))) is not None:
+                first = part.log_time if first is None else first
+                if source.span is not None and not source.span.holds((part.log_time - first) * 1e-9):
+                    continue
                 try:
                     rows.add(part.data)
                 except (msgspec.DecodeError, msgspec.ValidationError):

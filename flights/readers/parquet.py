@@ -36,7 +36,12 @@ def read(source: Source) -> Reading:
             notes = decode_notes(file.schema_arrow.metadata)
     except (pa.ArrowInvalid, OSError) as error:
         raise DataError(f"this Parquet file is torn or damaged: {error}. Wanted a whole one; write it again.") from None
-    csv.add_table(assembly, {name: _numbers(table.column(name), name) for name in wanted}, names)
+    columns = {name: _numbers(table.column(name), name) for name in wanted}
+    if source.span is not None:
+        kept = csv.Cut(source.span, TIME).mask(columns)
+        columns = {name: values[kept] for name, values in columns.items()}
+    if len(columns[TIME]):
+        csv.add_table(assembly, columns, names)
     if notes is not None:
         assembly.metadata |= notes.metadata
         assembly.parameters |= notes.parameters

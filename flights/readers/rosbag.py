@@ -27,7 +27,7 @@ from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import Reading
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
-from flights.source import Source
+from flights.source import Source, Span
 
 _ROS1 = b"#ROSBAG V2.0"
 _ANY_ROS1 = b"#ROSBAG"
@@ -67,7 +67,7 @@ def read(source: Source) -> Reading:
     store = get_typestore(Stores.ROS2_HUMBLE)  # for bags of ROS 2 from before definitions travelled with them
     try:
         with _named(source) as path, AnyReader([path], default_typestore=store) as reader:
-            _read_topics(reader, assembly)
+            _read_topics(reader, assembly, source.span)
     except _BROKEN as error:
         raise DataError(
             f"this bag cannot be read: {error}. If it was cut off, `rosbag reindex` or `ros2 bag reindex` mends it."
@@ -88,7 +88,7 @@ def _named(source: Source) -> Iterator[Path]:
         yield link
 
 
-def _read_topics(reader: AnyReader, assembly: Assembly) -> None:
+def _read_topics(reader: AnyReader, assembly: Assembly, span: Span | None) -> None:
     connections = [connection for connection in reader.connections if _is_wanted(connection, reader)]
     paper = _paper_namespace(connections)
     if paper is not None:
@@ -101,7 +101,11 @@ def _read_topics(reader: AnyReader, assembly: Assembly) -> None:
     if skipped:
         assembly.note(f"topics that are none of a flight's quantities: {', '.join(skipped[:12])}")
     samples: dict[str, Samples] = {}
-    for connection, stamp, raw in reader.messages(connections=connections):
+    start, stop = None, None
+    if span is not None:
+        start, stop = (reader.start_time + round(edge * 1e9) for edge in (span.start, span.end))
+        span.more = reader.end_time > stop
+    for connection, stamp, raw in reader.messages(connections=connections, start=start, stop=stop):
         rows = samples.get(connection.topic)
         if rows is None:
             rows = samples[connection.topic] = Samples(connection.msgtype)

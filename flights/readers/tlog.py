@@ -85,9 +85,13 @@ def read(source: Source) -> Reading:
     collected: dict[tuple[int, int], dict[int, Messages]] = {}
     autopilots: list[tuple[int, int]] = []
     counts = {"frames": 0, "damaged": 0, "skipped": 0}
+    first: int | None = None
     with source.file.open("rb") as stream:
         for arrival, frame in _frames(stream, counts):
             counts["frames"] += 1
+            first = arrival if first is None else first
+            if source.span is not None and not source.span.holds((arrival - first) * 1e-6):
+                continue
             sender, number = _address(frame)
             if number not in mavlink_streams.WANTED:
                 continue

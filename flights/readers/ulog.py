@@ -46,7 +46,7 @@ def matches(source: Source) -> bool:
 
 def read(source: Source) -> Reading:
     """The streams of a ULog. Raises DataError when even its header cannot be read."""
-    assembly = Assembly()
+    assembly = Assembly(source.span)
     log = _parse(source, assembly)
     topics = Topics(log.data_list, assembly)
     assembly.parameters.update({name: float(value) for name, value in log.initial_parameters.items()})
