@@ -9,11 +9,12 @@ rotor_speed   what the rotors do with a commanded speed
 wind          velocity of the air, world ENU, m/s
 wrench        force (body FLU, N) and moment about the centre of mass (N m) added to the rigid body's
 derivative    time derivative of the effect's hidden states; `noise` is unit white noise, one entry a hidden state
+measurement   what a sensor says of the truth: faults of sensors are effects that change readings, not motion
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -110,6 +111,27 @@ class Conditions:
 
 
 @dataclass(frozen=True)
+class Reading:
+    """What the sensors say. specific_force: body FLU, m/s^2. rate_body: rad/s. rotor_speed: (n,) rad/s.
+
+    pose_age: s by which position, velocity and attitude are older than their stamps.
+    """
+
+    specific_force: Expression
+    rate_body: Expression
+    rotor_speed: Expression
+    pose_age: Expression
+
+
+@dataclass(frozen=True)
+class Span:
+    """The corners of the box in which flights took place, world ENU, m."""
+
+    lowest: tuple[float, float, float]
+    highest: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
 class Wrench:
     """Force, body FLU, N, and moment about the centre of mass, body FLU, N m."""
 
@@ -121,7 +143,9 @@ class Wrench:
 class Effect:
     """One physical effect. source: where its formula comes from. per_rotor: it sits on one rotor, named by index.
 
-    resists_air: it is a drag, through which wind acts on the vehicle.
+    resists_air: it is a drag, through which wind acts on the vehicle. variants: values of the parameters in which the
+    effect is not linear, for diagnosis to try; the others are then found by linear regression, and an effect whose
+    parameters are all held is regressed as a whole.
     """
 
     name: str
@@ -134,6 +158,8 @@ class Effect:
     wind: Callable[[Values, Values], Expression] | None = None
     wrench: Callable[[Conditions, Values, Values], Wrench] | None = None
     derivative: Callable[[Conditions, Values, Values, Values], Values] | None = None
+    measurement: Callable[[Reading, Values, int | None], Reading] | None = None
+    variants: Callable[[Vehicle, Span], Sequence[Mapping[str, float]]] | None = None
     per_rotor: bool = False
     resists_air: bool = False
 

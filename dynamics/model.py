@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
-from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Values
+from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Reading, Values
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
@@ -42,6 +42,8 @@ class Model:
 
     derivative: (x, u, p, e, w) -> xdot, with w unit white noise on hidden states (zero for the mean).
     observe: (x, u, p, e) -> specific_force (3,) body m/s^2, angular_acceleration (3,) rad/s^2, rotor_speed (n,) rad/s.
+    respond: (x, u, a, p, e) -> specific_force, angular_acceleration; the rotors accelerate by a (n,) rad/s^2.
+    measure: (specific_force, rate_body, rotor_speed, p) -> the same as the sensors read them, and the pose's age, s.
     constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, as the effects have changed them.
     """
 
@@ -52,6 +54,8 @@ class Model:
     hidden_initial: NDArray[np.float64]
     derivative: ca.Function
     observe: ca.Function
+    respond: ca.Function
+    measure: ca.Function
     constants: ca.Function
 
     @property
@@ -108,14 +112,16 @@ def build_model(
     named = dict(zip(names, ca.vertsplit(p), strict=True))
     environment = Environment(ground_height=e[0], battery_ratio=e[1])
     physics = _physics(vehicle.rotors.count, active, named, environment)
-    motion = _motion(active, named, x, u, w, physics, environment)
+    conditions = _conditions(active, named, x, u, physics, environment)
+    motion = _motion(active, named, x, w, conditions)
     derivative = ca.Function("derivative", [x, u, p, e, w], [motion.derivative], ["x", "u", "p", "e", "w"], ["xdot"])
     observed = [motion.specific_force, motion.angular_acceleration, motion.rotor_speed]
     labels = ["specific_force", "angular_acceleration", "rotor_speed"]
     observe = ca.Function("observe", [x, u, p, e], observed, ["x", "u", "p", "e"], labels)
     found = [physics.mass, physics.thrust_constant]
     constants = ca.Function("constants", [p, e], found, ["p", "e"], ["mass", "thrust_constant"])
-    return Model(vehicle, active, names, values, hidden_initial, derivative, observe, constants)
+    respond, measure = _respond(active, named, x, conditions, [x, u, p, e]), _measure(active, named, p, u.numel())
+    return Model(vehicle, active, names, values, hidden_initial, derivative, observe, respond, measure, constants)
 
 
 def _activate(
@@ -236,31 +242,53 @@ def _rotor_wrench(c: Conditions) -> tuple[Expression, Expression]:
     return ca.vertcat(0, 0, ca.sum1(c.rotor_thrust)), ca.vertcat(roll, pitch, yaw)
 
 
-def _motion(
-    active: Sequence[ActiveEffect],
-    p: Values,
-    x: Expression,
-    u: Expression,
-    w: Expression,
-    physics: Physics,
-    environment: Environment,
-) -> _Motion:
-    conditions = _conditions(active, p, x, u, physics, environment)
+def _motion(active: Sequence[ActiveEffect], p: Values, x: Expression, w: Expression, conditions: Conditions) -> _Motion:
     hidden_rates = _hidden_derivative(active, p, x, w, conditions)
-    conditions = dataclasses.replace(conditions, rotor_acceleration=_rotor_acceleration(active, hidden_rates, physics))
+    turning_up = _rotor_acceleration(active, hidden_rates, conditions.physics)
+    conditions = dataclasses.replace(conditions, rotor_acceleration=turning_up)
+    specific_force, angular = _accelerations(active, p, x, conditions)
+    acceleration = quaternion.rotate(x[6:10], specific_force) - ca.vertcat(0, 0, GRAVITY)
+    rates = [value for rates in hidden_rates for value in rates.values()]
+    xdot = ca.vertcat(x[3:6], acceleration, quaternion.derivative(x[6:10], x[10:13]), angular, *rates)
+    return _Motion(xdot, specific_force, angular, conditions.rotor_speed)
+
+
+def _accelerations(
+    active: Sequence[ActiveEffect], p: Values, x: Expression, conditions: Conditions
+) -> tuple[Expression, Expression]:
+    """Specific force (m/s^2) and angular acceleration (rad/s^2), body axes, of rotors and effects (PI-TCN eq. 1)."""
+    physics = conditions.physics
     force, moment = _rotor_wrench(conditions)
     for item in active:
         if item.effect.wrench is not None:
             here = dataclasses.replace(conditions, rotor=item.rotor)
             added = item.effect.wrench(here, _values(item, p), _hidden(item, x))
             force, moment = force + added.force, moment + added.moment
-    specific_force = force / physics.mass
     rate = x[10:13]
     angular = (moment - ca.cross(rate, physics.inertia * rate)) / physics.inertia
-    acceleration = quaternion.rotate(x[6:10], specific_force) - ca.vertcat(0, 0, GRAVITY)
-    rates = [value for rates in hidden_rates for value in rates.values()]
-    xdot = ca.vertcat(x[3:6], acceleration, quaternion.derivative(x[6:10], rate), angular, *rates)
-    return _Motion(xdot, specific_force, angular, conditions.rotor_speed)
+    return force / physics.mass, angular
+
+
+def _respond(
+    active: Sequence[ActiveEffect], p: Values, x: Expression, conditions: Conditions, inputs: Sequence[Expression]
+) -> ca.Function:
+    acceleration = ca.SX.sym("a", conditions.physics.rotor_count)
+    given = dataclasses.replace(conditions, rotor_acceleration=acceleration)
+    found = _accelerations(active, p, x, given)
+    arguments = [*inputs[:2], acceleration, *inputs[2:]]
+    labels = ["specific_force", "angular_acceleration"]
+    return ca.Function("respond", arguments, list(found), ["x", "u", "a", "p", "e"], labels)
+
+
+def _measure(active: Sequence[ActiveEffect], named: Values, p: Expression, count: int) -> ca.Function:
+    true = Reading(ca.SX.sym("f", 3), ca.SX.sym("r", 3), ca.SX.sym("s", count), ca.SX(0))
+    read = true
+    for item in active:
+        if item.effect.measurement is not None:
+            read = item.effect.measurement(read, _values(item, named), item.rotor)
+    inputs, labels = [true.specific_force, true.rate_body, true.rotor_speed], ["specific_force", "rate", "rotor_speed"]
+    outputs = [read.specific_force, read.rate_body, read.rotor_speed, read.pose_age]
+    return ca.Function("measure", [*inputs, p], outputs, [*labels, "p"], [f"{n}_read" for n in labels] + ["pose_age"])
 
 
 def _hidden_derivative(

@@ -107,12 +107,13 @@ def _step(
     x = _fly(model, state["plant"], speed, environment, constants, noise["hidden"])
     observed = _observe(model, x, speed, environment, constants)
     battery_state, current = _discharge(state, observed["rotor_speed"], constants)
-    measured, estimate = _measure(x, observed["specific_force"], state, constants, noise)
     jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
+    read = model.measure(observed["specific_force"], x[10:13], observed["rotor_speed"] + jitter, constants["model"])
+    measured, estimate = _measure(x, read[0], read[1], state, constants, noise)
     record = {
         "truth": x[0:13], "estimate": estimate, "force_integral": measured["force_integral"],
         "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
-        "rotor_speed_measured": observed["rotor_speed"] + jitter, "motor_signal": signal,
+        "rotor_speed_measured": read[2], "motor_signal": signal,
         "ground_force": observed["ground_force"], "current": current, **battery_state,
     }  # fmt: skip
     return {"plant": x, **control, **battery_state, **measured}, record
@@ -173,16 +174,19 @@ def _observe(
 
 
 def _measure(
-    x: Expression, specific_force: Expression, state: Values, constants: Values, noise: Values
+    x: Expression, force_read: Expression, rate_read: Expression, state: Values, constants: Values, noise: Values
 ) -> tuple[dict[str, Expression], Expression]:
-    """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth."""
+    """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth.
+
+    force_read, rate_read: as the sensors would read them without noise.
+    """
     error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
-    gyro = x[10:13] + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
+    gyro = rate_read + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
     rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
     turning = inner_loop.low_pass(
         (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
     )
-    felt = specific_force + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
+    felt = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
     states = {
         "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "estimate_error": error,
         "force_integral": state["force_integral"] + felt * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,

@@ -85,6 +85,8 @@ class SimulatedVehicle:
         self._due = 0.0
         self._last: tuple[ControlSetpoint | None, bool] = (None, False)
         self._thrust = 0.0
+        values = self.plant.model.parameter_values
+        self._pose_age = max(round(float(self.plant.model.measure(0, 0, 0, values)[3]) / DT), 0)  # steps
         self.land_detector = LandDetector()
         self._set_constants()
         self._set_state()
@@ -135,8 +137,10 @@ class SimulatedVehicle:
     @property
     def estimate(self) -> MotionState:
         """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
-        age = round(self.options.sensors.delay / DT)
-        return self._motion("estimate", min(age, self._step, len(self._loop.records) - 1))
+        oldest = min(self._step, len(self._loop.records) - 1)
+        age = min(round(self.options.sensors.delay / DT), oldest)
+        stamped, pose = self._motion("estimate", age), self._motion("estimate", min(age + self._pose_age, oldest))
+        return dataclasses.replace(pose, time=stamped.time, rate_body=stamped.rate_body)
 
     @property
     def imu(self) -> ImuSample:

@@ -1,14 +1,24 @@
 """Battery sag: thrust falls with the battery's voltage where speed is not regulated."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
-from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Span, Values
+from dynamics.vehicle import Vehicle
 
 
 def physics(body: Physics, p: Values, environment: Environment, _: int | None) -> Physics:
-    """k_f times 1 + 2 gain (V / V0 - 1), thrust going with the square of the voltage for small sags."""
-    factor = 1 + 2 * p["gain"] * (environment.battery_ratio - 1)
+    """k_f times 1 + 2 gain (V / V0 - 1), thrust going with the square of the voltage for small sags.
+
+    V0 is reference times the full battery's voltage.
+    """
+    factor = 1 + 2 * p["gain"] * (environment.battery_ratio / p["reference"] - 1)
     return replace(body, thrust_constant=body.thrust_constant * factor)
+
+
+def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+    """Constants that hold at 4.2, 4.1 or 3.8 V a cell."""
+    return [{"reference": volts / 4.2} for volts in (4.2, 4.1, 3.8)]
 
 
 EFFECT = Effect(
@@ -19,6 +29,16 @@ EFFECT = Effect(
         Parameter(
             "gain", "1", "1: speed follows the voltage; 0: speed is regulated", 0.0, 2.0, lambda _: Prior(1.0, 0.5)
         ),
+        Parameter(
+            "reference",
+            "1",
+            "voltage at which the file's constants hold, over the full battery's",
+            0.6,
+            1.2,
+            lambda _: Prior(1.0, 0.05),
+            neutral=1.0,
+        ),
     ),
     physics=physics,
+    variants=variants,
 )

@@ -1,10 +1,11 @@
 """Centre of mass: it lies elsewhere than the vehicle file says, so that thrust twists the body."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import casadi as ca
 
-from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Span, Values
 from dynamics.vehicle import Vehicle
 
 
@@ -24,6 +25,11 @@ def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics
     return replace(body, centre_of_mass=body.centre_of_mass + ca.vertcat(p["x"], p["y"], p["z"]))
 
 
+def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+    """At the height that the file says."""
+    return [{"z": 0.0}]
+
+
 EFFECT = Effect(
     name="centre_of_mass",
     summary="The centre of mass lies elsewhere than the vehicle file says",
@@ -34,4 +40,5 @@ EFFECT = Effect(
         Parameter("z", "m", "upwards", -0.5, 0.5, level),
     ),
     physics=physics,
+    variants=variants,
 )

@@ -1,9 +1,11 @@
 """Ground effect: rotors lift more close to the ground."""
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from dynamics import quaternion
-from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.effect import Conditions, Effect, Parameter, Prior, Span, Values, Wrench
 from dynamics.vehicle import Vehicle
 
 
@@ -26,6 +28,11 @@ def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
     return Wrench(force, moment)
 
 
+def variants(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
+    """Effective radii from 0.7 to 3 times the propeller's: the rotors of a vehicle help each other."""
+    return [{"radius": ratio * vehicle.rotors.disc_radius} for ratio in (0.7, 1.0, 1.5, 2.0, 3.0)]
+
+
 EFFECT = Effect(
     name="ground_effect",
     summary="More thrust close to the ground",
@@ -35,4 +42,5 @@ EFFECT = Effect(
         Parameter("radius", "m", "effective rotor radius", 0.005, 2.0, usual_radius, neutral=0.1),
     ),
     wrench=wrench,
+    variants=variants,
 )

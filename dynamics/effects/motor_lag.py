@@ -1,6 +1,9 @@
 """Motor lag: rotors follow their command as a first-order system."""
 
-from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Values
+from collections.abc import Sequence
+
+from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values
+from dynamics.vehicle import Vehicle
 
 
 def rotor_speed(_: Expression, hidden: Values) -> Expression:
@@ -13,6 +16,11 @@ def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
     return {"rotor_speed": (c.command - hidden["rotor_speed"]) / p["time_constant"]}
 
 
+def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+    """Time constants from 4 to 120 ms."""
+    return [{"time_constant": seconds} for seconds in (0.004, 0.01, 0.018, 0.03, 0.045, 0.07, 0.12)]
+
+
 EFFECT = Effect(
     name="motor_lag",
     summary="Rotor speed lags its command by a first-order time constant",
@@ -23,4 +31,5 @@ EFFECT = Effect(
     hidden=(Hidden("rotor_speed", "rad/s", initial=lambda vehicle: vehicle.hover_speed, per_rotor=True),),
     rotor_speed=rotor_speed,
     derivative=derivative,
+    variants=variants,
 )

@@ -4,11 +4,14 @@ The wind acts through the drag effects of the model, which see the air's velocit
 not feel it, so the wind then brings a drag coefficient of its own; only their product shows in a flight.
 """
 
+from collections.abc import Sequence
+
 import casadi as ca
 
 from dynamics import quaternion
-from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Values, Wrench
+from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Span, Values, Wrench
 from dynamics.effects import rotor_drag
+from dynamics.vehicle import Vehicle
 
 COEFFICIENT = Parameter(
     "coefficient",
@@ -40,6 +43,11 @@ def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
     return push(c, p, wind(p, hidden))
 
 
+def variants(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
+    """Level wind through a usual drag: without a drag in the model only the product of the two shows."""
+    return [{"z": 0.0, "coefficient": rotor_drag.usual(vehicle).mean}]
+
+
 EFFECT = Effect(
     name="wind",
     summary="Steady wind, felt through drag",
@@ -52,4 +60,5 @@ EFFECT = Effect(
     ),
     wind=wind,
     wrench=wrench,
+    variants=variants,
 )

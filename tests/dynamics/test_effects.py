@@ -142,6 +142,54 @@ def battery_sag(now, p):
     return summed(now, upwards(2 * p["gain"] * (now.environment[1] - 1) * now.thrusts))
 
 
+def linear_drag(now, p):
+    return -p["coefficient"] * now.air()[0], np.zeros(3)
+
+
+def rotational_damping(now, p):
+    return np.zeros(3), -p["coefficient"] * now.state[10:13]
+
+
+def wall_effect(now, p):
+    normal = np.array([np.cos(p["heading"]), np.sin(p["heading"]), 0.0])
+    gap = max(p["distance"] - normal @ now.state[:3], 0.0)
+    push = p["gain"] * now.thrusts.sum() * np.exp(-gap / p["scale"])
+    return now.to_world.T @ (push * normal), np.zeros(3)
+
+
+def rotor_gyroscopic(now, p):
+    momentum = np.array([0, 0, -p["inertia"] * (np.array(now.vehicle.rotors.spin) @ now.speed)])
+    return np.zeros(3), -np.cross(now.state[10:13], momentum)
+
+
+def rotor_cant(now, p, rotor=1):
+    arm = now.arms[rotor]
+    outwards = arm / np.linalg.norm(arm)
+    around = np.cross([0, 0, 1], outwards)
+    force = now.thrusts[rotor] * (p["tangential"] * around + p["radial"] * outwards)
+    return force, np.cross(arm, force)
+
+
+def torque_constant(now, p):
+    yaw = now.vehicle.rotors.torque_constant * (np.array(now.vehicle.rotors.spin) @ now.speed**2)
+    return np.zeros(3), np.array([0, 0, (p["ratio"] - 1) * yaw])
+
+
+def inertia(now, p):
+    file = np.array(now.vehicle.body.inertia)
+    real, rate = file * [p["ratio_x"], p["ratio_y"], p["ratio_z"]], now.state[10:13]
+    torque = observed(now)[1]
+    angular = (torque - np.cross(rate, real * rate)) / real
+    return np.zeros(3), file * angular + np.cross(rate, file * rate) - torque  # seen with the file's inertia
+
+
+def slung_load(now, p):
+    mass = now.vehicle.body.mass
+    driving = now.to_world @ [0, 0, now.thrusts.sum() / mass]
+    tension = p["mass"] * driving[2] / (1 + p["mass"] / mass)  # the line hangs still
+    return now.to_world.T @ [0, 0, -tension], np.zeros(3)
+
+
 EXPECTED = {
     "rotor_drag": (rotor_drag, {"coefficient": 2.2e-5}),
     "parasitic_drag": (parasitic_drag, {"coefficient": 0.012}),
@@ -155,6 +203,22 @@ EXPECTED = {
     "weak_rotor": (weak_rotor, {"loss": 0.15}),
     "centre_of_mass": (centre_of_mass, {"x": 0.01, "y": -0.004, "z": 0.002}),
     "battery_sag": (battery_sag, {"gain": 0.7}),
+    "linear_drag": (linear_drag, {"coefficient": 0.06}),
+    "rotational_damping": (rotational_damping, {"coefficient": 4e-4}),
+    "wall_effect": (wall_effect, {"gain": -0.1, "heading": 0.7, "distance": 2.0, "scale": 0.5}),
+    "rotor_gyroscopic": (rotor_gyroscopic, {"inertia": 2e-6}),
+    "rotor_cant": (rotor_cant, {"tangential": 0.04, "radial": -0.02}),
+    "torque_constant": (torque_constant, {"ratio": 1.3}),
+    "inertia": (inertia, {"ratio_x": 1.1, "ratio_y": 0.9, "ratio_z": 1.2}),
+    "slung_load": (slung_load, {"mass": 0.03, "length": 0.4}),
+}
+
+
+SENSOR_FAULTS = {
+    "imu_bias": {"x": 0.1, "y": -0.2, "z": 0.3},
+    "gyro_bias": {"x": 0.01, "y": -0.02, "z": 0.03},
+    "time_delay": {"delay": 0.03},
+    "rotor_speed_fault": {"gain": 0.5},
 }
 
 
@@ -164,7 +228,9 @@ def use(name, values):
 
 
 def test_every_effect_has_its_formula_checked_here():
-    assert set(CATALOGUE) == {*EXPECTED, "motor_lag", "gust"}, "add the new effect's formula to EXPECTED"
+    assert set(CATALOGUE) == {*EXPECTED, *SENSOR_FAULTS, "motor_lag", "gust"}, (
+        "add the new effect's formula to EXPECTED"
+    )
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -302,3 +368,47 @@ def test_gusts_have_their_standard_deviation_and_correlation_time(arpl_250g):
     assert_allclose(settled.mean(axis=(0, 2)), 0.0, atol=0.15)
     correlation = (settled[lag:] * settled[:-lag]).mean(axis=(0, 2)) / settled.var(axis=(0, 2))
     assert_allclose(correlation, np.exp(-1), atol=0.06)
+
+
+@pytest.mark.parametrize("name", SENSOR_FAULTS)
+def test_a_sensors_fault_changes_its_reading_and_no_motion(arpl_250g, name):
+    now, values = moment(arpl_250g, 0), SENSOR_FAULTS[name]
+    force, torque = added(now, use(name, values))
+    assert_allclose(np.concatenate([force, torque]), 0.0, atol=1e-15)
+    force, rate, speed, age = reading(arpl_250g, use(name, values))
+    bias = [values.get(axis, 0.0) for axis in "xyz"]
+    assert_allclose(force, [1, 2, 3] + np.array(bias) * (name == "imu_bias"))
+    assert_allclose(rate, [4, 5, 6] + np.array(bias) * (name == "gyro_bias"))
+    assert_allclose(speed, [700, 800 * values.get("gain", 1.0), 900, 1000])
+    assert age == values.get("delay", 0.0)
+
+
+def reading(vehicle, *uses):
+    """What the sensors make of a specific force, a body rate and rotor speeds, and the pose's age."""
+    model = build_model(vehicle, effects=uses)
+    read = model.measure([1, 2, 3], [4, 5, 6], [700, 800, 900, 1000], model.parameter_values)
+    return [np.array(value).ravel() for value in read[:3]] + [float(read[3])]
+
+
+def test_rotors_that_speed_up_twist_the_body_against_their_turning(arpl_250g):
+    model = build_model(arpl_250g, effects=[EffectUse("rotor_gyroscopic", {"inertia": 2e-6})])
+    level = np.array([0, 0, 1, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0])
+    arguments = (level, np.full(4, 1000.0), np.array([100.0, 0, 0, 0]), model.parameter_values, ENVIRONMENT_DEFAULT)
+    angular = np.array(model.respond(*arguments)[1]).ravel()
+    assert angular[2] == pytest.approx(arpl_250g.rotors.spin[0] * 2e-6 * 100.0 / arpl_250g.body.inertia[2])
+    assert_allclose(angular[:2], 0.0, atol=1e-12)
+
+
+def test_a_slung_load_swings_with_the_period_of_its_line(arpl_250g):
+    length, small = 0.4, 0.02
+    model = build_model(arpl_250g, effects=[EffectUse("slung_load", {"mass": 1e-6, "length": length})])
+    step = step_function(model)
+    level = np.array([0, 0, 1, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0])
+    state = np.concatenate([level, [np.sin(small), 0, -np.cos(small), 0, 0, 0]])
+    speed, dt, along = np.full(4, arpl_250g.hover_speed), 0.002, []
+    for _ in range(round(2 * np.pi * np.sqrt(length / 9.81) / dt)):
+        state = np.array(step(state, speed, model.parameter_values, ENVIRONMENT_DEFAULT, 0, dt)).ravel()
+        state[:13] = level
+        along.append(state[13])
+    assert along[-1] == pytest.approx(small * np.exp(-0.05 * len(along) * dt), rel=2e-3)
+    assert min(along) == pytest.approx(-small, rel=0.05)

@@ -335,3 +335,22 @@ def test_vehicles_of_other_sizes_fly_untouched(build: Callable[[], Vehicle]) -> 
     take_off(mock, duration=12.0)
     np.testing.assert_allclose(mock.truth.position_world, [0, 0, 3], atol=0.05)
     assert np.linalg.norm(mock.truth.rate_body) < 0.02
+
+
+def test_faults_of_sensors_show_in_what_the_vehicle_says_of_itself(arpl_250g):
+    faults = (
+        EffectUse("imu_bias", {"x": 0.5, "y": 0.0, "z": 0.0}),
+        EffectUse("gyro_bias", {"x": 0.0, "y": 0.0, "z": 0.1}),
+        EffectUse("time_delay", {"delay": 0.05}),
+        EffectUse("rotor_speed_fault", {"gain": 0.5}, 2),
+    )
+    vehicle = SimulatedVehicle(arpl_250g, effects=faults, options=QUIET)
+    take_off(vehicle, duration=1.0)  # it still climbs
+    before = vehicle.truth
+    vehicle.advance(hover_at(0.0, 0.0, 3.0), True, 0.06)
+    assert vehicle.estimate.time == pytest.approx(vehicle.time - QUIET.sensors.delay)
+    np.testing.assert_allclose(vehicle.estimate.position_world, before.position_world, atol=1e-9)
+    take_off(vehicle)
+    assert vehicle.imu.specific_force_body[0] == pytest.approx(0.5, abs=0.05)
+    assert vehicle.imu.rate_body[2] == pytest.approx(vehicle.truth.rate_body[2] + 0.1, abs=0.01)
+    np.testing.assert_allclose(vehicle.rotor_speed / vehicle.true_rotor_speed, [1, 1, 0.5, 1], rtol=1e-6)

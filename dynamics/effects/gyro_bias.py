@@ -1,0 +1,25 @@
+"""Gyro bias: the body rates are measured off by a constant."""
+
+from dataclasses import replace
+
+import casadi as ca
+
+from dynamics.effect import Effect, Parameter, Prior, Reading, Values
+
+AXES = ("x", "y", "z")
+
+
+def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
+    """The measured body rate is the true one plus (x, y, z)."""
+    return replace(reading, rate_body=reading.rate_body + ca.vertcat(*[p[axis] for axis in AXES]))
+
+
+EFFECT = Effect(
+    name="gyro_bias",
+    summary="The gyro reads a constant too much",
+    source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2004, eq. 12.1",
+    parameters=tuple(
+        Parameter(axis, "rad/s", f"bias about body {axis}", -2.0, 2.0, lambda _: Prior(0.02, 0.05)) for axis in AXES
+    ),
+    measurement=measurement,
+)

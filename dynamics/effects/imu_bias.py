@@ -1,0 +1,25 @@
+"""Accelerometer bias: the specific force is measured off by a constant."""
+
+from dataclasses import replace
+
+import casadi as ca
+
+from dynamics.effect import Effect, Parameter, Prior, Reading, Values
+
+AXES = ("x", "y", "z")
+
+
+def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
+    """The measured specific force is the true one plus (x, y, z)."""
+    return replace(reading, specific_force=reading.specific_force + ca.vertcat(*[p[axis] for axis in AXES]))
+
+
+EFFECT = Effect(
+    name="imu_bias",
+    summary="The accelerometer reads a constant too much",
+    source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2004, eq. 12.1",
+    parameters=tuple(
+        Parameter(axis, "m/s^2", f"bias along body {axis}", -20.0, 20.0, lambda _: Prior(0.1, 0.3)) for axis in AXES
+    ),
+    measurement=measurement,
+)

@@ -1,0 +1,30 @@
+"""Inertia: the vehicle turns less or more readily than its file says."""
+
+from dataclasses import replace
+
+import casadi as ca
+
+from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.vehicle import Vehicle
+
+
+def usual(_: Vehicle) -> Prior:
+    """A tenth more than the file says."""
+    return Prior(1.1, 0.2)
+
+
+def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics:
+    """Each principal moment times its ratio."""
+    return replace(body, inertia=body.inertia * ca.vertcat(p["ratio_x"], p["ratio_y"], p["ratio_z"]))
+
+
+EFFECT = Effect(
+    name="inertia",
+    summary="Other moments of inertia than the vehicle file's",
+    source="PI-TCN eq. 1",
+    parameters=tuple(
+        Parameter(f"ratio_{axis}", "1", f"real moment about body {axis} over the file's", 0.3, 3.0, usual, neutral=1.0)
+        for axis in "xyz"
+    ),
+    physics=physics,
+)

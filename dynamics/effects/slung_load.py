@@ -1,0 +1,72 @@
+"""Slung load: a weight that swings on a line below the centre of mass."""
+
+from collections.abc import Sequence
+
+import casadi as ca
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values, Wrench
+from dynamics.vehicle import Vehicle
+
+AXES = ("x", "y", "z")
+AIR_DAMPING = 0.1  # 1/s, of the swinging: lines are long against what the air takes
+
+
+def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
+    """L d'' = -f_perp - L |d'|^2 d - damping L d', d the unit vector from vehicle to load, world.
+
+    f is the rotors' specific force: the attachment's acceleration less gravity and less the line's own pull.
+    """
+    along, turning = _line(hidden)
+    driving = _specific_force(c)
+    across = driving - ca.dot(driving, along) * along
+    change = -across / p["length"] - ca.sumsqr(turning) * along - AIR_DAMPING * turning
+    return {f"line_{axis}": turning[i] for i, axis in enumerate(AXES)} | {
+        f"swing_{axis}": change[i] for i, axis in enumerate(AXES)
+    }
+
+
+def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
+    """F = T d with T (1 + m_load / m) = m_load (L |d'|^2 - d . f); a slack line does not push."""
+    along, turning = _line(hidden)
+    pull = p["length"] * ca.sumsqr(turning) - ca.dot(along, _specific_force(c))
+    tension = p["mass"] * ca.fmax(pull, 0) / (1 + p["mass"] / c.physics.mass)
+    return Wrench(quaternion.rotate_inverse(c.attitude, tension * along), ca.SX.zeros(3))
+
+
+def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+    """Lines of 0.2 to 1.5 m."""
+    return [{"length": float(length)} for length in np.geomspace(0.2, 1.5, 12)]
+
+
+def _line(hidden: Values) -> tuple[Expression, Expression]:
+    """Unit vector along the line and its rate of change, cleared of what integration adds along the line."""
+    raw = ca.vertcat(*[hidden[f"line_{axis}"] for axis in AXES])
+    along = raw / ca.norm_2(raw)
+    turning = ca.vertcat(*[hidden[f"swing_{axis}"] for axis in AXES])
+    return along, turning - ca.dot(turning, along) * along
+
+
+def _specific_force(c: Conditions) -> Expression:
+    return quaternion.rotate(c.attitude, ca.vertcat(0, 0, ca.sum1(c.rotor_thrust) / c.physics.mass))
+
+
+EFFECT = Effect(
+    name="slung_load",
+    summary="A weight swinging on a line",
+    source="Sreenath, Lee, Kumar, Geometric control of a quadrotor with a cable-suspended load, CDC 2013, eq. 1-5",
+    parameters=(
+        Parameter("mass", "kg", "of the load", 0.0, 20.0, lambda v: Prior(0.1 * v.body.mass, 0.1 * v.body.mass)),
+        Parameter("length", "m", "of the line", 0.05, 20.0, lambda _: Prior(0.5, 0.3), neutral=0.5),
+    ),
+    hidden=(
+        Hidden("line_x", "1", lambda _: 0.0),
+        Hidden("line_y", "1", lambda _: 0.0),
+        Hidden("line_z", "1", lambda _: -1.0),
+        *(Hidden(f"swing_{axis}", "1/s", lambda _: 0.0) for axis in AXES),
+    ),
+    wrench=wrench,
+    derivative=derivative,
+    variants=variants,
+)
