@@ -48,6 +48,7 @@ LEAVING_PATIENCE = 60.0  # s from an order to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {"EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 50.0}
 THRUST_CURVE = "THR_MDL_FAC"
 
+REHEARSED_TICKS = 20
 FARTHEST_START = 50.0  # m from the vehicle to the start of the reference
 LEAST_CLEARANCE = 0.15  # m of the reference above where the vehicle stands
 LONGEST_LOOK = 600.0  # s of the reference that are looked at before take-off
@@ -135,6 +136,7 @@ class Daemon:
             settings = LinkSettings(target_system=request.system, priority=request.priority)
             link = stack.enter_context(Link(request.endpoint, settings, taps))
             controller = Controller.build(self._vehicle, self._controller_options())  # while the link listens
+            self._rehearse(controller)
             status = link.wait_for_vehicle(request.timeout)
             self._greet(status)
             stack.callback(realtime.lower_thread)
@@ -161,6 +163,19 @@ class Daemon:
                 f"The autopilot is {status.autopilot}; only PX4's modes and OFFBOARD rules are known here. "
                 "Nothing was sent."
             )
+
+    def _rehearse(self, controller: Controller) -> None:
+        """Fly some ticks on paper: what a process does for the first time takes tens of milliseconds."""
+        state = self._reference.states(np.zeros(1))[0]
+        mission = Mission(self._vehicle, self._reference, self._request.plan)
+        mission.ramp(state, 0.0)
+        mission.climb(state, 0.0)
+        controller.reset(state, 0.0)
+        for tick in range(REHEARSED_TICKS):
+            now = tick / self._request.rate
+            states, inputs = mission.window(controller.node_times(now), state[6:10])
+            controller.prepare(states, inputs[:-1])
+            controller.feedback(controller.compensate(state, now - 0.02, now), now)
 
     def _controller_options(self) -> ControllerOptions:
         return ControllerOptions(period=1.0 / self._request.rate)
