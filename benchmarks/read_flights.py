@@ -9,7 +9,6 @@ motors are logged at 250 Hz becomes a Flight in at most 3 s and 1 GB.
 from __future__ import annotations
 
 import os
-import resource
 import statistics
 import subprocess
 import sys
@@ -18,10 +17,12 @@ import time
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.csv as pa_csv
 from provenance import write_result
 
 from dynamics.errors import AlulaError
-from flights import Flight, Log, read_folder
+from flights import Flight, Log, read_folder, read_pieces
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -29,6 +30,7 @@ sys.path.insert(0, str(ROOT))
 from tests.support.ulog_file import Topic, ulog_file  # noqa: E402  the tests' writer, which is no package of ours
 
 MINUTES, RATE, REPEATS = 10, 250, 5
+HOURS, PIECE = 3, 1200.0  # of the log that is read in pieces, and s of a piece
 WANTED = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed")
 INSTEAD = {"rotor_speed": ("rotor_speed_command", "rotor_command", "rotor_thrust_command", "collective_thrust_command")}
 
@@ -57,6 +59,46 @@ def long_ulog(path: Path) -> int:
     return path.stat().st_size
 
 
+def long_csv(path: Path) -> int:
+    """A synthetic flight CSV of HOURS at RATE. Returns its size, bytes."""
+    block = 60 * RATE
+    names = ["position_x", "position_y", "position_z", "velocity_x", "velocity_y", "velocity_z"]
+    names += [f"rate_{axis}" for axis in "xyz"] + [f"rotor_speed_{rotor}" for rotor in range(4)]
+    swing = np.sin(np.arange(block) / 1000.0)
+    columns = {name: pa.array(0.1 * swing if name[0] in "pv" else 0 * swing) for name in names}
+    with path.open("wb") as stream:
+        for minute in range(HOURS * 60):
+            table = pa.table({"t": pa.array(60.0 * minute + np.arange(block) / RATE), **columns})
+            pa_csv.write_csv(table, stream, pa_csv.WriteOptions(include_header=minute == 0, quoting_style="none"))
+    return path.stat().st_size
+
+
+def peak_memory() -> float:
+    """Most memory that this process ever had, MB; not ru_maxrss, which begins with the parent's."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
+
+
+def measure_pieces(path: Path, seconds: float) -> None:
+    """Read one log in pieces and print the seconds of data, the number of pieces and peak memory, MB."""
+    lengths = [Flight.from_log(piece).duration for piece in read_pieces(path, seconds)]
+    print(sum(lengths), len(lengths), peak_memory())
+
+
+def reading_in_pieces() -> str:
+    """What a log costs that need not fit into memory."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.csv"
+        size = long_csv(path)
+        command = [sys.executable, __file__, "--pieces", str(path)]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+    data, pieces, memory = (float(word) for word in done.stdout.split())
+    return (
+        f"A flight CSV of {HOURS} h, {size / 1e6:.0f} MB, read in {pieces:.0f} pieces of {PIECE:.0f} s "
+        f"({data / 3600:.2f} h in all): peak memory {memory:.0f} MB."
+    )
+
+
 def measure_once(path: Path) -> None:
     """Read one ULog and print seconds of the clock and of the processor, and peak memory, MB."""
     started, worked = time.perf_counter(), time.process_time()
@@ -64,7 +106,7 @@ def measure_once(path: Path) -> None:
     elapsed, work = time.perf_counter() - started, time.process_time() - worked
     assert flight.has("position", "rate", "rotor_command")
     assert len(flight) > MINUTES * 60 * RATE - 10
-    print(elapsed, work, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    print(elapsed, work, peak_memory())
 
 
 def reading_speed() -> str:
@@ -121,6 +163,9 @@ def main() -> None:
     if sys.argv[1:2] == ["--measure"]:
         measure_once(Path(sys.argv[2]))
         return
+    if sys.argv[1:2] == ["--pieces"]:
+        measure_pieces(Path(sys.argv[2]), PIECE)
+        return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "tests" / "data"
     started, size, rows = time.perf_counter(), 0, []
     for path, found in read_folder(folder):
@@ -135,8 +180,8 @@ def main() -> None:
         "**repairs** and notes |\n| --- | --- | --- | --- | --- |\n"
     )
     body = (
-        f"{reading_speed()}\n\n{len(rows)} files, {size / 1e6:.1f} MB, read in {elapsed:.1f} s.\n\n{head}"
-        + "\n".join(rows)
+        f"{reading_speed()}\n\n{reading_in_pieces()}\n\n"
+        f"{len(rows)} files, {size / 1e6:.1f} MB, read in {elapsed:.1f} s.\n\n{head}" + "\n".join(rows)
     )
     write_result("read_flights", "Reading flights", body)
 

@@ -20,7 +20,7 @@ from flights.source import Source, Span
 from flights.tables import TIME
 
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
-_BLOCK = 1 << 22
+_BLOCK = 1 << 20
 _MOST_TORN = 0.01  # share of rows with another number of cells than the header
 
 
@@ -123,7 +123,7 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
     included = [keys[layout.names.index(name)] for name in wanted]
     # in Latin-1 every byte is a letter, so that a damaged row can be told from a whole one
     encoding = "utf8" if strict else "latin-1"
-    read = pa_csv.ReadOptions(column_names=keys, skip_rows=1, block_size=_BLOCK, encoding=encoding)
+    read = pa_csv.ReadOptions(column_names=keys, skip_rows=1, block_size=_BLOCK, encoding=encoding, use_threads=False)
     parse = pa_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=None if strict else drop)
     convert = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
