@@ -34,7 +34,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
 
     problem: Problem = Problem()
     period: float = 0.01
-    rate_lookahead: float = 0.04
+    rate_lookahead: float = 0.075
     delay: float = 0.005
     largest_error: float = 2.0
 
@@ -85,8 +85,8 @@ class Controller:
         return self.solver.inputs
 
     def node_times(self, time: float) -> Array:
-        """(N + 1,) times at which a window of the reference is needed for a tick at a time."""
-        return time + self._offsets
+        """(N + 1,) times of the reference that a tick at a time looks at: from when its command acts."""
+        return time + self.options.delay + self._offsets
 
     def reset(self, state: Array, time: float) -> None:
         """Start anew from a state: hover inputs, no history."""
