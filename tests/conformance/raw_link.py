@@ -43,7 +43,6 @@ class RawLink:
 
     def __init__(self, port: int, *, component: int = 191, kind: int | None = 18):
         self.heard: list[tuple[float, Any]] = []
-        self.bad = 0
         self._kind = kind
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
         self._parser = mavlink.MAVLink(None)
@@ -92,6 +91,11 @@ class RawLink:
                 self.send(mavlink.MAVLink_heartbeat_message(self._kind, 8, 0, 0, 4, 3))
             time.sleep(0.05)
 
+    @property
+    def vehicle(self) -> Any:
+        """The address that speaks."""
+        return self._vehicle
+
     def fall_silent(self) -> None:
         """Stop the own heartbeat."""
         self._kind = None
@@ -99,9 +103,10 @@ class RawLink:
     def send(self, message: Any) -> float:
         """Send a message; returns when."""
         with self._sending:
+            now = time.monotonic()
             self._socket.sendto(message.pack(self._packer), self._vehicle)
             self._packer.seq = (self._packer.seq + 1) % 256
-        return time.monotonic()
+        return now
 
     def send_bytes(self, data: bytes) -> None:
         """Send whatever bytes as one datagram."""
@@ -255,16 +260,3 @@ def from_euler(roll: float, pitch: float, yaw: float) -> tuple[float, float, flo
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
-
-
-class Clock:
-    """The vehicle's clock as told by the estimates that arrived with the least delay."""
-
-    def __init__(self, link: RawLink, start: float):
-        """start: estimates heard since then count."""
-        stamps = [(at, message.time_boot_ms * 1e-3) for at, message in link.since(start, "ATTITUDE")]
-        self._offset = min(at - stamp for at, stamp in stamps)
-
-    def vehicle_time(self, at: float) -> float:
-        """Vehicle time, s, of a time of ours."""
-        return at - self._offset
