@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from alula import __version__
+from alula.commands.campaign import campaign
 from alula.commands.demo import demo
 from alula.commands.fly import fly
 from alula.commands.link import link
@@ -40,7 +41,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (demo, mock, fly, link, replay):
+for _command in (demo, mock, fly, link, replay, campaign):
     app.command()(_command)
 
 

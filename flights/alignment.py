@@ -22,6 +22,7 @@ SHORTEST_GAP = 0.02  # s, but never less than this
 JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
 HIGHEST_RATE = 2000.0  # Hz
 THINNING = 0.8  # of a stream's rate, below which a common clock would fold its noise back
+ROUNDING = 1e-9  # s by which a common clock may miss a stamp that is meant
 MOST_ROWS = 50_000_000
 
 
@@ -151,6 +152,6 @@ def _thinned(stream: Stream, time: Floats) -> Stream:
 
 def _held(stream: Stream, time: Floats) -> Floats:
     """The last value at or before each time; NaN before the first."""
-    at = np.searchsorted(stream.time, time, side="right") - 1
+    at = np.searchsorted(stream.time, time + ROUNDING, side="right") - 1
     held = stream.values[np.maximum(at, 0)]
     return np.where((at < 0)[:, None], np.nan, held)

@@ -1,0 +1,82 @@
+"""One function over independent items: in this process, in local processes, or on a Dask cluster.
+
+Campaigns, sweeps, Monte-Carlo flights and diagnosis over fleets of logs are all of this shape. Results come as they are
+finished; what a function returns must not depend on which process ran it.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import TypeVar
+
+from dynamics.errors import RequestError, VehicleError
+
+Item = TypeVar("Item")
+Result = TypeVar("Result")
+
+
+def parallel_map(
+    function: Callable[[Item], Result], items: Sequence[Item], *, jobs: int | None = None, scheduler: str | None = None
+) -> Iterator[tuple[int, Result]]:
+    """(index of the item, result) pairs in the order in which they are finished.
+
+    function: importable by name, as are items and results by pickle. jobs: processes, None for one a core; 1 runs
+    everything in this process. scheduler: address of a Dask scheduler (tcp://host:port) that runs them instead.
+
+    What the function raises is raised here, and nothing further is started. Raises RequestError for jobs below 1 or a
+    scheduler that cannot be reached, VehicleError when a process was killed.
+    """
+    if scheduler is not None:
+        return _on_cluster(function, items, scheduler)
+    count = jobs if jobs is not None else len(os.sched_getaffinity(0))
+    if count < 1:
+        raise RequestError(f"{count} jobs: wanted 1 or more.")
+    if count == 1 or len(items) <= 1:
+        return ((index, function(item)) for index, item in enumerate(items))
+    return _in_processes(function, items, min(count, len(items)))
+
+
+def _in_processes(
+    function: Callable[[Item], Result], items: Sequence[Item], count: int
+) -> Iterator[tuple[int, Result]]:
+    # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
+    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    try:
+        places = {pool.submit(function, item): index for index, item in enumerate(items)}
+        for done in as_completed(places):
+            yield places[done], _result(done)
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _result(done: Future[Result]) -> Result:
+    try:
+        return done.result()
+    except BrokenProcessPool as error:
+        raise VehicleError(
+            "a working process ended by itself, killed or out of memory. Run the same command again with fewer --jobs; "
+            "what was finished is kept."
+        ) from error
+
+
+def _on_cluster(
+    function: Callable[[Item], Result], items: Sequence[Item], address: str
+) -> Iterator[tuple[int, Result]]:
+    try:
+        from dask import distributed  # the flight computer has none
+    except ImportError as error:
+        raise RequestError("--scheduler needs Dask: install alula[workbench], or leave the option out.") from error
+    try:
+        client = distributed.Client(address, timeout=5, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise RequestError(
+            f"no Dask scheduler answers at {address}: {error}. Start `dask scheduler` and `dask worker`."
+        ) from error
+    with client:
+        places = {client.submit(function, item, pure=False): index for index, item in enumerate(items)}
+        for done in distributed.as_completed(list(places), loop=client.loop):
+            yield places[done], done.result()

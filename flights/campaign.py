@@ -1,0 +1,117 @@
+"""The paper's data set as a list: 68 flights by name, 60 to train and 8 to test (PI-TCN section IV-A).
+
+The paper names its eight test manoeuvres and says of the rest that they range from straight lines to circles,
+parabolas and lemniscates, in every combination of axes, with different speeds, 58 min in all, up to 6 m/s, 18 m/s^2,
+54 rad/s^2 and 16,628 rpm. The test flights here are its eight; the training flights never repeat one of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Literal
+
+import numpy as np
+
+from dynamics.errors import RequestError
+from dynamics.references import MANOEUVRES, PAPER
+
+Split = Literal["train", "test"]
+
+PAPER_DURATION = 58 * 60 + 3.0  # s, all flights together
+TRAINING_DURATION = 53.4  # s of one training flight, in whole laps, so that all flights last as long as the paper's
+RAMP = 3.0  # s, a reference's usual one
+SPEEDS = (60, 90)  # per cent of the manoeuvre's own
+PLANES = ("xy", "xz", "yz")
+SHAPES = (
+    "Ellipse_2",
+    "WarpedEllipse_2",
+    "Lemniscate",
+    "ExtendedLemniscate",
+    "Parabola",
+    "TransposedParabola",
+    "circle",
+)
+PLAINER = {
+    "Ellipse_1_xz": "Ellipse_1:plane=xz",
+    "WarpedEllipse_1_xz": "WarpedEllipse_1:plane=xz",
+    "WarpedEllipse_1_yz": "WarpedEllipse_1:plane=yz",
+    "line_x_60": "line:speed=0.6",
+    "line_x_100": "line",
+    "line_x_wide": "line:size=2.25",  # 6 m/s
+    "line_y_60": "line:plane=yx,speed=0.6",
+    "line_y_100": "line:plane=yx",
+    "line_y_wide": "line:plane=yx,size=1.8",
+    "line_z_100": "bob",
+    "line_z_130": "bob:speed=1.3",
+    "line_z_wide": "bob:size=2.0",
+    "circle_xy_wide": "circle:size=1.3,speed=1.3",
+    "yaw_spin_70": "yaw_spin:speed=0.7",
+    "yaw_spin_130": "yaw_spin:speed=1.3",
+    "low_flight_70": "low_flight:speed=0.7",
+    "low_flight_130": "low_flight:speed=1.3",
+    "hover": "hover",
+}
+# What the vehicle of the paper's real flights had and its nominal model has not: drags, flapping and inflow of the
+# usual size (DIAGNOSIS and LEARNING measurements), a thrust and an inertia that are a little off, moving air.
+REAL_WORLD = (
+    "motor_lag:time_constant=0.035",
+    "rotor_drag:coefficient=2.2e-5",
+    "parasitic_drag:coefficient=0.01",
+    "blade_flapping:coefficient=-3e-7",
+    "axial_inflow:coefficient=1e-5",
+    "translational_lift:coefficient=4e-4",
+    "thrust_constant:ratio=0.96",
+    "inertia:ratio_x=1.08,ratio_y=1.05,ratio_z=0.94",
+    "gust:intensity=0.25,correlation_time=1.0",
+)
+
+
+@dataclass(frozen=True)
+class CampaignFlight:
+    """One flight. name: of its file. reference: as `dynamics.references.named_reference` takes it."""
+
+    name: str
+    reference: str
+    split: Split
+
+
+def paper_campaign() -> tuple[CampaignFlight, ...]:
+    """The 68 flights, test flights first."""
+    tests = [CampaignFlight(name, name, "test") for name in PAPER]
+    shaped = [
+        CampaignFlight(f"{shape}_{plane}_{speed}", _in_laps(f"{shape}:plane={plane},speed={speed / 100}"), "train")
+        for shape in SHAPES
+        for plane in PLANES
+        for speed in SPEEDS
+    ]
+    plainer = [CampaignFlight(name, _in_laps(reference), "train") for name, reference in PLAINER.items()]
+    return (*tests, *shaped, *plainer)
+
+
+def chosen_flights(flights: Sequence[CampaignFlight], patterns: Sequence[str]) -> tuple[CampaignFlight, ...]:
+    """Those whose name or split one of the patterns matches, all without a pattern: `Lemniscate*`, `test`.
+
+    Raises RequestError for a pattern that matches none.
+    """
+    if not patterns:
+        return tuple(flights)
+    for pattern in patterns:
+        if not any(_matches(flight, pattern) for flight in flights):
+            names = ", ".join(flight.name for flight in flights)
+            raise RequestError(f"no flight of the campaign is called {pattern!r}. Known: test, train, {names}.")
+    return tuple(flight for flight in flights if any(_matches(flight, pattern) for pattern in patterns))
+
+
+def _matches(flight: CampaignFlight, pattern: str) -> bool:
+    return fnmatchcase(flight.name, pattern) or flight.split == pattern
+
+
+def _in_laps(reference: str) -> str:
+    """The reference with as many whole laps as last nearest to a training flight."""
+    name, _, rest = reference.partition(":")
+    speed = next((float(pair.split("=")[1]) for pair in rest.split(",") if pair.startswith("speed=")), 1.0)
+    lap = 2 * np.pi / (MANOEUVRES[name].rate * speed)
+    laps = max(1, round((TRAINING_DURATION - RAMP) / lap))
+    return f"{name}:{rest},laps={laps}" if rest else f"{name}:laps={laps}"
