@@ -19,7 +19,7 @@ demo: .venv/workbench.stamp
 	$(BIN)/alula demo
 
 test: .venv/development.stamp
-	$(BIN)/python -m pytest --numprocesses 2
+	$(BIN)/python -m pytest
 
 lint: .venv/development.stamp
 	$(BIN)/ruff check .
