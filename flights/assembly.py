@@ -30,6 +30,7 @@ class Assembly:
         self.metadata: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
         self._streams: list[Stream] = []
+        self._spares: list[Stream] = []
         self._notes: list[str] = []
         self._repairs: list[Repair] = []
         self._epoch: int | None = None
@@ -53,8 +54,10 @@ class Assembly:
         epoch = (self._epoch or 0) // (1_000_000_000 // per_second)
         return np.asarray((stamps - epoch) / per_second, dtype=float)
 
-    def add(self, name: str, time: ArrayLike, values: ArrayLike, source: str) -> None:
+    def add(self, name: str, time: ArrayLike, values: ArrayLike, source: str, *, spare: bool = False) -> None:
         """Add a stream. time: (n,) s. values: (n,) or (n, k), in our units and frames.
+
+        Of two streams for one quantity the first is the one to use; a spare one comes behind all others.
 
         Raises DataError when the time stamps cannot be those of one recording.
         """
@@ -77,7 +80,7 @@ class Assembly:
         if not len(stamps) or np.isnan(table).all():
             self.note(f"{name} ({source}) holds no value and is left out")
             return
-        self._streams.append(Stream(name, stamps, table, source))
+        (self._spares if spare else self._streams).append(Stream(name, stamps, table, source))
 
     def _in_order(self, time: Floats, values: Floats, what: str) -> tuple[Floats, Floats]:
         """Rows with finite, strictly increasing stamps."""
@@ -147,9 +150,10 @@ class Assembly:
 
     def finish(self, *, keep_time: bool = False) -> Reading:
         """The reading, its time starting at 0 with the first sample of any stream unless it shall be kept as it is."""
-        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in self._streams), default=0.0)
+        found = [*self._streams, *self._spares]
+        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in found), default=0.0)
         streams = tuple(
-            Stream(stream.name, _shifted(stream.time, start), stream.values, stream.source) for stream in self._streams
+            Stream(stream.name, _shifted(stream.time, start), stream.values, stream.source) for stream in found
         )
         return Reading(
             streams,

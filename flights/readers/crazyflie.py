@@ -205,6 +205,11 @@ def _from_legacy_euler(values: Floats) -> Floats:
     return _from_euler(values * _DEGREE * np.array([1.0, -1.0, 1.0]))
 
 
+def _from_legacy_rates(values: Floats) -> Floats:
+    """Body rates of `stateEstimateZ`'s mrad/s, which the firmware gives the old sign of pitch as well."""
+    return np.asarray(values * 1e-3 * np.array([1.0, -1.0, 1.0]))
+
+
 def _from_compressed(values: Floats) -> Floats:
     """Attitude of Bitcraze's quatcompress: two bits name the largest component, ten bits hold each other one."""
     words = values[:, 0].astype(np.uint32)
@@ -225,7 +230,8 @@ def _group(group: str, *names: str) -> tuple[str, ...]:
 
 
 _MILLI = 1e-3
-# quantity, variables in the order of its columns, conversion; of two for one quantity the first is preferred
+# Quantity, variables in the order of its columns, conversion; of two for one quantity the first is preferred.
+# stateEstimateZ's acceleration is not among them: firmwares differ in whether gravity is in it.
 _STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = (
     ("position", _group("stateEstimate", "x", "y", "z"), _scaled(1.0)),
     ("position", _group("stateEstimateZ", "x", "y", "z"), _scaled(_MILLI)),
@@ -236,11 +242,10 @@ _STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = 
     ("attitude", _group("stateEstimate", "roll", "pitch", "yaw"), _from_legacy_euler),
     ("attitude", _group("ctrlLee", "rpyx", "rpyy", "rpyz"), _from_euler),
     ("rate", _group("gyro", "x", "y", "z"), _scaled(_DEGREE)),
-    ("rate", _group("stateEstimateZ", "rateRoll", "ratePitch", "rateYaw"), _scaled(_MILLI)),
+    ("rate", _group("stateEstimateZ", "rateRoll", "ratePitch", "rateYaw"), _from_legacy_rates),
     ("rate", _group("ctrlLee", "omegax", "omegay", "omegaz"), _scaled(1.0)),
     ("specific_force", _group("acc", "x", "y", "z"), _scaled(GRAVITY)),
     ("acceleration", _group("stateEstimate", "ax", "ay", "az"), _scaled(GRAVITY)),
-    ("acceleration", _group("stateEstimateZ", "ax", "ay", "az"), _scaled(_MILLI)),
     ("roll", ("stateEstimate.roll",), _scaled(_DEGREE)),
     ("pitch", ("stateEstimate.pitch",), _scaled(-_DEGREE)),
     ("yaw", ("stateEstimate.yaw",), _scaled(_DEGREE)),

@@ -116,7 +116,7 @@ def _odometry(assembly: Assembly, rows: Rows) -> None:
         assembly.note(f"{rows.topic}: the velocity is in {judged.frame} ({judged.reason})")
         assembly.add("velocity", rows.time, judged.velocity, rows.topic)
     if np.ptp(rate, axis=0).max() > 0:  # mocap often leaves it zero
-        assembly.add("rate", rows.time, rate, rows.topic)
+        assembly.add("rate", rows.time, rate, rows.topic, spare=True)  # a gyroscope's are better
 
 
 def _of_imu(m: Message) -> Iterable[float]:
@@ -143,7 +143,7 @@ def _imu(assembly: Assembly, rows: Rows) -> None:
     assembly.add("specific_force", rows.time, force, rows.topic)
     length = np.linalg.norm(attitude, axis=1)
     if np.nanmedian(np.where(np.isfinite(length), length, 0.0)) > 0.5:  # all zero: never filled in
-        assembly.add("attitude", rows.time, attitude, rows.topic)
+        assembly.add("attitude", rows.time, attitude, rows.topic, spare=True)  # mocap's or an estimator's is better
 
 
 def _of_pose_stamped(m: Message) -> Iterable[float]:

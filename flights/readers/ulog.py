@@ -20,7 +20,7 @@ from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
 from flights.readers import ulog_rotors
-from flights.readers.ulog_topics import Topic, Topics
+from flights.readers.ulog_topics import TOPIC_ALIASES, Topic, Topics
 from flights.source import Source
 
 _MAGIC = b"ULog\x01\x12\x35"
@@ -35,7 +35,7 @@ _WANTED = (
     "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
     "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
     "vehicle_rates_setpoint", "vehicle_mocap_odometry",
-    *ulog_rotors.TOPICS,
+    *ulog_rotors.TOPICS, *(old for names in TOPIC_ALIASES.values() for old in names),
 )  # fmt: skip
 
 

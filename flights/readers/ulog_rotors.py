@@ -17,7 +17,7 @@ from flights.readers.px4_rotors import (
 )
 from flights.readers.ulog_topics import Topic, Topics
 
-TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status", "esc_report")
+TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status")
 
 _ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
 _LOW_PWM, _HIGH_PWM = 1000.0, 2000.0  # PX4's defaults, microseconds

@@ -125,6 +125,28 @@ def test_a_crazyflie_log_of_both_versions(truth: Truth, tmp_path: Path, version:
     assert_allclose(command.values[0], np.array([4000, 3000, 2000, 1000]) / 65_535)
 
 
+def test_crazyflie_packs_its_attitude_and_turns_its_pitch_rate(truth: Truth, tmp_path: Path) -> None:
+    """stateEstimateZ: the attitude in 32 bits, the largest component left out; rates in mrad/s, pitch negated."""
+    rows = []
+    for t, attitude, rate in zip(truth.time, truth.attitude, 1000 * truth.rate, strict=True):
+        xyzw = np.roll(attitude, -1)
+        largest = int(np.argmax(np.abs(xyzw)))
+        word = largest
+        for index in range(4):
+            if index != largest:
+                negative = (xyzw[index] < 0) != (xyzw[largest] < 0)
+                word = word << 10 | negative << 9 | round(511 * abs(xyzw[index]) * np.sqrt(2.0))
+        rows.append((round(t * 1e6), (word, round(rate[0]), round(-rate[1]), round(rate[2]))))
+    names = ("quat", "I"), ("rateRoll", "h"), ("ratePitch", "h"), ("rateYaw", "h")
+    data = crazyflie_log([(f"stateEstimateZ.{name}", letter) for name, letter in names], rows)
+    (tmp_path / "log").write_bytes(data)
+    log = read_log(tmp_path / "log")
+    _hold(log, truth, ("rate",), tolerance=6e-4)
+    attitude_stream = log.stream("attitude")
+    assert attitude_stream is not None
+    assert quaternion.angle_between(attitude_stream.values, truth.attitude).max() < 5e-3
+
+
 def test_a_flight_joins_the_streams_on_the_gyros_clock(truth: Truth, tmp_path: Path) -> None:
     flight = Flight.read(paper_bag(truth, tmp_path / "a.bag"))
     assert flight.rate == pytest.approx(100.0)

@@ -88,6 +88,15 @@ def test_odometry_of_old_firmware(truth: Truth, tmp_path: Path) -> None:
     )
 
 
+def test_topics_are_found_by_their_old_names(truth: Truth, tmp_path: Path) -> None:
+    old = Topic("vehicle_vision_odometry", _odometry(truth).fields)
+    log = _read(tmp_path, [old])
+    position = log.stream("position")
+    assert position is not None
+    assert position.source == "vehicle_visual_odometry"
+    assert_allclose(position.values, truth.position, atol=1e-5)
+
+
 def _esc(truth: Truth, functions: Sequence[int]) -> Topic:
     speeds = truth.rotor_speed * 60 / (2 * np.pi)  # of our rotors 0 to 3, which are PX4's motors 3, 2, 4, 1
     by_function = {103: speeds[:, 0], 102: speeds[:, 1], 104: speeds[:, 2], 101: speeds[:, 3]}

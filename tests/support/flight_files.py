@@ -157,9 +157,10 @@ def _odometry(store: Any, i: int, stamp: int, truth: Truth, velocity: Floats) ->
 
 
 def _imu(store: Any, i: int, stamp: int, rate: Floats, force: Floats) -> Any:
+    """An IMU with an orientation of its own, whose heading nobody may take for the vehicle's."""
     types = store.types
     return types["sensor_msgs/msg/Imu"](
-        _header(store, i, stamp), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 0.0), np.zeros(9),
+        _header(store, i, stamp), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0), np.zeros(9),
         _vector(store, rate), np.zeros(9), _vector(store, force), np.zeros(9),
     )  # fmt: skip
 
