@@ -23,7 +23,7 @@ def write_report(report: DemoReport, folder: Path) -> DemoReport:
     folder.mkdir(parents=True, exist_ok=True)
     files = [_whole(folder / "tracking.csv", lambda path: _write_csv(report, path))]
     if importlib.util.find_spec("matplotlib"):
-        files.append(_whole(folder / "tracking.png", lambda path: _draw(report, path)))
+        files.append(_whole(folder / "tracking.png", lambda path: draw_tracking(report, path)))
     files.append(_whole(folder / "report.md", lambda path: path.write_text(_text(report, files), encoding="utf-8")))
     finished = msgspec.structs.replace(report, files=(*map(str, files), str(folder / "report.json")))
     _whole(folder / "report.json", lambda path: path.write_bytes(msgspec.json.encode(finished)))
@@ -70,7 +70,8 @@ def _text(report: DemoReport, files: list[Path]) -> str:
     )
 
 
-def _draw(report: DemoReport, path: Path) -> None:
+def draw_tracking(report: DemoReport, path: Path) -> None:
+    """Reference and flight of every manoeuvre in its plane, and the error over time. Needs matplotlib."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 

@@ -3,6 +3,8 @@
 All latencies on: the mock's estimate delay and jitter, motor lag, actuation delay, sensor noise. 100 Hz. Beside the
 nominal column of the paper's Table II, which was flown by a real vehicle with all its aerodynamics.
 
+Draws three flights of the last run into docs/pictures/tracking.png.
+
     python benchmarks/manoeuvres.py [--runs 3]
 """
 
@@ -12,11 +14,16 @@ import argparse
 import tempfile
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from provenance import write_result
 
 from alula.demo import DemoOptions, run_demo
+from alula.demo_report import draw_tracking
 from alula.paper import TRACKING_NOMINAL
+
+PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "tracking.png"
+SHOWN = ("WarpedEllipse_2", "ExtendedLemniscate", "Parabola")
 
 
 def main() -> None:
@@ -29,9 +36,12 @@ def main() -> None:
         for run in range(runs):
             names = tuple(TRACKING_NOMINAL)
             options = DemoOptions(Path(folder), effects=(), manoeuvres=names, duration=25.0, seed=100 + run)
-            for flown in run_demo(options, lambda _: None, print).nominal:
+            report = run_demo(options, lambda _: None, print)
+            for flown in report.nominal:
                 errors[flown.name].append(flown.position_rmse)
                 speeds[flown.name] = max(speeds.get(flown.name, 0.0), flown.speed_max)
+        shown = tuple(flown for flown in report.nominal if flown.name in SHOWN)
+        draw_tracking(msgspec.structs.replace(report, nominal=shown), PICTURE)
     rows = ["| manoeuvre | top speed m/s | position RMSE m, mean +- std | the paper's nominal m |", "| --- " * 4 + "|"]
     for name, values in errors.items():
         paper, spread = TRACKING_NOMINAL[name]
