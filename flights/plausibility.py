@@ -21,6 +21,7 @@ from flights.quantities import MOTION
 _GRID_RATE = 50.0  # Hz of the comparisons
 _LONGEST = 60_000  # rows compared at most
 _SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
+_LONGEST_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
 _FASTEST_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
 _LEAST_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _LEAST_SPEED = 0.15  # m/s rms
@@ -45,6 +46,7 @@ def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
     grid = _grid(list(first.values()))
     on_grid: dict[str, Floats] = {name: resample(first[name], grid) for name in MOTION if name in first}
     found = [
+        _too_slow(first),
         _impossible_rates(first),
         _rates_against_attitude(on_grid, grid),
         _gravity(on_grid),
@@ -59,6 +61,18 @@ def _grid(streams: list[Stream]) -> Floats:
     end = max((float(stream.time[-1]) for stream in streams), default=0.0)
     count = min(int((end - start) * _GRID_RATE) + 1, _LONGEST)
     return np.asarray(start + np.arange(count) / _GRID_RATE)
+
+
+def _too_slow(first: dict[str, Stream]) -> Finding | None:
+    """No log has its attitude or its gyro once a second: such a clock counts something shorter."""
+    for name, longest in _LONGEST_PERIOD.items():
+        if name in first and longest < first[name].period < float("inf"):
+            return Finding(
+                "time_unit",
+                f"the {name} comes every {first[name].period:.3g} s, which is no flight log's rate: the time is not in "
+                "seconds. Wanted seconds; divide it, or give a column mapping with its unit (ms, us, ns).",
+            )
+    return None
 
 
 def _impossible_rates(first: dict[str, Stream]) -> Finding | None:

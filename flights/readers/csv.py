@@ -147,6 +147,8 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
 
 
 def _names(line: str) -> list[str]:
+    """Column names of a header, which some tools write as a comment."""
+    line = line.removeprefix("#")
     return [name.strip().strip('"') for name in line.split(",")]
 
 

@@ -165,11 +165,21 @@ def test_a_clock_that_stands_still(lines: list[str], tmp_path: Path) -> None:
         _read(tmp_path, lines)
 
 
-def test_a_time_column_in_microseconds(truth: Truth, tmp_path: Path) -> None:
-    slow = truth._replace(time=truth.time * 1e6 + 0.3 * np.arange(len(truth.time)) % 2)
-    log = read_log(flight_csv(slow, tmp_path / "flight.csv"))
-    with pytest.raises(DataError, match="Check the time's unit"):
-        Flight.from_log(log, rate=100.0)
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
+def test_a_time_column_that_is_not_in_seconds(truth: Truth, tmp_path: Path, factor: float) -> None:
+    path = flight_csv(truth._replace(time=truth.time * factor), tmp_path / "flight.csv")
+    with pytest.raises(DataError, match="the time is not in seconds"):
+        read_log(path)
+
+
+def test_a_header_written_as_a_comment(lines: list[str], tmp_path: Path) -> None:
+    assert not _repairs(_read(tmp_path, ["# " + lines[0], *lines[1:]]))
+
+
+def test_a_table_of_absurd_length_is_not_even_tried(truth: Truth, tmp_path: Path) -> None:
+    log = read_log(flight_csv(truth, tmp_path / "flight.csv"))
+    with pytest.raises(DataError, match="give a lower rate"):
+        Flight.from_log(log, rate=1e8)
 
 
 @pytest.mark.parametrize(
