@@ -26,8 +26,9 @@ LONGEST_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4'
 class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How the controller runs. period: expected time between ticks, s.
 
-    rate_lookahead: how far ahead on the predicted trajectory the body rates are read that the autopilot is asked for,
-    s; it makes up for the time its rate loop takes. delay: from a command's departure to its action, s, added to the
+    rate_lookahead, yaw_lookahead: how far ahead along the prediction's slope the body rates are read that the
+    autopilot is asked for, s; they make up for the time its rate loops take, which is longest in yaw (asking for yaw
+    rates 75 ms ahead, PX4's SIH swings by a radian in hover). delay: from a command's departure to its action, s, added to the
     age of every estimate. largest_error: the reference is drawn towards a vehicle further away than this, m, because a
     linearisation does not reach that far.
     """
@@ -35,6 +36,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     problem: Problem = Problem()
     period: float = 0.01
     rate_lookahead: float = 0.075
+    yaw_lookahead: float = 0.3
     delay: float = 0.005
     largest_error: float = 2.0
 
@@ -67,6 +69,8 @@ class Controller:
         self._hidden = np.tile(model.hidden_initial, (HISTORY, 1))
         self._ticks = 0
         self._state = model.initial_state(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]))
+        seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
+        self._lookahead = np.array(seconds) / options.problem.node
         self._command_states = self.solver.states[: min(2, options.problem.nodes + 1)]
 
     @classmethod
@@ -124,9 +128,8 @@ class Controller:
         speed = self.solver.inputs[0].copy()
         self._state[:] = state
         self._remember(time + self.options.delay, speed)
-        part = self.options.rate_lookahead / self.options.problem.node
         now, then = self._command_states[0, 10:13], self._command_states[1, 10:13]
-        rate = now + part * (then - now)
+        rate = now + self._lookahead * (then - now)
         thrust = float(self._thrust_constants @ (speed * speed))
         return Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
 
