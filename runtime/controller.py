@@ -27,10 +27,10 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """How the controller runs. period: expected time between ticks, s.
 
     rate_lookahead, yaw_lookahead: how far ahead along the prediction's slope the body rates are read that the
-    autopilot is asked for, s; they make up for the time its rate loops take, which is longest in yaw (asking for yaw
-    rates 75 ms ahead, PX4's SIH swings by a radian in hover). delay: from a command's departure to its action, s, added to the
-    age of every estimate. largest_error: the reference is drawn towards a vehicle further away than this, m, because a
-    linearisation does not reach that far.
+    autopilot is asked for, s; they make up for the time its rate loops take, which is longest in yaw (with yaw rates
+    read 75 ms ahead the mock of PX4's SIH swings by a radian in hover). delay: from a command's departure to its
+    action, s, added to the age of every estimate. largest_error: the reference is drawn towards a vehicle further away
+    than this, m, because a linearisation does not reach that far.
     """
 
     problem: Problem = Problem()
