@@ -14,7 +14,7 @@ from alula.commands.fly import fly
 from alula.commands.link import link
 from alula.commands.mock import mock
 from alula.commands.replay import replay
-from dynamics.errors import AlulaError
+from dynamics.errors import AlulaError, RequestError
 
 app = typer.Typer(
     name="alula",
@@ -52,6 +52,10 @@ def main() -> None:
     except AlulaError as error:
         print(f"alula: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except ModuleNotFoundError as error:
+        wanted = f"{error.name} is not installed. Commands of the desk need it: pip install 'alula[workbench]'."
+        print(f"alula: {wanted}", file=sys.stderr)
+        sys.exit(RequestError.exit_code)
 
 
 if __name__ == "__main__":

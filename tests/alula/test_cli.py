@@ -63,6 +63,20 @@ def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
     assert run() == (code, "", "alula: what was wanted\n")
 
 
+def test_a_desk_command_on_a_flight_computer_says_what_to_install(run, monkeypatch):
+    desk = typer.Typer()
+
+    @desk.command()
+    def study() -> None:
+        raise ModuleNotFoundError("No module named 'pyarrow'", name="pyarrow")
+
+    monkeypatch.setattr(cli, "app", desk)
+    code, _, message = run()
+    assert code == 2
+    assert "pyarrow is not installed" in message
+    assert "pip install 'alula[workbench]'" in message
+
+
 def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
     interrupted = typer.Typer()
 
