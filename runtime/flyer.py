@@ -32,6 +32,7 @@ SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
 DISARM_PATIENCE = 5.0  # s until landing is left to the autopilot
 STALE_SOLUTION = 0.2  # s without a solution after which the solver starts anew
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
+ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is no surprise
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS, Event.LINK_LOST)
 
 
@@ -213,7 +214,7 @@ class Flyer:
         if seen.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(seen.findings).items()}
         present |= self._health.estimate_age(estimate, seen.time)
-        if self.engagement.flying and self.mission.phase is not Phase.SHUTDOWN:
+        if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
             if not seen.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
             elif not seen.offboard:
@@ -240,7 +241,8 @@ class Flyer:
 
     def _engage(self, seen: ObservationRecord, decision: Decision) -> None:
         was_flying = self.engagement.flying
-        if was_flying and self.mission.phase is Phase.SHUTDOWN and not seen.armed:
+        if was_flying and self.mission.phase in ON_THE_GROUND and not seen.armed:
+            self.mission.shut_down(seen.time)  # an autopilot that notices the landing first disarms by itself
             decision.transitions += self.engagement.release("landed and disarmed", seen.time)
         facts = Facts(
             connected=seen.connected,

@@ -243,6 +243,17 @@ def test_leaving_the_box_a_little_lands_and_leaving_it_far_gives_up(vehicle: Veh
     assert far.story.decisions[-1].rate_body is None
 
 
+def test_an_autopilot_that_disarms_first_has_landed_us_all_the_same(vehicle: Vehicle, controller: Controller) -> None:
+    flight = prepare(vehicle, controller)
+    flight.run(40.0, until=Phase.TOUCHDOWN)
+    flight.run(0.2)
+    flight.armed = False
+    flight.run(0.02)
+    assert flight.flyer.landed
+    assert flight.story.transitions[-1].reason == "landed and disarmed"
+    assert Event.DISARMED not in flight.story.raised
+
+
 def test_a_disarm_that_is_refused_is_left_to_the_autopilot(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller)
     flight.grants = {Request.OFFBOARD, Request.ARM, Request.LAND}
