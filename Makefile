@@ -3,6 +3,7 @@
 # make lint   ruff, mypy, import-linter
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k goes on after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
+# make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
 # make is needed beforehand.
 
@@ -12,7 +13,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 RECIPE := pyproject.toml constraints.txt
 STUDIES := $(filter-out %/provenance.py %_worker.py,$(wildcard benchmarks/*.py))
 
-.PHONY: demo test lint study clean $(STUDIES)
+.PHONY: demo test lint study conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -27,7 +28,10 @@ lint: .venv/development.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-study: $(STUDIES)
+study: $(STUDIES) conformance
+
+conformance: .venv/development.stamp
+	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance
 
 $(STUDIES): .venv/workbench.stamp
 	$(BIN)/python $@

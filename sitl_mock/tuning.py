@@ -24,6 +24,7 @@ TILT_SPEED = 1.046  # proportional rate gain in units of 1 / lag
 TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
 TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
+DEFAULT_HOVER = 0.5  # MPC_THR_HOVER, which nobody changes for a hundredth
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 YAW_GAIN = 0.2  # a fifth of the yaw authority for 1 rad/s, PX4's default, where that is not too fast for the motors
 YAW_SPEED = 0.3765  # yaw rate gain in units of 1 / (lag + torque filter)
@@ -68,14 +69,19 @@ def parameter_values(tuning: Tuning) -> dict[str, float]:
     """The tuning under PX4's parameter names and units, for the autopilot's parameter table."""
     values: dict[str, float] = {}
     for i, axis in enumerate(("ROLL", "PITCH", "YAW")):
-        values[f"MC_{axis}_P"] = tuning.attitude_gain[i]
-        values[f"MC_{axis}RATE_P"] = tuning.rate_gain_p[i]
-        values[f"MC_{axis}RATE_I"] = tuning.rate_gain_i[i]
-        values[f"MC_{axis}RATE_D"] = tuning.rate_gain_d[i]
+        values[f"MC_{axis}_P"] = _noted(tuning.attitude_gain[i])
+        values[f"MC_{axis}RATE_P"] = _noted(tuning.rate_gain_p[i])
+        values[f"MC_{axis}RATE_I"] = _noted(tuning.rate_gain_i[i])
+        values[f"MC_{axis}RATE_D"] = _noted(tuning.rate_gain_d[i])
         values[f"MC_{axis}RATE_MAX"] = math.degrees(tuning.rate_limit[i])
     values["THR_MDL_FAC"] = tuning.thrust_model_factor
-    values["MPC_THR_HOVER"] = tuning.hover_thrust
+    values["MPC_THR_HOVER"] = DEFAULT_HOVER if abs(tuning.hover_thrust - DEFAULT_HOVER) < 0.02 else tuning.hover_thrust
     values["IMU_GYRO_CUTOFF"] = tuning.gyro_cutoff
     values["IMU_DGYRO_CUTOFF"] = tuning.acceleration_cutoff
     values["MC_YAW_TQ_CUTOFF"] = tuning.yaw_torque_cutoff
     return values
+
+
+def _noted(gain: float) -> float:
+    """A gain as an owner writes it down: three digits, which gives PX4's own quadrotor PX4's round numbers."""
+    return float(f"{gain:.3g}")

@@ -44,6 +44,7 @@ def test_one_setpoint_is_not_the_documented_stream(link: RawLink) -> None:
     assert link.set_mode(OFFBOARD) == TEMPORARILY_REJECTED
 
 
+@pytest.mark.slow
 def test_less_than_2_hz_is_not_the_documented_stream(link: RawLink) -> None:
     assert link.set_mode(OFFBOARD) == ACCEPTED
     with link.setpoints(lambda _: IDLE, 0.7):
@@ -102,6 +103,7 @@ def test_the_first_motor_command_follows_arming_within_70_ms_and_lift_off_within
     link.wait_for("EXTENDED_SYS_STATE", lambda state: state.landed_state == 1)
 
 
+@pytest.mark.slow
 def test_both_older_answers_to_a_mode_can_be_had() -> None:
     with mock_process("--double-ack", "--offboard-rule", "measured") as mock, RawLink(mock.port) as link:
         for mode, verdict in ((OFFBOARD, ACCEPTED), (99 << 16, TEMPORARILY_REJECTED)):
@@ -116,6 +118,7 @@ def test_both_older_answers_to_a_mode_can_be_had() -> None:
         assert link.arm() == ACCEPTED
 
 
+@pytest.mark.slow
 def test_a_vehicle_that_does_not_take_off_disarms_itself_after_ten_seconds() -> None:
     with mock_process("--speed", "5") as mock, RawLink(mock.port) as link, link.watching_mode():
         armed = link.newest("ATTITUDE").time_boot_ms

@@ -85,6 +85,7 @@ def test_ten_thousand_frames_a_second_do_not_slow_the_streams(mock: MockProcess,
     assert_full_rates(link)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("junk", [truncated, bad_crc, unknown_id, mavlink_1, signed, odd_numbers])
 def test_bad_frames_do_no_harm(mock: MockProcess, link: RawLink, junk: Junk) -> None:
     source = random.Random(2)
@@ -131,6 +132,7 @@ def test_many_clients_are_served_and_may_vanish(mock: MockProcess, link: RawLink
     assert_full_rates(link)
 
 
+@pytest.mark.slow
 def test_an_idle_mock_uses_less_than_a_processor(mock: MockProcess, link: RawLink) -> None:
     assert psutil.Process(mock.process.pid).cpu_percent(1.0) < 60.0
 
@@ -147,6 +149,7 @@ def heard_on(read: Callable[[], bytes], seconds: float) -> dict[str, int]:
     return kinds
 
 
+@pytest.mark.slow
 def test_tcp_clients_come_and_go() -> None:
     port = free_port()
     with mock_process("--link", f"tcpin:127.0.0.1:{port}"):
@@ -157,6 +160,7 @@ def test_tcp_clients_come_and_go() -> None:
             assert kinds["ATTITUDE"] > 25
 
 
+@pytest.mark.slow
 def test_a_serial_line_carries_the_streams_and_survives_a_reader_that_sleeps() -> None:
     ours, theirs = os.openpty()
     tty.setraw(theirs)

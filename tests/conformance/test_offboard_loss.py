@@ -62,6 +62,7 @@ def test_the_vehicle_takes_offboard_back_by_itself_when_the_stream_resumes(link:
     assert link.newest("HEARTBEAT").system_status == 4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("action", "mode"), [(0, RTL), (1, RTL), (2, RTL), (3, RTL), (4, LAND), (5, HOLD)])
 def test_com_obl_rc_act_chooses_the_mode_without_a_radio(link: RawLink, flying: Stream, action: int, mode: int) -> None:
     write_float(link, "COM_OF_LOSS_T", 0.4)
@@ -75,6 +76,7 @@ def test_com_obl_rc_act_chooses_the_mode_without_a_radio(link: RawLink, flying: 
     write_float(link, "COM_OF_LOSS_T", 1.0)
 
 
+@pytest.mark.slow
 def test_a_slow_stream_flips_the_mode_every_period(link: RawLink, flying: Stream) -> None:
     start = time.monotonic()
     flying.period = 1.25
@@ -86,6 +88,7 @@ def test_a_slow_stream_flips_the_mode_every_period(link: RawLink, flying: Stream
     assert set(modes) == {OFFBOARD, RTL}
 
 
+@pytest.mark.slow
 def test_the_companions_heartbeat_changes_nothing(link: RawLink, flying: Stream) -> None:
     start = time.monotonic()
     link.fall_silent()

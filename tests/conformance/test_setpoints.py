@@ -56,6 +56,7 @@ def mean(values: list[float]) -> float:
     return sum(values) / len(values)
 
 
+@pytest.mark.slow
 def test_mask_7_follows_the_attitude_and_ignores_the_rates(link: RawLink, flying: Stream) -> None:
     leant = from_euler(0.1, 0.0, 0.0)
     seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=leant, rates=(1.0, 1.0, 1.0)), 0.8)
@@ -82,12 +83,14 @@ def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream) -> No
     assert max(roll for _, roll in course) < 1.06 * whole
 
 
+@pytest.mark.slow
 def test_mask_3_adds_the_yaw_rate(link: RawLink, flying: Stream) -> None:
     seen = fly(flying, link, lambda _: attitude_target(HOVER, mask=3, rates=(0.0, 0.0, 0.4)), 1.5)
     # where attitude control and feed-forward balance: 0.4 rad/s over MC_YAW_P of 2.8
     assert 2 * seen[-1].q[3] == pytest.approx(0.4 / 2.8, rel=0.3)
 
 
+@pytest.mark.slow
 def test_mask_128_follows_the_rates_and_ignores_the_attitude(link: RawLink, flying: Stream) -> None:
     rates = (0.4, 0.0, 0.3)
     upside = (0.0, 1.0, 0.0, 0.0)
@@ -106,6 +109,7 @@ def test_mask_7_and_64_is_zero_thrust(link: RawLink, flying: Stream) -> None:
     assert link.state().custom_mode == OFFBOARD
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mask", [7 + 128, 1 + 128, 2 + 128])
 def test_a_mask_without_anything_usable_is_no_sign_of_life(link: RawLink, flying: Stream, mask: int) -> None:
     with link.watching_mode():
@@ -122,12 +126,14 @@ def test_an_ignored_yaw_rate_leaves_the_other_rates(link: RawLink, flying: Strea
     assert abs(mean([here.yawspeed for here in seen])) < 0.3
 
 
+@pytest.mark.slow
 def test_the_quaternions_sign_and_length_do_not_matter(link: RawLink, flying: Stream) -> None:
     leant = from_euler(0.1, 0.0, 0.0)
     seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=tuple(-3 * part for part in leant)), 0.8)
     assert seen[-1].q[1] == pytest.approx(leant[1], abs=0.02)
 
 
+@pytest.mark.slow
 def test_nan_counts_as_alive_but_removes_attitude_control(link: RawLink, flying: Stream) -> None:
     fly(flying, link, lambda _: attitude_target(HOVER, attitude=from_euler(0.15, 0.0, 0.0)), 0.15)
     seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=(NAN,) * 4), 0.5)
@@ -142,6 +148,7 @@ def test_thrust_is_not_clamped_at_the_input(link: RawLink, flying: Stream) -> No
     assert link.newest("ATTITUDE_TARGET").thrust == pytest.approx(1.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("target", "taken"), [((0, 0), True), ((1, 0), True), ((2, 1), False), ((1, 7), False)])
 def test_setpoints_for_others_are_ignored(link: RawLink, flying: Stream, target: tuple[int, int], taken: bool) -> None:
     leant = from_euler(0.12, 0.0, 0.0)
@@ -149,6 +156,7 @@ def test_setpoints_for_others_are_ignored(link: RawLink, flying: Stream, target:
     assert (seen[-1].q[1] > 0.04) == taken
 
 
+@pytest.mark.slow
 def test_quaternions_are_continuous_through_a_whole_turn(link: RawLink, flying: Stream) -> None:
     start = time.monotonic()
     fly(flying, link, lambda _: attitude_target(HOVER, mask=128, rates=(0.0, 0.0, 2.5)), 3.0)

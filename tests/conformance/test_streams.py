@@ -68,6 +68,7 @@ def spacing(link: RawLink, kind: str, seconds: float) -> list[float]:
     return [(after - before) * scale for before, after in itertools.pairwise(stamps)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("asked", "got"), [(100.0, 100.0), (200.0, 124.0), (125.0, 124.0), (20.0, 20.0)])
 def test_rates_are_quantised_to_steps_of_4_ms(link: RawLink, asked: float, got: float) -> None:
     link.set_rate(ATTITUDE_QUATERNION, asked)
@@ -78,7 +79,7 @@ def test_rates_are_quantised_to_steps_of_4_ms(link: RawLink, asked: float, got: 
 
 def test_a_stream_of_10_ms_has_px4s_jitter(link: RawLink) -> None:
     link.set_rate(ODOMETRY, 100.0)
-    times = [at for at, _ in link.messages("ODOMETRY", 3.0)]
+    times = [at for at, _ in link.messages("ODOMETRY", 2.0)]
     gaps = sorted((after - before) * 1e3 for before, after in itertools.pairwise(times))
     assert statistics.median(gaps) == pytest.approx(10.0, abs=1.5)
     assert gaps[len(gaps) // 10] < 9.0  # it does jitter: 8 and 12 ms take turns
