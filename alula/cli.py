@@ -8,9 +8,13 @@ from typing import Annotated
 import typer
 
 from alula import __version__
+from alula.commands.add import add
 from alula.commands.campaign import campaign
+from alula.commands.compare import compare
 from alula.commands.demo import demo
+from alula.commands.diagnose import diagnose
 from alula.commands.fly import fly
+from alula.commands.inspect import inspect
 from alula.commands.link import link
 from alula.commands.mock import mock
 from alula.commands.replay import replay
@@ -41,7 +45,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (demo, mock, fly, link, replay, campaign):
+for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add):
     app.command()(_command)
 
 

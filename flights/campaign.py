@@ -34,12 +34,12 @@ SHAPES = (
     "circle",
 )
 PLAINER = {
-    "Ellipse_1_xz": "Ellipse_1:plane=xz",
+    "TransposedParabola_wide": "TransposedParabola:size=2.5,speed=0.63",  # 15 m/s^2
     "WarpedEllipse_1_xz": "WarpedEllipse_1:plane=xz",
     "WarpedEllipse_1_yz": "WarpedEllipse_1:plane=yz",
     "line_x_60": "line:speed=0.6",
     "line_x_100": "line",
-    "line_x_wide": "line:size=2.25",  # 6 m/s
+    "line_x_wide": "line:size=2.4",  # 6 m/s
     "line_y_60": "line:plane=yx,speed=0.6",
     "line_y_100": "line:plane=yx",
     "line_y_wide": "line:plane=yx,size=1.8",

@@ -1,0 +1,44 @@
+"""How to log so that the next flight answers more, for each kind of log."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+# PX4's logger (src/modules/logger/logged_topics.cpp): default 1, system identification 8, high rate 16. The default
+# keeps actuator_motors at 10 Hz and attitude at 20; the other two log motors, gyro and attitude at full rate.
+PX4_PROFILE = 25
+_PX4 = (
+    f"set SDLOG_PROFILE to {PX4_PROFILE} (default, system identification and high rate), which logs actuator_motors, "
+    "vehicle_angular_velocity and vehicle_attitude at full rate"
+)
+_PX4_SPEEDS = "for measured rotor speeds use bidirectional DShot or an ESC with telemetry, so that esc_status is logged"
+
+FASTER_ROTORS: Mapping[str, str] = {
+    "PX4 ULog": _PX4,
+    "MAVLink tlog": "ask for SERVO_OUTPUT_RAW and ATTITUDE_QUATERNION at 100 Hz or more by "
+    f"MAV_CMD_SET_MESSAGE_INTERVAL, or use the ULog of the same flight: {_PX4}",
+    "Alula's recording (MCAP)": f"use the vehicle's own ULog of the same flight, joined by time: {_PX4}",
+    "ArduPilot DataFlash log": "let LOG_BITMASK include fast attitude and fast IMU, and log ESC telemetry",
+    "Crazyflie micro-SD log": "add motor.m1 to motor.m4 to the SD-card deck's configuration at 250 Hz or more",
+    "Betaflight blackbox log": "raise the blackbox rate and log motors",
+    "ROS bag": "record the rotor speeds' topic at 100 Hz or more",
+}
+MEASURED_SPEEDS: Mapping[str, str] = {
+    "PX4 ULog": _PX4_SPEEDS,
+    "Betaflight blackbox log": "turn on bidirectional DShot, so that eRPM is logged",
+    "ArduPilot DataFlash log": "turn on bidirectional DShot or ESC telemetry, so that ESC messages are logged",
+}
+
+
+def faster_rotors(form: str, parameters: Mapping[str, float]) -> str:
+    """What to set so that rotors are logged fast enough. form: the log's format. parameters: the vehicle's."""
+    advice = FASTER_ROTORS.get(form, "log the rotors' speeds or commands at 100 Hz or more")
+    profile = parameters.get("SDLOG_PROFILE")
+    if form == "PX4 ULog" and profile is not None:
+        return advice.replace(f"to {PX4_PROFILE}", f"from {profile:.0f} to {int(profile) | PX4_PROFILE}")
+    return advice
+
+
+def measured_speeds(form: str) -> str:
+    """How to get measured rotor speeds, empty when nothing is known of it."""
+    return MEASURED_SPEEDS.get(form, "")
