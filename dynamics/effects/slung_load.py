@@ -36,8 +36,8 @@ def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
 
 
 def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
-    """Lines of 0.2 to 1.5 m."""
-    return [{"length": float(length)} for length in np.geomspace(0.2, 1.5, 12)]
+    """Lines of 0.2 to 1.2 m."""
+    return [{"length": float(length)} for length in np.geomspace(0.2, 1.2, 8)]
 
 
 def _line(hidden: Values) -> tuple[Expression, Expression]:

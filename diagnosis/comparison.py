@@ -1,0 +1,103 @@
+"""A model against flights: error of each channel over its noise floor, where it fails, and how fast it goes astray."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+
+from diagnosis import channels
+from diagnosis.dataset import Dataset
+from diagnosis.evaluation import floors, residuals
+from diagnosis.filters import Floats
+from diagnosis.fitness import require_answerable
+from diagnosis.open_loop import HorizonError, open_loop_errors
+from diagnosis.regimes import Failure, Regime, regime_maps, worst_cells
+from diagnosis.regression import Regression, make_regression
+from diagnosis.stretch import Stretch
+from dynamics.effect import Effect
+from dynamics.vehicle import Vehicle
+
+WORST = 2.0  # s
+
+
+class AxisError(msgspec.Struct, frozen=True):
+    """RMS error of one channel and its noise floor."""
+
+    kind: str
+    axis: str
+    rms: float
+    floor: float
+    unit: str
+
+
+class WorstSeconds(msgspec.Struct, frozen=True):
+    """The two seconds of all flights with the greatest error over floor. start: s in the log's time."""
+
+    flight: str
+    start: float
+    rms_over_floor: float
+
+
+class Comparison(msgspec.Struct, frozen=True):
+    """What `alula compare --json` writes."""
+
+    axes: tuple[AxisError, ...]
+    fails_where: tuple[Failure, ...]
+    worst: WorstSeconds
+    open_loop: tuple[HorizonError, ...]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A comparison and what pictures of it need: residuals (m, 12) of each stretch, maps, the regression."""
+
+    comparison: Comparison
+    residuals: list[Floats]
+    maps: tuple[Regime, ...]
+    regression: Regression
+
+
+def compare(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Compared:
+    """Compare a vehicle's model with all flights of a data set. Raises DataError when they cannot answer."""
+    stretches = dataset.everything
+    require_answerable(stretches, vehicle)
+    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
+    rows = residuals(vehicle, catalogue, stretches)
+    floor = regression.noise.floor
+    maps = regime_maps(stretches, rows, floor, vehicle)
+    comparison = Comparison(
+        axes=_axes(rows, regression),
+        fails_where=worst_cells(maps),
+        worst=_worst(stretches, rows, regression),
+        open_loop=open_loop_errors(vehicle, catalogue, stretches),
+        notes=dataset.notes,
+    )
+    return Compared(comparison, rows, maps, regression)
+
+
+def _axes(rows: Sequence[Floats], regression: Regression) -> tuple[AxisError, ...]:
+    rms = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0))
+    floor, known = regression.noise.floor, floors(regression.noise)
+    return tuple(
+        AxisError(kind, "xyz"[axis], float(rms[3 * k + axis]), float(floor[3 * k + axis]), channels.UNITS[kind])
+        for k, kind in enumerate(channels.KINDS)
+        if known[kind] > 0
+        for axis in range(3)
+    )
+
+
+def _worst(stretches: Sequence[Stretch], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
+    floor, count = regression.noise.floor, max(1, round(WORST * regression.rate))
+    active = floor > 0
+    found = []
+    for stretch, r in zip(stretches, rows, strict=True):
+        squared = np.mean((r[:, active] / floor[active]) ** 2, axis=1)
+        mean = np.convolve(squared, np.ones(count) / count, mode="valid") if len(squared) >= count else squared
+        place = int(np.argmax(mean))
+        start = stretch.start + 0.3 + place / regression.rate
+        found.append(WorstSeconds(stretch.flight, round(start, 2), round(float(np.sqrt(mean[place])), 2)))
+    return max(found, key=lambda w: w.rms_over_floor)

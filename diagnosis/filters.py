@@ -1,0 +1,60 @@
+"""Filters of equation-error regression: the same on both sides of the equation, after all products are formed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import butter, sosfiltfilt
+
+Floats = NDArray[np.float64]
+
+CUTOFF = 8.0  # Hz, of the filter on both sides
+SLOW = 1.5  # Hz, below which motion is no answer of the controller to turbulence
+REDUCED_RATE = 25.0  # Hz after decimation
+EDGE = 0.3  # s at both ends that the filters spoil
+
+
+@cache
+def _sections(rate: float, cutoff: float, order: int) -> Floats:
+    return np.asarray(butter(order, cutoff / (rate / 2), output="sos"))
+
+
+def low_pass(values: Floats, rate: float, cutoff: float = CUTOFF, order: int = 4) -> Floats:
+    """Zero-phase Butterworth along the first axis. values: (n, ...) at rate Hz."""
+    return np.asarray(sosfiltfilt(_sections(rate, cutoff, order), values, axis=0))
+
+
+def slow(values: Floats, rate: float) -> Floats:
+    """What varies below 1.5 Hz. values: (n, ...)."""
+    return low_pass(values, rate, SLOW, 3)
+
+
+def difference(values: Floats, rate: float) -> Floats:
+    """Central difference in time, the ends repeated. values: (n, ...)."""
+    result = np.empty_like(values)
+    result[1:-1] = (values[2:] - values[:-2]) * (rate / 2)
+    result[0], result[-1] = result[1], result[-2]
+    return result
+
+
+def simpson(values: Floats) -> Floats:
+    """Weights (1, 4, 1)/6: what a central difference does to the integral of values, to fourth order. (n, ...)."""
+    result = values.copy()
+    result[1:-1] = (values[:-2] + 4 * values[1:-1] + values[2:]) / 6
+    return result
+
+
+def delayed(values: Floats, rate: float, delay: float) -> Floats:
+    """values (n, k) as they were `delay` s ago, linear between samples; the first one before them."""
+    if delay == 0.0:
+        return values
+    time = np.arange(len(values)) / rate
+    return np.stack([np.interp(time - delay, time, column) for column in values.T], axis=1)
+
+
+def kept(count: int, rate: float) -> slice:
+    """The rows left after decimation to about 25 Hz without the spoilt ends."""
+    edge = int(np.ceil(EDGE * rate))
+    return slice(edge, count - edge, max(1, round(rate / REDUCED_RATE)))

@@ -1,0 +1,89 @@
+"""The noise of the residual channels: coloured, correlated between channels, never redder than sensors are.
+
+What is redder below 1.5 Hz than between 1.5 and 3 Hz is physics that the model misses, so the spectrum is capped
+there at the latter's level; without the cap a gust would be whitened away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_toeplitz
+from scipy.signal import lfilter, welch
+
+from diagnosis.filters import Floats
+
+ORDER = 6
+CAP, REFERENCE = 1.5, 3.0  # Hz
+SEGMENT = 128  # rows of a spectrum
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseModel:
+    """active: the channels that are there. filters: (c, 7) of AR models. level: (c,) innovation. mixing: (c, c).
+
+    floor: (12,) standard deviation of each channel's noise below the filters' cutoff, zero where a channel is absent.
+    """
+
+    active: tuple[int, ...]
+    filters: Floats
+    level: Floats
+    mixing: Floats
+    floor: Floats
+
+    def whiten(self, rows: Floats) -> Floats:
+        """Rows (m, 12) or columns (m, 12, k) as (m - 6, c) or (m - 6, c, k) with unit white noise."""
+        parts = [
+            lfilter(a, [1.0], rows[:, channel], axis=0)[ORDER:] / level
+            for channel, a, level in zip(self.active, self.filters, self.level, strict=True)
+        ]
+        return np.asarray(np.tensordot(np.stack(parts, axis=1), self.mixing, axes=([1], [1])).transpose(
+            (0, 1) if rows.ndim == 2 else (0, 2, 1)
+        ))  # fmt: skip
+
+
+def estimate_noise(residuals: Sequence[Floats], rate: float, active: Sequence[int]) -> NoiseModel:
+    """The noise of residuals (m, 12) that hold as little physics as possible. rate: Hz."""
+    filters, levels, floor = [], [], np.zeros(residuals[0].shape[1])
+    for channel in active:
+        columns = [r[:, channel] for r in residuals]
+        a, variance = _capped_ar(columns, rate)
+        innovations = np.concatenate([_fast(lfilter(a, [1.0], x)[ORDER:], rate) for x in columns])
+        filters.append(a)
+        levels.append(np.sqrt(np.mean(innovations**2) / _fast_share(rate)))
+        floor[channel] = np.sqrt(variance)
+    unmixed = NoiseModel(tuple(active), np.array(filters), np.array(levels), np.eye(len(active)), floor)
+    white = np.vstack([_fast(unmixed.whiten(r), rate) for r in residuals])
+    covariance = white.T @ white / len(white) / _fast_share(rate)
+    mixing = np.linalg.inv(np.linalg.cholesky(covariance))
+    return NoiseModel(unmixed.active, unmixed.filters, unmixed.level, mixing, floor)
+
+
+def _capped_ar(columns: Sequence[Floats], rate: float) -> tuple[Floats, float]:
+    """Coefficients (1, -a1, .., -a6) from the capped spectrum, and the variance under it."""
+    length = min(SEGMENT, *(len(x) for x in columns))
+    spectrum, weight = np.zeros(length), 0
+    for x in columns:
+        frequency, power = welch(x, rate, nperseg=length, detrend=False, return_onesided=False)
+        spectrum, weight = spectrum + power * len(x), weight + len(x)
+    spectrum = spectrum / weight
+    size = np.abs(frequency)
+    reference = spectrum[(size >= CAP) & (size <= REFERENCE)].mean()
+    spectrum = np.where(size < CAP, np.minimum(spectrum, reference), spectrum)
+    correlation = np.real(np.fft.ifft(spectrum))
+    correlation[0] *= 1 + 1e-4
+    a = solve_toeplitz(correlation[:ORDER], correlation[1 : ORDER + 1])
+    return np.concatenate([[1.0], -a]), float(correlation[0] * rate)
+
+
+def _fast(values: Floats, rate: float) -> Floats:
+    """What varies above 1.5 Hz. values: (m, ...)."""
+    spectrum = np.fft.rfft(values, axis=0)
+    spectrum[np.fft.rfftfreq(len(values), 1 / rate) < CAP] = 0
+    return np.asarray(np.fft.irfft(spectrum, len(values), axis=0))
+
+
+def _fast_share(rate: float) -> float:
+    return 1 - CAP / (rate / 2)

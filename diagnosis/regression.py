@@ -1,0 +1,193 @@
+"""The regression: one whitened Gram matrix a flight, from which everything else is small linear algebra.
+
+The clock offset, the gyro's bias and the accelerometer's bias are always in the model, with what sensors are
+specified to have as their prior: millisecond offsets are otherwise the most frequent false alarm.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from diagnosis import channels
+from diagnosis.candidates import Candidate, Instruments, make_candidates, make_instruments, make_predictor, regressors
+from diagnosis.filters import Floats
+from diagnosis.noise import NoiseModel, estimate_noise
+from diagnosis.perturbation import perturbed
+from diagnosis.prediction import Predictor
+from diagnosis.stretch import Stretch
+from dynamics.effect import Effect
+from dynamics.vehicle import Vehicle
+
+SPECIFIED = {"gyro_bias": 0.01, "imu_bias": 0.02}  # rad/s, m/s^2
+CLOCK_OFFSET = 0.001  # s
+RIDGE = 1e-6
+SEED = 1
+
+
+@dataclass(eq=False)
+class Regression:
+    """Normal equations of all candidates, a set for each flight.
+
+    gram: flights x (k, k), product: flights x (k,), both compensated for noise in the columns; plain_* are not.
+    rows: channels: what was measured less the model, (m, 12) a stretch. columns: (m, 12, k) a stretch, for detection.
+    flight_of: the flight of each stretch. observations: a flight's number of whitened residuals.
+    """
+
+    vehicle: Vehicle
+    catalogue: Mapping[str, Effect]
+    stretches: Sequence[Stretch]
+    flight_of: Sequence[int]
+    candidates: tuple[Candidate, ...]
+    noise: NoiseModel
+    rows: list[Floats]
+    columns: list[Floats]
+    gram: list[Floats]
+    product: list[Floats]
+    plain_gram: list[Floats]
+    plain_product: list[Floats]
+    observations: list[int]
+    rate: float
+    nuisance: tuple[int, ...] = ()
+    information: Floats = field(default_factory=lambda: np.zeros(0))
+
+    @property
+    def flights(self) -> range:
+        """The flights by number."""
+        return range(len(self.gram))
+
+    @property
+    def total(self) -> int:
+        """Number of whitened residuals."""
+        return sum(self.observations)
+
+    def solve(
+        self, chosen: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
+    ) -> tuple[Floats, float]:
+        """Coefficients of the chosen columns and then the nuisances, and the likelihood gained by all, x 2."""
+        where = [*chosen, *(i for i in self.nuisance if i not in chosen)]
+        flights = self.flights if flights is None else flights
+        grams, products = (self.plain_gram, self.plain_product) if plain else (self.gram, self.product)
+        gram: Floats = sum((grams[f][np.ix_(where, where)] for f in flights), np.zeros((len(where), len(where))))
+        product: Floats = sum((products[f][where] for f in flights), np.zeros(len(where)))
+        prior = self.information[where].copy()
+        prior[: len(chosen)] = 0.0
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-9) + prior)
+        matrix = (gram + np.diag(prior)) / np.outer(scale, scale) + 1e-8 * np.eye(len(where))
+        theta = np.linalg.solve(matrix, product / scale) / scale
+        return theta, float(theta @ product)
+
+    def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
+        """Twice the log-likelihood that the chosen columns bring beyond the nuisances."""
+        return self.solve(chosen, flights)[1] - self.solve([], flights)[1]
+
+    def crossed_gain(self, chosen: Sequence[int]) -> float:
+        """The same on each flight with coefficients from the others, without compensation."""
+        total = 0.0
+        for flight in self.flights:
+            others = [f for f in self.flights if f != flight]
+            for columns, sign in ((list(chosen), 1), ([], -1)):
+                where = [*columns, *(i for i in self.nuisance if i not in columns)]
+                theta, _ = self.solve(columns, others)
+                quadratic = theta @ self.plain_gram[flight][np.ix_(where, where)] @ theta
+                total += sign * float(2 * theta @ self.plain_product[flight][where] - quadratic)
+        return total
+
+    def left_over(self, chosen: Sequence[int]) -> list[Floats]:
+        """(m, 12) residual of each stretch with the chosen columns and the nuisances taken out."""
+        where = [*chosen, *(i for i in self.nuisance if i not in chosen)]
+        theta, _ = self.solve(chosen)
+        return [y - x[:, :, where] @ theta for y, x in zip(self.rows, self.columns, strict=True)]
+
+
+def make_regression(
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], flight_of: Sequence[int]
+) -> Regression:
+    """The regression of all candidates over stretches of flights numbered from 0."""
+    candidates = make_candidates(vehicle, catalogue, stretches)
+    pipeline = _Pipeline(vehicle, catalogue, candidates, stretches[0])
+    rows, columns = map(list, zip(*(pipeline.run(s) for s in stretches), strict=True))
+    kinds = np.all([channels.present(s) for s in stretches], axis=0)
+    active = [3 * kind + axis for kind in range(4) for axis in range(3) if kinds[kind]]
+    rate = stretches[0].rate / max(1, round(stretches[0].rate / 25.0))
+    noise = estimate_noise(_unexplained(rows, columns, active), rate, active)
+    count = max(flight_of) + 1
+    width = columns[0].shape[2]
+    grams = [np.zeros((width, width)) for _ in range(count)]
+    products = [np.zeros(width) for _ in range(count)]
+    plain_grams, plain_products = [g.copy() for g in grams], [b.copy() for b in products]
+    observations = [0] * count
+    random = np.random.default_rng(SEED)
+    for stretch, flight, y, x in zip(stretches, flight_of, rows, columns, strict=True):
+        white_y, white_x = noise.whiten(y), noise.whiten(x)
+        again_y, again_x = pipeline.run(perturbed(stretch, random))
+        error_y, error_x = noise.whiten(again_y - y), noise.whiten(again_x - x)
+        gram, product = _normal(white_x, white_y)
+        error_gram, error_product = _normal(error_x, error_y)
+        plain_grams[flight] += gram
+        plain_products[flight] += product
+        grams[flight] += gram - error_gram
+        products[flight] += product - error_product
+        observations[flight] += white_y.size
+    nuisance, information = _nuisances(candidates, width)
+    return Regression(
+        vehicle, catalogue, stretches, flight_of, candidates, noise, rows, columns, grams, products, plain_grams,
+        plain_products, observations, rate, nuisance, information,
+    )  # fmt: skip
+
+
+class _Pipeline:
+    """From a stretch to residuals and columns, with the models built once."""
+
+    def __init__(
+        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], example: Stretch
+    ) -> None:
+        self._vehicle = vehicle
+        measured = example.rotor_source == "measured"
+        self._present = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
+        shared: dict[tuple[str, tuple[str, ...]], Predictor] = {}
+        for c in candidates:
+            if (c.key, c.free) not in shared:
+                shared[c.key, c.free] = make_predictor(vehicle, catalogue, c, example)
+        self._candidates = [(c, shared[c.key, c.free]) for c in candidates]
+
+    def run(self, stretch: Stretch) -> tuple[Floats, Floats]:
+        """(m, 12) residuals of the present model, and (m, 12, k) columns."""
+        base = channels.predicted(stretch, [self._present.predict(stretch)])[:, :, 0]
+        instruments: Instruments = make_instruments(stretch, self._vehicle)
+        columns = [regressors(p, c, stretch, base, instruments) for c, p in self._candidates]
+        return channels.measured(stretch) - base, np.concatenate(columns, axis=2)
+
+
+def _unexplained(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int]) -> list[Floats]:
+    """Residuals after a ridge regression on everything: mostly noise."""
+    scale = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)) + 1e-12
+    keep = list(active)
+    x = np.vstack([(c[:, keep] / scale[keep, None]).reshape(-1, c.shape[2]) for c in columns])
+    y = np.concatenate([(r[:, keep] / scale[keep]).ravel() for r in rows])
+    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
+    x = x / size
+    theta = np.linalg.solve(x.T @ x + RIDGE * len(y) * np.eye(x.shape[1]), x.T @ y) / size
+    return [r - c @ theta for r, c in zip(rows, columns, strict=True)]
+
+
+def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+    flat = columns.reshape(-1, columns.shape[2])
+    return flat.T @ flat, flat.T @ rows.ravel()
+
+
+def _nuisances(candidates: Sequence[Candidate], width: int) -> tuple[tuple[int, ...], Floats]:
+    found: list[int] = []
+    information = np.zeros(width)
+    clock_seen = False
+    for candidate in candidates:
+        name = candidate.effect.name
+        deviation = SPECIFIED.get(name)
+        if name == "time_delay" and not clock_seen and candidate.whole:
+            deviation, clock_seen = CLOCK_OFFSET / candidate.at["delay"], True
+        if deviation is not None:
+            found += candidate.columns
+            information[list(candidate.columns)] = deviation**-2
+    return tuple(found), information

@@ -1,0 +1,75 @@
+"""The answer, as `alula diagnose --json` writes it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from diagnosis.regimes import Failure
+
+Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
+
+
+class ParameterValue(msgspec.Struct, frozen=True):
+    """A fitted parameter with its standard deviation."""
+
+    value: float
+    std: float
+    unit: str
+
+
+class FoundEffect(msgspec.Struct, frozen=True):
+    """An effect that is missing from the model. confidence: share of flight resamples that agree.
+
+    ambiguous_with: effects that these flights cannot tell from it.
+    """
+
+    name: str
+    rotor: int | None
+    parameters: dict[str, ParameterValue]
+    confidence: float
+    ambiguous_with: tuple[str, ...]
+
+
+class ChannelError(msgspec.Struct, frozen=True):
+    """RMS over the three axes on held-out flights, before and after, and the sensors' noise floor of the same."""
+
+    before: float
+    after: float
+    floor: float
+    unit: str
+
+
+class Diagnosis(msgspec.Struct, frozen=True):
+    """The verdict and what it stands on."""
+
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    channels: dict[str, ChannelError]
+    not_excited: tuple[str, ...]
+    fails_where: tuple[Failure, ...]
+    next_flight: str
+
+
+def sentence(diagnosis: Diagnosis) -> str:
+    """The verdict in one sentence."""
+    if diagnosis.verdict == "explained":
+        return "The model explains these flights down to the sensors' noise."
+    told = " and ".join(_told(effect) for effect in diagnosis.effects)
+    if diagnosis.verdict == "unknown":
+        partly = f" Part of it looks like {told}." if told else ""
+        return f"Something is missing that no effect of the catalogue explains.{partly}"
+    others = [name for effect in diagnosis.effects for name in effect.ambiguous_with]
+    open_question = f"; these flights cannot tell it from {', '.join(others)}" if others else ""
+    return f"The model misses {told}{open_question}."
+
+
+def _told(effect: FoundEffect) -> str:
+    where = "" if effect.rotor is None else f" of rotor {effect.rotor}"
+    values = ", ".join(
+        f"{name} = {p.value:.4g} ± {1.96 * p.std:.2g} {p.unit}".replace(" 1", "") if p.unit == "1"
+        else f"{name} = {p.value:.4g} ± {1.96 * p.std:.2g} {p.unit}"
+        for name, p in effect.parameters.items()
+    )  # fmt: skip
+    return f"{effect.name}{where} ({values}; {100 * effect.confidence:.0f} % of flight resamples agree)"

@@ -1,0 +1,123 @@
+"""Is something left that no effect of the catalogue explains?
+
+Three looks at what the fitted model leaves on flights: forces that accelerometer and pose agree on at low frequency,
+what any smooth function of the state could still bring, and lines in the spectrum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import median_filter
+from scipy.signal import lfilter
+
+from diagnosis.filters import Floats, kept
+from diagnosis.noise import ORDER, NoiseModel
+from diagnosis.regression import Regression
+from diagnosis.stretch import Stretch
+
+FEATURES = 120
+RIDGES = (1e2, 1e3, 1e4, 1e5)
+LINE = (0.6, 7.0)  # Hz
+SPECTRUM = 512
+
+
+@dataclass(frozen=True)
+class Leftover:
+    """agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid frequencies.
+
+    learnable: twice the log-likelihood that a function of the state brings on flights left out, over the number of
+    whitened residuals. line: greatest narrow-band power over its surroundings.
+    """
+
+    agreement: float
+    learnable: float
+    line: float
+
+
+def look(regression: Regression, rows: Sequence[Floats]) -> Leftover:
+    """What is left in residuals (m, 12) of the regression's stretches."""
+    learnable = _learnable(regression, rows) / max(regression.total, 1)
+    return Leftover(_agreement(rows, regression.rate), learnable, _line(rows, regression.rate))
+
+
+def _agreement(rows: Sequence[Floats], rate: float) -> float:
+    low, mid, size = np.zeros(6), np.zeros(6), np.zeros(6)
+    count_low = count_mid = 0
+    for r in rows:
+        waves = np.fft.rfft(r * np.hanning(len(r))[:, None], axis=0)
+        frequency = np.fft.rfftfreq(len(r), 1 / rate)
+        common = np.real(waves[:, 0:3] * np.conj(waves[:, 3:6]))
+        torque = np.abs(waves[:, 6:9]) ** 2
+        power = np.hstack([common, torque])
+        own = np.hstack([np.abs(waves[:, 0:3]) * np.abs(waves[:, 3:6]), torque])
+        below, between = (frequency > 0.05) & (frequency < 1.5), (frequency > 2.5) & (frequency < 6.5)
+        low, mid, size = low + power[below].sum(0), mid + power[between].sum(0), size + own[between].sum(0)
+        count_low, count_mid = count_low + int(below.sum()), count_mid + int(between.sum())
+    low, mid, size = low / count_low, mid / count_mid, np.maximum(size / count_mid, 1e-30)
+    force = (low[:3] - np.maximum(mid[:3], 0)) / size[:3]
+    return float(np.max(np.concatenate([force, low[3:] / np.maximum(mid[3:], 1e-30)])))
+
+
+def _learnable(regression: Regression, rows: Sequence[Floats]) -> float:
+    """Gain of random Fourier features of the state, leaving one flight out, summed over channels."""
+    states = [_state(s) for s in regression.stretches]
+    everything = np.vstack(states)
+    mean, deviation = everything.mean(axis=0), everything.std(axis=0) + 1e-9
+    random = np.random.default_rng(0)
+    directions = 0.35 * random.standard_normal((everything.shape[1], FEATURES))
+    phase = random.uniform(0, 2 * np.pi, FEATURES)
+    features = []
+    for state in states:
+        z = (state - mean) / deviation
+        features.append(np.hstack([np.cos(z @ directions + phase), z, np.ones((len(z), 1))]))
+    noise: NoiseModel = regression.noise
+    total = 0.0
+    for place, channel in enumerate(noise.active):
+        if channel >= 9:
+            continue
+        grams, products = _per_flight(regression, features, rows, place, channel)
+        total += max(0.0, *(_crossed(grams, products, ridge) for ridge in RIDGES))
+    return total
+
+
+def _per_flight(
+    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], place: int, channel: int
+) -> tuple[list[Floats], list[Floats]]:
+    noise, width = regression.noise, features[0].shape[1]
+    grams = [np.zeros((width, width)) for _ in regression.flights]
+    products = [np.zeros(width) for _ in regression.flights]
+    for x, y, flight in zip(features, rows, regression.flight_of, strict=True):
+        a, level = noise.filters[place], noise.level[place]
+        white_x = lfilter(a, [1.0], x, axis=0)[ORDER:] / level
+        grams[flight] += white_x.T @ white_x
+        products[flight] += white_x.T @ (lfilter(a, [1.0], y[:, channel])[ORDER:] / level)
+    return grams, products
+
+
+def _crossed(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> float:
+    all_gram, all_product = sum(grams), sum(products)
+    gain = 0.0
+    for gram, product in zip(grams, products, strict=True):
+        theta = np.linalg.solve(all_gram - gram + ridge * np.eye(len(gram)), all_product - product)
+        gain += float(2 * theta @ product - theta @ gram @ theta)
+    return gain
+
+
+def _state(stretch: Stretch) -> Floats:
+    """(m, k) what a missing force may depend on."""
+    velocity = np.einsum("nji,nj->ni", stretch.to_world, stretch.smooth[:, 3:6])
+    squares = stretch.rotor_speed**2
+    parts = [velocity, stretch.smooth[:, 10:13], squares, stretch.to_world[:, 2, :], stretch.smooth[:, 0:3]]
+    return np.hstack(parts)[kept(len(stretch), stretch.rate)]
+
+
+def _line(rows: Sequence[Floats], rate: float) -> float:
+    power = np.zeros((SPECTRUM // 2 + 1, 9))
+    for r in rows:
+        power += np.abs(np.fft.rfft(r[:, :9] * np.hanning(len(r))[:, None], SPECTRUM, axis=0)) ** 2
+    frequency = np.fft.rfftfreq(SPECTRUM, 1 / rate)
+    around = np.maximum(median_filter(power, size=(61, 1), mode="nearest"), 1e-12)
+    return float((power / around)[(frequency > LINE[0]) & (frequency < LINE[1])].max())

@@ -1,0 +1,146 @@
+"""What is said of a selection and a fit: effects with their rivals, the verdict, what was not excited."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis import channels
+from diagnosis.candidates import Candidate
+from diagnosis.evaluation import floors
+from diagnosis.filters import Floats
+from diagnosis.fit import Estimate, Fit
+from diagnosis.regression import Regression
+from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
+from diagnosis.selection import IMPOSSIBLE, LEAST_GAIN, Scored, Search, Selection
+from diagnosis.unexplained import Leftover
+from dynamics.effect import Parameter
+from dynamics.vehicle import Vehicle
+
+CLOSE_SCORE, CLOSE_SHARE = 12.0, 0.01  # of the score, within which effects cannot be told apart
+RESAMPLES = 40
+# Beyond these something is left; a share of what was there before is the effects' own imperfect form.
+LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 4.0, 0.02, 14.0
+LEFT_MISFIT = 1.5
+LEFT_SHARE = 0.03
+
+
+def found_effects(regression: Regression, selection: Selection, result: Fit) -> tuple[FoundEffect, ...]:
+    """The accepted effects with their intervals, rivals and share of resamples; a gust where one blows."""
+    search = Search(regression)
+    effects = []
+    for candidate in result.candidates:
+        others = [c for c in result.candidates if c is not candidate]
+        rivals = _rivals(search, others, candidate)
+        parameters = {
+            name: _value(estimate) for (key, name), estimate in result.estimates.items() if key == candidate.key
+        }
+        held = {
+            p.name: ParameterValue(candidate.at[p.name], 0.0, p.unit)
+            for p in candidate.effect.parameters
+            if p.name not in parameters
+        }
+        name = candidate.effect.name
+        close = tuple(s.candidates[-1].effect.name for s in _near(rivals))[:3]
+        share = _confidence(search, rivals)
+        effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
+    if selection.blows:
+        gust = selection.gust
+        strength = {"intensity": ParameterValue(gust.intensity, gust.intensity / 2, "m/s")}
+        blown = FoundEffect("gust", None, strength, 1.0, ())
+        at = 0 if not selection.chosen.candidates or selection.gust_before.score > selection.chosen.score else 1
+        effects.insert(min(at, len(effects)), blown)
+    return tuple(effects)
+
+
+def _value(estimate: Estimate) -> ParameterValue:
+    return ParameterValue(estimate.value, estimate.std, estimate.unit)
+
+
+def _rivals(search: Search, others: Sequence[Candidate], chosen: Candidate) -> list[Scored]:
+    """The chosen effect first, then each other effect's best variant in its place, best first."""
+    best: dict[str, Scored] = {}
+    taken = {c.effect.name for c in others}
+    for candidate in search.regression.candidates:
+        name = candidate.effect.name
+        if name in taken or name == chosen.effect.name:
+            continue
+        scored = search.score([*others, candidate])
+        if scored.score > IMPOSSIBLE and (name not in best or scored.score > best[name].score):
+            best[name] = scored
+    return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:7]]
+
+
+def _near(rivals: Sequence[Scored]) -> list[Scored]:
+    own = rivals[0]
+    margin = max(CLOSE_SCORE, CLOSE_SHARE * own.gain)
+    return [s for s in rivals[1:] if s.score > LEAST_GAIN and s.score > own.score - margin]
+
+
+def _confidence(search: Search, rivals: Sequence[Scored]) -> float:
+    """Share of flight resamples in which the first of the rivals wins."""
+    regression, random, wins = search.regression, np.random.default_rng(0), 0
+    penalties = [sum(search.penalty(c) for c in s.candidates) for s in rivals]
+    for _ in range(RESAMPLES):
+        flights = random.choice(len(regression.flights), len(regression.flights)).tolist()
+        scores = [regression.gain(s.columns, flights) - p for s, p in zip(rivals, penalties, strict=True)]
+        wins += int(np.argmax(scores)) == 0
+    return wins / RESAMPLES
+
+
+def judge(effects: Sequence[FoundEffect], left: Leftover, at_first: Leftover, misfits: tuple[float, float]) -> Verdict:
+    """The verdict: whether something is left that no effect explains comes before what was found."""
+    agrees = left.agreement > max(LEFT_AGREEMENT, LEFT_SHARE * at_first.agreement)
+    learnable = left.learnable > max(LEFT_LEARNABLE, LEFT_SHARE * at_first.learnable)
+    line = left.line > LEFT_LINE
+    misfitting = misfits[1] > max(LEFT_MISFIT, LEFT_SHARE * misfits[0])
+    gusty = any(effect.name == "gust" for effect in effects)
+    if (agrees and not gusty) or learnable or line or (misfitting and not gusty):
+        return "unknown"
+    if not effects:
+        return "explained"
+    return "ambiguous" if any(effect.ambiguous_with for effect in effects) else "effect"
+
+
+def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
+    """Effects that would not have shown at their usual size: they are not absent, they were not looked at."""
+    search = Search(regression)
+    seen: dict[str, bool] = {}
+    gram: Floats = np.sum(regression.gram, axis=0)
+    for candidate in regression.candidates:
+        name = candidate.effect.name
+        if name in chosen.names or seen.get(name):
+            continue
+        seen[name] = _usual_gain(regression, gram, candidate, chosen.columns) > LEAST_GAIN + search.penalty(candidate)
+    return tuple(name for name, shown in seen.items() if not shown)
+
+
+def _usual_gain(regression: Regression, gram: Floats, candidate: Candidate, chosen: Sequence[int]) -> float:
+    """Gain that the effect at its usual size would bring beyond the chosen effects and the nuisances."""
+    own = list(candidate.columns)
+    rest = [i for i in dict.fromkeys([*chosen, *regression.nuisance]) if i not in own]
+    across = gram[np.ix_(rest, own)]
+    inner = gram[np.ix_(rest, rest)] + np.diag(regression.information[rest])
+    left = gram[np.ix_(own, own)] - across.T @ np.linalg.lstsq(inner, across, rcond=None)[0]
+    parameters = {p.name: p for p in candidate.effect.parameters}
+    usual = [1.0] if candidate.whole else [_usual(parameters[n], regression.vehicle) for n in candidate.free]
+    return float(np.array(usual) @ left @ np.array(usual))
+
+
+def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
+    """The parameter's usual distance from where its effect vanishes."""
+    prior = parameter.prior(vehicle)
+    return prior.mean - parameter.neutral or prior.std
+
+
+def channel_errors(
+    before: Sequence[Floats], after: Sequence[Floats], regression: Regression
+) -> dict[str, ChannelError]:
+    """Error of each kind that there is, before and after, over its floor."""
+    was, now, floor = channels.norms(before), channels.norms(after), floors(regression.noise)
+    return {
+        kind: ChannelError(was[kind], now[kind], floor[kind], channels.UNITS[kind])
+        for kind in channels.KINDS
+        if floor[kind] > 0
+    }
