@@ -23,7 +23,7 @@ JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and ar
 HIGHEST_RATE = 2000.0  # Hz
 THINNING = 0.8  # of a stream's rate, below which a common clock would fold its noise back
 ROUNDING = 1e-9  # s by which a common clock may miss a stamp that is meant
-MOST_ROWS = 50_000_000
+MOST_ROWS = 10_000_000  # 11 h at 250 Hz; more is read in pieces
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,8 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     count = int(np.floor((end - start) * chosen + 1e-6)) + 1
     if count > MOST_ROWS:
         raise DataError(
-            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, or give a lower rate."
+            f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, give a lower rate, or "
+            "read it with flights.read_pieces."
         )
     return np.asarray(start + np.arange(count) / chosen)
 

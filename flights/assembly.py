@@ -13,6 +13,10 @@ from flights.source import Span
 
 MOST_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
 LONGEST_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
+STRAY_BY = 1.0  # s that a single stamp may lie away from those around it,
+STRAY_END = 3600.0  # s, and at the ends, where a late first or last word is nothing unusual
+MOST_STRAY = 0.02  # share of rows beyond which stamps are no damage any more
+_FEWEST_TO_JUDGE = 10
 LARGEST_VALUE = 1e12  # nothing that flies has a value beyond it
 LENGTH_TOLERANCE = 0.05  # of an attitude quaternion
 
@@ -88,6 +92,10 @@ class Assembly:
         if not known.all():
             self.repair("missing_stamps", f"{what}: {np.count_nonzero(~known)} rows without a time stamp dropped")
             time, values = time[known], values[known]
+        stray = _stray(time)
+        if stray.any():
+            self.repair("stray_stamps", f"{what}: {np.count_nonzero(stray)} rows with a damaged time stamp dropped")
+            time, values = time[~stray], values[~stray]
         steps = np.diff(time)
         back = steps < 0
         if back.any():
@@ -163,6 +171,20 @@ class Assembly:
             tuple(self._notes),
             tuple(self._repairs),
         )
+
+
+def _stray(time: Floats) -> NDArray[np.bool_]:
+    """Single rows whose stamp lies far from those around them, as a damaged byte makes it. time: (n,) s."""
+    stray = np.zeros(len(time), dtype=bool)
+    if len(time) < _FEWEST_TO_JUDGE:
+        return stray
+    around = np.stack([np.roll(time, shift) for shift in (-2, -1, 0, 1, 2)])
+    off = np.abs(time - np.median(around, axis=0))
+    period = float(np.median(np.abs(np.diff(time))))
+    stray[2:-2] = off[2:-2] > STRAY_BY + 20 * period  # in a clock that runs forwards a row is its own median
+    for end, inner in ((slice(0, 2), time[2:5]), (slice(-2, None), time[-5:-2])):
+        stray[end] = np.abs(time[end] - np.median(inner)) > STRAY_END + 1000 * period
+    return stray if stray.mean() < MOST_STRAY else np.zeros(len(time), dtype=bool)
 
 
 def _shifted(time: NDArray[np.float64], start: float) -> Floats:

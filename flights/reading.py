@@ -89,6 +89,12 @@ def _read(source: Source, name: str) -> Reading:
         return FORMATS[name].read(source)
     except AlulaError as error:
         raise type(error)(_naming(source.path, str(error))) from error
+    except OSError:
+        raise
+    except Exception as error:  # the parsers are others', and what damaged bytes make them raise is listed nowhere
+        raise DataError(
+            f"{source.path} is a {FORMATS[name].label}, but so damaged that it cannot be read ({error!r})."
+        ) from error
 
 
 def _judge(source: Source, name: str, digest: str, reading: Reading) -> Log:

@@ -21,6 +21,7 @@ from flights.source import Source
 # the message with which every log begins: FMT (128), which describes itself as 89 bytes long
 _MAGIC = b"\xa3\x95\x80\x80\x59FMT\0"
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0  # microseconds, ArduPilot's MOT_PWM_MIN and MAX by default
+_LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100, for clocks that count from 1970
 _MOTOR_1 = 33  # SERVOn_FUNCTION
 _QUAD_FRAME = 1  # FRAME_CLASS
 
@@ -59,7 +60,7 @@ def read(source: Source) -> Reading:
             raise DataError(f"this DataFlash log cannot be read ({error!r}): it is cut off or damaged.") from None
         finally:
             for held in ("data_map", "filehandle"):
-                if hasattr(log, held):
+                with contextlib.suppress(AttributeError, BufferError):  # never opened, or still looked at by the error
                     getattr(log, held).close()
     if said.getvalue():
         assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {said.getvalue().splitlines()[0]}")
@@ -93,6 +94,8 @@ def _collect(log: DFReader_binary, assembly: Assembly) -> tuple[dict[str, _Rows]
             assembly.parameters[str(message.Name)] = float(message.Value)
         elif not hasattr(message, "TimeUS"):
             assembly.note(f"{kind} has no TimeUS, as of ArduPilot before 2015, and is left out")
+        elif not 0 <= message.TimeUS < _LATEST_STAMP:
+            assembly.repair("damaged_messages", f"{kind}: messages with an impossible time dropped")
         elif kind == "ESC":
             if hasattr(message, "Instance"):
                 speeds.setdefault(int(message.Instance), _Rows()).add(message.TimeUS, [message.RPM])

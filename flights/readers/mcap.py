@@ -184,5 +184,5 @@ def _parts(source: Source) -> Iterator[McapRecord]:
     with source.file.open("rb") as stream:
         try:
             yield from StreamReader(stream).records
-        except (McapError, struct.error, ValueError, ZstdError, EOFError):
-            return
+        except (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError):
+            return  # the last two from a length that is damage

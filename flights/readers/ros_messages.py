@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from dynamics import frames
-from flights.assembly import Assembly
+from flights.assembly import LARGEST_VALUE, Assembly
 from flights.log import Floats
 from flights.velocity_frame import velocity_world
 
@@ -65,6 +65,7 @@ class Samples:
         if self.unstamped and self.kind in CONVERTERS:
             assembly.note(f"{topic}: {self.unstamped} messages without a stamp have the time of their recording")
         values = np.array(self._numbers).reshape(len(self), -1)
+        values[~(np.abs(values) < LARGEST_VALUE)] = np.nan  # before anything is computed with damage
         known = CONVERTERS.get(self.kind)
         if known is None:
             assembly.add("rotor_speed", time, np.abs(values) * _RPM, topic)

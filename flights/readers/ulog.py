@@ -49,7 +49,8 @@ def read(source: Source) -> Reading:
     assembly = Assembly(source.span)
     log = _parse(source, assembly)
     topics = Topics(log.data_list, assembly)
-    assembly.parameters.update({name: float(value) for name, value in log.initial_parameters.items()})
+    numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
+    assembly.parameters.update({name: float(value) for name, value in numbers.items()})
     vehicle_type = _describe(log, topics, assembly)
     for add in _MOTION:
         add(assembly, topics)
@@ -92,13 +93,12 @@ def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
     for key in ("sys_name", "ver_hw", "ver_sw"):
         if key in log.msg_info_dict:
             assembly.metadata[key] = str(log.msg_info_dict[key])
-    version = log.get_version_info_str()
-    if version:
+    if isinstance(log.msg_info_dict.get("ver_sw_release"), int) and (version := log.get_version_info_str()):
         assembly.metadata["version"] = version
     status = topics.get("vehicle_status")
     kind = int(status["system_type"][0]) if status is not None and status.has("system_type") else None
-    if kind is None and "MAV_TYPE" in log.initial_parameters:
-        kind = int(log.initial_parameters["MAV_TYPE"])
+    if kind is None and "MAV_TYPE" in assembly.parameters:
+        kind = int(assembly.parameters["MAV_TYPE"])
     if kind is not None:
         assembly.metadata["vehicle_type"] = str(kind)
     return kind

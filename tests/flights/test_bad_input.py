@@ -150,6 +150,16 @@ def test_two_swapped_rows_are_put_in_order(lines: list[str], truth: Truth, tmp_p
     np.testing.assert_allclose(stream.values, truth.position)
 
 
+@pytest.mark.parametrize("row", [1, 50, 51, 600])
+def test_a_single_damaged_stamp_is_dropped(lines: list[str], truth: Truth, tmp_path: Path, row: int) -> None:
+    _edit(lines, row, 0, "73786976.294")
+    log = _read(tmp_path, lines)
+    assert _repairs(log) == {"stray_stamps"}
+    stream = log.stream("position")
+    assert stream is not None
+    np.testing.assert_allclose(stream.values, np.delete(truth.position, row - 1, axis=0))
+
+
 @pytest.mark.parametrize("change", [lambda rows: rows[::-1], lambda rows: rows[300:] + rows[:300]])
 def test_a_clock_that_runs_backwards(
     lines: list[str], tmp_path: Path, change: Callable[[list[str]], list[str]]
