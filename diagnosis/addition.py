@@ -11,9 +11,9 @@ import msgspec
 
 from diagnosis.candidates import Candidate
 from diagnosis.dataset import Dataset
-from diagnosis.diagnose import IMPROVEMENT, biases_of, fit_of
+from diagnosis.diagnose import IMPROVEMENT
 from diagnosis.evaluation import misfit, residuals
-from diagnosis.fit import Estimate
+from diagnosis.fit import Estimate, fit
 from diagnosis.fitness import require_answerable
 from diagnosis.regression import Regression, make_regression
 from diagnosis.report import ChannelError
@@ -56,9 +56,9 @@ def add_effect(
     require_answerable(dataset.everything, vehicle)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
     candidate = _best_variant(regression, name, rotor)
-    fitted, nothing = fit_of(regression, [candidate]), fit_of(regression, [])
-    before = residuals(vehicle, catalogue, dataset.held_out, biases_of(nothing, regression))
-    after = residuals(fitted.vehicle, catalogue, dataset.held_out, biases_of(fitted, regression))
+    fitted = fit(regression, [candidate])
+    before = residuals(vehicle, catalogue, dataset.held_out, regression.noise)
+    after = residuals(fitted.vehicle, catalogue, dataset.held_out, regression.noise)
     was, now = misfit(before, regression.noise), misfit(after, regression.noise)
     if not now < IMPROVEMENT * was:
         raise DataError(

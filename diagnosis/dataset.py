@@ -50,9 +50,18 @@ def read_dataset(
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
     flights = [_read(path, mapping) for path in logs]
-    flights, notes = _distinct(flights)
     rate = round(min(flight.rate for flight in flights), 3)
-    flights = [f if abs(f.rate - rate) < 0.01 * rate else Flight.read(f.provenance.path, rate=rate) for f in flights]
+    same = [abs(flight.rate - rate) < 0.01 * rate for flight in flights]
+    flights = [
+        flight if good else Flight.read(path, mapping=mapping, rate=rate)
+        for path, flight, good in zip(logs, flights, same, strict=True)
+    ]
+    return make_dataset(flights, vehicle, hold_out=hold_out)
+
+
+def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None) -> Dataset:
+    """The data set of flights at one rate. Raises as `read_dataset`."""
+    flights, notes = _distinct(flights)
     parts = [stretches(flight, vehicle) for flight in flights]
     empty = [f.provenance.path for f, p in zip(flights, parts, strict=True) if not p]
     if len(empty) == len(flights):

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-
-import numpy as np
 
 from diagnosis.candidates import Candidate
 from diagnosis.dataset import Dataset
-from diagnosis.evaluation import Biases, misfit, residuals
+from diagnosis.evaluation import misfit, residuals
 from diagnosis.filters import Floats
 from diagnosis.fit import Fit, fit
 from diagnosis.fitness import require_answerable
@@ -53,11 +51,11 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
     require_answerable(dataset.everything, vehicle)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
     selection = select(regression)
-    result, biases = _accepted(regression, selection, dataset)
-    before = residuals(vehicle, catalogue, dataset.held_out, biases)
-    after = residuals(result.vehicle, catalogue, dataset.held_out, biases)
-    fitted_rows = residuals(result.vehicle, catalogue, dataset.fitted, biases)
-    leftover, at_first = look(regression, fitted_rows), look(regression, regression.rows)
+    result = _accepted(regression, selection, dataset)
+    before = residuals(vehicle, catalogue, dataset.held_out, regression.noise)
+    after = residuals(result.vehicle, catalogue, dataset.held_out, regression.noise)
+    leftover = look(regression, residuals(result.vehicle, catalogue, dataset.fitted, regression.noise))
+    at_first = look(regression, regression.left_over([]))
     misfits = misfit(before, regression.noise), misfit(after, regression.noise)
     effects = found_effects(regression, selection, result)
     verdict = judge(effects, leftover, at_first, misfits)
@@ -77,40 +75,16 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
     )  # fmt: skip
 
 
-def _accepted(regression: Regression, selection: Selection, dataset: Dataset) -> tuple[Fit, Biases]:
+def _accepted(regression: Regression, selection: Selection, dataset: Dataset) -> Fit:
     """The fit of as many of the chosen effects as lower the held-out error, each in its turn."""
     accepted: list[Candidate] = []
-    vehicle, catalogue = regression.vehicle, regression.catalogue
-    best = fit_of(regression, accepted)
-    level = misfit(residuals(vehicle, catalogue, dataset.held_out, biases_of(best, regression)), regression.noise)
+    catalogue, noise = regression.catalogue, regression.noise
+    best = fit(regression, accepted)
+    level = misfit(residuals(best.vehicle, catalogue, dataset.held_out, noise), noise)
     for candidate in selection.chosen.candidates:
-        trial = fit_of(regression, [*accepted, candidate])
-        rows = residuals(trial.vehicle, catalogue, dataset.held_out, biases_of(trial, regression))
-        found = misfit(rows, regression.noise)
+        trial = fit(regression, [*accepted, candidate])
+        found = misfit(residuals(trial.vehicle, catalogue, dataset.held_out, noise), noise)
         if found < IMPROVEMENT * level:
             best, level = trial, found
             accepted.append(candidate)
-    return best, biases_of(best, regression)
-
-
-def fit_of(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
-    """Joint fit of candidates; of none, the sensors' biases alone."""
-    if candidates:
-        return fit(regression, candidates)
-    theta, _ = regression.solve([])
-    return Fit(regression.vehicle, {}, dict(zip(regression.nuisance, theta.tolist(), strict=True)), ())
-
-
-def biases_of(result: Fit, regression: Regression) -> Biases:
-    """The nuisances of a fit as what the sensors are off by."""
-    gyro, accelerometer, clock = np.zeros(3), np.zeros(3), 0.0
-    for candidate in regression.candidates:
-        values = [result.nuisance.get(i, 0.0) for i in candidate.columns]
-        if candidate.effect.name == "gyro_bias":
-            gyro = np.array(values)
-        elif candidate.effect.name == "imu_bias":
-            accelerometer = np.array(values)
-        elif candidate.effect.name == "time_delay" and candidate.columns[0] in result.nuisance:
-            clock = values[0] * candidate.at["delay"]
-    g, a = gyro.tolist(), accelerometer.tolist()
-    return Biases((g[0], g[1], g[2]), (a[0], a[1], a[2]), clock)
+    return best

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,38 +11,42 @@ from diagnosis import channels
 from diagnosis.filters import Floats
 from diagnosis.noise import NoiseModel
 from diagnosis.prediction import Prediction, Predictor
+from diagnosis.regression import CLOCK_OFFSET, SPECIFIED
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
 
-@dataclass(frozen=True)
-class Biases:
-    """What the sensors are off by within their specification: gyro rad/s, accelerometer m/s^2, clock s."""
-
-    gyro: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    accelerometer: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    clock: float = 0.0
-
-
 def residuals(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], biases: Biases | None = None
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], noise: NoiseModel | None = None
 ) -> list[Floats]:
-    """(m, 12) of each stretch: what was measured less what the vehicle's model says with the sensors' biases."""
-    off = biases or Biases()
-    predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=stretches[0].rotor_source == "measured")
+    """(m, 12) of each stretch: what was measured less what the vehicle's model says.
+
+    noise: take out what the sensors are off by in each stretch, as far as they are specified to be; None for nothing.
+    """
+    measured = stretches[0].rotor_source == "measured"
+    predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
     found = []
     for stretch in stretches:
         said = predictor.predict(stretch)
-        with_biases = Prediction(
-            said.specific_force + off.accelerometer,
-            said.angular_acceleration,
-            said.rate - off.gyro,
-            said.pose_age + off.clock,
-            true_force=said.true_force,
-        )
-        found.append(channels.residual(stretch, with_biases))
+        rows = channels.residual(stretch, said)
+        found.append(rows if noise is None else _without_biases(stretch, said, rows, noise))
     return found
+
+
+def _without_biases(stretch: Stretch, said: Prediction, rows: Floats, noise: NoiseModel) -> Floats:
+    count = len(rows)
+    columns = np.zeros((count, channels.CHANNELS, 7))
+    for axis in range(3):
+        columns[:, axis, axis] = 1.0
+        columns[:, 9 + axis, 3 + axis] = -1.0
+    later = replace(said, pose_age=said.pose_age + CLOCK_OFFSET)
+    both = channels.predicted(stretch, [said, later])
+    columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
+    deviation = np.array([SPECIFIED["imu_bias"]] * 3 + [SPECIFIED["gyro_bias"]] * 3 + [CLOCK_OFFSET])
+    white = noise.whiten(columns).reshape(-1, 7)
+    off = np.linalg.solve(white.T @ white + np.diag(deviation**-2), white.T @ noise.whiten(rows).ravel())
+    return np.asarray(rows - columns @ off)
 
 
 def misfit(rows: Sequence[Floats], noise: NoiseModel) -> float:

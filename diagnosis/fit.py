@@ -17,7 +17,7 @@ from diagnosis.candidates import Candidate, make_instruments
 from diagnosis.filters import Floats
 from diagnosis.perturbation import perturbed
 from diagnosis.prediction import Predictor
-from diagnosis.regression import SEED, Regression
+from diagnosis.regression import SEED, Biases, Regression, marginal
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle
@@ -39,14 +39,10 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """vehicle: with the effects at their fitted values. estimates: by (effect's key, parameter).
-
-    nuisance: coefficients of the regression's nuisance columns by place. held: parameters kept at a tried value.
-    """
+    """vehicle: with the effects at their fitted values. estimates: by (effect's key, parameter)."""
 
     vehicle: Vehicle
     estimates: Mapping[tuple[str, str], Estimate]
-    nuisance: Mapping[int, float]
     candidates: tuple[Candidate, ...]
 
 
@@ -63,13 +59,14 @@ def with_candidates(vehicle: Vehicle, candidates: Sequence[Candidate], values: M
 
 def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
     """Joint fit of candidates on the regression's flights, starting from its linear solution."""
+    if not candidates:
+        return Fit(regression.vehicle, {}, ())
     problem = _Problem(regression, candidates)
-    values, nuisance = problem.start(), np.zeros(len(problem.nuisance))
-    covariance = np.zeros((0, 0))
+    values, covariance = problem.start(), np.zeros((0, 0))
     for _ in range(STEPS):
-        step, nuisance, covariance = problem.step(values)
+        step, covariance = problem.step(values)
         values = problem.bounded(values, step)
-        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diag(covariance)[: len(step)]) + 1e-15):
+        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-15):
             break
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates = {}
@@ -78,7 +75,7 @@ def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
         estimates[candidate.key, name] = Estimate(float(values[place]), float(deviation[place]), unit)
     named = dict(zip(problem.names, values.tolist(), strict=True))
     vehicle = with_candidates(regression.vehicle, candidates, named)
-    return Fit(vehicle, estimates, dict(zip(problem.nuisance, nuisance.tolist(), strict=True)), tuple(candidates))
+    return Fit(vehicle, estimates, tuple(candidates))
 
 
 class _Problem:
@@ -89,8 +86,6 @@ class _Problem:
         self.names = [f"{c.key}.{name}" for c, name in self.free]
         self.bounds = [_bounds(c.effect, name) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
-        chosen = [i for c in candidates for i in c.columns]
-        self.nuisance = [i for i in regression.nuisance if i not in chosen]
         self._predictor = Predictor(
             regression.vehicle,
             with_candidates(regression.vehicle, candidates, {}).effects,
@@ -124,37 +119,37 @@ class _Problem:
         low, high = np.array(self.bounds).T
         return np.asarray(np.clip(values + step, low, high))
 
-    def step(self, values: Floats) -> tuple[Floats, Floats, Floats]:
-        """Change of the parameters, the nuisances, and the covariance of both."""
-        r = self._regression
-        width = len(self.free) + len(self.nuisance)
-        gram, product, own = np.zeros((width, width)), np.zeros(width), np.zeros((width, width))
+    def step(self, values: Floats) -> tuple[Floats, Floats]:
+        """Change of the parameters and their covariance, every flight's biases integrated out."""
+        r, count, off = self._regression, len(self.free), list(self._regression.biases.columns)
+        width = count + len(off)
         changed = dict(zip(self.names, values.tolist(), strict=True))
-        scores = np.zeros((len(r.flights), width))
+        grams = [np.zeros((width, width)) for _ in r.flights]
+        products, own = [np.zeros(width) for _ in r.flights], np.zeros((count, count))
         pairs = zip(r.stretches, self._noisier, r.columns, r.flight_of, strict=True)
         for stretch, noisier, columns, flight in pairs:
             y, x, z = self._linear(stretch, changed)
             again_y, again_x, again_z = self._linear(noisier, changed)
-            fixed = r.noise.whiten(columns[:, :, self.nuisance]) if self.nuisance else np.zeros((*y.shape, 0))
+            fixed = r.noise.whiten(columns[:, :, off])
             white_x = np.concatenate([r.noise.whiten(x), fixed], axis=2).reshape(-1, width)
             white_z = np.concatenate([r.noise.whiten(z), fixed], axis=2).reshape(-1, width)
             white_y = r.noise.whiten(y).ravel()
-            gram += white_z.T @ white_x
-            product += white_z.T @ white_y
-            scores[flight] += white_z.T @ white_y
-            own += white_z.T @ white_z
-            count = len(self.free)
             error_z = r.noise.whiten(again_z - z).reshape(-1, count)
             error_x = r.noise.whiten(again_x - x).reshape(-1, count)
             error_y = r.noise.whiten(again_y - y).ravel()
-            gram[:count, :count] -= error_z.T @ error_x
-            product[:count] -= error_z.T @ error_y
-        information = np.diag(np.concatenate([np.zeros(len(self.free)), r.information[self.nuisance]]))
-        scale = np.sqrt(np.maximum(np.abs(np.diag(gram + information)), 1e-300))
-        inverse = np.linalg.pinv((gram + information) / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-        solution = inverse @ product
-        covariance = inverse @ (own + information) @ inverse.T
-        return solution[: len(self.free)], solution[len(self.free) :], covariance
+            grams[flight] += white_z.T @ white_x
+            grams[flight][:count, :count] -= error_z.T @ error_x
+            products[flight] += white_z.T @ white_y
+            products[flight][:count] -= error_z.T @ error_y
+            own += white_z[:, :count].T @ white_z[:, :count]
+        gram, product = np.zeros((count, count)), np.zeros(count)
+        biases = Biases(tuple(range(count, width)), r.biases.information)
+        for one, other in zip(grams, products, strict=True):
+            one, other = marginal(one, other, biases)
+            gram, product = gram + one[:count, :count], product + other[:count]
+        scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+        return inverse @ product, inverse @ own @ inverse.T
 
     def _linear(self, stretch: Stretch, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
         """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at values."""

@@ -1,13 +1,14 @@
 """The regression: one whitened Gram matrix a flight, from which everything else is small linear algebra.
 
-The clock offset, the gyro's bias and the accelerometer's bias are always in the model, with what sensors are
-specified to have as their prior: millisecond offsets are otherwise the most frequent false alarm.
+Every flight has its own clock offset, gyro's bias and accelerometer's bias, with what sensors are specified to have as
+their prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a
+fault of a sensor is what all flights share beyond them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -27,11 +28,20 @@ RIDGE = 1e-6
 SEED = 1
 
 
+@dataclass(frozen=True, eq=False)
+class Biases:
+    """columns: places of what a flight's sensors are off by. information: inverse variances by specification."""
+
+    columns: tuple[int, ...]
+    information: Floats
+
+
 @dataclass(eq=False)
 class Regression:
     """Normal equations of all candidates, a set for each flight.
 
-    gram: flights x (k, k), product: flights x (k,), both compensated for noise in the columns; plain_* are not.
+    gram: flights x (k, k), product: flights x (k,), both compensated for noise in the columns; plain_* are not. In
+    all of them the flight's biases are marginalised; joint_gram and joint_product still hold them.
     rows: channels: what was measured less the model, (m, 12) a stretch. columns: (m, 12, k) a stretch, for detection.
     flight_of: the flight of each stretch. observations: a flight's number of whitened residuals.
     """
@@ -48,10 +58,11 @@ class Regression:
     product: list[Floats]
     plain_gram: list[Floats]
     plain_product: list[Floats]
+    joint_gram: list[Floats]
+    joint_product: list[Floats]
     observations: list[int]
     rate: float
-    nuisance: tuple[int, ...] = ()
-    information: Floats = field(default_factory=lambda: np.zeros(0))
+    biases: Biases
 
     @property
     def flights(self) -> range:
@@ -66,40 +77,44 @@ class Regression:
     def solve(
         self, chosen: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
     ) -> tuple[Floats, float]:
-        """Coefficients of the chosen columns and then the nuisances, and the likelihood gained by all, x 2."""
-        where = [*chosen, *(i for i in self.nuisance if i not in chosen)]
+        """Coefficients of the chosen columns, and twice the log-likelihood that they gain."""
+        where = list(chosen)
+        if not where:
+            return np.zeros(0), 0.0
         flights = self.flights if flights is None else flights
         grams, products = (self.plain_gram, self.plain_product) if plain else (self.gram, self.product)
         gram: Floats = sum((grams[f][np.ix_(where, where)] for f in flights), np.zeros((len(where), len(where))))
         product: Floats = sum((products[f][where] for f in flights), np.zeros(len(where)))
-        prior = self.information[where].copy()
-        prior[: len(chosen)] = 0.0
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-9) + prior)
-        matrix = (gram + np.diag(prior)) / np.outer(scale, scale) + 1e-8 * np.eye(len(where))
+        scale = np.sqrt(np.maximum(np.diag(gram), 1e-9))
+        matrix = gram / np.outer(scale, scale) + 1e-8 * np.eye(len(where))
         theta = np.linalg.solve(matrix, product / scale) / scale
         return theta, float(theta @ product)
 
     def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
-        """Twice the log-likelihood that the chosen columns bring beyond the nuisances."""
-        return self.solve(chosen, flights)[1] - self.solve([], flights)[1]
+        """Twice the log-likelihood that the chosen columns bring beyond the biases."""
+        return self.solve(chosen, flights)[1]
 
     def crossed_gain(self, chosen: Sequence[int]) -> float:
         """The same on each flight with coefficients from the others, without compensation."""
-        total = 0.0
+        total, where = 0.0, list(chosen)
         for flight in self.flights:
-            others = [f for f in self.flights if f != flight]
-            for columns, sign in ((list(chosen), 1), ([], -1)):
-                where = [*columns, *(i for i in self.nuisance if i not in columns)]
-                theta, _ = self.solve(columns, others)
-                quadratic = theta @ self.plain_gram[flight][np.ix_(where, where)] @ theta
-                total += sign * float(2 * theta @ self.plain_product[flight][where] - quadratic)
+            theta, _ = self.solve(where, [f for f in self.flights if f != flight])
+            quadratic = theta @ self.plain_gram[flight][np.ix_(where, where)] @ theta
+            total += float(2 * theta @ self.plain_product[flight][where] - quadratic)
         return total
 
     def left_over(self, chosen: Sequence[int]) -> list[Floats]:
-        """(m, 12) residual of each stretch with the chosen columns and the nuisances taken out."""
-        where = [*chosen, *(i for i in self.nuisance if i not in chosen)]
-        theta, _ = self.solve(chosen)
-        return [y - x[:, :, where] @ theta for y, x in zip(self.rows, self.columns, strict=True)]
+        """(m, 12) residual of each stretch with the chosen columns and its flight's biases taken out."""
+        where, theta = list(chosen), self.solve(chosen)[0]
+        off = []
+        for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
+            places = list(self.biases.columns)
+            inner = gram[np.ix_(places, places)] + np.diag(self.biases.information)
+            off.append(np.linalg.solve(inner, product[places] - gram[np.ix_(places, where)] @ theta))
+        return [
+            y - x[:, :, where] @ theta - x[:, :, list(self.biases.columns)] @ off[flight]
+            for y, x, flight in zip(self.rows, self.columns, self.flight_of, strict=True)
+        ]
 
 
 def make_regression(
@@ -131,11 +146,22 @@ def make_regression(
         grams[flight] += gram - error_gram
         products[flight] += product - error_product
         observations[flight] += white_y.size
-    nuisance, information = _nuisances(candidates, width)
+    biases = _biases(candidates)
+    free = [marginal(g, b, biases) for g, b in zip(grams, products, strict=True)]
+    plain = [marginal(g, b, biases) for g, b in zip(plain_grams, plain_products, strict=True)]
     return Regression(
-        vehicle, catalogue, stretches, flight_of, candidates, noise, rows, columns, grams, products, plain_grams,
-        plain_products, observations, rate, nuisance, information,
+        vehicle, catalogue, stretches, flight_of, candidates, noise, rows, columns,
+        [g for g, _ in free], [b for _, b in free], [g for g, _ in plain], [b for _, b in plain],
+        grams, products, observations, rate, biases,
     )  # fmt: skip
+
+
+def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Floats]:
+    """One flight's normal equations with its biases integrated out under their prior. gram: (k, k), product: (k,)."""
+    places = list(biases.columns)
+    inner = gram[np.ix_(places, places)] + np.diag(biases.information)
+    solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places]]))
+    return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
 
 
 class _Pipeline:
@@ -178,16 +204,19 @@ def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
     return flat.T @ flat, flat.T @ rows.ravel()
 
 
-def _nuisances(candidates: Sequence[Candidate], width: int) -> tuple[tuple[int, ...], Floats]:
+def _biases(candidates: Sequence[Candidate]) -> Biases:
     found: list[int] = []
-    information = np.zeros(width)
-    clock_seen = False
+    information: list[float] = []
     for candidate in candidates:
         name = candidate.effect.name
         deviation = SPECIFIED.get(name)
-        if name == "time_delay" and not clock_seen and candidate.whole:
-            deviation, clock_seen = CLOCK_OFFSET / candidate.at["delay"], True
+        if name == "time_delay" and candidate.whole and not any(c in found for c in _clock(candidates)):
+            deviation = CLOCK_OFFSET / candidate.at["delay"]
         if deviation is not None:
             found += candidate.columns
-            information[list(candidate.columns)] = deviation**-2
-    return tuple(found), information
+            information += [deviation**-2] * len(candidate.columns)
+    return Biases(tuple(found), np.array(information))
+
+
+def _clock(candidates: Sequence[Candidate]) -> set[int]:
+    return {i for c in candidates if c.effect.name == "time_delay" for i in c.columns}

@@ -68,8 +68,9 @@ def sentence(diagnosis: Diagnosis) -> str:
 def _told(effect: FoundEffect) -> str:
     where = "" if effect.rotor is None else f" of rotor {effect.rotor}"
     values = ", ".join(
-        f"{name} = {p.value:.4g} ± {1.96 * p.std:.2g} {p.unit}".replace(" 1", "") if p.unit == "1"
-        else f"{name} = {p.value:.4g} ± {1.96 * p.std:.2g} {p.unit}"
+        f"{name} = {p.value:.4g}"
+        + (f" ± {1.96 * p.std:.2g}" if p.std else "")
+        + ("" if p.unit == "1" else f" {p.unit}")
         for name, p in effect.parameters.items()
-    )  # fmt: skip
+    )
     return f"{effect.name}{where} ({values}; {100 * effect.confidence:.0f} % of flight resamples agree)"

@@ -70,7 +70,6 @@ class Search:
         for candidate in regression.candidates:
             self._variants[candidate.effect.name] = self._variants.get(candidate.effect.name, 0) + 1
         self._size = math.log(regression.total / 4)
-        self._base = regression.solve([])[1]
 
     def penalty(self, candidate: Candidate) -> float:
         """What a candidate must gain to be worth its coefficients."""
@@ -80,8 +79,7 @@ class Search:
     def score(self, candidates: Sequence[Candidate]) -> Scored:
         """The score of a set of effects, -inf where a coefficient cannot be."""
         columns = [i for c in candidates for i in c.columns]
-        theta, objective = self.regression.solve(columns)
-        gain = objective - self._base
+        theta, gain = self.regression.solve(columns)
         start = 0
         for candidate in candidates:
             part = theta[start : start + len(candidate.columns)]

@@ -117,11 +117,11 @@ def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
 
 
 def _usual_gain(regression: Regression, gram: Floats, candidate: Candidate, chosen: Sequence[int]) -> float:
-    """Gain that the effect at its usual size would bring beyond the chosen effects and the nuisances."""
+    """Gain that the effect at its usual size would bring beyond the chosen effects and the biases."""
     own = list(candidate.columns)
-    rest = [i for i in dict.fromkeys([*chosen, *regression.nuisance]) if i not in own]
+    rest = [i for i in chosen if i not in own]
     across = gram[np.ix_(rest, own)]
-    inner = gram[np.ix_(rest, rest)] + np.diag(regression.information[rest])
+    inner = gram[np.ix_(rest, rest)]
     left = gram[np.ix_(own, own)] - across.T @ np.linalg.lstsq(inner, across, rcond=None)[0]
     parameters = {p.name: p for p in candidate.effect.parameters}
     usual = [1.0] if candidate.whole else [_usual(parameters[n], regression.vehicle) for n in candidate.free]
