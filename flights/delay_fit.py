@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import interpolate, signal, stats
+from scipy import interpolate, linalg, signal, stats
 
 from flights import filters
 from flights.log import Floats
@@ -19,15 +19,17 @@ from flights.log import Floats
 Band = tuple[float, float]
 
 NARROWEST = 2.0  # highest over lowest frequency
-OVERSAMPLING = 4.0  # rows compared per period of the highest frequency
+OVERSAMPLING = 2.2  # rows compared per period of the highest frequency, so that they fill their band
+AUTOREGRESSION = 6  # of the noise
 EARLIEST, LATEST, STEP = -0.12, 0.2, 0.01  # s searched for delays,
 LAGS = (0.002, 0.25)  # s, and for lags
 EDGE = 0.5  # s at the ends of each stretch that the filters spoil
 BLOCK = 2.0  # s over which scores are summed
 LEAST_BLOCKS = 4
-CALIBRATION = 1.0  # on the standard deviation
+CALIBRATION = 1.1  # on the standard deviation
 CONFIDENCE = 0.95
 ITERATIONS = 8
+DIFFERENCE = 1e-4  # s, for slopes by the delay
 
 
 @dataclass(frozen=True)
@@ -41,18 +43,21 @@ class FittedDelay:
 
 
 def fit_delay(
-    answer: Floats, drive: Floats, beside: Floats, rate: float, band: Band, usable: NDArray[np.bool_], *, lags: bool
-) -> FittedDelay | None:
+    answer: Floats, drive: Floats, beside: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
+    *, paired: bool = False, lags: bool = False, systematic: float = 0.0,
+) -> FittedDelay | None:  # fmt: skip
     """How far `answer` (n, m) is behind `drive` (n, p); beside: (n, q) what else it follows, undelayed.
 
-    All on one grid of a rate, Hz; NaN where not known. band: Hz compared. usable: (n,) rows. lags: fit a first-order
-    lag instead. None when there is too little flight, or no best delay within reach.
+    All on one grid of a rate, Hz; NaN where not known. band: Hz compared. usable: (n,) rows. paired: each answer
+    follows its own drive only, with m = p: on a circle, a turn of the axes cannot be told from a delay. lags: fit a
+    first-order lag instead. systematic: s of error that no residual shows, a standard deviation. None when there is
+    too little flight, or no best delay within reach.
     """
     if band[1] < NARROWEST * band[0]:
         return None  # logged too slowly to be compared at all
     known = usable & np.isfinite(np.hstack([answer, drive, beside])).all(axis=1)
     stretches = [
-        _Stretch.of([part[start:stop] for part in (answer, drive, beside)], rate, band, lags=lags)
+        _Stretch.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lags=lags)
         for start, stop in filters.runs(known)
         if (stop - start) / rate >= 2 * EDGE + BLOCK
     ]
@@ -70,7 +75,7 @@ def fit_delay(
         delay = float(np.clip(delay + np.clip(change, -STEP, STEP), first, last))
         if abs(change) < 1e-6:
             break
-    std *= CALIBRATION
+    std = float(np.hypot(CALIBRATION * std, systematic))
     reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * std
     return FittedDelay(delay, std, reach, round(count * BLOCK, 1))
 
@@ -80,15 +85,17 @@ class _Stretch:
     """A stretch of flight without a gap. answer: (n, m), beside: (n, q), of the rows compared.
 
     blocks: first row of each block. driven: rows of what drives it (n, p), delayed or lagged by so many seconds.
+    paired: whether each answer follows its own drive only.
     """
 
     answer: Floats
     beside: Floats
     blocks: NDArray[np.intp]
     driven: Callable[[float], Floats]
+    paired: bool
 
     @classmethod
-    def of(cls, sides: list[Floats], rate: float, band: tuple[float, float], *, lags: bool) -> _Stretch:
+    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lags: bool) -> _Stretch:
         """sides: answer, drive and beside, (n, .) each on a grid of a rate, Hz."""
         answer, drive, beside = (_band(part, rate, band) for part in sides)
         every = max(1, int(rate / (OVERSAMPLING * band[1])))
@@ -96,7 +103,7 @@ class _Stretch:
         count = int((len(answer) / rate - 2 * EDGE) / (length * every / rate))
         rows = round(EDGE * rate) + every * np.arange(count * length)
         driven = _lagged(drive, rate, rows) if lags else _delayed(drive, rate, rows)
-        return cls(answer[rows], beside[rows], np.arange(count) * length, driven)
+        return cls(answer[rows], beside[rows], np.arange(count) * length, driven, paired)
 
 
 def _delayed(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
@@ -122,46 +129,81 @@ def _band(values: Floats, rate: float, band: tuple[float, float]) -> Floats:
     return smooth - filters.lowpass(smooth, rate, band[0], order=1)
 
 
-def _columns(stretches: list[_Stretch], delay: float) -> Floats:
-    return np.concatenate([np.hstack([stretch.driven(delay), stretch.beside]) for stretch in stretches])
+@dataclass(frozen=True, eq=False)
+class _Side:
+    """One answer (n,), the columns (n, p + q) that it is compared with, and their slopes (n, p) by the delay."""
+
+    answer: Floats
+    columns: Floats
+    slope: Floats
+
+    @property
+    def residual(self) -> Floats:
+        """What free coefficients leave of the answer, (n,)."""
+        return self.answer - self.columns @ _solve(self.columns, self.answer)
+
+    def whitened(self, ends: NDArray[np.intp]) -> _Side:
+        """The same with the residual's spectrum made flat, so that no frequency counts for more than it knows."""
+        whitening = _prediction_error(self.residual)
+
+        def white(values: Floats) -> Floats:
+            return np.concatenate([signal.lfilter(whitening, [1.0], part, axis=0) for part in np.split(values, ends)])
+
+        return _Side(white(self.answer), white(self.columns), white(self.slope))
 
 
-def _fit(stretches: list[_Stretch], delay: float) -> tuple[Floats, Floats, Floats]:
-    """Residuals, columns and coefficients at a delay."""
+def _sides(stretches: list[_Stretch], delay: float) -> list[_Side]:
+    """Every answer over all stretches, with what it is compared with at a delay."""
     answer = np.concatenate([stretch.answer for stretch in stretches])
-    columns = _columns(stretches, delay)
-    coefficients = _solve(columns, answer)
-    return answer - columns @ coefficients, columns, coefficients
-
-
-def _solve(columns: Floats, answer: Floats) -> Floats:
-    """Least squares by the normal equations of scaled columns: few columns, many rows, thirty trials."""
-    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns)) + 1e-12
-    scaled = columns / scale
-    gram = scaled.T @ scaled + 1e-10 * np.eye(len(scale))
-    return np.asarray(np.linalg.solve(gram, scaled.T @ answer) / scale[:, None])
+    beside = np.concatenate([stretch.beside for stretch in stretches])
+    now, later, earlier = (
+        np.concatenate([stretch.driven(delay + step) for stretch in stretches])
+        for step in (0.0, DIFFERENCE, -DIFFERENCE)
+    )
+    slope = (later - earlier) / (2 * DIFFERENCE)
+    choose = [[k] if stretches[0].paired else slice(None) for k in range(answer.shape[1])]
+    return [_Side(answer[:, k], np.hstack([now[:, c], beside]), slope[:, c]) for k, c in enumerate(choose)]
 
 
 def _misfit(stretches: list[_Stretch], delay: float) -> float:
     """Sum of the log residual variances at a delay."""
-    residual, _, _ = _fit(stretches, delay)
-    return float(np.sum(np.log(np.mean(residual**2, axis=0) + 1e-300)))
+    return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(stretches, delay)))
 
 
 def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float]:
     """The next change of the delay and the standard deviation that the blocks' scores give it, s."""
-    residual, columns, coefficients = _fit(stretches, delay)
-    small = 1e-4
-    slope = (_columns(stretches, delay + small) - _columns(stretches, delay - small)) / (2 * small)
-    direction = slope @ coefficients
-    direction -= columns @ _solve(columns, direction)  # what free coefficients cannot explain
-    weight = 1 / np.mean(residual**2, axis=0)
-    information = float(np.sum(weight * direction**2))
+    score, information = 0.0, 0.0
+    starts = np.concatenate([[0], np.cumsum([len(stretch.answer) for stretch in stretches])])
+    edges = np.concatenate([stretch.blocks + start for stretch, start in zip(stretches, starts, strict=False)])
+    sums = np.zeros(len(edges))
+    for side in (side.whitened(starts[1:-1]) for side in _sides(stretches, delay)):
+        coefficients, residual = _solve(side.columns, side.answer), side.residual
+        direction = side.slope @ coefficients[: side.slope.shape[1]]
+        direction = direction - side.columns @ _solve(side.columns, direction)  # what free coefficients explain
+        weight = 1 / float(np.mean(residual**2))
+        information += weight * float(np.sum(direction**2))
+        parts = weight * direction * residual
+        score += float(parts.sum())
+        sums += np.add.reduceat(parts, edges)
     if information <= 0.0:
         return 0.0, float("inf")
-    scores = np.sum(weight * direction * residual, axis=1)
-    lengths = np.cumsum([0, *(len(stretch.answer) for stretch in stretches)])
-    starts = np.concatenate([stretch.blocks + start for stretch, start in zip(stretches, lengths, strict=False)])
-    sums = np.add.reduceat(scores, starts)
     spread = float(np.sum((sums - sums.mean()) ** 2)) * len(sums) / (len(sums) - 1)
-    return float(sums.sum()) / information, float(np.sqrt(spread)) / information
+    return score / information, max(float(np.sqrt(spread)) / information, information**-0.5)
+
+
+def _solve(columns: Floats, answer: Floats) -> Floats:
+    """Least squares (p,) by the normal equations of scaled columns: few columns, many rows, thirty trials."""
+    scale = np.sqrt(np.einsum("ij,ij->j", columns, columns)) + 1e-12
+    scaled = columns / scale
+    gram = scaled.T @ scaled + 1e-10 * np.eye(len(scale))
+    return np.asarray(np.linalg.solve(gram, scaled.T @ answer) / scale)
+
+
+def _prediction_error(residual: Floats) -> Floats:
+    """The filter 1 - a1 z^-1 ... that makes an autoregressive noise white (Yule-Walker)."""
+    order = min(AUTOREGRESSION, len(residual) // 20)
+    lags = np.array([float(residual[: len(residual) - k] @ residual[k:]) for k in range(order + 1)])
+    if order == 0 or lags[0] <= 0.0:
+        return np.ones(1)
+    lags[0] *= 1.0 + 1e-4
+    return np.concatenate([[1.0], -linalg.solve_toeplitz(lags[:order], lags[1:])])

@@ -21,11 +21,16 @@ from flights.alignment import resample
 from flights.delay_fit import Band, fit_delay
 from flights.exclusion import Exclusion
 from flights.log import Floats, Log, Stream
+from flights.quantities import ROTORS
 
 GRID_RATE = 200.0  # Hz of the comparisons
 CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
-LOWEST = 0.5  # Hz: slower differences are bias and wind
+LOWEST = 0.5  # Hz: slower differences are biases
+POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (2.0, 15.0)  # Hz: slower forces are drag and inflow, which follow speed rather than rotors
+# s: a controller answers gusts and its estimate's noise within 30 ms, which looks like a delay of its own. Standard
+# deviations as seen on simulated flights (benchmarks/delay_estimation.py, its seeds for calibration).
+CLOSED_LOOP = {"velocity": 0.0008, "rotor_speed": 0.0008}
 LARGEST_STD = 0.004  # s; a delay known less well than this is told and not removed
 
 
@@ -148,7 +153,7 @@ def _position(frame: _Frame) -> Delay | None:
     position, velocity = frame.get("position"), frame.get("velocity")
     if position is None or velocity is None:
         return None
-    band = frame.band("position", "velocity")
+    band = frame.band("position", "velocity", band=POSITION_BAND)
     return _compare(frame, filters.derivative(position, 1 / frame.rate), velocity, "position", "velocity", band)
 
 
@@ -190,7 +195,11 @@ def _compare(
     *, beside: Floats | None = None, lags: bool = False,
 ) -> Delay | None:  # fmt: skip
     beside = np.empty((len(answer), 0)) if beside is None else beside
-    fit = fit_delay(answer, drive, beside, frame.rate, band, frame.usable, lags=lags)
+    paired = name not in ROTORS
+    fit = fit_delay(
+        answer, drive, beside, frame.rate, band, frame.usable,
+        paired=paired, lags=lags, systematic=CLOSED_LOOP.get(name, 0.0),
+    )  # fmt: skip
     if fit is None:
         return None
     low, high = fit.seconds - fit.reach, fit.seconds + fit.reach

@@ -63,7 +63,8 @@ def measures(pieces: Sequence[Flight], *, ground: float = 0.0) -> dict[str, floa
     if "height" in whole:
         found["low_flight"] = float(np.sum(whole["height"] < ground + LOW) * pieces[0].period)
     if "yaw" in whole:
-        found["headings"] = float(np.sqrt(max(0.0, -2 * np.log(max(abs(np.nanmean(np.exp(1j * whole["yaw"]))), 1e-9)))))
+        together = float(np.abs(np.nanmean(np.exp(1j * whole["yaw"]))))
+        found["headings"] = float(np.sqrt(-2 * np.log(np.clip(together, 1e-9, 1.0))))  # circular standard deviation
     if "voltage" in whole and np.isfinite(whole["voltage"]).any():
         known = whole["voltage"][np.isfinite(whole["voltage"])]
         found["voltage_drop"] = float((np.percentile(known, 98) - np.percentile(known, 2)) / max(np.mean(known), 1e-9))

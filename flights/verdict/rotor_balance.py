@@ -31,10 +31,8 @@ def rotor_findings(pieces: Sequence[Flight]) -> list[Finding]:
         if not (share < FAR_OFF or share > 1 / FAR_OFF):
             continue
         if wanted is not None and not NEAR < wanted[rotor] < 1 / NEAR:
-            found.append(Finding(
-                "warning", "uneven_rotor", f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as it is "
-                f"told to ({wanted[rotor]:.2f})", "look for a bent propeller, a weak motor or a load that is off centre",
-            ))  # fmt: skip
+            text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as it is told to"
+            found.append(Finding("warning", "uneven_rotor", text, "look for a bent propeller or a load off centre"))
             continue
         agree = "and no command explains it" if wanted is None else "while its command is as theirs"
         found.append(_fault(rotor, f"reads {share:.2f} times the speed of its peers, {agree}"))
