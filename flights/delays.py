@@ -31,6 +31,7 @@ ROTOR_BAND = (2.0, 15.0)  # Hz: slower forces are drag and inflow, which follow 
 # s: a controller answers gusts and its estimate's noise within 30 ms, which looks like a delay of its own. Standard
 # deviations as seen on simulated flights (benchmarks/delay_estimation.py, its seeds for calibration).
 CLOSED_LOOP = {"velocity": 0.0008, "rotor_speed": 0.0008}
+STAMPS = 0.0002  # s to which the middle of a sample is known at all
 LARGEST_STD = 0.004  # s; a delay known less well than this is told and not removed
 
 
@@ -198,7 +199,7 @@ def _compare(
     paired = name not in ROTORS
     fit = fit_delay(
         answer, drive, beside, frame.rate, band, frame.usable,
-        paired=paired, lags=lags, systematic=CLOSED_LOOP.get(name, 0.0),
+        paired=paired, lags=lags, systematic=CLOSED_LOOP.get(name, STAMPS),
     )  # fmt: skip
     if fit is None:
         return None

@@ -33,6 +33,8 @@ IMPACT_FORCE = 20.0  # m/s^2 within an instant, and
 IMPACT_SPREAD = 12.0  # times the usual scatter, to be an impact
 IMPACT_MARGIN = 0.25  # s
 AFTERMATH = 1.5  # s after an impact in which a crash shows
+LANDING_SPEED = 1.5  # m/s
+FALL = 0.3  # m
 TILT_FALLEN = np.deg2rad(75.0)
 TILT_RESTING = np.deg2rad(30.0)  # no multirotor stands still in the air at such a tilt
 RECOVERED = 1.0  # s of upright flight that end a crash
@@ -208,10 +210,14 @@ def _crashes(seen: _Seen, ground: Rows, impacts: Rows) -> Rows:
 
 
 def _touches_down(seen: _Seen, row: int) -> bool:
-    """Whether an impact is a landing: upright, and sinking no faster than one lands."""
-    span = slice(max(0, row - seen.rows(0.2)), row)
-    upright = seen.tilt is not None and bool(np.all(seen.tilt[span] < TILT_RESTING))
-    return upright and seen.speed is not None and bool(np.all(seen.speed[span] < 1.5))
+    """Whether an impact is a landing: slow and upright before and after it, and nowhere to fall from."""
+    before = slice(max(0, row - seen.rows(0.2)), row)
+    after = slice(row, row + seen.rows(AFTERMATH))
+    if seen.tilt is None or seen.speed is None:
+        return False
+    upright = bool(np.all(seen.tilt[before] < TILT_RESTING) and np.all(seen.tilt[after] < TILT_FALLEN))
+    fell = seen.height is not None and float(seen.height[row] - np.nanmin(seen.height[after])) > FALL
+    return upright and bool(np.all(seen.speed[before] < LANDING_SPEED)) and not fell
 
 
 def _loss_of_control(seen: _Seen, row: int) -> int:

@@ -16,8 +16,8 @@ from sitl_mock.vehicle import VehicleOptions
 
 
 @lru_cache(maxsize=2)
-def flown(reference: str = "Lemniscate:speed=0.8,laps=5", seed: int = 1) -> FlownReference:
-    """Twenty seconds of a reference with sensor noise and drag that the controller does not know."""
+def flown(reference: str = "Lemniscate:laps=9", seed: int = 1) -> FlownReference:
+    """Some twenty seconds of a reference with sensor noise and drag that the controller does not know."""
     vehicle = read_vehicle("vehicles/arpl_250g.toml")
     track = named_reference(reference, vehicle)
     start = track.states(np.zeros(1))[0]

@@ -1,0 +1,97 @@
+"""Planted delays between streams are found with an interval that holds them, and taken off again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from flights.delays import Delay, estimate_delays, removable, remove_delays
+from flights.exclusion import Exclusion
+from flights.log import Log, Stream
+from tests.support.simulated_flight import flown, without
+
+PLANTED = {"attitude": 0.031, "velocity": 0.067, "position": 0.012, "rotor_speed": 0.048}
+IMU_MIDDLE = 0.0005  # s from an inertial sample's stamp to the middle of its four milliseconds
+
+
+def late(log: Log, planted: dict[str, float]) -> Log:
+    random = np.random.default_rng(8)
+    streams = []
+    for stream in log.streams:
+        delay = planted.get(stream.name, IMU_MIDDLE if stream.source == "imu" else 0.0)
+        jitter = 0.0003 * random.standard_normal(len(stream.time)).clip(-3, 3)
+        streams.append(Stream(stream.name, stream.time + delay + jitter, stream.values, stream.source))
+    return replace(log, streams=tuple(streams))
+
+
+@pytest.fixture(scope="module")
+def found() -> dict[str, Delay]:
+    return {delay.stream: delay for delay in estimate_delays(late(flown().log, PLANTED))}
+
+
+@pytest.mark.parametrize("name", ["attitude", "velocity", "position", "rotor_speed"])
+def test_a_planted_delay_is_found_within_its_interval(found: dict[str, Delay], name: str) -> None:
+    planted = PLANTED[name] - (PLANTED["velocity"] if name == "position" else 0.0)
+    assert found[name].seconds == pytest.approx(planted, abs=0.003)
+    assert found[name].low <= planted <= found[name].high
+    assert found[name].is_known
+
+
+def test_a_commands_lag_is_a_response_and_no_delay(found: dict[str, Delay]) -> None:
+    lag = found["rotor_command"]
+    assert lag.is_response
+    assert 0.03 < lag.seconds < 0.06  # planted: 35 ms of motor lag and 6 ms of the autopilot
+    assert "rotor_command" not in removable(tuple(found.values()))
+
+
+def test_what_was_found_is_taken_off_the_stamps(found: dict[str, Delay]) -> None:
+    log = late(flown().log, PLANTED)
+    mended = remove_delays(log, tuple(found.values()))
+    for delay in estimate_delays(mended):
+        if not delay.is_response:
+            assert abs(delay.seconds) < 0.001, delay
+    for stream in mended.streams:
+        original = flown().log.stream(stream.name)
+        assert original is not None
+        assert np.median(stream.time - original.time) == pytest.approx(0.0, abs=0.003)
+
+
+def test_excluded_stretches_are_not_compared() -> None:
+    log = flown().log
+    whole = estimate_delays(log)
+    half = estimate_delays(log, exclusions=[Exclusion("crash", 10.0, 100.0, "")])
+    assert {delay.stream for delay in half} <= {delay.stream for delay in whole}
+    assert all(delay.seconds_compared <= 10.0 for delay in half)
+
+
+def test_without_a_gyro_nothing_is_claimed() -> None:
+    assert estimate_delays(without(flown().log, "rate")) == ()
+
+
+def test_a_short_log_claims_nothing() -> None:
+    log = flown().log
+    short = replace(log, streams=tuple(Stream(s.name, s.time[:300], s.values[:300], s.source) for s in log.streams))
+    assert estimate_delays(short) == ()
+
+
+def test_rotors_logged_at_10_hz_claim_nothing() -> None:
+    log = flown().log
+    slow = replace(
+        log,
+        streams=tuple(
+            Stream(s.name, s.time[::10], s.values[::10], s.source) if s.name.startswith("rotor") else s
+            for s in log.streams
+        ),
+    )
+    assert not {delay.stream for delay in estimate_delays(slow)} & {"rotor_speed", "rotor_command"}
+
+
+def test_position_is_late_by_way_of_velocity() -> None:
+    delays = [
+        Delay("velocity", "specific_force", 0.02, 0.001, 0.018, 0.022, False, 20.0),
+        Delay("position", "velocity", 0.01, 0.001, 0.008, 0.012, False, 20.0),
+        Delay("attitude", "rate", 0.5, 0.1, 0.3, 0.7, False, 20.0),
+    ]
+    assert removable(delays) == {"velocity": 0.02, "position": pytest.approx(0.03)}

@@ -1,0 +1,157 @@
+"""What is no free flight is left out: ground, impacts and crashes, planted and real; and nothing else is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamics import quaternion
+from flights import Flight
+from flights.exclusion import Exclusion, excluded_rows, find_exclusions, free_flight
+from flights.log import Floats, Provenance
+from tests.support.simulated_flight import flown, table
+
+RATE = 100.0
+HOVER = 1200.0  # rad/s
+
+
+def hovering(seconds: float = 30.0) -> dict[str, Floats]:
+    """Columns of a vehicle that hovers at 1 m with a little noise."""
+    count = round(seconds * RATE)
+    random = np.random.default_rng(3)
+    columns = {f"rotor_speed_{rotor}": HOVER + random.normal(0, 5, count) for rotor in range(4)}
+    for axis, usual in zip("xyz", (0.0, 0.0, 9.81), strict=True):
+        columns[f"specific_force_{axis}"] = usual + random.normal(0, 0.2, count)
+        columns[f"rate_{axis}"] = random.normal(0, 0.1, count)
+        columns[f"velocity_{axis}"] = 0.3 + random.normal(0, 0.02, count)
+        columns[f"position_{axis}"] = np.full(count, 1.0)
+    columns |= {f"attitude_{part}": np.full(count, float(part == "w")) for part in "wxyz"}
+    return columns
+
+
+def flight(columns: dict[str, Floats]) -> Flight:
+    count = len(columns["rotor_speed_0"])
+    return Flight(np.arange(count) / RATE, columns, Provenance("planted", "", "", ""))
+
+
+def rows(start: float, stop: float) -> slice:
+    return slice(round(start * RATE), round(stop * RATE))
+
+
+def stand(columns: dict[str, Floats], start: float, stop: float, *, speed: float = 0.0) -> None:
+    """On the ground with rotors at a speed."""
+    for rotor in range(4):
+        columns[f"rotor_speed_{rotor}"][rows(start, stop)] = speed
+    for axis, usual in zip("xyz", (0.0, 0.0, 9.81), strict=True):
+        columns[f"specific_force_{axis}"][rows(start, stop)] = usual
+        columns[f"rate_{axis}"][rows(start, stop)] = 0.0
+        columns[f"velocity_{axis}"][rows(start, stop)] = 0.0
+    columns["position_z"][rows(start, stop)] = 0.0
+
+
+def only(found: tuple[Exclusion, ...], reason: str) -> Exclusion:
+    (item,) = [item for item in found if item.reason == reason]
+    return item
+
+
+def test_a_flight_without_anything_wrong_is_kept_whole() -> None:
+    assert find_exclusions(flight(hovering())) == ()
+    simulated = table(flown().log)
+    assert find_exclusions(simulated) == ()
+
+
+def test_standing_before_and_after_is_ground_with_spool_up_around_it() -> None:
+    columns = hovering()
+    stand(columns, 0.0, 5.0)
+    stand(columns, 25.0, 30.0)
+    found = find_exclusions(flight(columns))
+    assert [item.reason for item in found] == ["ground", "ground"]
+    assert found[0].stop == pytest.approx(5.3, abs=0.05)
+    assert found[1].start == pytest.approx(24.7, abs=0.05)
+
+
+def test_standing_with_turning_rotors_is_ground_too() -> None:
+    columns = hovering()
+    stand(columns, 0.0, 5.0)
+    stand(columns, 5.0, 7.0, speed=0.9 * HOVER)
+    assert only(find_exclusions(flight(columns)), "ground").stop == pytest.approx(7.3, abs=0.05)
+
+
+def test_free_fall_with_idle_rotors_is_flight() -> None:
+    columns = hovering()
+    for rotor in range(4):
+        columns[f"rotor_speed_{rotor}"][rows(10, 10.6)] = 100.0
+    columns["specific_force_z"][rows(10, 10.6)] = 0.1
+    assert find_exclusions(flight(columns)) == ()
+
+
+def test_the_land_detectors_word_counts() -> None:
+    columns = hovering()
+    columns["landed"] = np.zeros(3000)
+    columns["landed"][rows(20, 30)] = 1.0
+    assert only(find_exclusions(flight(columns)), "ground").start == pytest.approx(19.7, abs=0.05)
+
+
+def test_a_bump_is_an_impact_and_only_its_surroundings_are_lost() -> None:
+    columns = hovering()
+    columns["specific_force_x"][rows(15, 15.02)] = 60.0
+    item = only(find_exclusions(flight(columns)), "impact")
+    assert (item.start, item.stop) == (pytest.approx(14.75, abs=0.03), pytest.approx(15.26, abs=0.03))
+
+
+def crash(columns: dict[str, Floats], at: float, *, until: float) -> None:
+    """Hits a wall, falls, lies with rotors off until it is started again."""
+    columns["specific_force_x"][rows(at, at + 0.02)] = 79.0
+    stand(columns, at + 0.4, until)
+
+
+def test_a_crash_is_lost_from_the_blow_until_it_flies_again() -> None:
+    columns = hovering()
+    crash(columns, 12.0, until=17.0)
+    item = only(find_exclusions(flight(columns)), "crash")
+    assert item.start == pytest.approx(11.75, abs=0.03)
+    assert 16.9 < item.stop < 18.0
+    pieces = free_flight(flight(columns))
+    assert [round(float(piece.time[0])) for piece in pieces] == [0, 17]
+
+
+def test_a_crash_that_ends_the_flight_is_lost_to_the_end() -> None:
+    columns = hovering()
+    crash(columns, 20.0, until=30.0)
+    assert only(find_exclusions(flight(columns)), "crash").stop == pytest.approx(29.99, abs=0.02)
+
+
+def test_a_crash_without_an_accelerometer_shows_by_lying_on_the_side() -> None:
+    columns = {name: values for name, values in hovering().items() if not name.startswith("specific_force")}
+    tilt = np.concatenate([np.zeros(2000), np.linspace(0, 2.5, 50), np.full(950, 2.5)])
+    attitude = quaternion.from_euler(tilt, 0 * tilt, 0 * tilt)
+    columns |= {f"attitude_{part}": attitude[:, k] for k, part in enumerate("wxyz")}
+    for axis in "xyz":
+        columns[f"velocity_{axis}"][rows(20.5, 30)] = 0.0
+        columns[f"rate_{axis}"][rows(20.5, 30)] = 0.0
+    item = only(find_exclusions(flight(columns)), "crash")
+    assert 19.5 < item.start < 20.2
+    assert item.stop == pytest.approx(29.99, abs=0.02)
+
+
+def test_a_landing_with_a_bump_is_ground_and_no_crash() -> None:
+    columns = hovering()
+    columns["position_z"][rows(20, 25)] = np.linspace(1.0, 0.0, 500)
+    columns["specific_force_z"][rows(24.98, 25.0)] = 45.0
+    stand(columns, 25.0, 30.0)
+    assert {item.reason for item in find_exclusions(flight(columns))} == {"ground"}
+
+
+def test_excluded_rows_are_those_between_start_and_stop() -> None:
+    item = Exclusion("impact", 1.0, 2.0, "")
+    chosen = excluded_rows(flight(hovering(5.0)), [item])
+    assert np.flatnonzero(chosen).tolist() == list(range(100, 201))
+
+
+def test_a_real_flight_of_a_coaxial_vehicle_is_what_lies_between_take_off_and_landing() -> None:
+    real = Flight.read(Path("tests/data/acsl_x8copter/log_20240613_115633_cut.log.gz"))
+    for piece in free_flight(real):
+        assert piece["position"][:, 2].max() > 0.1
+    assert all(item.reason == "ground" for item in find_exclusions(real))
