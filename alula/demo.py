@@ -5,6 +5,7 @@ The mock is a process of its own, the link is UDP, the daemon is the one that fl
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -81,13 +82,18 @@ def run_demo(options: DemoOptions, announce: Announce, started: Callable[[str], 
     return DemoReport(options.vehicle, options.effects, options.seed, tuple(flown))
 
 
+def _plain(name: str) -> str:
+    """A reference's name without the signs that a file name cannot have."""
+    return "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in name)
+
+
 def _fly(name: str, link: str, options: DemoOptions, announce: Announce) -> FlownManoeuvre:
     setup = FlightSetup(
         link=link, reference=name, vehicle=options.vehicle, duration=options.duration, rate=options.rate,
         record=options.folder / "recordings", timeout=30.0,
     )  # fmt: skip
     flight = prepare_flight(setup)
-    request = msgspec.structs.replace(flight.request, name=f"nominal_{name.replace(':', '_')}")
+    request = msgspec.structs.replace(flight.request, name=f"{time.strftime('%Y%m%d-%H%M%S')}_nominal_{_plain(name)}")
     report = Daemon(request, flight.vehicle, flight.reference, announce).fly()
     if not report.landed or report.landing_reason or not report.tracking.samples:
         raise VehicleError(f"the flight of {name} ended early: {report.outcome} {report.landing_reason}".strip() + ".")

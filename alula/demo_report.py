@@ -15,6 +15,7 @@ import numpy as np
 from alula.demo import DemoReport, FlownManoeuvre
 from runtime.recording import Recording, read_recording
 
+LAST_TICKS = 0.03  # s before a phase's end, whose record may hold the next phase's reference already
 INK, SOFT, FLOWN = "#1a1a1a", "#9a9a9a", "#0072b2"  # Okabe and Ito's blue: told apart by the colour-blind
 
 
@@ -91,7 +92,7 @@ def tracked(recording: Recording) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     began = phases["time"][first]
     ended = phases["time"][first + 1] if first + 1 < len(phases["time"]) else np.inf
     estimate, reference = recording.table("/estimate"), recording.table("/reference")
-    rows = (reference["time"] >= began) & (reference["time"] < ended)
+    rows = (reference["time"] >= began) & (reference["time"] < ended - LAST_TICKS)
     times = reference["time"][rows]
     columns = [np.interp(times, estimate["time"], axis) for axis in estimate["position_world"].T]
     return times - began, np.column_stack(columns), reference["position_world"][rows]

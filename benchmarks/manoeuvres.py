@@ -35,7 +35,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for run in range(runs):
             names = tuple(TRACKING_NOMINAL)
-            options = DemoOptions(Path(folder), effects=(), manoeuvres=names, duration=25.0, seed=100 + run)
+            options = DemoOptions(Path(folder) / str(run), effects=(), manoeuvres=names, duration=25.0, seed=100 + run)
             report = run_demo(options, lambda _: None, print)
             for flown in report.nominal:
                 errors[flown.name].append(flown.position_rmse)
