@@ -72,7 +72,7 @@ def test_a_table_without_a_paper_figure_leaves_its_cell_empty(tmp_path: Path) ->
     assert (tmp_path / "tracking.csv").read_text().count("circle") == 1
 
 
-def test_a_mock_that_cannot_start_is_reported(tmp_path: Path) -> None:
+def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Path) -> None:
     options = DemoOptions(
         tmp_path, vehicle="arpl_250g", effects=("weak_rotor:rotor=1,loss=0.9",), manoeuvres=("hover",)
     )
