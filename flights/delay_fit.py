@@ -28,6 +28,7 @@ BLOCK = 2.0  # s over which scores are summed
 LEAST_BLOCKS = 4
 CALIBRATION = 1.1  # on the standard deviation
 CONFIDENCE = 0.95
+STAMPS = 0.00015  # s to which the middle of a sample is known at all
 ITERATIONS = 8
 DIFFERENCE = 1e-4  # s, for slopes by the delay
 
@@ -44,14 +45,15 @@ class FittedDelay:
 
 def fit_delay(
     answer: Floats, drive: Floats, beside: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
-    *, paired: bool = False, lags: bool = False, systematic: float = 0.0,
+    *, paired: bool = False, lags: bool = False, closed_loop: float = 0.0,
 ) -> FittedDelay | None:  # fmt: skip
     """How far `answer` (n, m) is behind `drive` (n, p); beside: (n, q) what else it follows, undelayed.
 
     All on one grid of a rate, Hz; NaN where not known. band: Hz compared. usable: (n,) rows. paired: each answer
     follows its own drive only, with m = p: on a circle, a turn of the axes cannot be told from a delay. lags: fit a
-    first-order lag instead. systematic: s of error that no residual shows, a standard deviation. None when there is
-    too little flight, or no best delay within reach.
+    first-order lag instead. closed_loop: s within which a controller answers what is not explained, which then looks
+    like a delay; the unexplained share of it goes into the interval. None when there is too little flight, or no best
+    delay within reach.
     """
     if band[1] < NARROWEST * band[0]:
         return None  # logged too slowly to be compared at all
@@ -69,15 +71,16 @@ def fit_delay(
     best = int(np.argmin([_misfit(stretches, float(trial)) for trial in trials]))
     if best == len(trials) - 1 or (best == 0 and not lags):
         return None
-    delay, std = float(trials[best]), float("inf")
+    delay, std, unexplained = float(trials[best]), float("inf"), 1.0
     for _ in range(ITERATIONS):
-        change, std = _gauss_newton(stretches, delay)
+        change, std, unexplained = _gauss_newton(stretches, delay)
         delay = float(np.clip(delay + np.clip(change, -STEP, STEP), first, last))
         if abs(change) < 1e-6:
             break
-    std = float(np.hypot(CALIBRATION * std, systematic))
-    reach = float(stats.t.ppf(0.5 + CONFIDENCE / 2, count - 1)) * std
-    return FittedDelay(delay, std, reach, round(count * BLOCK, 1))
+    random, systematic = CALIBRATION * std, float(np.hypot(closed_loop * unexplained, STAMPS))
+    tail = 0.5 + CONFIDENCE / 2
+    reach = float(np.hypot(stats.t.ppf(tail, count - 1) * random, stats.norm.ppf(tail) * systematic))
+    return FittedDelay(delay, float(np.hypot(random, systematic)), reach, round(count * BLOCK, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,25 +173,29 @@ def _misfit(stretches: list[_Stretch], delay: float) -> float:
     return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(stretches, delay)))
 
 
-def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float]:
-    """The next change of the delay and the standard deviation that the blocks' scores give it, s."""
-    score, information = 0.0, 0.0
+def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float, float]:
+    """The next change of the delay, its standard deviation by the blocks' scores, s, and the unexplained share."""
+    score, information, unexplained = 0.0, 0.0, 0.0
     starts = np.concatenate([[0], np.cumsum([len(stretch.answer) for stretch in stretches])])
     edges = np.concatenate([stretch.blocks + start for stretch, start in zip(stretches, starts, strict=False)])
     sums = np.zeros(len(edges))
-    for side in (side.whitened(starts[1:-1]) for side in _sides(stretches, delay)):
+    for raw in _sides(stretches, delay):
+        side = raw.whitened(starts[1:-1])
         coefficients, residual = _solve(side.columns, side.answer), side.residual
         direction = side.slope @ coefficients[: side.slope.shape[1]]
         direction = direction - side.columns @ _solve(side.columns, direction)  # what free coefficients explain
         weight = 1 / float(np.mean(residual**2))
-        information += weight * float(np.sum(direction**2))
+        known = weight * float(np.sum(direction**2))
+        information += known
+        unexplained += known * float(np.mean(raw.residual**2) / np.mean(raw.answer**2))
         parts = weight * direction * residual
         score += float(parts.sum())
         sums += np.add.reduceat(parts, edges)
     if information <= 0.0:
-        return 0.0, float("inf")
+        return 0.0, float("inf"), 1.0
     spread = float(np.sum((sums - sums.mean()) ** 2)) * len(sums) / (len(sums) - 1)
-    return score / information, max(float(np.sqrt(spread)) / information, information**-0.5)
+    std = max(float(np.sqrt(spread)) / information, information**-0.5)
+    return score / information, std, unexplained / information
 
 
 def _solve(columns: Floats, answer: Floats) -> Floats:

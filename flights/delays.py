@@ -28,10 +28,9 @@ CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
 LOWEST = 0.5  # Hz: slower differences are biases
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (2.0, 15.0)  # Hz: slower forces are drag and inflow, which follow speed rather than rotors
-# s: a controller answers gusts and its estimate's noise within 30 ms, which looks like a delay of its own. Standard
-# deviations as seen on simulated flights (benchmarks/delay_estimation.py, its seeds for calibration).
-CLOSED_LOOP = {"velocity": 0.0008, "rotor_speed": 0.0008}
-STAMPS = 0.0002  # s to which the middle of a sample is known at all
+# s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
+# calibration of benchmarks/delay_estimation.py
+ROTOR_LOOP, VELOCITY_LOOP = 0.04, 0.01
 LARGEST_STD = 0.004  # s; a delay known less well than this is told and not removed
 
 
@@ -197,9 +196,10 @@ def _compare(
 ) -> Delay | None:  # fmt: skip
     beside = np.empty((len(answer), 0)) if beside is None else beside
     paired = name not in ROTORS
+    closed_loop = VELOCITY_LOOP if name == "velocity" else 0.0 if paired else ROTOR_LOOP
     fit = fit_delay(
         answer, drive, beside, frame.rate, band, frame.usable,
-        paired=paired, lags=lags, systematic=CLOSED_LOOP.get(name, STAMPS),
+        paired=paired, lags=lags, closed_loop=closed_loop,
     )  # fmt: skip
     if fit is None:
         return None
