@@ -137,12 +137,12 @@ def cases(options: argparse.Namespace) -> list[Case]:
     names = [n for n in CATALOGUE if n not in INVISIBLE]
     planned = [
         Case(name, strength, noise, seed)
-        for seed in range(options.seeds)
+        for seed in range(options.first, options.first + options.seeds)
         for noise in options.noise
         for strength in options.strengths
         for name in names
     ]
-    nothing = [Case("", 0.0, noise, 500 + i) for noise in options.noise for i in range(options.nothing)]
+    nothing = [Case("", 0.0, noise, 500 + options.first + i) for noise in options.noise for i in range(options.nothing)]
     return [*nothing, *planned]
 
 
@@ -203,6 +203,7 @@ def parameter_lines(reported: Sequence[dict]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=2)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--noise", type=float, nargs="+", default=[1.0])
     parser.add_argument("--strengths", type=float, nargs="+", default=[0.4, 1.5])
     parser.add_argument("--nothing", type=int, default=6)

@@ -16,6 +16,8 @@ from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
+SPECIFIED_AT_MOST = 2.5  # standard deviations of a sensor's bias; what is beyond is a fault
+
 
 def residuals(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], noise: NoiseModel | None = None
@@ -46,6 +48,7 @@ def _without_biases(stretch: Stretch, said: Prediction, rows: Floats, noise: Noi
     deviation = np.array([SPECIFIED["imu_bias"]] * 3 + [SPECIFIED["gyro_bias"]] * 3 + [CLOCK_OFFSET])
     white = noise.whiten(columns).reshape(-1, 7)
     off = np.linalg.solve(white.T @ white + np.diag(deviation**-2), white.T @ noise.whiten(rows).ravel())
+    off = np.clip(off, -SPECIFIED_AT_MOST * deviation, SPECIFIED_AT_MOST * deviation)
     return np.asarray(rows - columns @ off)
 
 

@@ -16,6 +16,7 @@ from diagnosis.candidates import Candidate
 from diagnosis.filters import Floats
 from diagnosis.gust import Gust, gust_gain
 from diagnosis.regression import Regression
+from dynamics.vehicle import Vehicle
 
 LEAST_GAIN = 25.0  # of score, below which nothing is claimed
 LEAST_SHARE = 0.003  # of the first effect's gain that a further one must bring
@@ -23,6 +24,7 @@ PARSIMONY = 0.985  # share of the gain at which the effect with fewer coefficien
 CROSSED = 0.3  # share of an improvement that must also show on flights left out
 MOST = 3  # effects found in one go
 CLOSE = 8  # effects with which pairs are searched
+BOUND_SLACK = 0.02  # of a parameter's usual deviation by which noise may push it over its bound
 WHOLE = (0.4, 1.9)  # amplitude of an effect regressed as a whole
 IMPOSSIBLE = -math.inf
 SMALLEST_WHOLE = {"motor_lag": 0.0025, "time_delay": 0.003}  # s; less is the clocks' own
@@ -84,7 +86,7 @@ class Search:
         for candidate in candidates:
             part = theta[start : start + len(candidate.columns)]
             start += len(part)
-            if not possible(candidate, part):
+            if not possible(candidate, part, self.regression.vehicle):
                 return Scored(tuple(candidates), IMPOSSIBLE, 0.0)
         return Scored(tuple(candidates), gain - sum(self.penalty(c) for c in candidates), gain)
 
@@ -155,13 +157,14 @@ class Search:
         return found
 
 
-def possible(candidate: Candidate, theta: Floats) -> bool:
-    """Whether coefficients lie within the physical bounds of their parameters."""
+def possible(candidate: Candidate, theta: Floats, vehicle: Vehicle) -> bool:
+    """Whether coefficients lie within the physical bounds of their parameters, but for a little noise."""
     if candidate.whole:
         size = next(iter(candidate.at.values()))
         least = SMALLEST_WHOLE.get(candidate.effect.name, 0.0)
         return bool(WHOLE[0] < theta[0] < WHOLE[1] and theta[0] * size >= least)
-    bounds = {p.name: (p.lower, p.upper) for p in candidate.effect.parameters}
+    slack = {p.name: BOUND_SLACK * p.prior(vehicle).std for p in candidate.effect.parameters}
+    bounds = {p.name: (p.lower - slack[p.name], p.upper + slack[p.name]) for p in candidate.effect.parameters}
     return all(
         bounds[name][0] <= candidate.at[name] + float(value) <= bounds[name][1]
         for name, value in zip(candidate.free, theta, strict=True)

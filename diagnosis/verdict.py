@@ -21,7 +21,7 @@ from dynamics.vehicle import Vehicle
 CLOSE_SCORE, CLOSE_SHARE = 12.0, 0.01  # of the score, within which effects cannot be told apart
 RESAMPLES = 40
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
-LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 4.0, 0.02, 14.0
+LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 4.0, 0.01, 14.0
 LEFT_MISFIT = 1.5
 LEFT_SHARE = 0.03
 

@@ -1,0 +1,110 @@
+"""compare, diagnose and add as a user meets them: on CSV files, with exit codes and the next vehicle file."""
+
+import json
+import shutil
+import sys
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from alula import cli
+from dynamics.vehicle_file import read_vehicle, write_vehicle
+from flights import Flight
+from tests.support.planted import planted_flights
+from vehicles import FOLDER
+
+MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
+
+
+@pytest.fixture(scope="module")
+def logs(arpl_250g, tmp_path_factory) -> Path:
+    """A folder with three flights and a vehicle file that claims 6 % more than the vehicle weighs."""
+    folder = tmp_path_factory.mktemp("logs")
+    flights: list[Flight] = planted_flights(arpl_250g, [], seed=5, manoeuvres=MANOEUVRES)
+    for i, flight in enumerate(flights):
+        flight.to_csv(folder / f"flight_{i}.csv")
+    body = msgspec.structs.replace(arpl_250g.body, mass=1.06 * arpl_250g.body.mass)
+    write_vehicle(msgspec.structs.replace(arpl_250g, body=body), folder / "heavy.toml")
+    shutil.copy(FOLDER / "arpl_250g.toml", folder / "right.toml")
+    return folder
+
+
+@pytest.fixture
+def run(monkeypatch, capsys, logs):
+    """Run a command on the flights; gives its exit code, what it printed and what it printed as an error."""
+
+    def ended(command, *options, vehicle="heavy.toml", files=("flight_0.csv", "flight_1.csv", "flight_2.csv")):
+        arguments = [
+            *command.split(),
+            *(str(logs / name) for name in files),
+            "--vehicle",
+            str(logs / vehicle),
+            *options,
+        ]
+        monkeypatch.setattr(sys, "argv", ["alula", *arguments])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return caught.value.code, *capsys.readouterr()
+
+    return ended
+
+
+def test_diagnose_names_the_effect_in_words_and_in_json(run, logs, tmp_path):
+    effects = Path(__file__).parents[2] / "examples" / "my_effects.py"
+    file = tmp_path / "verdict.json"
+    code, shown, _ = run("diagnose", "--json", str(file), "--hold-out", "flight_2*", "--effects", str(effects))
+    assert code == 0
+    assert "mass" in shown
+    assert "one flight only" not in shown
+    found = json.loads(file.read_text())
+    assert set(found) == {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
+    assert found["verdict"] in ("effect", "ambiguous")
+    first = found["effects"][0]
+    assert set(first) == {"name", "rotor", "parameters", "confidence", "ambiguous_with"}
+    assert "mass" in [first["name"], *first["ambiguous_with"]]
+    mocap = found["channels"]["mocap"]
+    assert set(mocap) == {"before", "after", "floor", "unit"}
+    assert mocap["after"] < 1.15 * mocap["floor"] < mocap["before"]
+    assert set(found["fails_where"][0]) == {"regime", "low", "high", "channel", "rms_over_floor"}
+
+
+def test_add_writes_the_next_vehicle_file_and_keeps_the_old_one(run, logs):
+    before = (logs / "heavy.toml").read_bytes()
+    code, shown, _ = run("add mass")
+    assert code == 0
+    assert "heavy.v2.toml" in shown.replace("\n", "")
+    assert (logs / "heavy.toml").read_bytes() == before
+    assert read_vehicle(logs / "heavy.v2.toml").history[0].action == "added mass"
+
+
+def test_add_ends_with_3_when_the_held_out_error_does_not_fall(run, logs):
+    code, _, message = run("add wind", vehicle="right.toml")
+    assert code == 3
+    assert "was not added" in message
+    assert not (logs / "right.v2.toml").exists()
+
+
+def test_compare_prints_channels_and_open_loop_errors(run):
+    code, shown, _ = run("compare", "--json", "-")
+    assert code == 0
+    found = json.loads(shown)
+    assert {axis["kind"] for axis in found["axes"]} == {"imu", "mocap", "angular", "attitude_rate"}
+    assert [error["horizon"] for error in found["open_loop"]] == [0.1, 0.5, 1.0]
+    assert found["open_loop"][0]["position"] < found["open_loop"][2]["position"]
+    assert any(axis["rms"] > 1.5 * axis["floor"] for axis in found["axes"])
+
+
+def test_data_that_cannot_answer_end_with_3_and_wrong_requests_with_2(run, logs, tmp_path):
+    short = Flight.read(logs / "flight_0.csv").rows(0, 500).to_csv(logs / "short.csv")
+    code, _, message = run("diagnose", files=(short.name,))
+    assert code == 3
+    assert "Fly" in message
+    code, _, message = run("add rotor_drg")
+    assert code == 2
+    assert "rotor_drag" in message
+    code, _, _ = run("diagnose", files=("absent.csv",))
+    assert code == 2
+    code, _, message = run("diagnose", "--effects", str(tmp_path / "absent.py"))
+    assert code == 2
+    assert "is no file" in message
