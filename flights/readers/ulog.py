@@ -25,6 +25,7 @@ from flights.source import Source
 
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
+_FARTHEST_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _ARMED_STATE = 2
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
@@ -60,10 +61,25 @@ def read(source: Source) -> Reading:
     return assembly.finish()
 
 
+class _Guarded(io.BufferedReader):
+    """A file that refuses to be read over and over: around some damage pyulog steps back without end."""
+
+    _stepped_back = 0
+
+    def seek(self, target: int, whence: int = 0) -> int:
+        """As any file's, but back only so far in all."""
+        before = self.tell()
+        after = super().seek(target, whence)
+        self._stepped_back += max(0, before - after)
+        if self._stepped_back > _FARTHEST_BACK:
+            raise ULogException("it is damaged in too many places")
+        return after
+
+
 def _parse(source: Source, assembly: Assembly) -> ULog:
     said = io.StringIO()  # pyulog prints what it finds wrong
     try:
-        with contextlib.redirect_stdout(said), source.file.open("rb") as stream:
+        with contextlib.redirect_stdout(said), _Guarded(io.FileIO(source.file)) as stream:
             log = ULog(stream, message_name_filter_list=list(_WANTED))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
