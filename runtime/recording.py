@@ -64,7 +64,7 @@ def _parts(path: Path) -> Iterator[McapRecord]:
     with path.open("rb") as stream:
         try:
             yield from StreamReader(stream).records
-        except (McapError, struct.error, ValueError, ZstdError):
+        except (McapError, struct.error, ValueError, OverflowError, MemoryError, ZstdError):
             return  # the last chunk is incomplete: the writer was killed or the disk was full
 
 
