@@ -120,25 +120,41 @@ def stretches(flight: Flight, vehicle: Vehicle) -> tuple[Stretch, ...]:
 
 
 def rotor_speeds(flight: Flight, vehicle: Vehicle) -> tuple[Floats, RotorSource]:
-    """(n, rotors) rad/s, measured if there are such, else commanded. Raises DataError when there are neither."""
-    name, rotors = flight.provenance.path, vehicle.rotors
+    """(n, rotors) rad/s, measured if there are such, else commanded.
+
+    Raises DataError when there are neither, or none is logged fast enough.
+    """
+    name, rotors, slow = flight.provenance.path, vehicle.rotors, ""
     for quantity in ("rotor_speed", "rotor_speed_command", "rotor_command"):
         if not flight.has(quantity):
+            continue
+        origin = flight.origins.get(quantity)
+        if origin is not None and origin.rate < SLOWEST:
+            slow = slow or f"{quantity} at {origin.rate:.0f} Hz"
             continue
         values = flight[quantity]
         if values.shape[1] != rotors.count:
             raise DataError(f"{name} has {values.shape[1]} rotors, the vehicle file {rotors.count}. Give its own file.")
-        origin = flight.origins.get(quantity)
-        if origin is not None and origin.rate < SLOWEST:
-            raise DataError(
-                f"{name} has {quantity} at {origin.rate:.0f} Hz. Wanted {SLOWEST:.0f} Hz or more: with PX4, set "
-                "SDLOG_PROFILE to 1 + 16 (default and high rate) and fly again."
-            )
         if quantity == "rotor_command":
             curve = rotors.thrust_curve
             values = rotors.speed_max * np.sqrt(np.maximum(curve * values**2 + (1 - curve) * values, 0.0))
         return values, "measured" if quantity == "rotor_speed" else "command"
+    if flight.has("collective_thrust_command", "torque_command"):
+        return _allocated(flight, vehicle), "command"
+    if slow:
+        raise DataError(
+            f"{name} has {slow}. Wanted {SLOWEST:.0f} Hz or more: with PX4, set SDLOG_PROFILE to 17 (default and high "
+            "rate) and fly again."
+        )
     raise DataError(f"{name} has {', '.join(flight.quantities)}. Wanted rotor speeds or motor commands; log them.")
+
+
+def _allocated(flight: Flight, vehicle: Vehicle) -> Floats:
+    """(n, rotors) rad/s that give the commanded thrust and torque, where the log knows no rotors."""
+    thrust = flight["collective_thrust_command"].reshape(-1, 1)
+    wanted = np.hstack([thrust, flight["torque_command"]])
+    squares = wanted @ np.linalg.pinv(vehicle.rotors.allocation).T
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
 
 
 def _on_ground(flight: Flight, speed: Floats, vehicle: Vehicle) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
