@@ -82,8 +82,9 @@ def main() -> None:
     text = (
         "Errors against the true accelerations on the eight test flights (campaign's effects and sensors, 100 Hz), "
         f"norms over three axes; cutoffs chosen on {', '.join(TUNING)}. Seed {options.seed}. On this linear model the "
-        "UKF is the Kalman filter; looking ahead is what the smoother gains. Labels are made afterwards and may "
-        "look ahead: `flights.labels` uses the RTS smoother.\n\n"
+        "UKF is the Kalman filter; what the smoother gains is the look ahead, which labels may have, because they are "
+        "made afterwards. `flights.labels.paper_label` uses the RTS smoother, `increment_label` Butterworth filters of "
+        "5 Hz for velocity and 12 Hz for body rates.\n\n"
     )
     write_result("acceleration_labels", "Accelerations from velocities", text + "\n".join(lines))
 

@@ -32,13 +32,18 @@ def inspect(
 ) -> None:
     """Judge logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
     with workbench("alula inspect"):
-        from alula.inspection_page import write_page
-        from flights.verdict import inspect_log
+        from alula.inspection_page import Section, section, write_page
+        from flights import Flight, read_log
+        from flights.verdict.inspection import judge
     found: list[Inspection] = []
+    sections: list[Section] = []
     refused: list[AlulaError] = []
     for path in log:
         try:
-            found.append(inspect_log(path, mapping=mapping))
+            streams = read_log(path, mapping=mapping)
+            found.append(judge(streams))
+            if html is not None:
+                sections.append(section(found[-1], Flight.from_log(streams)))
         except AlulaError as error:
             if len(log) == 1:
                 raise
@@ -50,7 +55,7 @@ def inspect(
         for inspection in found:
             _print(inspection, console, everything=everything)
     if html is not None:
-        write_page(found, html)
+        write_page(sections, html)
         print(f"written: {html}", file=sys.stderr)
     _end(found, refused)
 

@@ -1,0 +1,135 @@
+"""`alula inspect` as a user meets it: table, JSON, page, exit codes."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import msgspec
+import pytest
+
+from alula import cli
+from flights import Flight
+from flights.verdict import Inspection
+from tests.support.simulated_flight import flown, table
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return table(flown().log).to_csv(tmp_path_factory.mktemp("logs") / "good.csv")
+
+
+@pytest.fixture(scope="module")
+def poor(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """No motors at all."""
+    path = tmp_path_factory.mktemp("logs") / "poor.parquet"
+    flight = Flight.from_log(flown().log, rate=100.0)
+    slow = {name: values for name, values in flight.columns.items() if not name.startswith(("rotor", "thrust"))}
+    return Flight(flight.time, slow, flight.provenance).to_parquet(path)
+
+
+class Finished(NamedTuple):
+    code: int
+    out: str
+    err: str
+
+
+Inspect = Callable[..., Finished]
+
+
+@pytest.fixture
+def inspect(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Inspect:
+    """Run `alula inspect` in this process."""
+
+    def run(*arguments: object) -> Finished:
+        monkeypatch.setattr(sys, "argv", ["alula", "inspect", *map(str, arguments)])
+        with pytest.raises(SystemExit) as caught:
+            cli.main()
+        return Finished(int(caught.value.code or 0), *capsys.readouterr())
+
+    return run
+
+
+def test_a_good_log_ends_with_0_and_says_what_it_can_tell(inspect: Inspect, good: Path) -> None:
+    done = inspect(good)
+    assert done.code == 0
+    assert "This log is good" in done.out
+    assert re.search(r"rotor_drag\s+│ yes", done.out)
+
+
+def test_a_log_that_cannot_answer_ends_with_3_and_says_why(inspect: Inspect, poor: Path) -> None:
+    done = inspect(poor)
+    assert done.code == 3
+    assert "This log cannot answer" in done.out
+    assert "neither rotor speeds nor commands" in done.err
+    assert "Traceback" not in done.err
+
+
+def test_json_is_a_list_of_verdicts_even_when_one_cannot_answer(inspect: Inspect, good: Path, poor: Path) -> None:
+    done = inspect(good, poor, "--json")
+    assert done.code == 3
+    first, second = msgspec.json.decode(done.out, type=list[Inspection])
+    assert (first.verdict, second.verdict) == ("good", "unusable")
+    assert first.delays
+    assert {effect.answer for effect in first.effects} <= {"yes", "weakly", "no"}
+
+
+@pytest.mark.parametrize(("content", "code"), [(None, 2), ("", 3), ("nonsense", 2)])
+def test_a_file_that_is_no_log_is_refused_by_name(
+    inspect: Inspect, tmp_path: Path, content: str | None, code: int
+) -> None:
+    path = tmp_path / "log.csv"
+    if content is not None:
+        path.write_text(content)
+    done = inspect(path)
+    assert done.code == code
+    assert "log.csv" in done.err
+    assert "Traceback" not in done.err
+
+
+def test_a_good_log_beside_a_broken_one_is_still_judged(inspect: Inspect, good: Path, tmp_path: Path) -> None:
+    done = inspect(good, tmp_path / "missing.ulg")
+    assert done.code == 2
+    assert "This log is good" in done.out
+    assert "1 of 2 logs could not be read" in done.err
+
+
+def test_the_page_holds_everything_it_needs(inspect: Inspect, good: Path, poor: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    inspect(good, poor, "--html", page)
+    text = page.read_text(encoding="utf-8")
+    assert not re.search(r"<(script|link|img)[^>]+(src|href)\s*=\s*[\"']?https?:", text)
+    assert text.count('class="verdict') == 2
+    assert "rotor_gyroscopic" in text
+
+
+def test_a_page_that_cannot_be_written_is_a_wrong_request(inspect: Inspect, good: Path, tmp_path: Path) -> None:
+    done = inspect(good, "--html", tmp_path / "no_folder" / "page.html")
+    assert done.code == 2
+    assert "cannot write" in done.err
+
+
+BROWSER = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
+)
+
+
+@pytest.mark.skipif(BROWSER is None and os.environ.get("CI") != "true", reason="no Chromium here; CI has one")
+def test_the_page_draws_its_plots_in_a_browser_without_a_network(inspect: Inspect, good: Path, tmp_path: Path) -> None:
+    page = tmp_path / "page.html"
+    inspect(good, "--html", page)
+    assert BROWSER is not None, "CI must have Chromium"
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader", "--enable-unsafe-swiftshader",
+        "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000",
+        "--dump-dom", page.as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
+    assert done.stdout.count('class="main-svg"') >= 3
+    assert "late" in done.stdout
