@@ -13,12 +13,13 @@ import casadi as ca
 import numpy as np
 
 from diagnosis.filters import Floats, delayed
+from diagnosis.rows import RowFunction
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect, Expression
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from dynamics.vehicle import EffectUse, Vehicle
 
-OUTPUTS = 9  # specific force, angular acceleration, body rate
+PARAMETERS = 4  # place of the parameters among the functions' inputs
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,15 +67,16 @@ class Predictor:
         self._symbols = _symbols(self.model)
         outputs = _outputs(self.model, self._symbols)
         inputs = list(self._symbols.values())
-        self._evaluate = ca.Function("evaluate", inputs, [outputs])
+        self._evaluate = RowFunction(ca.Function("evaluate", inputs, [ca.densify(outputs)]), shared=(PARAMETERS,))
         self._age = ca.Function("age", [self._symbols["p"]], [_age(self.model, self._symbols["p"])])
         directions = ca.DM.eye(len(self.model.parameter_names))
         columns = [
             ca.jtimes(outputs, self._symbols["p"], directions[:, self.model.parameter_index(name)]) for name in free
         ]
-        self._slopes = ca.Function("slopes", inputs, [ca.densify(ca.vertcat(*columns))]) if free else None
-        self._advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
-        self._runs: dict[int, ca.Function] = {}  # by the number of rows
+        stacked = ca.Function("slopes", inputs, [ca.densify(ca.vertcat(*columns))]) if free else None
+        self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
+        advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
+        self._advance = RowFunction(advance, chained=True) if advance is not None else None
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -86,7 +88,7 @@ class Predictor:
     def predict(self, stretch: Stretch, changed: Mapping[str, float] | None = None) -> Prediction:
         """What the model says along a stretch."""
         p = self.values(changed)
-        found = self._evaluate(*self._arguments(stretch, p, None, None)).full().T
+        found = self._evaluate(*self._arguments(stretch, p, None, None))
         return Prediction(found[:, 0:3], found[:, 3:6], found[:, 6:9], float(self._age(p)), true_force=found[:, 9:12])
 
     def slopes(
@@ -101,7 +103,7 @@ class Predictor:
         assert self._slopes is not None
         p = self.values(changed)
         arguments = self._arguments(stretch, p, rotor_speed, rotor_acceleration)
-        found = self._slopes(*arguments).full().T
+        found = self._slopes(*arguments)
         parts = found.reshape(len(found), len(self.free), 12)
         age = float(self._age(p))
         return [
@@ -116,22 +118,19 @@ class Predictor:
 
     def _arguments(
         self, stretch: Stretch, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
-    ) -> list[Expression]:
+    ) -> list[Floats]:
         speed = stretch.rotor_speed if rotor_speed is None else rotor_speed
         turning_up = stretch.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
-        return [self.states(stretch, p).T, stretch.body_rate.T, speed.T, turning_up.T, p, stretch.environment.T]
+        return [self.states(stretch, p), stretch.body_rate, speed, turning_up, p, stretch.environment]
 
     def _hidden(self, stretch: Stretch, p: Floats) -> Floats:
         """(n, h) hidden states along the stretch, from their values in hover."""
-        count, h = len(stretch), self.model.hidden_count
-        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])
         assert self._advance is not None
-        if count not in self._runs:
-            self._runs[count] = self._advance.mapaccum("run", count - 1)
-        run = self._runs[count]
+        steps = len(stretch) - 1
+        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])
         initial = _settled(self.model, stretch)
-        after = run(initial, here[:-1].T, here[1:].T, ca.repmat(ca.DM(p), 1, count - 1), 1 / stretch.rate).full()
-        return np.vstack([initial, after.T.reshape(count - 1, h)])
+        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), 1 / stretch.rate)
+        return np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
 
 
 def _settled(model: Model, stretch: Stretch) -> Floats:
