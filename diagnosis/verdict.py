@@ -110,10 +110,22 @@ def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
     gram: Floats = np.sum(regression.gram, axis=0)
     for candidate in regression.candidates:
         name = candidate.effect.name
-        if name in chosen.names or seen.get(name):
+        specified = candidate.columns[0] in regression.biases.columns  # every flight has some of these
+        if name in chosen.names or seen.get(name) or specified or not _is_usual(candidate, regression):
             continue
         seen[name] = _usual_gain(regression, gram, candidate, chosen.columns) > LEAST_GAIN + search.penalty(candidate)
     return tuple(name for name, shown in seen.items() if not shown)
+
+
+def _is_usual(candidate: Candidate, regression: Regression) -> bool:
+    """Whether a variant's held parameters are the effect's usual ones, or no variant's are."""
+    usual = candidate.effect.defaults(regression.vehicle)
+
+    def matches(other: Candidate) -> bool:
+        return all(np.isclose(v, usual[n]) for n, v in other.at.items() if n not in other.free)
+
+    family = [c for c in regression.candidates if c.effect is candidate.effect and not c.whole]
+    return matches(candidate) or not any(map(matches, family))
 
 
 def _usual_gain(regression: Regression, gram: Floats, candidate: Candidate, chosen: Sequence[int]) -> float:

@@ -131,3 +131,18 @@ def test_perturbing_the_data_does_not_change_the_stretch(plain):
     assert dataclasses.replace(noisier, position=stretch.position).flight == stretch.flight
     assert not np.array_equal(noisier.velocity, stretch.velocity)
     assert np.std(noisier.velocity - stretch.velocity) < 0.05
+
+
+def test_what_the_catalogue_does_not_know_is_called_unknown(plain, heavier):
+    others = {n: SOME[n] for n in ("rotor_drag", "wind", "gyro_bias", "time_delay", "inertia")}
+    found = diagnose(plain, heavier, {**others, "imu_bias": CATALOGUE["imu_bias"]}).diagnosis
+    assert found.verdict == "unknown"
+    assert "no effect of the catalogue explains" in sentence(found)
+
+
+def test_an_effect_that_was_not_excited_is_neither_there_nor_absent(plain_flights, arpl_250g):
+    high = [flight for i, flight in enumerate(plain_flights) if i != 3]  # the third alone comes down to the ground
+    found = diagnose(make_dataset(high, arpl_250g), arpl_250g, {**SOME, "ground_effect": CATALOGUE["ground_effect"]})
+    assert "ground_effect" in found.diagnosis.not_excited
+    assert "mass" not in found.diagnosis.not_excited
+    assert "ground" in found.diagnosis.next_flight
