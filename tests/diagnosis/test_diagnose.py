@@ -97,6 +97,14 @@ def test_an_effect_that_helps_is_added_with_a_line_of_history(plain, heavier, tm
     assert len(line.flights) == len(plain.hashes)
 
 
+def test_what_the_file_knew_is_fitted_again_with_what_is_added(plain, heavier):
+    draggy = heavier.with_effects(EffectUse("rotor_drag", {"coefficient": 4e-6}))  # there is none
+    added = add_effect("mass", plain, draggy, SOME, date="2026-01-02").vehicle
+    assert [use.name for use in added.effects] == ["mass", "rotor_drag"]
+    assert added.effects[0].parameters["ratio"] == pytest.approx(1 / 1.06, rel=0.01)
+    assert added.effects[1].parameters["coefficient"] < 4e-7
+
+
 def test_an_effect_that_does_not_help_is_refused(plain, arpl_250g):
     with pytest.raises(DataError, match="was not added"):
         add_effect("wind", plain, arpl_250g, SOME, date="2026-01-02")
