@@ -180,6 +180,8 @@ def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float
     edges = np.concatenate([stretch.blocks + start for stretch, start in zip(stretches, starts, strict=False)])
     sums = np.zeros(len(edges))
     for raw in _sides(stretches, delay):
+        if float(np.mean(raw.residual**2)) < 1e-20:
+            continue  # a channel that stands still says nothing
         side = raw.whitened(starts[1:-1])
         coefficients, residual = _solve(side.columns, side.answer), side.residual
         direction = side.slope @ coefficients[: side.slope.shape[1]]

@@ -27,10 +27,10 @@ GRID_RATE = 200.0  # Hz of the comparisons
 CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
 LOWEST = 0.5  # Hz: slower differences are biases
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
-ROTOR_BAND = (2.0, 15.0)  # Hz: slower forces are drag and inflow, which follow speed rather than rotors
+ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
 # calibration of benchmarks/delay_estimation.py
-ROTOR_LOOP, VELOCITY_LOOP = 0.04, 0.01
+ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
 LARGEST_STD = 0.004  # s; a delay known less well than this is told and not removed
 
 

@@ -77,6 +77,8 @@ def derivative(values: Floats, period: float) -> Floats:
 
 def each_stretch(values: Floats, function: Callable[[Floats], Floats]) -> Floats:
     """A function of consecutive rows, applied to each run of rows without NaN; rows with NaN stay NaN."""
+    if not len(values):
+        return values
     table = values.reshape(len(values), -1)
     known = np.asarray(np.isfinite(table).all(axis=1))
     result = np.full_like(values, np.nan, dtype=float)

@@ -56,7 +56,7 @@ def measures(pieces: Sequence[Flight], *, ground: float = 0.0) -> dict[str, floa
         return {"duration": 0.0}
     found = {"duration": sum(piece.duration for piece in pieces)}
     parts = [_piece(piece) for piece in pieces]
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    whole = _known_parts(parts)
     found |= {name: _rms(values) for name, values in whole.items() if name in UNITS}
     if "speed" in whole:
         found["speed"] = float(np.nanpercentile(whole["speed"], 95))
@@ -65,9 +65,10 @@ def measures(pieces: Sequence[Flight], *, ground: float = 0.0) -> dict[str, floa
     if "yaw" in whole:
         together = float(np.abs(np.nanmean(np.exp(1j * whole["yaw"]))))
         found["headings"] = float(np.sqrt(-2 * np.log(np.clip(together, 1e-9, 1.0))))  # circular standard deviation
-    if "voltage" in whole and np.isfinite(whole["voltage"]).any():
+    if "voltage" in whole:
         known = whole["voltage"][np.isfinite(whole["voltage"])]
-        found["voltage_drop"] = float((np.percentile(known, 98) - np.percentile(known, 2)) / max(np.mean(known), 1e-9))
+        least, most = np.percentile(known, [2, 98])
+        found["voltage_drop"] = float((most - least) / max(float(np.mean(known)), 1e-9))
     if "effort" in whole:
         found["thrust_range"] = float(np.nanstd(whole["effort"]))
     return found
@@ -77,8 +78,7 @@ def coverages(pieces: Sequence[Flight]) -> tuple[Coverage, ...]:
     """Where the time was spent: speed and thrust, speed and body rates."""
     if not pieces:
         return ()
-    parts = [_piece(piece) for piece in pieces]
-    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    whole = _known_parts([_piece(piece) for piece in pieces])
     period = pieces[0].period
     found = []
     if {"speed", "effort"} <= whole.keys():
@@ -86,6 +86,12 @@ def coverages(pieces: Sequence[Flight]) -> tuple[Coverage, ...]:
     if {"speed", "turning"} <= whole.keys():
         found.append(_map("speed m/s", whole["speed"], SPEED_EDGES, "rate rad/s", whole["turning"], RATE_EDGES, period))
     return tuple(found)
+
+
+def _known_parts(parts: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
+    """What all segments tell, after each other, without what is never known."""
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0] if all(name in p for p in parts)}
+    return {name: values for name, values in whole.items() if np.isfinite(values).any()}
 
 
 def _map(

@@ -62,6 +62,9 @@ def _dead(piece: Flight, rotor: int) -> np.ndarray:
 
 
 def _share_of_peers(values: Floats) -> Floats:
-    """Each column's mean over the median of the others' means."""
-    mean = np.nanmean(np.abs(values), axis=0)
-    return np.array([mean[k] / max(float(np.median(np.delete(mean, k))), 1e-9) for k in range(len(mean))])
+    """Each column's mean over the median of the others' means; 1 where nothing is known."""
+    columns = [np.abs(column[np.isfinite(column)]) for column in values.T]
+    mean = np.array([column.mean() if len(column) else np.nan for column in columns])
+    peers = np.array([np.median(np.delete(mean, k)) if len(mean) > 1 else np.nan for k in range(len(mean))])
+    known = np.isfinite(mean) & np.isfinite(peers) & (peers > 0)
+    return np.asarray(np.divide(mean, peers, out=np.ones_like(mean), where=known))
