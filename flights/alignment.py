@@ -64,6 +64,9 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     start = min(float(s.time[0]) for s in spanning)
     end = max(float(s.time[-1]) for s in spanning)
     chosen = rate if rate is not None else _natural_rate(spanning)
+    gyro = next((stream for stream in spanning if stream.name == "rate"), None)
+    if gyro is not None:  # its samples shall need no interpolation
+        start = float(gyro.time[0]) - np.floor((float(gyro.time[0]) - start) * chosen + 1e-6) / chosen
     count = int(np.floor((end - start) * chosen + 1e-6)) + 1
     if count > MOST_ROWS:
         raise DataError(
