@@ -28,7 +28,7 @@ def read_aligned(path: str | Path, *, mapping: str | Path | None = None, rate: f
     """Read a log, find what is no free flight and how late its streams are, and put their stamps right.
 
     mapping: column-mapping TOML for a foreign CSV. rate: Hz of the common clock, by default that of the gyro. Delays
-    that are known to 4 ms or better are taken off, a command's response never. Raises as `Flight.read` does.
+    that are known to 8 ms or better are taken off, a command's response never. Raises as `Flight.read` does.
     """
     log = read_log(path, mapping=mapping)
     exclusions = find_exclusions(Flight.from_log(log, rate=rate))

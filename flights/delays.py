@@ -31,7 +31,7 @@ ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
 # calibration of benchmarks/delay_estimation.py
 ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
-LARGEST_STD = 0.004  # s; a delay known less well than this is told and not removed
+LARGEST_REACH = 0.008  # s of half an interval; a delay known less well than this is told and not removed
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Delay:
     @property
     def is_known(self) -> bool:
         """Whether the flight moved enough to tell it."""
-        return self.std <= LARGEST_STD
+        return self.high - self.low <= 2 * LARGEST_REACH
 
     def __str__(self) -> str:
         word = "is followed with a lag of" if self.is_response else "late by"
