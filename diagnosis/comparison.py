@@ -14,8 +14,20 @@ from diagnosis.evaluation import floors, residuals
 from diagnosis.filters import Floats
 from diagnosis.fitness import require_answerable
 from diagnosis.open_loop import HorizonError, open_loop_errors
-from diagnosis.regimes import Failure, Regime, regime_maps, worst_cells
+from diagnosis.regimes import (
+    Failure,
+    Plane,
+    PlaneCells,
+    Regime,
+    RegimeCells,
+    plane_cells,
+    regime_cells,
+    regime_maps,
+    regime_planes,
+    worst_cells,
+)
 from diagnosis.regression import Regression, make_regression
+from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -49,15 +61,20 @@ class Comparison(msgspec.Struct, frozen=True):
     worst: WorstSeconds
     open_loop: tuple[HorizonError, ...]
     notes: tuple[str, ...]
+    maps: tuple[RegimeCells, ...]
+    planes: tuple[PlaneCells, ...]
+    spectrum: SpectrumLines
 
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A comparison and what pictures of it need: residuals (m, 12) of each stretch, maps, the regression."""
+    """A comparison and what pictures of it need: residuals (m, 12) of each stretch, maps, spectrum, the regression."""
 
     comparison: Comparison
     residuals: list[Floats]
     maps: tuple[Regime, ...]
+    planes: tuple[Plane, ...]
+    spectrum: Spectrum
     regression: Regression
 
 
@@ -69,14 +86,19 @@ def compare(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect])
     rows = residuals(vehicle, catalogue, stretches)
     floor = regression.noise.floor
     maps = regime_maps(stretches, rows, floor, vehicle)
+    planes = regime_planes(stretches, rows, floor, vehicle)
+    spectrum = residual_spectrum(rows, regression.noise, regression.rate)
     comparison = Comparison(
         axes=_axes(rows, regression),
         fails_where=worst_cells(maps),
         worst=_worst(stretches, rows, regression),
         open_loop=open_loop_errors(vehicle, catalogue, stretches),
         notes=dataset.notes,
+        maps=tuple(map(regime_cells, maps)),
+        planes=tuple(map(plane_cells, planes)),
+        spectrum=spectrum_lines(spectrum),
     )
-    return Compared(comparison, rows, maps, regression)
+    return Compared(comparison, rows, maps, planes, spectrum, regression)
 
 
 def _axes(rows: Sequence[Floats], regression: Regression) -> tuple[AxisError, ...]:

@@ -1,0 +1,80 @@
+"""Where a model fails is shown where it was flown, and what it leaves stands against the sensors' noise."""
+
+import msgspec
+import numpy as np
+import pytest
+
+from diagnosis.comparison import compare
+from diagnosis.dataset import make_dataset
+from diagnosis.filters import kept
+from diagnosis.noise import estimate_noise
+from diagnosis.regimes import BINS, plane_cells, regime_maps, regime_planes
+from diagnosis.spectrum import residual_spectrum
+from dynamics.effects import CATALOGUE
+
+SOME = {name: CATALOGUE[name] for name in ("rotor_drag", "imu_bias", "gyro_bias", "time_delay")}
+WANTED = {
+    "speed m/s", "thrust over weight", "body rate rad/s", "roll rate rad/s", "pitch rate rad/s", "yaw rate rad/s",
+    "height m", "east m", "north m", "heading of motion rad", "time s",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def stretches(plain_flights, arpl_250g):
+    return make_dataset(plain_flights, arpl_250g).everything
+
+
+def failing_fast(stretch):
+    """Residuals at their floor of 1, five times as large in the accelerometer above 1.5 m/s."""
+    rows = kept(len(stretch), stretch.rate)
+    fast = np.linalg.norm(stretch.smooth[rows, 3:6], axis=1) > 1.5
+    found = np.ones((len(fast), 12))
+    found[fast, 0:3] *= 5
+    return found
+
+
+def test_every_regime_that_the_flights_have_is_mapped_and_the_planted_one_stands_out(stretches, arpl_250g):
+    rows = [failing_fast(s) for s in stretches]
+    maps = {m.name: m for m in regime_maps(stretches, rows, np.ones(12), arpl_250g)}
+    assert set(maps) >= WANTED
+    speed = maps["speed m/s"]
+    above = speed.edges[:-1] > 1.5
+    assert np.nanmin(speed.over_floor[0, above]) == pytest.approx(5.0)
+    assert np.nanmax(speed.over_floor[0, speed.edges[1:] < 1.5]) == pytest.approx(1.0)
+    np.testing.assert_allclose(speed.over_floor[2][np.isfinite(speed.over_floor[2])], 1.0)
+
+
+def test_planes_leave_what_was_not_flown_unmarked(stretches, arpl_250g):
+    rows = [failing_fast(s) for s in stretches]
+    planes = {(p.across, p.up): p for p in regime_planes(stretches, rows, np.ones(12), arpl_250g)}
+    plane = planes["speed m/s", "thrust over weight"]
+    assert plane.over_floor.shape == (4, BINS, BINS)
+    assert 0 < np.isnan(plane.over_floor[0]).sum() < BINS * BINS
+    last = plane.over_floor[0][:, -1]  # the fastest column, some of whose thrusts were flown
+    assert np.nanmax(last) == pytest.approx(5.0)
+    cells = plane_cells(plane).over_floor["imu"]
+    assert sum(cell is None for row in cells for cell in row) == np.isnan(plane.over_floor[0]).sum()
+
+
+def test_a_line_stands_out_of_the_noise_models_spectrum():
+    random = np.random.default_rng(0)
+    noise_rows = [random.standard_normal((2000, 12)) for _ in range(2)]
+    noise = estimate_noise(noise_rows, 25.0, range(9))
+    swung = noise_rows[0].copy()
+    swung[:, 4] += np.sin(2 * np.pi * 3.0 * np.arange(2000) / 25.0)
+    spectrum = residual_spectrum([swung], noise, 25.0)
+    ratio = spectrum.power / spectrum.noise
+    assert np.nanmedian(ratio) == pytest.approx(1.0, abs=0.15)
+    assert spectrum.frequency[np.argmax(ratio[4])] == pytest.approx(3.0, abs=0.2)
+    assert ratio[4].max() > 10 > np.delete(ratio[:9], 4, axis=0).max()
+    assert np.isnan(spectrum.power[9:]).all()
+
+
+def test_the_comparison_as_json_holds_maps_planes_and_spectrum(plain_flights, arpl_250g):
+    found = compare(make_dataset(plain_flights, arpl_250g), arpl_250g, SOME)
+    told = msgspec.json.decode(msgspec.json.encode(found.comparison))
+    assert {m["name"] for m in told["maps"]} >= WANTED
+    assert [p["across"] for p in told["planes"]] == ["speed m/s", "roll rate rad/s", "east m"]
+    assert any(None in row for plane in told["planes"] for row in plane["over_floor"]["imu"])
+    assert set(told["spectrum"]["power"]) == set(told["spectrum"]["noise"])
+    assert len(told["spectrum"]["frequency"]) == len(told["spectrum"]["power"]["imu x"])
