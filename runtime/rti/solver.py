@@ -127,7 +127,7 @@ def build_solver(model: Model, problem: Problem) -> Path:
             f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
         }  # fmt: skip
     folder = resources.files("runtime.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in ("rti.c", "dense_qp.h")}
+    sources = {name: folder.joinpath(name).read_text() for name in ("rti.c", "condensed.h", "dense_qp.h")}
     sources["model.c"] = generate_c([node, step])
     hpipm = find_hpipm()
     flags = (*FLAGS, *(f"-D{name}={value}" for name, value in defines.items()), *hpipm.compiler_flags)

@@ -1,0 +1,231 @@
+/* What a preparation leaves, and the feedback that solves it; whoever includes this file rolls out and condenses.
+ *
+ * With columns z = (dx_0, v_0 .. v_{N-1}) and u_k + SCALE v_k the new inputs, the predicted states move by S_k z. A
+ * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, how g moves with
+ * dx_0. rti_feedback takes the state that was really measured and solves a dense QP in the inputs alone.
+ *
+ * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone; where its
+ * solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again: the
+ * optimum of a relaxation that is feasible is the optimum. */
+#ifndef ALULA_CONDENSED_H
+#define ALULA_CONDENSED_H
+
+#include <math.h>
+#include <time.h>
+
+#include "dense_qp.h"
+
+/* Wanted from the includer: NX, NU, N, VECTOR_BYTES; SENSITIVITY, the type of S; START, the column of dx_0's first
+ * entry; X0, the first column of v_0. */
+#define V (N * NU)
+#define LANES_OF(type) (VECTOR_BYTES / (int)sizeof(type))
+#define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
+#define L ROUND_TO(X0 + V, LANES_OF(SENSITIVITY))
+#define SOLVES 3
+#define FAR 1e8 /* stands for no bound: the interior-point method wants finite numbers */
+
+typedef struct {
+    double Q[NX], P[NX], R[NU];
+    double u_lower[NU], u_upper[NU], x_lower[NX], x_upper[NX];
+    double thrust_lower, thrust_upper, thrust_constant;
+    double node, scale, levenberg_marquardt, tolerance, penalty;
+    int iterations, row_iterations;
+} rti_options;
+
+typedef struct {
+    double prepare_seconds, rollout_seconds, condense_seconds, feedback_seconds;
+    int status, iterations, rows, solves;
+} rti_report;
+
+typedef struct {
+    double x[N + 1][NX], u[N][NU]; /* the current trajectory: predicted states and inputs */
+    double x_reference[N + 1][NX], u_reference[N][NU];
+    double x_prepared[NX];
+    SENSITIVITY S[N + 1][NX][L] __attribute__((aligned(64)));
+    double G[V][NX]; /* derivative of the gradient by dx_0 */
+    double H[V * V], g[V], z[X0 + V], lower[V], upper[V];
+    double g_measured[V];
+    double C[V * N * (NX + 1)], row_lower[N * (NX + 1)], row_upper[N * (NX + 1)];
+    rti_options o;
+    rti_report report;
+    bool prepared;
+    bool bounded[NX + 1]; /* quantities whose rows are in the QP: the states, then collective thrust */
+    dense_qp *qp, *rows[NX + 2]; /* without rows, and with the rows of so many quantities */
+} condensed;
+
+static double now(void) {
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
+}
+
+static double lower_bound(const condensed *r, int i) { return i == NX ? r->o.thrust_lower : r->o.x_lower[i]; }
+static double upper_bound(const condensed *r, int i) { return i == NX ? r->o.thrust_upper : r->o.x_upper[i]; }
+static bool is_bounded(const condensed *r, int i) { return lower_bound(r, i) > -INFINITY || upper_bound(r, i) < INFINITY; }
+
+static void condensed_create(condensed *r, const rti_options *options) {
+    r->o = *options;
+    r->qp = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
+    for (int i = 0, quantities = 0; i <= NX; i++)
+        if (is_bounded(r, i)) {
+            quantities++;
+            r->rows[quantities] =
+                dense_qp_create(V, N * quantities, options->tolerance, options->row_iterations, options->penalty);
+        }
+}
+
+void rti_free(condensed *r) {
+    dense_qp_free(r->qp);
+    for (int i = 0; i < NX + 2; i++) dense_qp_free(r->rows[i]);
+    free(r);
+}
+
+double *rti_states(condensed *r) { return &r->x[0][0]; }
+double *rti_inputs(condensed *r) { return &r->u[0][0]; }
+double *rti_hessian(condensed *r) { return r->H; }
+double *rti_gradient(condensed *r) { return r->g; }
+rti_report *rti_last_report(condensed *r) { return &r->report; }
+
+static bool finite_all(const double *values, int count) {
+    for (int i = 0; i < count; i++)
+        if (!isfinite(values[i])) return false;
+    return true;
+}
+
+/* Take in what a preparation is given; returns whether all of it is finite. */
+static bool condensed_begin(condensed *r, const double *x, const double *x_reference, const double *u_reference) {
+    r->prepared = finite_all(x, NX) && finite_all(x_reference, (N + 1) * NX) && finite_all(u_reference, V);
+    if (!r->prepared) return false;
+    memcpy(r->x_prepared, x, sizeof r->x_prepared);
+    memcpy(r->x[0], x, sizeof r->x[0]);
+    memcpy(r->x_reference, x_reference, sizeof r->x_reference);
+    memcpy(r->u_reference, u_reference, sizeof r->u_reference);
+    return true;
+}
+
+/* Hand the finished Hessian and the box around the inputs to the QP. */
+static void condensed_finish(condensed *r) {
+    d_dense_qp_set_H(r->H, &r->qp->qp);
+    dense_qp_factor(r->qp);
+    for (int k = 0; k < N; k++)
+        for (int j = 0; j < NU; j++) {
+            r->lower[k * NU + j] = (r->o.u_lower[j] - r->u[k][j]) / r->o.scale;
+            r->upper[k * NU + j] = (r->o.u_upper[j] - r->u[k][j]) / r->o.scale;
+        }
+    d_dense_qp_set_lb(r->lower, &r->qp->qp);
+    d_dense_qp_set_ub(r->upper, &r->qp->qp);
+}
+
+/* Move the inputs by a part of a node towards the horizon's end, as time does between two ticks. */
+void rti_shift(condensed *r, double part) {
+    for (int k = 0; k + 1 < N; k++)
+        for (int j = 0; j < NU; j++) r->u[k][j] += part * (r->u[k + 1][j] - r->u[k][j]);
+}
+
+/* Change of state i at node k under the step z. */
+static double move(const condensed *r, int k, int i, const double *z) {
+    double sum = 0;
+    int columns = X0 + k * NU;
+    for (int c = 0; c < columns; c++) sum += r->S[k][i][c] * z[c];
+    return sum;
+}
+
+static double thrust(const condensed *r, int k, const double *z) {
+    double sum = 0;
+    for (int j = 0; j < NU; j++)
+        sum += r->u[k][j] * (r->u[k][j] + 2 * r->o.scale * z[X0 + k * NU + j]);
+    return r->o.thrust_constant * sum;
+}
+
+static double value_of(const condensed *r, int k, int i, const double *z) {
+    return i == NX ? thrust(r, k, z) : r->x[k + 1][i] + move(r, k + 1, i, z);
+}
+
+/* Take in the rows of every quantity that the step z takes out of its bounds; returns whether there was a new one. */
+static bool take_violated(condensed *r) {
+    bool more = false;
+    for (int i = 0; i <= NX; i++) {
+        if (r->bounded[i] || !is_bounded(r, i)) continue;
+        for (int k = 0; k < N && !r->bounded[i]; k++) {
+            double value = value_of(r, k, i, r->z), slack = 1e-3 * (fabs(value) + 1e-3);
+            r->bounded[i] = value < lower_bound(r, i) - slack || value > upper_bound(r, i) + slack;
+        }
+        more |= r->bounded[i];
+    }
+    return more;
+}
+
+/* The row of quantity i at node k: its derivative by the inputs, and how far it may still move. */
+static void write_row(condensed *r, int k, int i, int rows, int place) {
+    double at[X0 + V] = {0};
+    memcpy(at + START, r->z + START, sizeof(double) * NX); /* the measured state moves the row as well */
+    for (int c = 0; c < V; c++) r->C[c * rows + place] = 0;
+    if (i == NX)
+        for (int j = 0; j < NU; j++)
+            r->C[(k * NU + j) * rows + place] = 2 * r->o.thrust_constant * r->o.scale * r->u[k][j];
+    else
+        for (int c = 0; c < (k + 1) * NU; c++) r->C[c * rows + place] = r->S[k + 1][i][X0 + c];
+    r->row_lower[place] = fmax(lower_bound(r, i) - value_of(r, k, i, at), -FAR);
+    r->row_upper[place] = fmin(upper_bound(r, i) - value_of(r, k, i, at), FAR);
+}
+
+static int solve_with_rows(condensed *r) {
+    int quantities = 0, place = 0, iterations;
+    for (int i = 0; i <= NX; i++) quantities += r->bounded[i];
+    dense_qp *q = r->rows[quantities];
+    for (int i = 0; i <= NX; i++)
+        for (int k = 0; k < N && r->bounded[i]; k++) write_row(r, k, i, N * quantities, place++);
+    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
+    d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
+    d_dense_qp_set_C(r->C, &q->qp);
+    d_dense_qp_set_lg(r->row_lower, &q->qp), d_dense_qp_set_ug(r->row_upper, &q->qp);
+    int status = dense_qp_solve(q, r->z + X0, &iterations);
+    r->report.rows = place;
+    r->report.iterations += iterations;
+    return status;
+}
+
+/* Add the step to the trajectory. */
+static void apply(condensed *r) {
+    for (int k = 0; k <= N; k++)
+        for (int i = 0; i < NX; i++) r->x[k][i] += move(r, k, i, r->z);
+    for (int k = 0; k < N; k++)
+        for (int j = 0; j < NU; j++) {
+            double value = r->u[k][j] + r->o.scale * r->z[X0 + k * NU + j];
+            r->u[k][j] = fmin(fmax(value, r->o.u_lower[j]), r->o.u_upper[j]);
+        }
+}
+
+/* x: the state now. Returns 0 when the QP was solved; else the trajectory keeps what it held, the shifted previous
+ * solution, and the status is HPIPM's (1: iterations ran out, 2: step too short, 3: not a number) or -1 for an x that
+ * is not finite or a preparation that was refused. A QP that ran out of iterations close to its solution is still taken. */
+int rti_feedback(condensed *r, const double *x) {
+    double start = now();
+    rti_report *report = &r->report;
+    report->iterations = report->rows = report->solves = 0;
+    report->status = -1;
+    if (r->prepared && finite_all(x, NX)) {
+        for (int i = 0; i < NX; i++) r->z[START + i] = x[i] - r->x_prepared[i];
+        for (int v = 0; v < V; v++) {
+            r->g_measured[v] = r->g[v];
+            for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[START + i];
+        }
+        report->status = 0;
+        if (!dense_qp_free_optimum(r->qp, r->g_measured, r->lower, r->upper, r->z + X0)) {
+            d_dense_qp_set_g(r->g_measured, &r->qp->qp);
+            report->status = dense_qp_solve(r->qp, r->z + X0, &report->iterations);
+        }
+        memset(r->bounded, 0, sizeof r->bounded);
+        for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + V); report->solves++) {
+            if (!take_violated(r)) break;
+            report->status = solve_with_rows(r);
+        }
+        bool usable = report->status <= 1 && finite_all(r->z, X0 + V);
+        if (usable) apply(r);
+        else if (report->status == 0) report->status = 3;
+    }
+    report->feedback_seconds = now() - start;
+    return report->status;
+}
+
+#endif
