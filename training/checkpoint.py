@@ -1,0 +1,202 @@
+"""A trained model as one file: config, weights of every member, scaling, ranges, vehicle file, card.
+
+The file is what `torch.save` makes of plain dictionaries and tensors, so that reading it runs no code of it:
+
+    format, version   "alula model", 1
+    config            ModelConfig as a dictionary
+    members           one state_dict a member of the ensemble, empty for models that are only evaluated
+    scaling           input_mean, input_std (inputs,), output_mean, output_std (6,)
+    ranges            lowest, highest (inputs,) of the training flights, in the inputs' units
+    reliability       disagreement (1,), error_scale (6,)
+    vehicle           TOML text
+    card              JSON text
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from training.card import Card
+from training.config import ModelConfig
+from training.networks import build_network
+
+FORMAT, VERSION = "alula model", 1
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Scaling:
+    """standardised = (value - mean) / std. input_*: (inputs,), output_*: (6,)."""
+
+    input_mean: Floats
+    input_std: Floats
+    output_mean: Floats
+    output_std: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Ranges:
+    """Least and greatest value (inputs,) of each input in training, in its unit."""
+
+    lowest: Floats
+    highest: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Reliability:
+    """How far an ensemble's disagreement can be read as its error; from the validation flights.
+
+    disagreement: RMS over the outputs of the members' standardised deviation that 1 row in 100 exceeds. error_scale:
+    (6,) factor on the members' deviation that gives half the width of a 90 % interval.
+    """
+
+    disagreement: float
+    error_scale: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class TrainedModel:
+    """A model ready to predict. networks: members in evaluation mode, none for a base alone. text: the vehicle file."""
+
+    config: ModelConfig
+    networks: tuple[nn.Module, ...]
+    scaling: Scaling
+    ranges: Ranges
+    vehicle: Vehicle
+    vehicle_text: str
+    card: Card
+    reliability: Reliability | None = None
+
+    def outputs(self, windows: Floats | Tensor, *, member: int | None = None) -> Floats:
+        """What the members say of windows (m, T, inputs) in the inputs' units: (members, m, 6) in the outputs' units.
+
+        member: that one only, (1, m, 6).
+        """
+        scaling = self.scaling
+        chosen = self.networks if member is None else (self.networks[member],)
+        given = torch.as_tensor(windows, dtype=torch.float64)
+        standardised = ((given - torch.from_numpy(scaling.input_mean)) / torch.from_numpy(scaling.input_std)).float()
+        with torch.no_grad():
+            found = torch.stack([network(standardised) for network in chosen]).double().numpy()
+        return np.asarray(found * scaling.output_std + scaling.output_mean)
+
+
+def save(model: TrainedModel, path: Path) -> None:
+    """Write a checkpoint under a temporary name, then rename it. Raises RequestError when it cannot be written."""
+    scaling, ranges, reliability = model.scaling, model.ranges, model.reliability
+    content = {
+        "format": FORMAT,
+        "version": VERSION,
+        "config": msgspec.to_builtins(model.config),
+        "members": [{name: value.cpu() for name, value in net.state_dict().items()} for net in model.networks],
+        "scaling": {name: torch.from_numpy(getattr(scaling, name)) for name in Scaling.__dataclass_fields__},
+        "ranges": {"lowest": torch.from_numpy(ranges.lowest), "highest": torch.from_numpy(ranges.highest)},
+        "reliability": None
+        if reliability is None
+        else {
+            "disagreement": reliability.disagreement,
+            "error_scale": torch.from_numpy(reliability.error_scale),
+        },
+        "vehicle": model.vehicle_text,
+        "card": msgspec.json.encode(model.card).decode(),
+    }
+    write_atomically(content, path)
+
+
+def write_atomically(content: dict[str, Any], path: Path) -> None:
+    """`torch.save` under a temporary name, then rename. Raises RequestError when the disk refuses."""
+    part = path.with_name(f"{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            torch.save(content, file)
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except (OSError, RuntimeError) as error:  # torch reports a full disk as a RuntimeError
+        part.unlink(missing_ok=True)
+        raise RequestError(f"cannot write {path}: {error}. Free some space or give another --out.") from error
+
+
+def read_content(path: Path) -> dict[str, Any]:
+    """What `torch.save` wrote. Raises RequestError when the file is missing or no such thing."""
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise RequestError(f"there is no {path}. Give a model that `alula train` wrote.") from error
+    except (OSError, RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
+        raise RequestError(f"{path} is no checkpoint, or a damaged one: {_first_line(error)}") from error
+    if not isinstance(content, dict):
+        raise RequestError(f"{path} is no checkpoint of alula: it holds a {type(content).__name__}.")
+    return content
+
+
+def load(path: str | Path) -> TrainedModel:
+    """A checkpoint, every member in evaluation mode.
+
+    Raises RequestError for a file that is missing, damaged, of another version, or whose weights have another shape
+    than its config says.
+    """
+    path = Path(path)
+    content = read_content(path)
+    if content.get("format") != FORMAT:
+        raise RequestError(f"{path} is no model of alula: its format is {content.get('format')!r}, wanted {FORMAT!r}.")
+    if content.get("version") != VERSION:
+        raise RequestError(
+            f"{path} is a model of version {content.get('version')}, this alula reads {VERSION}: train it again, or "
+            "read it with the alula that wrote it."
+        )
+    try:
+        config = msgspec.convert(content["config"], ModelConfig)
+        card = msgspec.json.decode(content["card"], type=Card)
+        scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
+        ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
+        told = content["reliability"]
+        reliability = told and Reliability(told["disagreement"], told["error_scale"].double().numpy())
+        text, members = content["vehicle"], content["members"]
+        _require_widths(path, config, scaling, ranges)
+    except (KeyError, TypeError, AttributeError, msgspec.MsgspecError) as error:
+        raise RequestError(f"{path} is a damaged model: {type(error).__name__}: {error}. Train it again.") from error
+    networks = _networks(path, config, members)
+    return TrainedModel(config, networks, scaling, ranges, parse_vehicle(text), text, card, reliability)
+
+
+def _require_widths(path: Path, config: ModelConfig, scaling: Scaling, ranges: Ranges) -> None:
+    inputs = len(config.input_names)
+    found = [len(scaling.input_mean), len(scaling.input_std), len(ranges.lowest), len(ranges.highest)]
+    if found != [inputs] * 4 or len(scaling.output_mean) != 6 or len(scaling.output_std) != 6:
+        raise RequestError(
+            f"{path}: scaling and ranges are for {found[0]} inputs and {len(scaling.output_mean)} outputs, its config "
+            f"has {inputs} and 6. Train it again."
+        )
+
+
+def _networks(path: Path, config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tuple[nn.Module, ...]:
+    networks = []
+    for weights in members:
+        network = build_network(config)
+        try:
+            network.load_state_dict(weights)
+        except RuntimeError as error:
+            raise RequestError(
+                f"{path} has weights of another shape than its config says: {_first_line(error)} Train it again."
+            ) from error
+        networks.append(network.eval().requires_grad_(requires_grad=False))
+    return tuple(networks)
+
+
+def _first_line(error: Exception) -> str:
+    return " ".join(str(error).split())[:200]

@@ -1,0 +1,111 @@
+"""What a model is: its inputs, its outputs, what it stands on, its network. How it is trained is `training.recipe`."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dynamics.errors import RequestError
+
+Base = Literal["none", "nominal", "grey_box"]
+Frame = Literal["world", "body"]
+Label = Literal["instantaneous", "mean_increment"]
+Network = Literal["tcn", "mlp", "none"]
+Outputs = Literal["world", "body", "wrench"]
+Motors = Literal["command", "measured"]
+Count = Annotated[int, Meta(ge=1)]
+
+STATE_INPUTS: dict[Frame, tuple[str, ...]] = {
+    "world": (
+        "velocity_x", "velocity_y", "velocity_z", "attitude_w", "attitude_x", "attitude_y", "attitude_z",
+        "rate_x", "rate_y", "rate_z",
+    ),
+    "body": (
+        "velocity_body_x", "velocity_body_y", "velocity_body_z", "gravity_x", "gravity_y", "gravity_z",
+        "rate_x", "rate_y", "rate_z",
+    ),
+}  # fmt: skip
+OUTPUTS: dict[Outputs, tuple[str, ...]] = {
+    "world": ("acceleration_x", "acceleration_y", "acceleration_z"),
+    "body": ("specific_force_x", "specific_force_y", "specific_force_z"),
+    "wrench": ("force_x", "force_y", "force_z"),
+}
+ANGULAR = ("angular_acceleration_x", "angular_acceleration_y", "angular_acceleration_z")
+TORQUE = ("torque_x", "torque_y", "torque_z")
+
+
+class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A model's definition; everything that decides the shape and the meaning of its numbers.
+
+    kind: its name in `training.models`. network: what is trained, "none" for a model that is only evaluated. base:
+    what the network's output is added to. inputs: frame of the columns (`input_names`). outputs: accelerations in the
+    world frame, specific force and angular acceleration in the body frame, or residual force and torque (supplement
+    eq. 1). motors: commanded or measured rotor speeds. label: what is predicted, the accelerations at the last row or
+    their mean over the next dt. filtered_inputs: the paper's zero-phase filter on the inputs, which no flight has.
+
+    history: T columns, dt seconds apart. channels, kernel, dilations: of the convolutions. hidden: of the perceptron.
+    """
+
+    kind: str
+    network: Network
+    base: Base = "none"
+    inputs: Frame = "body"
+    outputs: Outputs = "body"
+    motors: Motors = "command"
+    label: Label = "mean_increment"
+    filtered_inputs: bool = False
+    rotors: Count = 4
+    dt: Annotated[float, Meta(gt=0)] = 0.01
+    history: Count = 20
+    channels: Count = 16
+    kernel: Count = 3
+    dilations: tuple[Count, ...] = (1, 2, 2, 4)
+    hidden: tuple[Count, ...] = (64, 32, 32)
+    batch_norm: bool = False
+    dropout: Annotated[float, Meta(ge=0, lt=1)] = 0.0
+
+    def __post_init__(self) -> None:
+        """Refuse a network that looks further back than its history, and residuals without what they add to."""
+        if self.network == "tcn" and self.receptive_field > self.history:
+            raise RequestError(
+                f"kernel {self.kernel} and dilations {list(self.dilations)} look back {self.receptive_field} columns, "
+                f"the history has {self.history}: zero padding would enter and streaming be wrong. Take fewer or "
+                "smaller dilations, or a longer history."
+            )
+        if self.outputs == "wrench" and self.base == "none":
+            raise RequestError("outputs 'wrench' are residual force and torque: give a base, nominal or grey_box.")
+        if self.network == "none" and self.base == "none":
+            raise RequestError("a model without a network needs a base, nominal or grey_box.")
+
+    @property
+    def receptive_field(self) -> int:
+        """Columns that the network looks at, its own included."""
+        if self.network == "tcn":
+            return 1 + (self.kernel - 1) * sum(self.dilations)
+        return self.history if self.network == "mlp" else 1
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of a column's entries, in order: velocity m/s, attitude, rates rad/s, rotor speeds in 1000 rpm."""
+        return (*STATE_INPUTS[self.inputs], *(f"motor_{rotor}" for rotor in range(self.rotors)))
+
+    @property
+    def output_names(self) -> tuple[str, ...]:
+        """Names of the six outputs: m/s^2 and rad/s^2, or N and N m."""
+        return (*OUTPUTS[self.outputs], *(TORQUE if self.outputs == "wrench" else ANGULAR))
+
+
+def convolutions_for(history: int) -> tuple[int, tuple[int, ...]]:
+    """Kernel and dilations of four layers that look back at most `history` columns, as far as possible.
+
+    Raises RequestError for a history below 1.
+    """
+    if history < 1:
+        raise RequestError(f"a history of {history} columns: wanted 1 or more.")
+    if history >= 19:
+        return 3, (1, 2, 2, 4)
+    if history >= 9:
+        return 3, (1, 1, 1, 1)
+    return (2, (1,) * min(4, history - 1)) if history >= 2 else (1, (1, 1, 1, 1))

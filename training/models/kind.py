@@ -1,0 +1,42 @@
+"""A model by name: what it is by default, and what the paper makes of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import msgspec
+
+from training.config import ModelConfig
+from training.recipe import Recipe
+
+
+@dataclass(frozen=True)
+class Kind:
+    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: trained with lambda > 0."""
+
+    name: str
+    summary: str
+    config: ModelConfig
+    has_physics_loss: bool = False
+
+    def config_for(self, recipe: Recipe) -> ModelConfig:
+        """The definition under a recipe: the paper's own has world-frame inputs, batch norm and dropout.
+
+        Its inputs and labels are filtered at 5 Hz both ways, its motors measured (PI-TCN section IV).
+        """
+        if recipe.name != "paper":
+            return self.config
+        convolutional = self.config.network == "tcn"
+        return msgspec.structs.replace(
+            self.config, inputs="world", outputs="wrench" if self.config.outputs == "wrench" else "world",
+            motors="measured", label="instantaneous", filtered_inputs=True, batch_norm=convolutional,
+            dropout=0.1 if convolutional else 0.0,
+        )  # fmt: skip
+
+    def recipe_for(self, recipe: Recipe, *, fast_weight: float) -> Recipe:
+        """The recipe as this model takes it: without the physics-inspired loss where the model has none.
+
+        fast_weight: lambda for recipes other than the paper's.
+        """
+        weight = recipe.physics_weight if recipe.name == "paper" else fast_weight
+        return msgspec.structs.replace(recipe, physics_weight=weight if self.has_physics_loss else 0.0)

@@ -1,0 +1,67 @@
+"""How a model is trained. `PAPER` is the paper to the letter, `FAST` what it takes on two cores."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from dynamics.errors import RequestError
+
+Share = Annotated[float, Meta(ge=0, le=1)]
+Positive = Annotated[float, Meta(gt=0)]
+Count = Annotated[int, Meta(ge=1)]
+
+
+class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Optimiser, schedule and loss.
+
+    steps: of Adam, or epochs over the training windows instead. learning_rate: the highest; it begins at a tenth of
+    it, rises over `warm_up` (share of a stage) and falls to a thousandth along a cosine, unless it is constant.
+    standardise: inputs and outputs to mean 0 and deviation 1.
+
+    physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage of physics_start (share of the steps); then optimiser and
+    schedule start anew with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
+    whole state-input space, as the paper has it, or "plausible", recorded motion scaled by 1 to 1.6 under recorded
+    commands, simulated with the nominal model. physics_batch: points a step. physics_pool: points drawn beforehand, in
+    batches taken in turn; the paper draws one batch.
+
+    rollout: steps of dt that the network is streamed over with its own predictions as inputs, 1 for none.
+    input_noise: deviation added to standardised inputs. patience: evaluations on the validation flights, evaluate_every
+    steps each, without a better one until a member stops; 0 for never. It keeps the best one.
+    """
+
+    name: str = "fast"
+    steps: Count = 30_000
+    epochs: Count | None = None
+    batch: Count = 1024
+    learning_rate: Positive = 3e-3
+    constant_rate: bool = False
+    warm_up: Share = 0.1
+    standardise: bool = True
+    physics_weight: Annotated[float, Meta(ge=0)] = 0.0
+    physics_start: Share = 0.5
+    annealed: bool = False
+    physics_points: Literal["space", "plausible"] = "plausible"
+    physics_batch: Count = 256
+    physics_pool: Count = 16_384
+    rollout: Count = 1
+    input_noise: Annotated[float, Meta(ge=0)] = 0.0
+    evaluate_every: Count = 500
+    patience: Annotated[int, Meta(ge=0)] = 0
+
+
+PAPER = Recipe(
+    name="paper", epochs=10_000, batch=1024, learning_rate=1e-4, constant_rate=True, standardise=False,
+    physics_weight=1.0, physics_points="space", physics_batch=1024, physics_pool=1024, evaluate_every=5000,
+)  # fmt: skip
+FAST = Recipe()
+RECIPES = {"paper": PAPER, "fast": FAST}
+
+
+def named_recipe(name: str) -> Recipe:
+    """The recipe of a name. Raises RequestError for another."""
+    if name not in RECIPES:
+        raise RequestError(f"unknown recipe {name!r}. Known: {', '.join(RECIPES)}.")
+    return RECIPES[name]
