@@ -1,0 +1,85 @@
+"""RotorPy shares no line with our dynamics: forces must agree, and what is hidden in its flights must be named."""
+
+import numpy as np
+import pytest
+from rotorpy.vehicles.multirotor import Multirotor
+
+from diagnosis.dataset import make_dataset
+from diagnosis.evaluation import misfit, residuals
+from diagnosis.fit import fit
+from diagnosis.regression import make_regression
+from diagnosis.selection import select
+from dynamics.effects import CATALOGUE
+from dynamics.model import build_model
+from dynamics.vehicle import EffectUse
+from tests.support.rotorpy_flights import (
+    MADE,
+    NOT_MADE,
+    PATHS,
+    READ_WRONG,
+    WINDS,
+    rotorpy_flights,
+    rotorpy_parameters,
+    with_effects,
+)
+
+SOME = {n: CATALOGUE[n] for n in ("rotor_drag", "mass", "thrust_constant", "gyro_bias", "imu_bias", "time_delay")}
+
+
+def test_every_effect_of_the_catalogue_is_made_or_told_why_not():
+    assert sorted([*MADE, *WINDS, *READ_WRONG, *NOT_MADE]) == sorted(CATALOGUE)
+
+
+@pytest.mark.parametrize("name", [name for name in MADE if name != "motor_lag"])
+def test_rotorpy_computes_the_same_accelerations_as_our_model(arpl_250g, name):
+    random = np.random.default_rng(7)
+    use = EffectUse(name, CATALOGUE[name].defaults(arpl_250g))
+    theirs = Multirotor(with_effects(rotorpy_parameters(arpl_250g), [use]))
+    plain = build_model(arpl_250g, effects=[])
+    model = build_model(arpl_250g, effects=[use])
+    shows = 0.0
+    for _ in range(5):
+        velocity, rate = 3 * random.standard_normal(3), 2 * random.standard_normal(3)
+        speed = arpl_250g.hover_speed * random.uniform(0.8, 1.2, 4)
+        force, moment = theirs.compute_body_wrench(rate, speed, velocity)
+        angular = theirs.inv_inertia @ (moment - np.cross(rate, theirs.inertia @ rate))
+        state = np.concatenate([np.zeros(3), velocity, [1, 0, 0, 0], rate])
+        ours, without = (m.observe(state, speed, m.parameter_values, [0.0, 1.0]) for m in (model, plain))
+        assert np.array(ours[0]).ravel() == pytest.approx(force / theirs.mass, rel=1e-9, abs=1e-9)
+        assert np.array(ours[1]).ravel() == pytest.approx(angular, rel=1e-9, abs=1e-9)
+        shows += float(sum(np.linalg.norm(np.array(a - b)) for a, b in zip(ours[:2], without[:2], strict=True)))
+    assert shows > 0.01
+
+
+def test_a_drag_hidden_in_rotorpy_flights_is_named_with_its_value(arpl_250g):
+    use = EffectUse("rotor_drag", {"coefficient": 1.5e-5})
+    paths = [PATHS[0], PATHS[1], PATHS[7]]
+    flights = rotorpy_flights(arpl_250g, [use], seed=1, paths=paths, duration=8.0)
+    dataset = make_dataset(flights, arpl_250g)
+    regression = make_regression(arpl_250g, SOME, dataset.fitted, dataset.flight_of)
+    chosen = select(regression).chosen
+    assert chosen.names == {"rotor_drag"}
+    fitted = fit(regression, chosen.candidates)
+    estimate = fitted.estimates["rotor_drag", "coefficient"]
+    assert estimate.value == pytest.approx(1.5e-5, rel=0.01)
+    assert abs(estimate.value - 1.5e-5) < 4 * estimate.std
+    before, after = (
+        misfit(residuals(vehicle, SOME, dataset.held_out, regression.noise), regression.noise)
+        for vehicle in (arpl_250g, fitted.vehicle)
+    )
+    assert after < 1.3 < 5 < before
+
+
+def test_flights_are_the_same_for_the_same_seed_and_differ_for_another(arpl_250g):
+    first, again, other = (
+        rotorpy_flights(arpl_250g, seed=seed, paths=PATHS[:1], duration=1.0)[0]["specific_force"] for seed in (3, 3, 4)
+    )
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_what_rotorpy_cannot_make_is_refused(arpl_250g):
+    with pytest.raises(ValueError, match="cannot make slung_load"):
+        rotorpy_flights(arpl_250g, [EffectUse("slung_load", {"mass": 0.02, "length": 0.5})], seed=0)
+    with pytest.raises(ValueError, match="through drag"):
+        rotorpy_flights(arpl_250g, [EffectUse("wind", {"x": 3.0})], seed=0)
