@@ -13,7 +13,9 @@ import msgspec
 
 from alula import __version__
 from dynamics.errors import DataError, RequestError
+from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from runtime.connection import parse_endpoint
@@ -60,8 +62,9 @@ def prepare_flight(setup: FlightSetup) -> PreparedFlight:
     endpoint = parse_endpoint(setup.link)
     text = vehicle_text(setup.vehicle, setup.bundle)
     vehicle = parse_vehicle(text)
-    reference = named_reference(setup.reference, vehicle, duration=setup.duration)
-    check_feasibility(reference, vehicle).require()
+    trim = find_trim(build_model(vehicle)).vehicle
+    reference = named_reference(setup.reference, trim, duration=setup.duration)
+    check_feasibility(reference, trim).require()
     attachments = {VEHICLE_TEXT: text}
     if Path(setup.reference).is_file():
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
@@ -103,15 +106,16 @@ def recorded_flight(recording: Recording, vehicle: str | None, bundle: Path | No
         raise DataError(f"{recording.path} tells neither vehicle nor reference: it was not written by `alula fly`.")
     given = vehicle is not None or bundle is not None
     flown = parse_vehicle(recording.attachments[VEHICLE_TEXT])
+    trim = find_trim(build_model(flown)).vehicle
     duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
     # the reference is what was asked for then, whatever vehicle is put under it now
     if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
-        reference = named_reference(recording.metadata["reference"], flown, duration=duration)
+        reference = named_reference(recording.metadata["reference"], trim, duration=duration)
     else:
         with tempfile.TemporaryDirectory() as folder:
             path = Path(folder) / REFERENCE_TEXT
             path.write_text(table, encoding="utf-8")
-            reference = named_reference(str(path), flown, duration=duration)
+            reference = named_reference(str(path), trim, duration=duration)
     return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference
 
 

@@ -58,6 +58,8 @@ def fly_reference(
 ) -> FlownReference:  # fmt: skip
     """Fly a reference from its start to its end. effects: hidden from the controller. options: the vehicle's sensors.
 
+    controller: None for one of the vehicle file alone.
+
     Raises VehicleError when the vehicle does not even reach the reference's start.
     """
     start = reference.states(np.zeros(1))[0]
@@ -65,11 +67,11 @@ def fly_reference(
     options = options or VehicleOptions(yaw=yaw)
     plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed)
     _climb(plant, start[0:3], yaw)
-    thrust_map = ThrustMap(vehicle.rotors.thrust_max, vehicle.rotors.thrust_curve, plant.tuning.thrust_model_factor)
+    controller = controller or Controller.build(vehicle)
+    trim = controller.trim
+    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
     settings = FlyerSettings(period=PERIOD, engagement=Settings(resume=True))
-    flyer = Flyer(
-        vehicle, controller or Controller.build(vehicle), Mission(vehicle, reference, Plan()), thrust_map, settings
-    )
+    flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     return FlownReference(_log(rows, name), _truth(rows, name), aborted)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from runtime.rti.problem import Problem
 from runtime.rti.solver import RtiSolver
@@ -56,18 +57,24 @@ class Command:
 
 
 class Controller:
-    """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock."""
+    """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock.
+
+    trim: the vehicle without effects that weighs and thrusts as the model does in hover.
+    """
 
     def __init__(self, model: Model, options: ControllerOptions) -> None:
         self.model, self.options = model, options
         self.solver = RtiSolver(model, options.problem)
         self._thrust_constants = model.thrust_constants
         self._offsets: Array = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
-        self._hover = np.full(model.input_count, model.vehicle.hover_speed)
+        trim = find_trim(model)
+        self.trim = trim.vehicle
+        self._hover, self._shares = trim.rotor_speed, trim.shares
         self._times = np.full(HISTORY, -np.inf)
         self._inputs = np.tile(self._hover, (HISTORY, 1))
         self._hidden = np.tile(model.hidden_initial, (HISTORY, 1))
         self._ticks = 0
+        self._has_hidden = model.hidden_count > 0
         self._state = model.initial_state(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]))
         seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
         self._lookahead = np.array(seconds) / options.problem.node
@@ -114,6 +121,9 @@ class Controller:
             tick -= 1
         self._state[:RIGID_BODY_STATES] = state
         self._state[RIGID_BODY_STATES:] = self._hidden[tick % HISTORY]
+        if self._has_hidden:  # they were left where that tick's command began to act
+            self._propagate(self._inputs[tick % HISTORY], min(taken - self._times[tick % HISTORY], LONGEST_STEP))
+            self._state[:RIGID_BODY_STATES] = state
         time = taken
         while tick < self._ticks - 1:
             until = min(self._times[(tick + 1) % HISTORY], now)
@@ -134,7 +144,10 @@ class Controller:
         return Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
 
     def prepare(self, states: Array, inputs: Array) -> None:
-        """Linearise for the next tick. states: (N + 1, 13) and inputs: (N, nu), the reference from that tick on."""
+        """Linearise for the next tick. states: (N + 1, 13) and inputs: (N, nu), the reference from that tick on.
+
+        Inputs are those of a vehicle without effects; each rotor's is scaled as its trim in hover asks for.
+        """
         expected = self.solver.propagate(self._state, self.solver.inputs[0], self.options.period)
         self.solver.shift(self.options.period)
         reference = self.solver.state_reference
@@ -145,7 +158,7 @@ class Controller:
         distance = math.sqrt(float(error @ error))
         if distance > self.options.largest_error:
             reference[:, 0:3] -= (1 - self.options.largest_error / distance) * error
-        self.solver.input_reference[:] = inputs
+        self.solver.input_reference[:] = inputs * self._shares
         self.solver.prepare(expected)
 
     def _propagate(self, speed: Array, seconds: float) -> None:

@@ -167,7 +167,7 @@ class Daemon:
     def _rehearse(self, controller: Controller) -> None:
         """Fly some ticks on paper: what a process does for the first time takes tens of milliseconds."""
         state = self._reference.states(np.zeros(1))[0]
-        mission = Mission(self._vehicle, self._reference, self._request.plan)
+        mission = Mission(controller.trim, self._reference, self._request.plan)
         mission.ramp(state, 0.0)
         mission.climb(state, 0.0)
         controller.reset(state, 0.0)
@@ -203,9 +203,9 @@ class Daemon:
                     self._note(Event.REALTIME_UNAVAILABLE, refusal)
         asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, HIGHEST_ESTIMATE_RATE)}
         request_rates(link, asked)
-        thrust_map = self._thrust_map(link)
-        mission = Mission(self._vehicle, self._reference, request.plan)
-        self._flyer = Flyer(self._vehicle, controller, mission, thrust_map, self._settings())
+        thrust_map = self._thrust_map(link, controller.trim)
+        mission = Mission(controller.trim, self._reference, request.plan)
+        self._flyer = Flyer(controller.trim, controller, mission, thrust_map, self._settings())
         self._check_place(link)
         self._orders.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(
@@ -218,8 +218,7 @@ class Daemon:
         threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()
         return control
 
-    def _thrust_map(self, link: Link) -> ThrustMap:
-        rotors = self._vehicle.rotors
+    def _thrust_map(self, link: Link, trim: Vehicle) -> ThrustMap:
         curve = read_parameter(link, THRUST_CURVE)
         if curve.value is None:
             self._announce(f"the vehicle does not tell {THRUST_CURVE} ({curve.error}); 0 is assumed")
@@ -227,7 +226,7 @@ class Daemon:
         if self._recorder is not None:
             now = time.monotonic()
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
-        return ThrustMap(rotors.thrust_max, rotors.thrust_curve, factor)
+        return ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, factor)
 
     def _check_place(self, link: Link) -> None:
         """Refuse a reference that leads from here into the ground or far away."""

@@ -71,9 +71,10 @@ def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion) -> Flyer:
     settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
     options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
-    rotors = vehicle.rotors
-    thrust_map = ThrustMap(rotors.thrust_max, rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
-    return Flyer(vehicle, Controller.build(vehicle, options), Mission(vehicle, reference, plan), thrust_map, settings)
+    controller = Controller.build(vehicle, options)
+    trim = controller.trim
+    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
+    return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings)
 
 
 def _estimate(record: EstimateRecord) -> Estimate:
