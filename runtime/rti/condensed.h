@@ -33,7 +33,7 @@ typedef struct {
 } rti_options;
 
 typedef struct {
-    double prepare_seconds, rollout_seconds, condense_seconds, feedback_seconds;
+    double prepare_seconds, rollout_seconds, tangent_seconds, condense_seconds, feedback_seconds;
     int status, iterations, rows, solves;
 } rti_report;
 

@@ -12,11 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.errors import RequestError
 from dynamics.integrators import rk4, with_unit_attitude
-from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
 from runtime.rti.hpipm import find_hpipm
 from runtime.rti.problem import Problem, fill_options
+from runtime.rti.processor import native_processor
 
+KERNEL_DIMENSIONS = (
+    "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
+)  # fmt: skip
 LARGEST_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
 
 
@@ -26,6 +31,7 @@ class RtiReport(ctypes.Structure):
     _fields_ = (
         ("prepare_seconds", ctypes.c_double),
         ("rollout_seconds", ctypes.c_double),
+        ("tangent_seconds", ctypes.c_double),
         ("condense_seconds", ctypes.c_double),
         ("feedback_seconds", ctypes.c_double),
         ("status", ctypes.c_int),
@@ -39,13 +45,16 @@ class RtiSolver:
     """One controller's solver: `prepare` linearises ahead of time, `feedback` answers a measured state.
 
     states: (N + 1, nx) and inputs: (N, nu) are the predicted trajectory, views of the C memory. An instance belongs
-    to one thread.
+    to one thread. history: (columns, 13 + nu) rigid-body states and commanded rotor speeds that a learned model looks
+    back at, oldest first, the last one a column before the state; to be filled before `propagate` and `prepare`.
     """
 
-    def __init__(self, model: Model, problem: Problem) -> None:
+    def __init__(self, model: Model, problem: Problem, library: Path | None = None) -> None:
+        """library: a learned model's compiled kernel instead of the model's own code, which is compiled if needed."""
         self.model, self.problem = model, problem
-        self._code = ctypes.CDLL(str(build_solver(model, problem)))
+        self._code = ctypes.CDLL(str(library or build_solver(model, problem)))
         self._declare()
+        columns = 0 if library is None else self._require_dimensions(library)
         options = fill_options(problem, model)
         self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
         nodes, states, inputs = problem.nodes, model.state_count, model.input_count
@@ -55,6 +64,8 @@ class RtiSolver:
         self.environment = self._view("rti_environment", (ENVIRONMENT_DEFAULT.size,))
         self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
         self.gradient = self._view("rti_gradient", (nodes * inputs,))
+        shape = (columns, RIGID_BODY_STATES + inputs)
+        self.history = self._view("rti_history", shape) if columns else np.zeros(shape)
         self.report: RtiReport = self._code.rti_last_report(self._handle).contents
         self.parameters[:], self.environment[:] = model.parameter_values, ENVIRONMENT_DEFAULT
         self._state, self._input, self._next = np.zeros(states), np.zeros(inputs), np.zeros(states)
@@ -63,6 +74,8 @@ class RtiSolver:
         address = ctypes.c_void_p
         self._state_at, self._input_at = address(self._state.ctypes.data), address(self._input.ctypes.data)
         self._next_at = address(self._next.ctypes.data)
+        self._found = np.zeros(6)
+        self._found_at = address(self._found.ctypes.data)
         self._references_at = (
             address(self.state_reference.ctypes.data),
             address(self.input_reference.ctypes.data),
@@ -87,10 +100,19 @@ class RtiSolver:
         """Move the predicted inputs by the time that passes between two ticks."""
         self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
 
-    def prepare(self, expected: NDArray[np.float64]) -> None:
-        """Linearise and condense at the state (nx,) expected at the next tick, with the references set before."""
+    def prepare(self, expected: NDArray[np.float64]) -> int:
+        """Linearise and condense at the state (nx,) expected at the next tick, with the references set before.
+
+        Returns 0, or less when a number is not finite; `feedback` then refuses.
+        """
         self._state[:] = expected
-        self._code.rti_prepare(self._handle, self._state_at, *self._references_at)
+        return int(self._code.rti_prepare(self._handle, self._state_at, *self._references_at))
+
+    def accelerations(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A learned model's mean accelerations (6,) after a state (nx,), world and body axes; needs a kernel."""
+        self._state[:], self._input[:] = state, speed
+        self._code.rti_accelerations(self._handle, self._state_at, self._input_at, self._found_at)
+        return self._found.copy()
 
     def feedback(self, state: NDArray[np.float64]) -> int:
         """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
@@ -102,10 +124,25 @@ class RtiSolver:
         code.rti_create.restype = pointer
         code.rti_last_report.restype = ctypes.POINTER(RtiReport)
         code.rti_propagate.argtypes = (pointer, pointer, pointer, ctypes.c_double, pointer)
+        if hasattr(code, "rti_accelerations"):
+            code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)
         code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
+
+    def _require_dimensions(self, library: Path) -> int:
+        """Columns of history that a kernel looks back. Raises RequestError when it was built for something else."""
+        found = (ctypes.c_int * len(KERNEL_DIMENSIONS))()
+        self._code.rti_dimensions(found)
+        built = dict(zip(KERNEL_DIMENSIONS, found, strict=True))
+        wanted = {
+            "states": self.model.state_count, "inputs": self.model.input_count, "nodes": self.problem.nodes,
+            "parameters": self.model.parameter_values.size, "environment": ENVIRONMENT_DEFAULT.size,
+        }  # fmt: skip
+        if wrong := [f"{name} {built[name]} instead of {size}" for name, size in wanted.items() if built[name] != size]:
+            raise RequestError(f"the kernel {library} was built for {', '.join(wrong)}. Export the model again.")
+        return built["history"]
 
     def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         found = getattr(self._code, function)
@@ -119,7 +156,7 @@ def build_solver(model: Model, problem: Problem) -> Path:
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": _vector_bytes(),
+        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": native_processor().vector,
     }  # fmt: skip
     for name, function in (("NODE", node), ("STEP", step)):
         defines |= {
@@ -165,14 +202,3 @@ def _substeps(model: Model, node: float) -> int:
         item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
     ]
     return max([1, *(math.ceil(node / (LARGEST_STEP_IN_LAGS * lag)) for lag in lags)])
-
-
-def _vector_bytes() -> int:
-    """Width of the processor's vector registers: a wider vector than the processor has is an order slower."""
-    try:
-        text = Path("/proc/cpuinfo").read_text()
-    except OSError:
-        return 16
-    if "avx512f" in text:
-        return 64
-    return 32 if " avx2 " in text else 16

@@ -1,0 +1,82 @@
+"""The real-time kernel of a network: its sources gathered, compiled for a processor, loaded as a solver."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Literal
+
+from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.errors import RequestError
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from export.kernel_source import network_header
+from export.network import Network
+from export.physics import NAME, depends_on_position, physics_function
+from runtime.rti.hpipm import find_hpipm
+from runtime.rti.problem import Problem
+from runtime.rti.processor import Processor
+from runtime.rti.solver import RtiSolver
+
+Precision = Literal["float", "double"]
+SOURCES = ("network.c", "tangents.h", "layers.h", "motion.h", "condensed.h", "dense_qp.h")
+ENTRY = "network.c"
+
+
+@dataclass(frozen=True)
+class KernelRecipe:
+    """What a kernel is compiled from. sources: text by file name. flags: the compiler's."""
+
+    sources: dict[str, str]
+    flags: tuple[str, ...]
+
+
+def kernel_recipe(
+    network: Network, model: Model, problem: Problem, processor: Processor, precision: Precision = "float"
+) -> KernelRecipe:
+    """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
+
+    Raises RequestError when a node is no whole number of the network's steps.
+    """
+    substeps = round(problem.node / network.dt)
+    if substeps < 1 or abs(substeps * network.dt - problem.node) > 1e-9:
+        raise RequestError(
+            f"nodes of {1e3 * problem.node:g} ms are no whole number of the network's steps of "
+            f"{1e3 * network.dt:g} ms; change the horizon or the number of nodes."
+        )
+    folder = resources.files("runtime.rti")
+    sources = {name: folder.joinpath(name).read_text() for name in SOURCES}
+    sources["network.h"] = network_header(network)
+    defines: dict[str, int | str] = {
+        "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
+        "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
+        "SUBSTEPS": substeps, "VECTOR_BYTES": processor.vector, "NETWORK_REAL": precision, "FREE": 3,
+    }  # fmt: skip
+    if network.residual:
+        physics = physics_function(model, dt=network.dt, mean=True)
+        sources["physics.c"] = generate_c([physics])
+        defines |= {
+            "PHYSICS": NAME, "PHYSICS_ARG": physics.sz_arg(), "PHYSICS_RES": physics.sz_res(),
+            "PHYSICS_IW": physics.sz_iw(), "PHYSICS_W": physics.sz_w(),
+            "FREE": 0 if depends_on_position(physics) else 3,
+        }  # fmt: skip
+    elif model.hidden_count:
+        raise RequestError("a network that replaces the model has no use for effects with hidden states; leave them out.")
+    general = tuple(flag for flag in FLAGS if not flag.startswith("-march"))
+    return KernelRecipe(
+        sources, (*general, *processor.flags, *(f"-D{name}={value}" for name, value in defines.items()))
+    )
+
+
+def build_kernel(recipe: KernelRecipe) -> Path:
+    """Path of the compiled kernel. Raises RequestError when there is no compiler."""
+    hpipm = find_hpipm()
+    flags = (*recipe.flags, *hpipm.compiler_flags)
+    return build_library(recipe.sources, flags=flags, libraries=hpipm.linker_flags, entry=ENTRY)
+
+
+def kernel_solver(
+    network: Network, model: Model, problem: Problem, processor: Processor, precision: Precision = "float"
+) -> RtiSolver:
+    """A solver on a freshly built kernel, as the runtime makes one of a bundle's."""
+    return RtiSolver(model, problem, build_kernel(kernel_recipe(network, model, problem, processor, precision)))

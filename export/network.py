@@ -1,0 +1,112 @@
+"""A network as plain numbers in SI units: what every backend is written from, whoever trained it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import RequestError
+
+Floats = NDArray[np.float64]
+Frame = Literal["world", "body"]
+WIDEST_LAYER = 240  # the kernel counts active entries in bytes
+
+
+@dataclass(frozen=True, eq=False)
+class Convolution:
+    """A causal convolution with ReLU. weight: (outputs, inputs, taps), oldest tap first. bias: (outputs,)."""
+
+    weight: Floats
+    bias: Floats
+    dilation: int
+
+    @property
+    def reach(self) -> int:
+        """Columns that the oldest tap lies behind the newest."""
+        return (self.weight.shape[2] - 1) * self.dilation
+
+
+@dataclass(frozen=True, eq=False)
+class Dense:
+    """A linear layer; all but a network's last are followed by ReLU. weight: (outputs, inputs). bias: (outputs,)."""
+
+    weight: Floats
+    bias: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Convolutions over columns, a perceptron on the last position; standardised inside, SI outside.
+
+    A column is, in the world frame, velocity (3) m/s, attitude (4), rate_body (3) rad/s; in the body frame,
+    velocity_body (3), gravity's direction (3), rate_body (3); behind them rotor speeds, rad/s. standardised =
+    (value - input_mean) / input_std; output = output_mean + output_std * said, acceleration (3) m/s^2 and angular
+    acceleration (3) rad/s^2: of the vehicle, or with residual what is added to a physical model's. outputs "world":
+    acceleration in world axes; "body": specific force in body axes, or a residual in body axes.
+
+    dt: s between columns. history: T columns of a window.
+    """
+
+    convolutions: tuple[Convolution, ...]
+    perceptron: tuple[Dense, ...]
+    input_mean: Floats
+    input_std: Floats
+    output_mean: Floats
+    output_std: Floats
+    inputs: Frame
+    outputs: Frame
+    residual: bool
+    rotors: int
+    dt: float
+    history: int
+
+    def __post_init__(self) -> None:
+        """Refuse what no backend could evaluate."""
+        entries = (9 if self.inputs == "body" else 10) + self.rotors
+        width = self._chain(entries)
+        if width != 6 or self.output_mean.shape != (6,) or self.output_std.shape != (6,):
+            raise RequestError(f"the network gives {width} outputs, wanted 6: acceleration and angular acceleration.")
+        if self.input_mean.shape != (entries,) or self.input_std.shape != (entries,):
+            raise RequestError(f"the scaling is for {self.input_mean.size} inputs, the columns have {entries}.")
+        if self.receptive_field > self.history:
+            raise RequestError(
+                f"the network looks back {self.receptive_field} columns, its windows have {self.history}: zero padding "
+                "would enter and streaming be wrong. Train it with smaller dilations or a longer history."
+            )
+        bad = [name for name, values in self._arrays() if not np.isfinite(values).all()]
+        if bad:
+            raise RequestError(f"weights that are not finite in {', '.join(bad)}: the training diverged. Train again.")
+        if (self.input_std <= 0).any():
+            raise RequestError("an input's deviation is not positive: it never changed in training. Train on more.")
+
+    def _chain(self, width: int) -> int:
+        """Outputs of the last layer. Raises RequestError where a layer does not fit the one before."""
+        layers = [(f"convolution {i}", layer) for i, layer in enumerate(self.convolutions)]
+        for name, layer in [*layers, *((f"dense {i}", layer) for i, layer in enumerate(self.perceptron))]:
+            wide = layer.weight.shape[0]
+            if layer.weight.shape[1] != width or layer.bias.shape != (wide,):
+                raise RequestError(f"{name} takes {layer.weight.shape[1]} entries, but is given {width}.")
+            if wide > WIDEST_LAYER:
+                raise RequestError(f"{name} has {wide} outputs, the kernel takes at most {WIDEST_LAYER}.")
+            width = wide
+        return width
+
+    def _arrays(self) -> list[tuple[str, Floats]]:
+        layers = [(f"convolution {i}", layer) for i, layer in enumerate(self.convolutions)]
+        named = [*layers, *((f"dense {i}", layer) for i, layer in enumerate(self.perceptron))]
+        found = [(name, part) for name, layer in named for part in (layer.weight, layer.bias)]
+        scaling = ("input_mean", "input_std", "output_mean", "output_std")
+        return [*found, *((name, getattr(self, name)) for name in scaling)]
+
+    @property
+    def receptive_field(self) -> int:
+        """Columns that an output depends on, its own included."""
+        return 1 + sum(layer.reach for layer in self.convolutions)
+
+    @property
+    def features(self) -> int:
+        """Entries of a column."""
+        return int(self.input_mean.size)

@@ -1,0 +1,251 @@
+/* Real-time iteration for a learned model with its whole history inside the horizon; derived in docs/kernel.md.
+ *
+ * The network sees columns of features, one every STEP_SECONDS, and gives mean accelerations until the next one. A
+ * prediction is streamed: every layer keeps its own past columns, so that a new column costs one pass through each
+ * layer instead of a whole window. Its exact derivatives by the inputs v_k and the initial state dx_0 are streamed the
+ * same way, all at once: they lie along the vector registers and share the ReLUs' masks.
+ *
+ * network.h, generated from the model, gives dimensions and weights; condensed.h what follows a preparation. */
+#include "network.h"
+
+/* NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build; FREE is 3 where no acceleration depends on position. */
+typedef NETWORK_REAL real;
+#define SENSITIVITY real
+#define LEAD (FREE ? VECTOR_BYTES / (int)sizeof(real) : 0) /* first column of those that are streamed */
+#define START (LEAD - FREE)
+#define X0 (START + NX)
+#include "condensed.h"
+#include "layers.h"
+#include "motion.h"
+
+#define STREAMED (L - LEAD)   /* columns of tangents that are streamed; positions only carry themselves along */
+#define BY_INPUT (NX - FREE)  /* the first of them that belongs to an input */
+#define STEPS (N * SUBSTEPS)
+#define COLUMNS (HISTORY + STEPS)
+#define STATE_FEATURES (FEATURES - NU)
+#define HIDDEN_STATES (NX - 13)
+#define COLUMN_ENTRIES (13 + NU) /* of a measured column: the rigid body, then the rotors' commanded speeds */
+
+#if RESIDUAL
+#pragma GCC push_options
+#pragma GCC optimize("O1")
+#include "physics.c" /* PHYSICS(x, u, p, e) -> rates, their derivatives by x and by u; see export.physics */
+#pragma GCC pop_options
+#define PHYSICS_RATES (6 + HIDDEN_STATES)
+#endif
+
+/* Rows of the tangents of each layer's input, for as many substeps as its taps reach back. */
+#define RING_OF(l, inputs, outputs, taps, dilation) real ring_##l[(taps - 1) * dilation + 1][inputs][STREAMED];
+#define HIDDEN_OF(l, inputs, outputs) real hidden_##l[STEPS][outputs];
+
+typedef struct {
+    condensed c;
+    double history[HISTORY + 1][COLUMN_ENTRIES]; /* measured, oldest first; the row after them is not used */
+    double p[NP + 1], e[NE + 1];
+    double state[STEPS + 1][NX], input[STEPS][NU];
+    double said[STEPS][6];   /* what the network says: a force per mass (world or body axes), angular acceleration */
+    double linear[STEPS][3]; /* mean acceleration, world axes */
+    double angular[STEPS][3];
+#if RESIDUAL
+    double by_state[STEPS][PHYSICS_RATES * NX], by_input[STEPS][PHYSICS_RATES * NU]; /* by column */
+    double physics_work[PHYSICS_W + 1];
+    long long physics_integers[PHYSICS_IW + 1];
+#endif
+    struct {
+        real column[LAYERS + 1][COLUMNS][WIDTH]; /* features, then what each convolution makes of them */
+        EACH_HIDDEN(HIDDEN_OF)
+        EACH_CONVOLUTION(RING_OF)
+        real code[CODE][STREAMED]; /* tangents of what the perceptron is given */
+        real moving[NX][STREAMED]; /* tangents of the state */
+        real rates[6][STREAMED];   /* tangents of the accelerations, world and body axes */
+        real other[HIDDEN_STATES + 1][STREAMED];
+        real S_weighed[N][NX][L];
+        real H[V][STREAMED];
+    } a __attribute__((aligned(64)));
+    active_set active[LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
+} network;
+
+/* ---- forward ---- */
+
+static void write_features(network *r, int t, const double *x, const double *u) {
+    double raw[FEATURES];
+#if BODY_INPUTS
+    double R[3][3];
+    rotation(x + 6, R);
+    for (int i = 0; i < 3; i++) {
+        raw[i] = R[0][i] * x[3] + R[1][i] * x[4] + R[2][i] * x[5];
+        raw[3 + i] = -R[2][i]; /* gravity's direction */
+        raw[6 + i] = x[10 + i];
+    }
+#else
+    for (int i = 0; i < 10; i++) raw[i] = x[3 + i];
+#endif
+    for (int i = 0; i < NU; i++) raw[STATE_FEATURES + i] = u[i];
+    for (int i = 0; i < FEATURES; i++)
+        r->a.column[0][t][i] = (real)((raw[i] - feature_mean[i]) * feature_gain[i]);
+}
+
+#define STREAM(l, inputs, outputs, taps, dilation) \
+    convolve(inputs, outputs, taps, dilation, WIDTH, &convolution_##l[0][0][0], convolution_bias_##l, \
+             r->a.column[l][t], r->a.column[l + 1][t]);
+#define THINK(l, inputs, outputs) \
+    dense(inputs, outputs, 1, &perceptron_##l[0][0], perceptron_bias_##l, before, r->a.hidden_##l[s]), \
+        before = r->a.hidden_##l[s];
+
+/* Column t's way through the network at substep s, whose features are written. */
+static void evaluate(network *r, int s, int t) {
+    EACH_CONVOLUTION(STREAM)
+    const real *before = r->a.column[LAYERS][t];
+    EACH_HIDDEN(THINK)
+    real y[OUTPUTS] __attribute__((aligned(64)));
+    dense(LAST, OUTPUTS, 0, &output[0][0], output_bias, before, y);
+    for (int i = 0; i < 6; i++) r->said[s][i] = y[i];
+}
+
+/* Accelerations at substep s from what the network says of the state x, and the hidden states' rates into `hidden`. */
+static void accelerate(network *r, int s, const double *x, const double *u, double *hidden) {
+    const double *said = r->said[s];
+    double R[3][3];
+    if (BODY_OUTPUTS) rotation(x + 6, R);
+    for (int i = 0; i < 3; i++) {
+        r->linear[s][i] = BODY_OUTPUTS ? R[i][0] * said[0] + R[i][1] * said[1] + R[i][2] * said[2] : said[i];
+        r->angular[s][i] = said[3 + i];
+    }
+#if RESIDUAL
+    double rates[PHYSICS_RATES];
+    const double *arg[PHYSICS_ARG] = {x, u, r->p, r->e};
+    double *res[PHYSICS_RES] = {rates, r->by_state[s], r->by_input[s]};
+    PHYSICS(arg, res, r->physics_integers, r->physics_work, 0);
+    for (int i = 0; i < 3; i++) r->linear[s][i] += rates[i], r->angular[s][i] += rates[3 + i];
+    memcpy(hidden, rates + 6, sizeof(double) * HIDDEN_STATES);
+#else
+    (void)u, (void)hidden;
+    if (BODY_OUTPUTS) r->linear[s][2] -= GRAVITY;
+#endif
+}
+
+/* One substep of h seconds from r->state[s] to next: column, network, motion. */
+static void advance(network *r, int s, const double *u, double h, double *next) {
+    double hidden[HIDDEN_STATES + 1];
+    const double *x = r->state[s];
+    write_features(r, HISTORY + s, x, u);
+    evaluate(r, s, HISTORY + s);
+    accelerate(r, s, x, u, hidden);
+    move_body(x, r->linear[s], r->angular[s], h, next);
+    for (int i = 0; i < HIDDEN_STATES; i++) next[13 + i] = x[13 + i] + h * hidden[i];
+}
+
+#define FILL(l, inputs, outputs, taps, dilation) \
+    first += (taps - 1) * dilation; \
+    for (int t = first; t < HISTORY; t++) { STREAM(l, inputs, outputs, taps, dilation) }
+
+/* Bring every layer's memory up to the measured history: layer by layer, each from where its taps find columns. */
+static void load_history(network *r) {
+    int first = 0;
+    for (int t = 0; t < HISTORY; t++) write_features(r, t, r->history[t], r->history[t] + 13);
+    EACH_CONVOLUTION(FILL)
+    (void)first;
+}
+
+static void roll_out(network *r) {
+    condensed *c = &r->c;
+    load_history(r);
+    memcpy(r->state[0], c->x[0], sizeof r->state[0]);
+    for (int s = 0; s < STEPS; s++) advance(r, s, c->u[s / SUBSTEPS], STEP_SECONDS, r->state[s + 1]);
+    for (int k = 1; k <= N; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
+}
+
+#include "tangents.h"
+
+/* ---- what the runtime calls ---- */
+
+network *rti_create(const rti_options *options) {
+    network *r = aligned_zeros(sizeof *r);
+    condensed_create(&r->c, options);
+    for (int k = 0; k <= N; k++)
+        for (int i = 0; i < FREE; i++) r->c.S[k][i][START + i] = 1; /* positions carry themselves along */
+    for (int i = 0; i < NX; i++) r->c.S[0][i][START + i] = 1;
+    for (int t = 0; t < COLUMNS; t++) {
+        r->active[0][t].count = STATE_FEATURES;
+        for (int i = 0; i < STATE_FEATURES; i++) r->active[0][t].index[i] = (unsigned char)i;
+    }
+    return r;
+}
+
+double *rti_parameters(network *r) { return r->p; }
+double *rti_environment(network *r) { return r->e; }
+double *rti_history(network *r) { return &r->history[0][0]; }
+
+/* Dimensions for the loader to compare with what it expects. */
+void rti_dimensions(int *found) {
+    const int built[] = {NX, NU, N, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
+    memcpy(found, built, sizeof built);
+}
+
+/* The model over dt seconds, at most STEPS substeps, from x with the history before it and inputs u. */
+void rti_propagate(network *r, const double *x, const double *u, double dt, double *next) {
+    load_history(r);
+    memcpy(r->state[0], x, sizeof r->state[0]);
+    int s = 0;
+    for (; dt > STEP_SECONDS * (1 + 1e-9) && s < STEPS - 1; s++, dt -= STEP_SECONDS)
+        advance(r, s, u, STEP_SECONDS, r->state[s + 1]);
+    advance(r, s, u, dt, r->state[s + 1]);
+    memcpy(next, r->state[s + 1], sizeof r->state[0]);
+}
+
+/* Mean accelerations (6,) over the next column's time, world and body axes, for x and u after the history. */
+void rti_accelerations(network *r, const double *x, const double *u, double *found) {
+    double hidden[HIDDEN_STATES + 1];
+    load_history(r);
+    write_features(r, HISTORY, x, u);
+    evaluate(r, 0, HISTORY);
+    accelerate(r, 0, x, u, hidden);
+    memcpy(found, r->linear[0], sizeof r->linear[0]);
+    memcpy(found + 3, r->angular[0], sizeof r->angular[0]);
+}
+
+/* The same for `count` columns in a row (13 + NU each), the memory moving on by one column each. */
+void rti_stream(network *r, const double *columns, int count, double *found) {
+    double hidden[HIDDEN_STATES + 1];
+    load_history(r);
+    for (int i = 0, s = 0; i < count; i++, s++) {
+        const double *x = columns + i * COLUMN_ENTRIES;
+        if (s == STEPS) {
+            s = 0;
+            for (int l = 0; l <= LAYERS; l++)
+                memmove(r->a.column[l][0], r->a.column[l][STEPS], sizeof(real) * HISTORY * WIDTH);
+        }
+        double whole[NX];
+        memcpy(whole, x, sizeof(double) * 13);
+        for (int j = 13; j < NX; j++) whole[j] = r->state[0][j];
+        write_features(r, HISTORY + s, whole, x + 13);
+        evaluate(r, s, HISTORY + s);
+        accelerate(r, s, whole, x + 13, hidden);
+        memcpy(found + 6 * i, r->linear[s], sizeof r->linear[s]);
+        memcpy(found + 6 * i + 3, r->angular[s], sizeof r->angular[s]);
+    }
+}
+
+/* x: the state expected at the next tick, right after the history. reference: N + 1 states, then N inputs. Returns 0;
+ * -1 when a number of them is not finite, -2 when the prediction is not. */
+int rti_prepare(network *r, const double *x, const double *x_reference, const double *u_reference) {
+    double start = now();
+    rti_report *report = &r->c.report;
+    if (!condensed_begin(&r->c, x, x_reference, u_reference)) return -1;
+    r->c.prepared = finite_all(&r->history[0][0], HISTORY * COLUMN_ENTRIES);
+    if (!r->c.prepared) return -1;
+    roll_out(r);
+    r->c.prepared = finite_all(r->state[STEPS], NX);
+    if (!r->c.prepared) return -2;
+    double rolled_out = now();
+    stream_tangents(r);
+    double streamed = now();
+    condense(r);
+    condensed_finish(&r->c);
+    double end = now();
+    report->rollout_seconds = rolled_out - start;
+    report->tangent_seconds = streamed - rolled_out;
+    report->condense_seconds = end - streamed;
+    report->prepare_seconds = end - start;
+    return 0;
+}

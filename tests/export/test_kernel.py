@@ -1,0 +1,227 @@
+"""The kernel against plain NumPy: same accelerations, same roll-out, same derivatives, same optimum."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+import vehicles
+from dynamics import quaternion
+from dynamics.integrators import step_function
+from dynamics.model import ENVIRONMENT_DEFAULT, build_model
+from dynamics.vehicle import EffectUse, Limits
+from dynamics.vehicle_file import read_vehicle
+from export.kernel import Precision, kernel_solver
+from export.network import Network
+from runtime.rti.problem import Problem, fill_options
+from runtime.rti.processor import PROCESSORS, native_processor
+from runtime.rti.solver import RtiSolver
+from tests.support.networks import HOVER_SPEED, accelerations, random_network
+
+VEHICLE = msgspec.structs.replace(
+    read_vehicle(Path(vehicles.FOLDER) / "arpl_250g.toml"), limits=Limits(rate=(1e3, 1e3, 1e3))
+)
+SHORT = Problem(nodes=5, horizon=0.25)
+LAG_AND_DRAG = [EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("linear_drag", {"coefficient": 0.05})]
+CASES = {
+    "body": (random_network(), []),
+    "world": (random_network(inputs="world", outputs="world", seed=1), []),
+    "one column": (random_network(channels=(), dilations=(), seed=2), []),
+    "window of four": (random_network(channels=(48,), taps=4, dilations=(1,), hidden=(32,), seed=3), []),
+    "odd widths": (random_network(channels=(5, 20), taps=2, dilations=(3, 1), hidden=(7, 40), seed=4), []),
+    "residual": (random_network(channels=(8,), dilations=(2,), hidden=(16,), residual=True, seed=5), []),
+    "residual on lag and drag": (
+        random_network(channels=(8,), dilations=(2,), hidden=(16,), outputs="world", residual=True, seed=6),
+        LAG_AND_DRAG,
+    ),
+    "residual near the ground": (
+        random_network(channels=(), dilations=(), hidden=(16,), residual=True, seed=7),
+        [EffectUse("ground_effect")],
+    ),
+}
+WITHOUT_PHYSICS = ("body", "world", "one column", "window of four", "odd widths")
+
+
+def window(network: Network, seed: int = 0) -> np.ndarray:
+    """Random columns (receptive field, 13 + rotors)."""
+    rng = np.random.default_rng(seed)
+    scale = np.array([0.1] * 3 + [1.0] * 3 + [0.1] * 4 + [1.0] * 3 + [40.0] * network.rotors)
+    columns = rng.normal(size=(network.receptive_field, 13 + network.rotors)) * scale
+    columns[:, 2] += 0.5
+    columns[:, 6] += 1
+    columns[:, 6:10] = quaternion.normalise(columns[:, 6:10])
+    columns[:, 13:] += HOVER_SPEED
+    return columns
+
+
+def solver_of(case: str, precision: Precision, problem: Problem = SHORT) -> tuple[RtiSolver, np.ndarray]:
+    """A solver with a random history and random inputs along the horizon, and the state that it starts from."""
+    network, effects = CASES[case]
+    model = build_model(VEHICLE, effects=effects)
+    solver = kernel_solver(network, model, problem, native_processor(), precision)
+    columns = window(network)
+    solver.history[:] = columns[:-1]
+    state = model.initial_state(columns[-1, :13])
+    solver.reset(state)
+    solver.inputs[:] *= 1 + 0.03 * np.random.default_rng(9).normal(size=solver.inputs.shape)
+    solver.state_reference[:] = state
+    solver.state_reference[:, 0] += 0.1
+    solver.input_reference[:] = VEHICLE.hover_speed
+    return solver, state
+
+
+def rolled_out(solver: RtiSolver, state: np.ndarray) -> np.ndarray:
+    """States (N + 1, nx) of the kernel's own roll-out from a state along the solver's inputs."""
+    assert solver.prepare(state) == 0
+    return solver.states.copy()
+
+
+def by_input_and_state(solver: RtiSolver, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the nodes' states (N, nx) by all inputs and by the first state, by central differences."""
+    inputs = solver.inputs.copy()
+    columns = []
+    for v in range(inputs.size):
+        ends = []
+        for sign in (1, -1):
+            solver.inputs[:] = inputs
+            solver.inputs.reshape(-1)[v] += sign * 1e-3
+            ends.append(rolled_out(solver, state)[1:].ravel())
+        columns.append((ends[0] - ends[1]) / 2e-3)
+    solver.inputs[:] = inputs
+    first = []
+    for i in range(state.size):
+        step = 1e-6 * np.eye(state.size)[i]
+        first.append((rolled_out(solver, state + step)[1:] - rolled_out(solver, state - step)[1:]).ravel() / 2e-6)
+    return np.array(columns).T, np.array(first).T
+
+
+@pytest.mark.parametrize(
+    ("case", "precision", "tolerance"),
+    [(case, "double", 1e-12) for case in WITHOUT_PHYSICS] + [("body", "float", 1e-5), ("world", "float", 1e-5)],
+)
+def test_accelerations_are_those_of_plain_numpy(case: str, precision: Precision, tolerance: float) -> None:
+    solver, _ = solver_of(case, precision)
+    network, _ = CASES[case]
+    for seed in range(20):
+        columns = window(network, seed)
+        solver.history[:] = columns[:-1]
+        found, wanted = solver.accelerations(columns[-1, :13], columns[-1, 13:]), accelerations(network, columns)
+        assert np.linalg.norm(found - wanted) < tolerance * np.linalg.norm(wanted)
+
+
+def test_a_streamed_roll_out_is_that_of_whole_windows() -> None:
+    solver, state = solver_of("body", "double")
+    network, _ = CASES["body"]
+    columns, x, h = list(window(network)[:-1]), state, network.dt
+    wanted = [x]
+    for k in range(SHORT.nodes):
+        for _ in range(5):
+            columns.append(np.concatenate([x, solver.inputs[k]]))
+            rates = accelerations(network, np.array(columns[-network.receptive_field :]))
+            turn = h * (x[10:13] + h / 2 * rates[3:])
+            x = np.concatenate(
+                [x[0:3] + h * x[3:6] + h * h / 2 * rates[:3], x[3:6] + h * rates[:3],
+                 quaternion.multiply(x[6:10], quaternion.exponential(turn)), x[10:13] + h * rates[3:]]
+            )  # fmt: skip
+        wanted.append(x)
+    np.testing.assert_allclose(rolled_out(solver, state), wanted, rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize("case", ["residual", "residual on lag and drag", "residual near the ground"])
+def test_a_residual_is_added_to_the_mean_accelerations_of_the_model(case: str) -> None:
+    solver, state = solver_of(case, "double")
+    network, _ = CASES[case]
+    columns = window(network)
+    model = solver.model
+    step = step_function(model)
+    quiet = np.zeros(model.hidden_count)
+    after = step(state, columns[-1, 13:], model.parameter_values, ENVIRONMENT_DEFAULT, quiet, network.dt)
+    after = np.array(after).ravel()
+    physics = np.concatenate([after[3:6] - state[3:6], after[10:13] - state[10:13]]) / network.dt
+    wanted = accelerations(network, columns, physics)
+    np.testing.assert_allclose(solver.accelerations(state, columns[-1, 13:]), wanted, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("case", "precision", "tolerance"),
+    [(case, "double", 1e-6) for case in CASES] + [("body", "float", 2e-4), ("residual on lag and drag", "float", 2e-4)],
+)
+def test_hessian_and_gradient_are_gauss_newtons_of_the_roll_out(
+    case: str, precision: Precision, tolerance: float
+) -> None:
+    exact, state = solver_of(case, "double")
+    by_input, _ = by_input_and_state(exact, state)
+    states = rolled_out(exact, state)
+    options = fill_options(SHORT, exact.model)
+    weight = np.array([list(options.Q)] * (SHORT.nodes - 1) + [list(options.P)]).ravel()
+    jacobian = options.scale * by_input
+    hessian = jacobian.T @ (weight[:, None] * jacobian)
+    hessian += np.eye(len(hessian)) * (options.R[0] * options.scale**2 + options.levenberg_marquardt)
+    gradient = jacobian.T @ (weight * (states - exact.state_reference)[1:].ravel())
+    gradient += options.scale * options.R[0] * (exact.inputs - exact.input_reference).ravel()
+    solver, _ = solver_of(case, precision)
+    solver.prepare(state)
+    np.testing.assert_allclose(solver.hessian, hessian, rtol=0, atol=tolerance * np.abs(hessian).max())
+    np.testing.assert_allclose(solver.gradient, gradient, rtol=0, atol=tolerance * np.abs(gradient).max())
+
+
+@pytest.mark.parametrize("case", ["body", "residual on lag and drag", "residual near the ground"])
+def test_feedback_answers_a_state_that_differs_from_the_expected_one(case: str) -> None:
+    solver, state = solver_of(case, "double")
+    solver.state_reference[:] = rolled_out(solver, state)
+    by_input, by_state = by_input_and_state(solver, state)
+    options = fill_options(SHORT, solver.model)
+    weight = np.array([list(options.Q)] * (SHORT.nodes - 1) + [list(options.P)]).ravel()
+    moved = 1e-3 * np.random.default_rng(4).normal(size=state.size)
+    solver.prepare(state)
+    gradient = solver.gradient + options.scale * by_input.T @ (weight * (by_state @ moved))
+    wanted = solver.inputs - options.scale * np.linalg.solve(solver.hessian, gradient).reshape(solver.inputs.shape)
+    states = solver.states[1:].ravel() + by_state @ moved + by_input @ (wanted - solver.inputs).ravel()
+    inside = np.clip(wanted, options.u_lower[0], options.u_upper[0])
+    np.testing.assert_allclose(wanted, inside)  # else this test would need an active set
+    assert solver.feedback(state + moved) == 0
+    np.testing.assert_allclose(solver.inputs, wanted, atol=1e-4 * np.abs(wanted - options.scale).max())
+    np.testing.assert_allclose(solver.states[1:].ravel(), states, atol=1e-4)
+
+
+def test_propagation_over_parts_of_a_column_holds_the_acceleration() -> None:
+    solver, state = solver_of("body", "double")
+    network, _ = CASES["body"]
+    speed = window(network)[-1, 13:]
+    rates = solver.accelerations(state, speed)
+    half = solver.propagate(state, speed, 0.005).copy()
+    np.testing.assert_allclose(half[3:6], state[3:6] + 0.005 * rates[:3], rtol=1e-12)
+    solver.inputs[0] = speed
+    np.testing.assert_allclose(solver.propagate(state, speed, 0.05), rolled_out(solver, state)[1], atol=1e-13)
+
+
+@pytest.mark.parametrize("where", ["state", "history", "reference"])
+def test_numbers_that_are_not_finite_are_refused_and_change_nothing(where: str) -> None:
+    solver, state = solver_of("body", "float")
+    assert solver.prepare(state) == 0
+    before = solver.inputs.copy()
+    broken = state.copy()
+    if where == "state":
+        broken[4] = np.nan
+    elif where == "history":
+        solver.history[3, 5] = np.inf
+    else:
+        solver.state_reference[2, 1] = np.nan
+    assert solver.prepare(broken) == -1
+    assert solver.feedback(state) == -1
+    np.testing.assert_array_equal(solver.inputs, before)
+
+
+@pytest.mark.parametrize("name", ["avx512", "avx2", "sse2"])
+def test_every_vector_width_gives_the_same(name: str) -> None:
+    if not PROCESSORS[name].runs_here:
+        pytest.skip(f"this processor has no {name}")
+    network, _ = CASES["odd widths"]
+    solver, state = solver_of("odd widths", "double")
+    solver.prepare(state)
+    other = kernel_solver(network, build_model(VEHICLE, effects=[]), SHORT, PROCESSORS[name], "double")
+    other.history[:], other.inputs[:] = solver.history, solver.inputs
+    other.state_reference[:], other.input_reference[:] = solver.state_reference, solver.input_reference
+    other.prepare(state)
+    np.testing.assert_allclose(other.hessian, solver.hessian, rtol=1e-10, atol=1e-12 * np.abs(solver.hessian).max())
