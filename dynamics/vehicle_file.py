@@ -59,7 +59,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
     """Write a vehicle file. Raises RequestError when there is one already, or none can be written there."""
     path = Path(path)
-    text = tomli_w.dumps(_without_none(msgspec.to_builtins(vehicle)))
+    text = vehicle_toml(vehicle)
     try:
         file = path.open("x", encoding="utf-8")
     except FileExistsError:
@@ -74,6 +74,11 @@ def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
     except OSError as error:
         path.unlink(missing_ok=True)
         raise RequestError(f"cannot write the vehicle file {path}: {error}. Nothing was left there.") from error
+
+
+def vehicle_toml(vehicle: Vehicle) -> str:
+    """A vehicle as the text of its file; `parse_vehicle` gives the same vehicle again."""
+    return tomli_w.dumps(_without_none(msgspec.to_builtins(vehicle)))
 
 
 def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:

@@ -99,7 +99,7 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(model: TrainedModel, tmp_pa
     save(model, path)
     before = path.read_bytes()
     (tmp_path / "m.pt.part").symlink_to("/dev/full")
-    with pytest.raises(RequestError, match="No space left on device|PytorchStreamWriter"):
+    with pytest.raises(RequestError, match=r"No space left on device|PytorchStreamWriter"):
         save(model, path)
     assert path.read_bytes() == before
     assert [left.name for left in tmp_path.iterdir()] == ["m.pt"]

@@ -1,0 +1,186 @@
+"""Flights as a network learns them: one table of all rows, and the rows at which a window may end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.errors import DataError
+from dynamics.vehicle import Vehicle
+from flights.flight import Flight
+from flights.labels import Samples, paper_table, samples, scaled_motors
+from flights.rotors import rotor_speeds
+from flights.windows import windows
+from training.config import ModelConfig
+from training.features import body_accelerations, columns, outputs_from
+from training.physics import RowModel, textbook
+from training.recordings import Recording
+
+Floats = NDArray[np.float64]
+FEWEST_WINDOWS = 500
+THRUST_FIT = (0.5, 2.0)  # of measured over modelled specific force, outside which the vehicle file is another's
+LEAST_AGREEMENT = 0.2  # correlation of modelled with measured roll and pitch acceleration
+EXCITED = 0.5  # rad/s^2 of angular acceleration from which on that can be judged
+
+
+@dataclass(frozen=True, eq=False)
+class RowNames:
+    """Which flight and time a row is of. flight_of: (n,) place in `flights`. time: (n,) s of the flight's own clock."""
+
+    flights: tuple[str, ...]
+    flight_of: NDArray[np.intp]
+    time: Floats
+
+    def flight_at(self, row: int) -> str:
+        """Name of the flight that a row belongs to."""
+        return self.flights[int(self.flight_of[row])]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All rows of some flights, one after the other. Bodies, (n, 6), are body accelerations (`training.features`).
+
+    time: (n,) s of the flight's own clock. flight_of: (n,) place in `flights`. state: (n, 10) velocity_world,
+    attitude, rate_body. motors: (n, rotors) 1000 rpm. label, nominal: (n, 6) bodies, what the flight shows and what the
+    textbook model says. base: the same of what the network adds to, None for none. inputs: (n, k) columns. targets:
+    (n, 6) what the network has to say. ends: (m,) rows with T columns before them and a label.
+    """
+
+    flights: tuple[str, ...]
+    time: Floats
+    flight_of: NDArray[np.intp]
+    position: Floats
+    state: Floats
+    motors: Floats
+    label: Floats
+    nominal: Floats
+    base: Floats | None
+    inputs: Floats
+    targets: Floats
+    ends: NDArray[np.intp]
+
+    @property
+    def names(self) -> RowNames:
+        """Flight and time of every row."""
+        return RowNames(self.flights, self.flight_of, self.time)
+
+
+def settled_motors(config: ModelConfig, recordings: Sequence[Recording], vehicle: Vehicle) -> ModelConfig:
+    """The definition with the motors that these flights have: as wanted, unless none of them logged such.
+
+    Raises DataError when the flights differ, or one has no motor data.
+    """
+    found = {
+        rotor_speeds(segment, vehicle, prefer=config.motors)[1]: recording.name
+        for recording in recordings
+        for segment in recording.segments[:1]
+    }
+    if len(found) > 1:
+        raise DataError(
+            f"{found['command']} has motor commands, {found['measured']} measured rotor speeds only: a network cannot "
+            f"learn from both. Give --motors {'measured' if config.motors == 'command' else 'command'}, or flights of "
+            "one kind."
+        )
+    return msgspec.structs.replace(config, motors=next(iter(found)))
+
+
+def make_dataset(
+    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[Recording], *, fewest: int = FEWEST_WINDOWS
+) -> Dataset:
+    """Inputs, labels and models over all flights. fewest: windows that there must be.
+
+    Raises DataError when motors or motion are missing, too few windows are left, or the vehicle file does not fit.
+    """
+    nominal = textbook(vehicle, dt=config.dt, label=config.label)
+    grey_box = config.base == "grey_box"
+    model = RowModel(vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors)
+    parts = [
+        _segment(config, vehicle, segment, nominal, model if grey_box else nominal, place)
+        for place, recording in enumerate(recordings)
+        for segment in recording.segments
+    ]
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    found = windows([part["inputs"] for part in parts], config.history)
+    ends = found.ends[np.isfinite(table["targets"][found.ends]).all(axis=1)]
+    names = tuple(recording.name for recording in recordings)
+    if len(ends) < fewest:
+        raise DataError(
+            f"{', '.join(names[:4])}: {len(ends)} windows of {config.history} rows without a gap in inputs and label. "
+            f"Wanted at least {fewest}, {fewest * config.dt:g} s of flight; `alula inspect` lists gaps."
+        )
+    dataset = Dataset(
+        flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp), position=table["position"],
+        state=table["state"], motors=table["motors"], label=table["label"], nominal=table["nominal"],
+        base=None if config.base == "none" else table["base"], inputs=table["inputs"], targets=table["targets"],
+        ends=ends,
+    )  # fmt: skip
+    _require_fit(dataset, vehicle)
+    return dataset
+
+
+def _segment(
+    config: ModelConfig, vehicle: Vehicle, segment: Flight, nominal: RowModel, base: RowModel, place: int
+) -> dict[str, Floats]:
+    speeds, _ = rotor_speeds(segment, vehicle, prefer=config.motors)
+    rotors = {f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(vehicle.rotors.count)}
+    given = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
+    seen = _samples(config, given)
+    attitude = seen.state[:, 3:7]
+    position = segment["position"] if segment.has("position") else np.full((len(segment), 3), 0.0)
+    whole = np.hstack([position, seen.state])
+    driven = seen.motors / scaled_motors(np.ones(1))
+    textbook_says = nominal(whole, driven).body
+    base_says = textbook_says if base is nominal else base(whole, driven).body
+    label = body_accelerations(seen.label, attitude)
+    targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_says, attitude)
+    return {
+        "time": seen.time, "flight_of": np.full(len(segment), float(place)), "position": position, "state": seen.state,
+        "motors": seen.motors, "label": label, "nominal": textbook_says, "base": base_says,
+        "inputs": columns(config, seen.state, seen.motors), "targets": targets,
+    }  # fmt: skip
+
+
+def _samples(config: ModelConfig, segment: Flight) -> Samples:
+    """Inputs and labels of a segment; filtered inputs and instantaneous labels are the paper's, either without other.
+
+    The attitude's w is positive at the start of a segment and continuous from there on.
+    """
+    filtered = config.filtered_inputs, config.label == "instantaneous"
+    paper = paper_table(segment) if any(filtered) else None
+    causal = samples(segment, horizon=config.dt) if not all(filtered) else None
+    inputs = paper if config.filtered_inputs else causal
+    labels = paper if config.label == "instantaneous" else causal
+    assert inputs is not None
+    assert labels is not None
+    state = inputs.state.copy()
+    attitude = quaternion.normalise(quaternion.continuous(state[:, 3:7]))
+    state[:, 3:7] = attitude if not attitude[0, 0] < 0 else -attitude
+    return Samples(inputs.time, state, inputs.motors, labels.label)
+
+
+def _require_fit(dataset: Dataset, vehicle: Vehicle) -> None:
+    """Refuse a vehicle file whose textbook model has nothing to do with the flights. Raises DataError."""
+    label, nominal = dataset.label[dataset.ends], dataset.nominal[dataset.ends]
+    ratio = float(np.sum(label[:, 2] * nominal[:, 2]) / np.sum(nominal[:, 2] ** 2))
+    if not THRUST_FIT[0] < ratio < THRUST_FIT[1]:
+        raise DataError(
+            f"the vehicle file {vehicle.name} does not fit these flights: they show {ratio:.2f} times the specific "
+            "force that its rotors give. Check mass, thrust_constant (N s^2/rad^2) and speed_max (rad/s), or give the "
+            "file of the vehicle that flew."
+        )
+    for axis, name in ((3, "roll"), (4, "pitch")):
+        seen, said = label[:, axis], nominal[:, axis]
+        if (
+            seen.std() > EXCITED
+            and said.std() > 0
+            and (agreement := float(np.corrcoef(seen, said)[0, 1])) < (LEAST_AGREEMENT)
+        ):
+            raise DataError(
+                f"the vehicle file {vehicle.name} does not fit these flights: its {name} acceleration correlates with "
+                f"theirs by {agreement:.2f}. Check the order and the positions of its rotors."
+            )

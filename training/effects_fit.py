@@ -1,0 +1,150 @@
+"""Named effects fitted to a network's own labels: Gauss-Newton on the model's mean increments over whole flights.
+
+`alula diagnose` says which effects a vehicle has; here only their values are settled, on the same rows, motors and
+labels that the network on top of them learns from, so that it is left with nothing that they could have said.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.effects import CATALOGUE
+from dynamics.errors import DataError, RequestError
+from dynamics.vehicle import EffectUse, Vehicle
+from flights.labels import scaled_motors
+from training.config import ModelConfig
+from training.dataset import Dataset
+from training.physics import RowModel
+
+Floats = NDArray[np.float64]
+ROUNDS = 6
+NUDGE = 0.02  # relative step of finite differences
+SETTLED = 1e-3  # relative change that ends the rounds
+ROWS = 60_000  # at most, whole flights spread over all
+NEGLIGIBLE = 1e-8  # singular values below this share of the largest say nothing
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """bounds, neutral: of each parameter. flights: (first row, end) of every piece that is used."""
+
+    model: RowModel
+    data: Dataset
+    pieces: tuple[tuple[int, int], ...]
+    names: tuple[str, ...]
+    lower: Floats
+    upper: Floats
+    scale: Floats
+
+
+def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle:
+    """The vehicle with its effects at the values that fit the labels best, least squares weighted by what is left.
+
+    Raises RequestError when the vehicle has no effect, DataError when no value of theirs shows in these flights.
+    """
+    if not vehicle.effects:
+        raise RequestError(
+            f"{vehicle.name} names no effect, so a grey box would be the textbook model. Let `alula diagnose` and "
+            "`alula add` find some, or give --effect NAME; res_tcn is the residual on the textbook model."
+        )
+    problem = _problem(config, vehicle, data)
+    model = problem.model.model
+    values = np.array([model.parameter_values[model.parameter_index(name)] for name in problem.names])
+    for _ in range(ROUNDS):
+        left = _residual(problem, values)
+        weight = 1 / left.std(axis=0)
+        slopes = np.stack([_slope(problem, values, left, place) for place in range(len(values))], axis=2)
+        matrix = (slopes * weight[None, :, None]).reshape(-1, len(values))
+        size = np.linalg.norm(matrix, axis=0)
+        if not np.any(size > 0):
+            raise DataError(f"none of {', '.join(problem.names)} shows in these flights. Leave the effects out.")
+        matrix = matrix / np.where(size > 0, size, 1.0)
+        step = np.linalg.lstsq(matrix, (left * weight).ravel(), rcond=NEGLIGIBLE)[0] / np.where(size > 0, size, 1.0)
+        before, values = values, np.clip(values + step, problem.lower, problem.upper)
+        if np.all(np.abs(values - before) <= SETTLED * problem.scale):
+            break
+    return _with_values(vehicle, dict(zip(problem.names, values.tolist(), strict=True)))
+
+
+def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
+    model = RowModel(vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors)
+    found = [
+        (f"{item.key}.{parameter.name}", parameter, item)
+        for item in model.model.effects
+        for parameter in item.effect.parameters
+        if not item.effect.measurement and not _is_random(item.effect.name)
+    ]
+    scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in found]
+    return _Problem(
+        model, data, _pieces(data), tuple(name for name, _, _ in found), np.array([p.lower for _, p, _ in found]),
+        np.array([p.upper for _, p, _ in found]), np.array(scale),
+    )  # fmt: skip
+
+
+def _is_random(name: str) -> bool:
+    """Whether an effect's hidden state is noise, of which a model of the mean knows nothing."""
+    return name == "gust"
+
+
+def _pieces(data: Dataset) -> tuple[tuple[int, int], ...]:
+    """Whole segments, every n-th so that there are about ROWS rows."""
+    gap = (np.diff(data.time) < 0) | (np.diff(data.flight_of) != 0) | (np.diff(data.time) > 1.5 * _period(data))
+    edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(data.time)]
+    whole = list(itertools.pairwise(edges))
+    every = max(1, round(len(data.time) / ROWS))
+    return tuple(whole[::every])
+
+
+def _period(data: Dataset) -> float:
+    return float(np.median(np.diff(data.time)))
+
+
+def _residual(problem: _Problem, values: Floats) -> Floats:
+    """(m, 6) label less model, over all pieces, rows without a label left out."""
+    p = problem.model.model.parameter_values.copy()
+    for name, value in zip(problem.names, values, strict=True):
+        p[problem.model.model.parameter_index(name)] = value
+    data, left = problem.data, []
+    for start, stop in problem.pieces:
+        state = np.hstack([data.position[start:stop], data.state[start:stop]])
+        speed = data.motors[start:stop] / scaled_motors(np.ones(1))
+        left.append(data.label[start:stop] - problem.model(state, speed, parameters=p).body)
+    rows = np.vstack(left)
+    return rows[np.isfinite(rows).all(axis=1)]
+
+
+def _slope(problem: _Problem, values: Floats, left: Floats, place: int) -> Floats:
+    """(m, 6) change of the model by one parameter."""
+    step = NUDGE * problem.scale[place]
+    if values[place] + step > problem.upper[place]:
+        step = -step
+    moved = values.copy()
+    moved[place] += step
+    return np.asarray((left - _residual(problem, moved)) / step)
+
+
+def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
+    def settled(use: EffectUse) -> EffectUse:
+        key = use.name if use.rotor is None else f"{use.name}[{use.rotor}]"
+        mine = {
+            name.removeprefix(f"{key}."): float(f"{value:.6g}")
+            for name, value in values.items()
+            if name.startswith(f"{key}.")
+        }
+        return msgspec.structs.replace(use, parameters={**use.parameters, **mine})
+
+    return msgspec.structs.replace(vehicle, effects=tuple(settled(use) for use in vehicle.effects))
+
+
+def named_effects(vehicle: Vehicle, uses: Sequence[EffectUse]) -> Vehicle:
+    """The vehicle with further effects, at their usual values where none are given."""
+    return vehicle.with_effects(*[
+        msgspec.structs.replace(use, parameters={**CATALOGUE[use.name].defaults(vehicle), **use.parameters})
+        for use in uses
+    ])  # fmt: skip

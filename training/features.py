@@ -1,0 +1,73 @@
+"""From a flight's state and motors to a network's columns, and between accelerations and a network's outputs.
+
+"Body accelerations", (n, 6), are what everything here is joined in: specific force (m/s^2) and angular acceleration
+(rad/s^2), both in body axes. World acceleration is R f - g.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY, Vehicle
+from training.config import ModelConfig
+
+Floats = NDArray[np.float64]
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def columns(config: ModelConfig, state: Floats, motors: Floats) -> Floats:
+    """(..., inputs) columns of `ModelConfig.input_names`.
+
+    state: (..., 10) velocity_world, attitude, rate_body. motors: (..., rotors) 1000 rpm.
+    """
+    if config.inputs == "world":
+        return np.concatenate([state, motors], axis=-1)
+    attitude = state[..., 3:7]
+    velocity = quaternion.rotate_inverse(attitude, state[..., 0:3])
+    gravity = quaternion.rotate_inverse(attitude, np.broadcast_to(-UP, velocity.shape))
+    return np.concatenate([velocity, gravity, state[..., 7:10], motors], axis=-1)
+
+
+def body_accelerations(world: Floats, attitude: Floats) -> Floats:
+    """World acceleration and angular acceleration (n, 6) as body accelerations. attitude: (n, 4)."""
+    force = quaternion.rotate_inverse(attitude, world[:, :3] + GRAVITY * UP)
+    return np.hstack([force, world[:, 3:]])
+
+
+def world_accelerations(body: Floats, attitude: Floats) -> Floats:
+    """The inverse of `body_accelerations`."""
+    return np.hstack([quaternion.rotate(attitude, body[:, :3]) - GRAVITY * UP, body[:, 3:]])
+
+
+def outputs_from(config: ModelConfig, vehicle: Vehicle, body: Floats, base: Floats | None, attitude: Floats) -> Floats:
+    """What a network has to say (n, 6) for its model to give these body accelerations. base: (n, 6), None for none."""
+    left = body if base is None else body - base
+    if config.outputs == "wrench":
+        return left * body_inertia(vehicle)
+    if config.outputs == "body":
+        return left
+    if base is None:
+        return world_accelerations(body, attitude)
+    return np.hstack([quaternion.rotate(attitude, left[:, :3]), left[:, 3:]])
+
+
+def accelerations_from(
+    config: ModelConfig, vehicle: Vehicle, outputs: Floats, base: Floats | None, attitude: Floats
+) -> Floats:
+    """Body accelerations (n, 6) of a model whose network says `outputs`: the inverse of `outputs_from`."""
+    if config.outputs == "wrench":
+        left = outputs / body_inertia(vehicle)
+    elif config.outputs == "body":
+        left = outputs
+    elif base is None:
+        return body_accelerations(outputs, attitude)
+    else:
+        left = np.hstack([quaternion.rotate_inverse(attitude, outputs[:, :3]), outputs[:, 3:]])
+    return left if base is None else base + left
+
+
+def body_inertia(vehicle: Vehicle) -> Floats:
+    """(6,) mass thrice and the inertia: residual force and torque over body accelerations (supplement eq. 1)."""
+    return np.array([*[vehicle.body.mass] * 3, *vehicle.body.inertia])

@@ -1,0 +1,105 @@
+"""A vehicle's model over all rows of a data set, as machine code: the prior of the loss and what residuals add to.
+
+The formulas are those of `dynamics`; a network never sees them but as numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.codegen import compile_functions
+from dynamics.effects import CATALOGUE
+from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model, build_model
+from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+from training.config import Label, Motors
+
+Floats = NDArray[np.float64]
+BLOCK = 128  # rows a call
+
+
+class Rows(NamedTuple):
+    """body: (n, 6) body accelerations. following: (n, 13) the rigid body's state one step later."""
+
+    body: Floats
+    following: Floats
+
+
+class RowModel:
+    """A vehicle with effects, evaluated row by row; hidden states run along with the rows.
+
+    effects: (): the textbook model. motors: with measured rotor speeds there is no lag between them and the rotors.
+    label: accelerations at the row, or their mean over the next dt with the input held (RK4). The ground is at z = 0
+    and the battery full.
+    """
+
+    def __init__(
+        self, vehicle: Vehicle, effects: Sequence[EffectUse], *, dt: float, label: Label, motors: Motors
+    ) -> None:
+        used = [use for use in effects if motors == "command" or CATALOGUE[use.name].rotor_speed is None]
+        self.model = build_model(vehicle, effects=used)
+        function = _row(self.model, dt, label)
+        # the carried state is only handed from row to row within one call
+        self._code = compile_functions([function.mapaccum("rows", BLOCK)])["rows"]
+        self._carried = function.size1_in(0)
+
+    def __call__(self, state: Floats, rotor_speed: Floats, *, parameters: Floats | None = None) -> Rows:
+        """Consecutive rows of one flight. state: (n, 13). rotor_speed: (n, rotors) rad/s, held until the next row.
+
+        parameters: instead of the vehicle's own, in the model's order. Rows with NaN give NaN from there on.
+        """
+        p = self.model.parameter_values if parameters is None else parameters
+        inputs, outputs = self._code.inputs, self._code.outputs
+        inputs["p"][:] = np.tile(p, BLOCK)
+        inputs["carried"][:] = self._initial(rotor_speed[0])
+        body, following = np.empty((len(state), 6)), np.empty((len(state), RIGID_BODY_STATES))
+        for start in range(0, len(state), BLOCK):
+            stop = min(start + BLOCK, len(state))
+            inputs["x"].reshape(BLOCK, -1)[: stop - start] = state[start:stop]
+            inputs["u"].reshape(BLOCK, -1)[: stop - start] = rotor_speed[start:stop]
+            self._code.run()
+            body[start:stop] = outputs["body"].reshape(BLOCK, 6)[: stop - start]
+            following[start:stop] = outputs["following"].reshape(BLOCK, -1)[: stop - start]
+            inputs["carried"][:] = outputs["carried_on"].reshape(BLOCK, -1)[-1]
+        return Rows(body, following)
+
+    def _initial(self, rotor_speed: Floats) -> Floats:
+        """Hidden states of hover, but rotors as fast as they are told at the start."""
+        carried = np.zeros(self._carried)
+        carried[: self.model.hidden_count] = self.model.hidden_initial
+        for item in self.model.effects:
+            if "rotor_speed" in item.hidden:
+                place = item.hidden["rotor_speed"]
+                carried[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = rotor_speed
+        return carried
+
+
+def textbook(vehicle: Vehicle, *, dt: float, label: Label) -> RowModel:
+    """The nominal model h_nom of the vehicle file's body and rotors (PI-TCN eq. 1, 2)."""
+    return RowModel(vehicle, (), dt=dt, label=label, motors="command")
+
+
+def _row(model: Model, dt: float, label: Label) -> ca.Function:
+    """(carried, x, u, p) -> carried_on, body, following; carried holds the hidden states and one number more."""
+    hidden, spare = ca.SX.sym("hidden", model.hidden_count), ca.SX.sym("spare")
+    x, u = ca.SX.sym("x", RIGID_BODY_STATES), ca.SX.sym("u", model.input_count)
+    p, e, still = ca.SX.sym("p", len(model.parameter_names)), ENVIRONMENT_DEFAULT, ca.SX.zeros(model.hidden_count)
+    whole = ca.vertcat(x, hidden)
+    after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), whole, dt))
+    if label == "mean_increment":
+        acceleration = (after[3:6] - x[3:6]) / dt + ca.vertcat(0, 0, GRAVITY)
+        body = ca.vertcat(quaternion.rotate_inverse(x[6:10], acceleration), (after[10:13] - x[10:13]) / dt)
+    else:
+        force, angular, _ = model.observe(whole, u, p, e)
+        body = ca.vertcat(force, angular)
+    carried = ca.vertcat(hidden, spare)
+    on = ca.vertcat(after[RIGID_BODY_STATES:], spare)
+    outputs = [ca.densify(value) for value in (on, body, after[:RIGID_BODY_STATES])]
+    names = ["carried", "x", "u", "p"], ["carried_on", "body", "following"]
+    return ca.Function("row", [carried, x, u, p], outputs, *names)

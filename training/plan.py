@@ -1,0 +1,151 @@
+"""A training as a whole: what is learned from, what each member of the ensemble gets, what becomes of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import datetime
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import torch
+
+from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import vehicle_toml
+from training.card import Card
+from training.checkpoint import Ranges, Scaling, TrainedModel
+from training.config import ModelConfig
+from training.dataset import Dataset, make_dataset, settled_motors
+from training.effects_fit import fit_effects
+from training.networks import build_network
+from training.points import Points, physics_points
+from training.prediction import flight_errors, judge_reliability, member_outputs, predict
+from training.recipe import Recipe
+from training.recordings import Split
+from training.rollout import Rollout
+from training.tensors import PointTensors, Tensors, make_scaling
+from training.trainer import Member, Task
+
+FEWEST_VALIDATION = 50  # windows
+LIBRARIES = ("torch", "numpy", "casadi", "scipy")
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Everything that the members of an ensemble share. vehicle: with its effects fitted, for a grey box."""
+
+    config: ModelConfig
+    recipe: Recipe
+    vehicle: Vehicle
+    split: Split
+    training: Dataset
+    validation: Dataset
+    scaling: Scaling
+    points: Points | None
+    fingerprint: str
+
+    def task(self, member: int, seed: int, *, device: torch.device, state_file: Path | None) -> Task:
+        """What one member learns from. Raises DataError when no stretch is long enough for its roll-outs."""
+        training = Tensors.of(self.training, self.scaling, self.config.history, device)
+        points = None if self.points is None else PointTensors.of(self.points, self.scaling, device)
+        rollout = None
+        if self.recipe.rollout > 1:
+            rollout = Rollout.of(
+                self.config, self.vehicle, self.training, training, self.scaling, self.recipe.rollout,
+                self.recipe.input_noise,
+            )  # fmt: skip
+        return Task(
+            config=self.config, recipe=self.recipe, training=training,
+            validation=Tensors.of(self.validation, self.scaling, self.config.history, device), points=points,
+            rollout=rollout, rows=self.training.names, fingerprint=self.fingerprint, member=member, seed=seed,
+            state_file=state_file,
+        )  # fmt: skip
+
+    def assemble(self, members: Sequence[Member], seeds: Sequence[int], *, command: str) -> TrainedModel:
+        """The model of the trained members, judged on the validation flights."""
+        networks = []
+        for member in members:
+            network = build_network(self.config)
+            network.load_state_dict(member.weights)
+            networks.append(network.cpu().eval().requires_grad_(requires_grad=False))
+        inputs = self.training.inputs[self.training.ends]
+        ranges = Ranges(inputs.min(axis=0), inputs.max(axis=0))
+        text = vehicle_toml(self.vehicle)
+        card = self._card(command, text, ranges)
+        model = TrainedModel(self.config, tuple(networks), self.scaling, ranges, self.vehicle, text, card)
+        if networks:
+            outputs = member_outputs(model, self.validation)
+            targets = self.validation.targets[self.validation.ends]
+            judged = judge_reliability(outputs, targets, self.scaling.output_std)
+            model = dataclasses.replace(model, reliability=judged)
+        card = msgspec.structs.replace(
+            card,
+            seeds=tuple(seeds[: len(members)]),
+            steps=tuple(member.steps for member in members),
+            best_step=tuple(member.best_step for member in members),
+            seconds=tuple(round(member.seconds, 1) for member in members),
+            parameters=sum(weight.numel() for weight in networks[0].parameters()) if networks else 0,
+            errors=flight_errors(self.validation, predict(model, self.validation).body),
+        )
+        return dataclasses.replace(model, card=card)
+
+    def _card(self, command: str, vehicle_text: str, ranges: Ranges) -> Card:
+        limits = zip(ranges.lowest.tolist(), ranges.highest.tolist(), strict=True)
+        return Card(
+            kind=self.config.kind,
+            command=command,
+            date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+            recipe=self.recipe,
+            flights={recording.name: recording.sha256 for recording in self.split.training},
+            validation={recording.name: recording.sha256 for recording in self.split.validation},
+            vehicle=self.vehicle.name,
+            vehicle_sha256=hashlib.sha256(vehicle_text.encode()).hexdigest(),
+            rows=len(self.training.ends),
+            ranges=dict(zip(self.config.input_names, limits, strict=True)),
+            versions={name: metadata.version(name) for name in ("alula", *LIBRARIES)},
+            notes=self.split.notes,
+        )
+
+
+def make_plan(
+    config: ModelConfig, recipe: Recipe, vehicle: Vehicle, split: Split, *, seed: int, fit: bool = True
+) -> Plan:
+    """Read nothing, train nothing: labels, models and points for every member.
+
+    seed: of the physics-inspired loss's points. fit: whether a grey box's effects are fitted to the training flights.
+    Raises RequestError for options that contradict each other, DataError for flights that cannot be learned from.
+    """
+    _require_sense(config, recipe)
+    everything = (*split.training, *split.validation)
+    config = settled_motors(msgspec.structs.replace(config, rotors=vehicle.rotors.count), everything, vehicle)
+    training = make_dataset(config, vehicle, split.training)
+    if config.base == "grey_box" and fit:
+        vehicle = fit_effects(config, vehicle, training)
+        training = make_dataset(config, vehicle, split.training)
+    validation = make_dataset(config, vehicle, split.validation, fewest=FEWEST_VALIDATION)
+    scaling = make_scaling(config, recipe, vehicle, training)
+    points = None
+    if recipe.physics_weight > 0:
+        points = physics_points(config, recipe, vehicle, training, seed=seed)
+    digest = hashlib.sha256(msgspec.json.encode([config, recipe, str(torch.__version__)]))
+    for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    return Plan(config, recipe, vehicle, split, training, validation, scaling, points, digest.hexdigest())
+
+
+def _require_sense(config: ModelConfig, recipe: Recipe) -> None:
+    if recipe.physics_weight > 0 and config.base != "none":
+        raise RequestError(
+            f"the physics-inspired loss is for models without a base; {config.kind} contains the physics already. "
+            "Give --physics-weight 0."
+        )
+    if recipe.rollout > 1 and (recipe.physics_weight > 0 or config.batch_norm or config.filtered_inputs):
+        raise RequestError(
+            "roll-outs are for causal inputs, without batch norm and the physics-inspired loss. Give "
+            "--physics-weight 0 and another recipe than paper."
+        )

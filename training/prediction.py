@@ -1,0 +1,131 @@
+"""What a trained model says along flights, how sure it is, and how far it errs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from training.card import FlightError
+from training.checkpoint import Reliability, TrainedModel
+from training.dataset import Dataset
+from training.features import accelerations_from
+
+Floats = NDArray[np.float64]
+EVALUATED = 8192  # windows at once
+FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
+COVERED = 0.9  # of the errors lie within an interval
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """At every one of a data set's `ends`. body: (m, 6) body accelerations.
+
+    disagreement: (m,) RMS over the outputs of the members' standardised deviation. half_width: (m, 6) of a 90 %
+    interval, in the outputs' units. gate: (m,) share of the network's output that was added to the base. The three
+    are None for a single network.
+    """
+
+    body: Floats
+    disagreement: Floats | None = None
+    half_width: Floats | None = None
+    gate: Floats | None = None
+
+
+def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, gated: bool = True) -> Prediction:
+    """The ensemble's mean, or what one member says. data: made with the model's config and vehicle.
+
+    gated: whether a residual fades where the members disagree more than on their own flights.
+    """
+    ends = data.ends
+    base = None if data.base is None else data.base[ends]
+    if not model.networks:
+        assert base is not None
+        return Prediction(base)
+    outputs = member_outputs(model, data, member=member)
+    mean, attitude = outputs.mean(axis=0), data.state[ends, 3:7]
+    if len(outputs) == 1 or model.reliability is None:
+        return Prediction(accelerations_from(model.config, model.vehicle, mean, base, attitude))
+    deviation = outputs.std(axis=0, ddof=1)
+    disagreement = np.sqrt(np.mean((deviation / model.scaling.output_std) ** 2, axis=1))
+    gate = np.ones(len(ends))
+    if gated and base is not None:
+        gate = gate_of(disagreement, model.reliability.disagreement)
+    body = accelerations_from(model.config, model.vehicle, gate[:, None] * mean, base, attitude)
+    return Prediction(body, disagreement, deviation * model.reliability.error_scale, gate)
+
+
+def gate_of(disagreement: Floats, threshold: float) -> Floats:
+    """Share of a residual that is believed: all of it up to the threshold, then falling with the square."""
+    return np.asarray(np.minimum(1.0, (threshold / np.maximum(disagreement, 1e-300)) ** 2))
+
+
+def member_outputs(model: TrainedModel, data: Dataset, *, member: int | None = None) -> Floats:
+    """(members, m, 6) what the networks say at the data set's ends, in the outputs' units."""
+    offsets = np.arange(1 - model.config.history, 1)
+    parts = [
+        model.outputs(data.inputs[data.ends[start : start + EVALUATED, None] + offsets], member=member)
+        for start in range(0, len(data.ends), EVALUATED)
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> Reliability | None:
+    """What an ensemble's disagreement means, from flights that no member was trained on; None for one member.
+
+    outputs: (members, m, 6). targets: (m, 6) what they should have said.
+    """
+    if len(outputs) < 2:
+        return None
+    deviation = outputs.std(axis=0, ddof=1)
+    disagreement = np.sqrt(np.mean((deviation / output_std) ** 2, axis=1))
+    ratio = np.abs(outputs.mean(axis=0) - targets) / np.maximum(deviation, 1e-12 * output_std)
+    return Reliability(float(np.quantile(disagreement, FLAGGED)), np.quantile(ratio, COVERED, axis=0))
+
+
+def flight_errors(data: Dataset, body: Floats, label: Floats | None = None) -> tuple[FlightError, ...]:
+    """Errors of body accelerations (m, 6) at the data set's ends, flight by flight.
+
+    label: (n, 6) what they are compared with, by default the flights' own labels; rows of NaN are left out.
+    """
+    wanted = (data.label if label is None else label)[data.ends]
+    known = np.isfinite(wanted).all(axis=1)
+    flight, nominal = data.flight_of[data.ends], data.nominal[data.ends]
+    base = None if data.base is None else data.base[data.ends]
+    found = []
+    for place, name in enumerate(data.flights):
+        rows = known & (flight == place)
+        if not rows.any():
+            continue
+        linear, angular, combined = rmse(body[rows] - wanted[rows])
+        found.append(
+            FlightError(
+                name, int(rows.sum()), linear, angular, combined, rmse(nominal[rows] - wanted[rows])[2],
+                None if base is None else rmse(base[rows] - wanted[rows])[2],
+            )
+        )  # fmt: skip
+    return tuple(found)
+
+
+def rmse(error: Floats) -> tuple[float, float, float]:
+    """RMSE of linear (m/s^2), angular (rad/s^2) and all components of (m, 6) errors, each component counting alike."""
+    square = np.mean(error**2, axis=0)
+    linear, angular, combined = np.sqrt([square[:3].mean(), square[3:].mean(), square.mean()])
+    return float(linear), float(angular), float(combined)
+
+
+def pooled(errors: Sequence[FlightError]) -> FlightError:
+    """All flights as one, every row counting alike."""
+    rows = np.array([error.rows for error in errors], dtype=float)
+
+    def over_all(values: Sequence[float]) -> float:
+        return float(np.sqrt(np.average(np.square(values), weights=rows)))
+
+    bases = [error.base for error in errors if error.base is not None]
+    return FlightError(
+        "all", int(rows.sum()), over_all([e.linear for e in errors]), over_all([e.angular for e in errors]),
+        over_all([e.combined for e in errors]), over_all([e.nominal for e in errors]),
+        over_all(bases) if len(bases) == len(errors) else None,
+    )  # fmt: skip

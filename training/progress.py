@@ -1,0 +1,83 @@
+"""What a running member shows of itself, and the file that it goes on from after it was killed."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import nn
+from torch.optim import Adam
+
+from training.checkpoint import read_content, write_atomically
+
+
+@dataclass(frozen=True)
+class Report:
+    """Where a member stands. loss, physics_loss: of the last batch. validation: mean squared standardised error."""
+
+    member: int
+    step: int
+    steps: int
+    loss: float
+    physics_loss: float | None
+    validation: float
+    best: float
+    learning_rate: float
+
+
+@dataclass(eq=False)
+class Run:
+    """Everything that decides how training goes on. generator: draws batches and noise; dropout takes torch's own."""
+
+    network: nn.Module
+    optimizer: Adam
+    generator: torch.Generator
+    fingerprint: str
+    step: int = 0
+    best: float = float("inf")
+    best_step: int = 0
+    best_weights: dict[str, Any] = field(default_factory=dict)
+    without_better: int = 0
+    seconds: float = 0.0
+
+    def keep_best(self, validation: float) -> None:
+        """Remember the weights if they are the best so far."""
+        if validation < self.best:
+            self.best, self.best_step, self.without_better = validation, self.step, 0
+            self.best_weights = copy.deepcopy(self.network.state_dict())
+        else:
+            self.without_better += 1
+
+    def save(self, path: Path) -> None:
+        """Write all of it. Raises RequestError when the disk refuses."""
+        on_gpu = next(self.network.parameters()).is_cuda
+        content = {name: getattr(self, name) for name in PLAIN}
+        content |= {
+            "network": self.network.state_dict(),
+            "optimizer": self.optimizer.state_dict(),
+            "generator": self.generator.get_state(),
+            "random": torch.get_rng_state(),
+            "cuda_random": torch.cuda.get_rng_state() if on_gpu else None,
+        }
+        write_atomically(content, path)
+
+    def resume(self, path: Path) -> bool:
+        """Take over what was saved; False when it belongs to another run. Raises RequestError for a damaged file."""
+        content = read_content(path)
+        if content.get("fingerprint") != self.fingerprint:
+            return False
+        for name in PLAIN:
+            setattr(self, name, content[name])
+        self.network.load_state_dict(content["network"])
+        self.optimizer.load_state_dict(content["optimizer"])
+        self.generator.set_state(content["generator"])
+        torch.set_rng_state(content["random"])
+        if content["cuda_random"] is not None:
+            torch.cuda.set_rng_state(content["cuda_random"])
+        return True
+
+
+PLAIN = ("fingerprint", "step", "best", "best_step", "best_weights", "without_better", "seconds")

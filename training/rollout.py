@@ -1,0 +1,147 @@
+"""Multi-step training: the streamed network predicts its own inputs over some steps of dt.
+
+Only kinematics are worked out here: velocity, body rates and attitude follow from the predicted accelerations, the
+motors are the recorded ones, and a base stays at its recorded values. What is compared is how far velocity and body
+rates have come since the first step, with what the labels add up to.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from dynamics.errors import DataError
+from dynamics.vehicle import GRAVITY, Vehicle
+from training.checkpoint import Scaling
+from training.config import ModelConfig
+from training.dataset import Dataset
+from training.features import body_inertia, world_accelerations
+from training.streamed import Stream
+from training.tensors import Tensors
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """Recorded flights as roll-outs need them. state: (n, 10). base, label: (n, 6), world accelerations the latter.
+
+    starts: (m,) rows at which a roll-out of `steps` steps may begin. spoken: (6,) outputs over
+    accelerations. error_std: (6,) what their error is counted in. noise: deviation added to standardised inputs.
+    """
+
+    config: ModelConfig
+    tensors: Tensors
+    scaling: dict[str, Tensor]
+    state: Tensor
+    base: Tensor
+    label: Tensor
+    starts: Tensor
+    spoken: Tensor
+    error_std: Tensor
+    steps: int
+    noise: float
+
+    @classmethod
+    def of(
+        cls, config: ModelConfig, vehicle: Vehicle, data: Dataset, tensors: Tensors, scaling: Scaling, steps: int,
+        noise: float,
+    ) -> Rollout:  # fmt: skip
+        """Raises DataError when no stretch of the flights is as long as a roll-out."""
+        device = tensors.inputs.device
+        ahead = data.ends + (steps - 1)
+        starts = data.ends[np.isin(ahead, data.ends) & (_run_length(data.ends) >= steps)]
+        if not len(starts):
+            raise DataError(f"no stretch of the flights has {steps} rows with labels after a whole history.")
+        world = world_accelerations(data.label, data.state[:, 3:7])
+        base = np.zeros_like(data.label) if data.base is None else data.base
+
+        def tensor(values: np.ndarray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(values)).to(device, torch.float32)
+
+        spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
+        scales = {name: tensor(getattr(scaling, name)) for name in Scaling.__dataclass_fields__}
+        return cls(
+            config, tensors, scales, tensor(data.state), tensor(base), tensor(world),
+            torch.from_numpy(starts).to(device), tensor(spoken), tensor(scaling.output_std / spoken), steps, noise,
+        )  # fmt: skip
+
+    def loss(self, network: nn.Module, chosen: Tensor, generator: torch.Generator) -> Tensor:
+        """Mean over the steps of the squared error of the mean acceleration up to each, in standardised units.
+
+        chosen: (b,) numbers that pick starts, modulo their count.
+        """
+        rows = self.starts[chosen % len(self.starts)]
+        stream = Stream(network, self.config)
+        windows = self.tensors.windows(rows)
+        noise = torch.randn(windows.shape, generator=generator).to(windows.device)
+        windows = windows + self.noise * noise
+        for column in windows[:, :-1].unbind(1):
+            stream.push(column)
+        column, state = windows[:, -1], self.state[rows]
+        error, total = torch.zeros(len(rows), 6, device=rows.device), torch.zeros((), device=rows.device)
+        for step in range(self.steps):
+            outputs = stream.push(column)
+            assert outputs is not None
+            world = self._world(outputs, self.base[rows + step], state[:, 3:7])
+            error = error + (world - self.label[rows + step])
+            total = total + (error / ((step + 1) * self.error_std)).square().mean()
+            state = advanced(state, world, self.config.dt)
+            if step + 1 < self.steps:
+                column = self._column(state, self.tensors.inputs[rows + step + 1])
+        return total / self.steps
+
+    def _world(self, outputs: Tensor, base: Tensor, attitude: Tensor) -> Tensor:
+        """World acceleration and angular acceleration (b, 6) that standardised outputs stand for."""
+        spoken = (outputs * self.scaling["output_std"] + self.scaling["output_mean"]) / self.spoken
+        if self.config.outputs == "world":
+            if self.config.base == "none":
+                return spoken
+            return spoken + torch.cat([rotated(attitude, base[:, :3]) - self._up(base), base[:, 3:]], 1)
+        body = base + spoken
+        world: Tensor = torch.cat([rotated(attitude, body[:, :3]) - self._up(body), body[:, 3:]], 1)
+        return world
+
+    @staticmethod
+    def _up(like: Tensor) -> Tensor:
+        return torch.tensor([0.0, 0.0, GRAVITY], device=like.device)
+
+    def _column(self, state: Tensor, recorded: Tensor) -> Tensor:
+        """A standardised column of a predicted state with the recorded motors."""
+        attitude = state[:, 3:7]
+        if self.config.inputs == "world":
+            moving = state
+        else:
+            back = torch.cat([attitude[:, :1], -attitude[:, 1:]], 1)
+            down = torch.tensor([0.0, 0.0, -1.0], device=state.device).expand(len(state), 3)
+            moving = torch.cat([rotated(back, state[:, :3]), rotated(back, down), state[:, 7:]], 1)
+        width = moving.shape[1]
+        standardised = (moving - self.scaling["input_mean"][:width]) / self.scaling["input_std"][:width]
+        return torch.cat([standardised, recorded[:, width:]], 1)
+
+
+def rotated(attitude: Tensor, vector: Tensor) -> Tensor:
+    """Body vectors (b, 3) in world axes. attitude: (b, 4), unit."""
+    w, r = attitude[:, :1], attitude[:, 1:]
+    turned = 2 * torch.linalg.cross(r, vector)
+    world: Tensor = vector + w * turned + torch.linalg.cross(r, turned)
+    return world
+
+
+def advanced(state: Tensor, world: Tensor, dt: float) -> Tensor:
+    """Velocity, attitude and rates (b, 10) after dt of mean accelerations (b, 6); the attitude by its mean rate."""
+    rate = state[:, 7:] + dt * world[:, 3:]
+    half = 0.25 * dt * (state[:, 7:] + rate)  # half the rotation vector
+    angle = half.square().sum(1, keepdim=True).add(1e-16).sqrt()
+    w, r = torch.cos(angle), torch.sin(angle) / angle * half
+    q0, q = state[:, 3:4], state[:, 4:7]
+    turned = [q0 * w - (q * r).sum(1, keepdim=True), q0 * r + w * q + torch.linalg.cross(q, r)]
+    return torch.cat([state[:, :3] + dt * world[:, :3], *turned, rate], 1)
+
+
+def _run_length(ends: np.ndarray) -> np.ndarray:
+    """(m,) how many consecutive rows begin at each of the ends."""
+    breaks = np.flatnonzero(np.diff(ends) != 1)
+    last = np.append(breaks, len(ends) - 1)
+    return np.asarray(last[np.searchsorted(last, np.arange(len(ends)))] - np.arange(len(ends)) + 1)

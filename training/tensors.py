@@ -1,0 +1,72 @@
+"""What a network learns from as standardised tensors on one device, stored once; windows are index arithmetic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from dynamics.vehicle import Vehicle
+from training.checkpoint import Scaling
+from training.config import ModelConfig
+from training.dataset import Dataset
+from training.features import body_inertia
+from training.points import Points
+from training.recipe import Recipe
+
+
+@dataclass(frozen=True, eq=False)
+class Tensors:
+    """inputs: (n, k). targets: (n, 6). ends: (m,) rows that windows end at. history: T."""
+
+    inputs: Tensor
+    targets: Tensor
+    ends: Tensor
+    history: int
+
+    @classmethod
+    def of(cls, data: Dataset, scaling: Scaling, history: int, device: torch.device) -> Tensors:
+        """A data set, standardised."""
+        inputs = torch.from_numpy((data.inputs - scaling.input_mean) / scaling.input_std).float()
+        targets = torch.from_numpy((data.targets - scaling.output_mean) / scaling.output_std).float()
+        return cls(inputs.to(device), targets.to(device), torch.from_numpy(data.ends).to(device), history)
+
+    def windows(self, ends: Tensor) -> Tensor:
+        """(m, T, k) windows, oldest column first, that end at these rows."""
+        offsets = torch.arange(1 - self.history, 1, device=ends.device)
+        return self.inputs[ends[:, None] + offsets]
+
+
+@dataclass(frozen=True, eq=False)
+class PointTensors:
+    """The points of the physics-inspired loss, standardised. windows: (p, T, k). targets: (p, 6)."""
+
+    windows: Tensor
+    targets: Tensor
+
+    @classmethod
+    def of(cls, points: Points, scaling: Scaling, device: torch.device) -> PointTensors:
+        """Points, standardised as the flights are."""
+        windows = torch.from_numpy((points.windows - scaling.input_mean) / scaling.input_std).float()
+        targets = torch.from_numpy((points.targets - scaling.output_mean) / scaling.output_std).float()
+        return cls(windows.to(device), targets.to(device))
+
+
+def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:
+    """Mean and deviation of inputs and targets over the training windows; 0 and 1 for raw numbers, as the paper's.
+
+    Raw residual force and torque are spoken in units of mass and inertia, so that the loss is of accelerations.
+    """
+    inputs, targets = data.inputs[data.ends], data.targets[data.ends]
+    if not recipe.standardise:
+        spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
+        return Scaling(np.zeros(inputs.shape[1]), np.ones(inputs.shape[1]), np.zeros(6), spoken)
+    return Scaling(inputs.mean(0), _deviation(inputs), targets.mean(0), _deviation(targets))
+
+
+def _deviation(values: np.ndarray) -> np.ndarray:
+    """(k,) standard deviations, 1 where nothing moves."""
+    deviation = values.std(axis=0)
+    return np.where(deviation > 1e-9 * (1 + np.abs(values).max(axis=0)), deviation, 1.0)

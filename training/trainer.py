@@ -1,0 +1,146 @@
+"""The trainer that all models share: composite loss of PI-TCN eq. 4 in two stages, Adam, best step by validation.
+
+A member of an ensemble is one call of `train` with its own seed. Every `evaluate_every` steps the validation flights
+are judged and everything is saved; a run that was killed goes on from there, bit for bit.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+from torch.optim import Adam
+
+from training.blame import blame
+from training.config import ModelConfig
+from training.dataset import RowNames
+from training.networks import build_network
+from training.parallel import join_group, shared, wait_for_all
+from training.progress import Report, Run
+from training.recipe import Recipe
+from training.rollout import Rollout
+from training.schedule import Schedule
+from training.tensors import PointTensors, Tensors
+
+EVALUATED = 8192  # windows at once
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What one member learns from. rows: names the flight of a row in an error.
+
+    fingerprint: of everything that decides the result but the seed. state_file: where progress is kept, None for
+    nowhere.
+    """
+
+    config: ModelConfig
+    recipe: Recipe
+    training: Tensors
+    validation: Tensors
+    points: PointTensors | None
+    rollout: Rollout | None
+    rows: RowNames
+    fingerprint: str
+    member: int
+    seed: int
+    state_file: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Member:
+    """A trained network's best weights. validation: mean squared standardised error that they have."""
+
+    weights: dict[str, Any]
+    validation: float
+    best_step: int
+    steps: int
+    seconds: float
+
+
+def train(task: Task, report: Callable[[Report], None]) -> Member:
+    """Train one member, from where it was left if its state file is there. report: told at every evaluation.
+
+    Raises DataError when the loss is no number, RequestError when progress cannot be written or read.
+    """
+    recipe, device = task.recipe, task.training.inputs.device
+    rank, size = join_group(device)
+    torch.manual_seed(task.seed)
+    network = build_network(task.config).to(device)
+    schedule = Schedule.of(recipe, len(task.training.ends))
+    generator = torch.Generator().manual_seed(task.seed)
+    run = Run(network, _adam(network), generator, f"{task.fingerprint} {task.seed}")
+    if task.state_file is not None and task.state_file.exists():
+        run.resume(task.state_file)
+    learner, began = shared(network, size), time.monotonic() - run.seconds
+    stopped = recipe.patience and run.without_better >= recipe.patience
+    while run.step < schedule.steps and not stopped:
+        if schedule.starts_anew(run.step):
+            run.optimizer = _adam(network)
+            run.best, run.without_better = float("inf"), 0  # a stage with another loss: its own best
+        for group in run.optimizer.param_groups:
+            group["lr"] = schedule.learning_rate(run.step)
+        network.train()
+        chosen = torch.randint(len(task.training.ends), (recipe.batch,), generator=generator)[rank::size]
+        loss, physics = _losses(task, learner, chosen.to(device), run, schedule.physics_weight(run.step), (rank, size))
+        if not torch.isfinite(loss):
+            raise blame(task.rows, task.training, chosen, step=run.step, batch=recipe.batch)
+        run.optimizer.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        run.optimizer.step()
+        run.step += 1
+        if run.step % recipe.evaluate_every and run.step < schedule.steps:
+            continue
+        validation = evaluate(network, task.validation)
+        run.keep_best(validation)
+        run.seconds = time.monotonic() - began
+        if rank == 0:
+            if task.state_file is not None:
+                run.save(task.state_file)
+            told = None if physics is None else physics.item()
+            rate = run.optimizer.param_groups[0]["lr"]
+            report(
+                Report(task.member, run.step, schedule.steps, loss.item(), told, validation, run.best, rate)
+            )  # fmt: skip
+        stopped = recipe.patience and run.without_better >= recipe.patience and run.step >= schedule.restart
+    wait_for_all()
+    return Member(run.best_weights, run.best, run.best_step, run.step, run.seconds)
+
+
+def evaluate(network: nn.Module, data: Tensors) -> float:
+    """Mean squared standardised error over all windows. Leaves the network in evaluation mode."""
+    network.eval()
+    total = 0.0
+    with torch.no_grad():
+        for ends in torch.split(data.ends, EVALUATED):
+            total += float((network(data.windows(ends)) - data.targets[ends]).square().sum())
+    return total / (6 * len(data.ends))
+
+
+def _losses(
+    task: Task, learner: nn.Module, chosen: Tensor, run: Run, weight: float, share: tuple[int, int]
+) -> tuple[Tensor, Tensor | None]:
+    """The composite loss of a batch (eq. 4), and its physics-inspired part if there is one."""
+    recipe, data = task.recipe, task.training
+    if task.rollout is not None:
+        return task.rollout.loss(run.network, chosen, run.generator), None
+    ends = data.ends[chosen]
+    windows, targets = data.windows(ends), data.targets[ends]
+    if recipe.input_noise > 0:
+        noise = torch.randn(windows.shape, generator=run.generator).to(windows.device)
+        windows = windows + recipe.input_noise * noise
+    if task.points is None or weight == 0:
+        return (learner(windows) - targets).square().mean(), None
+    count, pool = recipe.physics_batch, len(task.points.windows)
+    rows = (torch.arange(count) + run.step * count)[share[0] :: share[1]] % pool
+    outputs = learner(torch.cat([windows, task.points.windows[rows]]))
+    physics = (outputs[len(windows) :] - task.points.targets[rows]).square().mean()
+    return (outputs[: len(windows)] - targets).square().mean() + weight * physics, physics
+
+
+def _adam(network: nn.Module) -> Adam:
+    return Adam(network.parameters(), fused=True)
