@@ -1,7 +1,8 @@
 """The delay, or lag, of one set of signals behind another, with its standard deviation: the estimator.
 
 y(t) = x(t - d) B + z(t) C + noise with B and C free; d by variable projection and Gauss-Newton. Its variance comes from
-the scores of blocks of flight (sandwich estimate), because the noise is coloured. For a lag, x passes 1 / (d s + 1).
+the scores of blocks of flight (sandwich estimate), because the noise is coloured. For a lag, x = g(u) of a signal u
+that has passed 1 / (d s + 1): a motor's speed follows its command, and thrust is a curve of the speed.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from flights import filters
 from flights.log import Floats
 
 Band = tuple[float, float]
+Curve = Callable[[Floats], Floats]
 
 NARROWEST = 2.0  # highest over lowest frequency
 OVERSAMPLING = 2.2  # rows compared per period of the highest frequency, so that they fill their band
@@ -35,52 +37,54 @@ DIFFERENCE = 1e-4  # s, for slopes by the delay
 
 @dataclass(frozen=True)
 class FittedDelay:
-    """seconds, std, and half of the 95 % interval, s. compared: s of flight it rests on."""
+    """seconds, std, and half of the 95 % interval, s. compared: s of flight. explained: share of the answer."""
 
     seconds: float
     std: float
     reach: float
     compared: float
+    explained: float
 
 
 def fit_delay(
     answer: Floats, drive: Floats, beside: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
-    *, paired: bool = False, lags: bool = False, closed_loop: float = 0.0,
+    *, paired: bool = False, lagged: Curve | None = None, whiten: bool = True, closed_loop: float = 0.0,
 ) -> FittedDelay | None:  # fmt: skip
     """How far `answer` (n, m) is behind `drive` (n, p); beside: (n, q) what else it follows, undelayed.
 
     All on one grid of a rate, Hz; NaN where not known. band: Hz compared. usable: (n,) rows. paired: each answer
-    follows its own drive only, with m = p: on a circle, a turn of the axes cannot be told from a delay. lags: fit a
-    first-order lag instead. closed_loop: s within which a controller answers what is not explained, which then looks
-    like a delay; the unexplained share of it goes into the interval. None when there is too little flight, or no best
-    delay within reach.
+    follows its own drive only, with m = p: on a circle, a turn of the axes cannot be told from a delay. lagged: fit a
+    first-order lag of the drive instead, this curve of which is what the answer follows. whiten: let no frequency count
+    for more than it knows; without it the model serves where most of the motion is. closed_loop: s within which a
+    controller answers what is not explained, which then looks like a delay; the unexplained share of it goes into the
+    interval. None when there is too little flight, or no best delay within reach.
     """
     if band[1] < NARROWEST * band[0]:
         return None  # logged too slowly to be compared at all
     known = usable & np.isfinite(np.hstack([answer, drive, beside])).all(axis=1)
     stretches = [
-        _Stretch.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lags=lags)
+        _Stretch.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lagged=lagged)
         for start, stop in filters.runs(known)
         if (stop - start) / rate >= 2 * EDGE + BLOCK
     ]
     count = sum(len(stretch.blocks) for stretch in stretches)
     if count < LEAST_BLOCKS:
         return None
-    first, last = LAGS if lags else (EARLIEST, LATEST)
+    first, last = (EARLIEST, LATEST) if lagged is None else LAGS
     trials = np.arange(first, last + STEP / 2, STEP)
     best = int(np.argmin([_misfit(stretches, float(trial)) for trial in trials]))
-    if best == len(trials) - 1 or (best == 0 and not lags):
+    if best == len(trials) - 1 or (best == 0 and lagged is None):
         return None
     delay, std, unexplained = float(trials[best]), float("inf"), 1.0
     for _ in range(ITERATIONS):
-        change, std, unexplained = _gauss_newton(stretches, delay)
+        change, std, unexplained = _gauss_newton(stretches, delay, whiten=whiten)
         delay = float(np.clip(delay + np.clip(change, -STEP, STEP), first, last))
         if abs(change) < 1e-6:
             break
     random, systematic = CALIBRATION * std, float(np.hypot(closed_loop * unexplained, STAMPS))
     tail = 0.5 + CONFIDENCE / 2
     reach = float(np.hypot(stats.t.ppf(tail, count - 1) * random, stats.norm.ppf(tail) * systematic))
-    return FittedDelay(delay, float(np.hypot(random, systematic)), reach, round(count * BLOCK, 1))
+    return FittedDelay(delay, float(np.hypot(random, systematic)), reach, round(count * BLOCK, 1), 1 - unexplained)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,14 +102,18 @@ class _Stretch:
     paired: bool
 
     @classmethod
-    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lags: bool) -> _Stretch:
+    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lagged: Curve | None) -> _Stretch:
         """sides: answer, drive and beside, (n, .) each on a grid of a rate, Hz."""
-        answer, drive, beside = (_band(part, rate, band) for part in sides)
+        drive = sides[1]
+        answer, beside = (_band(part, rate, band) for part in (sides[0], sides[2]))
         every = max(1, int(rate / (OVERSAMPLING * band[1])))
         length = round(BLOCK * rate / every)
         count = int((len(answer) / rate - 2 * EDGE) / (length * every / rate))
         rows = round(EDGE * rate) + every * np.arange(count * length)
-        driven = _lagged(drive, rate, rows) if lags else _delayed(drive, rate, rows)
+        if lagged is None:
+            driven = _delayed(_band(drive, rate, band), rate, rows)
+        else:
+            driven = _lagged(drive, rate, band, lagged, rows)
         return cls(answer[rows], beside[rows], np.arange(count) * length, driven, paired)
 
 
@@ -114,13 +122,16 @@ def _delayed(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[fl
     return lambda seconds: np.asarray(spline(rows / rate - seconds))
 
 
-def _lagged(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
+def _lagged(drive: Floats, rate: float, band: Band, curve: Curve, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
+    since_start = drive - drive[0]  # so that the lag begins settled
+
     def driven(seconds: float) -> Floats:
         # exact for a drive that is linear between its rows (first-order hold)
         step = 1 / rate / seconds
         keep = np.exp(-step)
         now, before = 1 - (1 - keep) / step, (1 - keep) / step - keep
-        return np.asarray(signal.lfilter([now, before], [1, -keep], drive, axis=0)[rows])
+        followed = drive[0] + signal.lfilter([now, before], [1, -keep], since_start, axis=0)
+        return _band(curve(followed), rate, band)[rows]
 
     return driven
 
@@ -155,25 +166,27 @@ class _Side:
         return _Side(white(self.answer), white(self.columns), white(self.slope))
 
 
-def _sides(stretches: list[_Stretch], delay: float) -> list[_Side]:
-    """Every answer over all stretches, with what it is compared with at a delay."""
+def _sides(stretches: list[_Stretch], delay: float, *, sloped: bool = True) -> list[_Side]:
+    """Every answer over all stretches, with what it is compared with at a delay. sloped: or else all slopes are 0."""
     answer = np.concatenate([stretch.answer for stretch in stretches])
     beside = np.concatenate([stretch.beside for stretch in stretches])
-    now, later, earlier = (
-        np.concatenate([stretch.driven(delay + step) for stretch in stretches])
-        for step in (0.0, DIFFERENCE, -DIFFERENCE)
-    )
-    slope = (later - earlier) / (2 * DIFFERENCE)
+
+    def driven(seconds: float) -> Floats:
+        return np.concatenate([stretch.driven(seconds) for stretch in stretches])
+
+    now = driven(delay)
+    apart = 2 * DIFFERENCE
+    slope = (driven(delay + DIFFERENCE) - driven(delay - DIFFERENCE)) / apart if sloped else np.zeros_like(now)
     choose = [[k] if stretches[0].paired else slice(None) for k in range(answer.shape[1])]
     return [_Side(answer[:, k], np.hstack([now[:, c], beside]), slope[:, c]) for k, c in enumerate(choose)]
 
 
 def _misfit(stretches: list[_Stretch], delay: float) -> float:
     """Sum of the log residual variances at a delay."""
-    return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(stretches, delay)))
+    return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(stretches, delay, sloped=False)))
 
 
-def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float, float]:
+def _gauss_newton(stretches: list[_Stretch], delay: float, *, whiten: bool) -> tuple[float, float, float]:
     """The next change of the delay, its standard deviation by the blocks' scores, s, and the unexplained share."""
     score, information, unexplained = 0.0, 0.0, 0.0
     starts = np.concatenate([[0], np.cumsum([len(stretch.answer) for stretch in stretches])])
@@ -182,7 +195,7 @@ def _gauss_newton(stretches: list[_Stretch], delay: float) -> tuple[float, float
     for raw in _sides(stretches, delay):
         if float(np.mean(raw.residual**2)) < 1e-20:
             continue  # a channel that stands still says nothing
-        side = raw.whitened(starts[1:-1])
+        side = raw.whitened(starts[1:-1]) if whiten else raw
         coefficients, residual = _solve(side.columns, side.answer), side.residual
         direction = side.slope @ coefficients[: side.slope.shape[1]]
         direction = direction - side.columns @ _solve(side.columns, direction)  # what free coefficients explain

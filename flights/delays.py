@@ -2,15 +2,17 @@
 
 A value stamped t that was true at t - d is late by d. Attitude is compared with the gyro, velocity with the rotated
 accelerometer, position with velocity, measured rotor speeds with the forces and torques that they make. Commands have
-a response time instead, motor lag included, which is physics and never removed.
+a response time instead, which is physics and never removed: of thrust and of angular acceleration each, as a
+first-order lag and as a pure delay, with the share that either explains.
 
 Each comparison leaves gains, biases and rotor constants free; see `flights.delay_fit`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from dynamics import quaternion
 from flights import filters
 from flights.alignment import resample
-from flights.delay_fit import Band, fit_delay
+from flights.delay_fit import Band, Curve, fit_delay
 from flights.exclusion import Exclusion
 from flights.log import Floats, Log, Stream
 from flights.quantities import ROTORS
@@ -28,6 +30,8 @@ CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
 LOWEST = 0.5  # Hz: slower differences are biases
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
+RESPONSE_BAND = (0.05, 10.0)  # Hz: where a vehicle moves; slower is its battery
+LEAST_COMMANDS = 20.0  # Hz at which commands must be logged to tell how they are followed
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
 # calibration of benchmarks/delay_estimation.py
 ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
@@ -38,8 +42,8 @@ LARGEST_REACH = 0.008  # s of half an interval; a delay known less well than thi
 class Delay:
     """One stream against another. seconds: by which its stamps are late. low, high: 95 % interval, s.
 
-    is_response: the time constant of the lag by which rotors follow a command, rather than a clock's error.
-    seconds_compared: of flight it rests on.
+    kind: an error of a clock, or what follows a command with a first-order lag (seconds: its time constant) or a pure
+    delay. seconds_compared: of flight it rests on. explained: share of the variance of what it is compared with.
     """
 
     stream: str
@@ -48,8 +52,14 @@ class Delay:
     std: float
     low: float
     high: float
-    is_response: bool
+    kind: Literal["clock", "lag", "delay"]
     seconds_compared: float
+    explained: float
+
+    @property
+    def is_response(self) -> bool:
+        """Whether it is how a command is followed rather than an error of a clock."""
+        return self.kind != "clock"
 
     @property
     def is_known(self) -> bool:
@@ -57,11 +67,11 @@ class Delay:
         return self.high - self.low <= 2 * LARGEST_REACH
 
     def __str__(self) -> str:
-        word = "is followed with a lag of" if self.is_response else "late by"
-        return (
-            f"{self.stream} {word} {1e3 * self.seconds:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f}) "
-            f"against {self.against}"
-        )
+        value = f"{1e3 * self.seconds:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f})"
+        if self.kind == "clock":
+            return f"{self.stream} late by {value} against {self.against}"
+        word = "a lag" if self.kind == "lag" else "a pure delay"
+        return f"{self.against} follows {self.stream} with {word} of {value}, which explains {self.explained:.0%} of it"
 
 
 def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[Delay, ...]:
@@ -161,25 +171,49 @@ def _rotors(frame: _Frame, attitude_late: float, velocity_late: float) -> tuple[
     rate, force = frame.get("rate"), frame.get("specific_force")
     if rate is None:
         return ()
-    answer, against = filters.derivative(rate, 1 / frame.rate), "angular acceleration"
-    if force is not None:
-        answer, against = np.hstack([answer, force[:, 2:3]]), "IMU"
     beside = _beside_rotors(rate, frame.get("velocity", late=velocity_late), frame.get("attitude", late=attitude_late))
-    found = []
-    for name in ("rotor_speed", "rotor_speed_command", "rotor_thrust_command", "rotor_command"):
-        values = frame.get(name)
-        if values is None:
-            continue
-        # a speed acts by its square; the curve of a signal is not known: its square beside itself
-        drive = values if name == "rotor_thrust_command" else values**2
-        drive = np.hstack([values, drive]) if name == "rotor_command" else drive
-        band = frame.band(name, "rate", band=ROTOR_BAND)
-        lags = name != "rotor_speed"
-        delay = _compare(frame, answer, drive, name, against, band, beside=beside, lags=lags)
-        if delay is not None and not lags:  # the IMU is what is compared: it is late when the rotors are early
-            delay = replace(delay, seconds=-delay.seconds, low=-delay.high, high=-delay.low)
-        found.append(delay)
-    return tuple(found)
+    answers = {"angular acceleration": filters.derivative(rate, 1 / frame.rate)}
+    if force is not None:
+        answers = {"thrust": force[:, 2:3], **answers}
+    return (
+        _rotor_clock(frame, answers, beside),
+        *(delay for name in _CURVES for delay in _responses(frame, name, answers, beside)),
+    )
+
+
+def _rotor_clock(frame: _Frame, answers: Mapping[str, Floats], beside: Floats) -> Delay | None:
+    speed = frame.get("rotor_speed")
+    if speed is None:
+        return None
+    against = "IMU" if len(answers) > 1 else next(iter(answers))
+    band = frame.band("rotor_speed", "rate", band=ROTOR_BAND)
+    answer = np.hstack(list(answers.values()))
+    delay = _compare(frame, answer, speed**2, "rotor_speed", against, band, beside=beside)
+    if delay is None:
+        return None
+    # the IMU is what is compared: it is late when the rotors are early
+    return replace(delay, seconds=-delay.seconds, low=-delay.high, high=-delay.low)
+
+
+def _responses(frame: _Frame, name: str, answers: Mapping[str, Floats], beside: Floats) -> list[Delay | None]:
+    """How thrust and turning follow a command, as a lag and as a delay each."""
+    command = frame.get(name)
+    if command is None or frame.streams[name].rate < LEAST_COMMANDS:
+        return []
+    curve, band, found = _CURVES[name], frame.band(name, "rate", band=RESPONSE_BAND), []
+    for against, answer in answers.items():
+        found.append(_compare(frame, answer, command, name, against, band, beside=beside, lagged=curve))
+        found.append(_compare(frame, answer, curve(command), name, against, band, beside=beside))
+    return found
+
+
+# What a rotor gives for its command: by the square of its speed; the curve of a signal is not known, so that its square
+# stands beside itself.
+_CURVES: Mapping[str, Curve] = {
+    "rotor_speed_command": np.square,
+    "rotor_thrust_command": np.asarray,
+    "rotor_command": lambda values: np.hstack([values, values**2]),
+}
 
 
 def _beside_rotors(rate: Floats, velocity: Floats | None, attitude: Floats | None) -> Floats:
@@ -192,16 +226,17 @@ def _beside_rotors(rate: Floats, velocity: Floats | None, attitude: Floats | Non
 
 def _compare(
     frame: _Frame, answer: Floats, drive: Floats, name: str, against: str, band: Band,
-    *, beside: Floats | None = None, lags: bool = False,
+    *, beside: Floats | None = None, lagged: Curve | None = None,
 ) -> Delay | None:  # fmt: skip
     beside = np.empty((len(answer), 0)) if beside is None else beside
     paired = name not in ROTORS
     closed_loop = VELOCITY_LOOP if name == "velocity" else 0.0 if paired else ROTOR_LOOP
+    kind: Literal["clock", "lag", "delay"] = "clock" if name not in _CURVES else "delay" if lagged is None else "lag"
     fit = fit_delay(
         answer, drive, beside, frame.rate, band, frame.usable,
-        paired=paired, lags=lags, closed_loop=closed_loop,
+        paired=paired, lagged=lagged, whiten=kind == "clock", closed_loop=closed_loop,
     )  # fmt: skip
     if fit is None:
         return None
     low, high = fit.seconds - fit.reach, fit.seconds + fit.reach
-    return Delay(name, against, fit.seconds, fit.std, low, high, lags, fit.compared)
+    return Delay(name, against, fit.seconds, fit.std, low, high, kind, fit.compared, fit.explained)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
@@ -84,9 +85,10 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
         console.print(f"left out: {item}", style="dim", highlight=False)
     _print_channels(inspection, console, everything=everything)
     for delay in sorted(inspection.delays, key=lambda delay: delay.is_response):
-        console.print(f"clock: {delay}{'' if delay.is_known else ', too uncertain to use'}", highlight=False)
+        doubt = "" if delay.is_known else ": too uncertain to use"
+        console.print(f"{'response' if delay.is_response else 'clock'}: {delay}{doubt}", highlight=False)
     for finding in inspection.findings:
-        if finding.name != "clock_offset":
+        if finding.name != "clock_offset":  # said among the clocks
             todo = f"; {finding.advice}" if finding.advice else ""
             console.print(f"[{COLOURS[finding.severity]}]{finding.severity}[/]: {finding.text}{todo}", highlight=False)
     _print_effects(inspection, console)
@@ -97,10 +99,11 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
 
 
 def _print_channels(inspection: Inspection, console: Console, *, everything: bool) -> None:
-    table = Table(title="channels", title_justify="left")
+    table = Table(title="channels", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))  # fits 80 columns
     table.add_column("quantity", no_wrap=True)
-    for heading in ("Hz", "new Hz", "jitter ms", "gaps", "longest s", "noise"):
+    for heading in ("Hz", "new Hz", "jitter ms", "gaps", "gap s"):
         table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("noise", justify="right")
     for channel in inspection.channels:
         if not everything and (channel.quantity in MINOR or "setpoint" in channel.quantity):
             continue

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import msgspec
 import typer
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
-from rich.table import Column, Table
+from rich.table import Table
 
 from dynamics.errors import VehicleError
 from runtime.connection import parse_endpoint
@@ -79,8 +80,10 @@ def _print(report: LinkReport, console: Console) -> None:
 
 
 def _streams(report: LinkReport) -> Table:
-    headings = ("was, Hz", "asked", "answer", "is, Hz", "p1, ms", "median", "p99")
-    table = Table(Column("message", no_wrap=True), *headings)
+    table = Table("message", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))  # fits 80 columns; a long answer wraps
+    for heading in ("was, Hz", "asked", "answer", "is, Hz", "p1, ms", "median", "p99"):
+        table.add_column(heading, justify="right", no_wrap=heading != "answer", overflow="fold")
+    table.columns[0].no_wrap = True
     for stream in report.streams:
         after = stream.after
         intervals = [f"{value * 1e3:.1f}" for value in (after.p1, after.median, after.p99)]

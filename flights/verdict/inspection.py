@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from flights import plausibility
-from flights.delays import Delay, estimate_delays
+from flights.delays import LARGEST_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
 from flights.log import Log, Repair
@@ -163,12 +163,20 @@ def _amount(measured: dict[str, float]) -> list[Finding]:
 
 
 def _clocks(delays: Sequence[Delay]) -> list[Finding]:
-    late = [d for d in delays if d.is_known and not d.is_response and abs(d.seconds) > NOTABLE_DELAY]
-    return [
+    clocks = [delay for delay in delays if not delay.is_response]
+    late = [d for d in clocks if d.is_known and abs(d.seconds) > NOTABLE_DELAY and not d.low <= 0.0 <= d.high]
+    found = [
         Finding("note", "clock_offset", str(delay), "take it off with flights.delays.remove_delays before a fit")
         for delay in late
-        if not delay.low <= 0.0 <= delay.high
     ]
+    return found + [
+        Finding(
+            "note", "uncertain_delay", f"{delay}: known less well than to {1e3 * LARGEST_REACH:.0f} ms, so that it is "
+            "not taken off", "fly more briskly, and where the air is still: gusts hide when rotors act",
+        )
+        for delay in clocks
+        if not delay.is_known
+    ]  # fmt: skip
 
 
 def _resets(log: Log) -> list[Finding]:

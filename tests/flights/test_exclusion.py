@@ -117,6 +117,35 @@ def test_a_crash_is_lost_from_the_blow_until_it_flies_again() -> None:
     assert [round(float(piece.time[0])) for piece in pieces] == [0, 17]
 
 
+def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
+    """As in log16 of the Crazyflie at 1 kHz: a blow of 79 m/s^2 at 39.3 s, motors at 0 until 44 s, then it flies on."""
+    time = np.arange(32.0, 49.0, 1e-3)
+    random = np.random.default_rng(7)
+    columns = {f"specific_force_{axis}": usual + random.normal(0, 0.6, len(time)) for axis, usual in
+               zip("xyz", (0.0, 0.0, 9.81), strict=True)}  # fmt: skip
+    columns |= {f"rate_{axis}": random.normal(0, 0.3, len(time)) for axis in "xyz"}
+    columns |= {f"rotor_command_{rotor}": 0.6 + random.normal(0, 0.05, len(time)) for rotor in range(4)}
+    blow, lying = (time >= 39.3) & (time < 39.31), (time >= 39.35) & (time < 44.0)
+    columns["specific_force_y"][blow] = -79.0
+    for name in columns:
+        columns[name][lying] = 0.0
+    columns["specific_force_x"][lying] = 9.81  # on its side
+    found = find_exclusions(Flight(time, columns, Provenance("planted", "", "", "")))
+    item = only(found, "crash")
+    assert item.start == pytest.approx(39.05, abs=0.02)
+    assert 43.9 < item.stop < 45.0
+    assert {other.reason for other in found} <= {"crash", "ground"}  # stands on the ground when it is over
+
+
+def test_idle_rotors_on_the_ground_are_believed_before_a_late_land_detector() -> None:
+    columns = hovering()
+    stand(columns, 20.0, 30.0, speed=0.2 * HOVER)
+    columns["landed"] = (np.arange(3000) >= 2800).astype(float)
+    item = only(find_exclusions(flight(columns)), "ground")
+    assert item.start == pytest.approx(19.7, abs=0.1)
+    assert item.stop == pytest.approx(29.99, abs=0.02)
+
+
 def test_a_crash_that_ends_the_flight_is_lost_to_the_end() -> None:
     columns = hovering()
     crash(columns, 20.0, until=30.0)
