@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from diagnosis.command_curve import fit_command_curve
 from diagnosis.stretch import FASTEST, Stretch, stretches
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
@@ -83,7 +84,13 @@ def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str |
         fitted = cut
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
     numbered = [(s, i) for i, group in enumerate(fitted) for s in group]
-    return Dataset(tuple(s for s, _ in numbered), tuple(i for _, i in numbered), tuple(judged), hashes, tuple(notes))
+    flight_of = tuple(i for _, i in numbered)
+    learned, kept_back = tuple(s for s, _ in numbered), tuple(judged)
+    if learned[0].rotor_source == "command":
+        curve = fit_command_curve(learned, kept_back, vehicle)
+        notes.append(str(curve))
+        learned, kept_back = (tuple(curve.applied(s, vehicle) for s in part) for part in (learned, kept_back))
+    return Dataset(learned, flight_of, kept_back, hashes, tuple(notes))
 
 
 def _read(path: str | Path, mapping: str | Path | None) -> Flight:
@@ -111,8 +118,8 @@ def _missing(flight: Flight) -> list[str]:
         notes.append("no accelerometer in the log: a force cannot be told from a fault of the pose")
     if not flight.has("rate"):
         notes.append("no gyro in the log: torques show only through the attitude, and gyro and clock stay unchecked")
-    if not flight.has("rotor_speed"):
-        notes.append("no measured rotor speed: the model takes the commands, so the motors' own lag is part of it")
+    if not flight.has("attitude") or not (flight.has("velocity") or flight.has("position")):
+        notes.append("no pose in the log: gyro and accelerometer alone say nothing of what depends on speed or place")
     return notes
 
 

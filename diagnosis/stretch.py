@@ -3,23 +3,22 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 
 from diagnosis.filters import CUTOFF, Floats, difference, low_pass
+from diagnosis.rotor_input import SLOWEST, RotorSource, rotor_speeds
 from dynamics import quaternion
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
+from flights.exclusion import excluded_rows, find_exclusions
 
-RotorSource = Literal["measured", "command"]
-SLOWEST, FASTEST = 40.0, 500.0  # Hz
+FASTEST = 500.0  # Hz
 SHORTEST = 3.0  # s
 FULL_CELL = 4.2  # V
-TURNING_SHARE = 0.25  # of hover speed below which the rotors do not fly
 MARGIN = 0.5  # s left out around ground and contact
 CONTACT = 60.0  # m/s^2 of specific force that only a crash or a landing has
 
@@ -30,6 +29,7 @@ class Stretch:
 
     specific_force: (n, 3) m/s^2, None if not logged. rotor_speed: (n, rotors) rad/s. battery_ratio: (n,) voltage over
     the full battery's, None if not logged. flight: the log that it is of. start: s in the log's time.
+    lacks: which of position, velocity and attitude were not logged; they stand at the origin, at rest, upright.
     """
 
     flight: str
@@ -43,6 +43,7 @@ class Stretch:
     rotor_speed: Floats
     rotor_source: RotorSource
     battery_ratio: Floats | None
+    lacks: frozenset[str] = frozenset()
 
     def __len__(self) -> int:
         return len(self.position)
@@ -51,6 +52,16 @@ class Stretch:
     def duration(self) -> float:
         """Seconds."""
         return len(self) / self.rate
+
+    @property
+    def has_pose(self) -> bool:
+        """Whether it tells the acceleration of the pose in body axes."""
+        return not self.lacks & {"velocity", "attitude"}
+
+    @property
+    def has_attitude(self) -> bool:
+        """Whether it tells how the attitude turns."""
+        return "attitude" not in self.lacks
 
     @cached_property
     def to_world(self) -> Floats:
@@ -93,77 +104,57 @@ class Stretch:
         def cut(values: Floats | None) -> Floats | None:
             return None if values is None else values[start:stop]
 
-        return Stretch(
-            self.flight, self.start + start / self.rate, self.rate, self.position[start:stop],
-            self.velocity[start:stop], self.attitude[start:stop], cut(self.gyro), cut(self.specific_force),
-            self.rotor_speed[start:stop], self.rotor_source, cut(self.battery_ratio),
-        )  # fmt: skip
+        return replace(
+            self,
+            start=self.start + start / self.rate,
+            position=self.position[start:stop],
+            velocity=self.velocity[start:stop],
+            attitude=self.attitude[start:stop],
+            gyro=cut(self.gyro),
+            specific_force=cut(self.specific_force),
+            rotor_speed=self.rotor_speed[start:stop],
+            battery_ratio=cut(self.battery_ratio),
+        )
 
 
 def stretches(flight: Flight, vehicle: Vehicle) -> tuple[Stretch, ...]:
     """The parts of a flight in the air without gaps, each at least 3 s long.
 
-    Raises DataError when the flight lacks motion, attitude or rotors, or is too slow to tell.
+    Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
     """
     name = flight.provenance.path
-    if not flight.has("attitude") or not (flight.has("velocity") or flight.has("position")):
-        raise DataError(
-            f"{name} has {', '.join(flight.quantities)}. Wanted attitude and position or velocity; log them."
-        )
+    posed = flight.has("attitude") and (flight.has("velocity") or flight.has("position"))
+    if not posed and not flight.has("rate", "specific_force"):
+        raise DataError(lacking(flight))
     if flight.rate < SLOWEST:
         raise DataError(
             f"{name} has {flight.rate:.0f} rows a second. Wanted {SLOWEST:.0f} Hz or more of gyro and pose."
         )
     speed, _ = rotor_speeds(flight, vehicle)
-    parts = flight.segments(exclude=_on_ground(flight, speed, vehicle), shortest=SHORTEST)
+    parts = flight.segments(exclude=_on_ground(flight, speed), shortest=SHORTEST)
     return tuple(_stretch(part, vehicle) for part in parts)
 
 
-def rotor_speeds(flight: Flight, vehicle: Vehicle) -> tuple[Floats, RotorSource]:
-    """(n, rotors) rad/s, measured if there are such, else commanded.
-
-    Raises DataError when there are neither, or none is logged fast enough.
-    """
-    name, rotors, slow = flight.provenance.path, vehicle.rotors, ""
-    for quantity in ("rotor_speed", "rotor_speed_command", "rotor_command"):
-        if not flight.has(quantity):
-            continue
-        origin = flight.origins.get(quantity)
-        if origin is not None and origin.rate < SLOWEST:
-            slow = slow or f"{quantity} at {origin.rate:.0f} Hz"
-            continue
-        values = flight[quantity]
-        if values.shape[1] != rotors.count:
-            raise DataError(f"{name} has {values.shape[1]} rotors, the vehicle file {rotors.count}. Give its own file.")
-        if quantity == "rotor_command":
-            curve = rotors.thrust_curve
-            values = rotors.speed_max * np.sqrt(np.maximum(curve * values**2 + (1 - curve) * values, 0.0))
-        return values, "measured" if quantity == "rotor_speed" else "command"
-    if flight.has("collective_thrust_command", "torque_command"):
-        return _allocated(flight, vehicle), "command"
-    if slow:
-        raise DataError(
-            f"{name} has {slow}. Wanted {SLOWEST:.0f} Hz or more: with PX4, set SDLOG_PROFILE to 17 (default and high "
-            "rate) and fly again."
-        )
-    raise DataError(f"{name} has {', '.join(flight.quantities)}. Wanted rotor speeds or motor commands; log them.")
+def lacking(flight: Flight) -> str:
+    """What a flight lacks that diagnosis cannot do without, and what can be done."""
+    wanted = ("attitude", "velocity", "rate", "specific_force")
+    names = {"rate": "gyro", "specific_force": "accelerometer"}
+    missing = ", ".join(names.get(name, name) for name in wanted if not flight.has(name))
+    return (
+        f"{flight.provenance.path} has {', '.join(flight.quantities)}; it lacks {missing}. Wanted attitude with "
+        "velocity or position, or else gyro and accelerometer: log them and fly again. With other flights of this "
+        "vehicle that were normal, `alula diagnose LOG --vehicle V --normal NORMAL` compares how the rotors share the "
+        "load in hover, which needs the motor commands alone."
+    )
 
 
-def _allocated(flight: Flight, vehicle: Vehicle) -> Floats:
-    """(n, rotors) rad/s that give the commanded thrust and torque, where the log knows no rotors."""
-    thrust = flight["collective_thrust_command"].reshape(-1, 1)
-    wanted = np.hstack([thrust, flight["torque_command"]])
-    squares = wanted @ np.linalg.pinv(vehicle.rotors.allocation).T
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
-
-
-def _on_ground(flight: Flight, speed: Floats, vehicle: Vehicle) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _on_ground(flight: Flight, speed: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     ground = ~np.isfinite(speed).all(axis=1)
-    ground |= np.nanmean(np.where(np.isfinite(speed), speed, 0.0), axis=1) < TURNING_SHARE * vehicle.hover_speed
     if flight.has("landed"):
         ground |= flight["landed"] != 0
     if flight.has("specific_force"):
         ground |= np.linalg.norm(np.nan_to_num(flight["specific_force"]), axis=1) > CONTACT
+    ground |= excluded_rows(flight, find_exclusions(flight))
     width = 2 * round(MARGIN * flight.rate) + 1
     return np.asarray(np.convolve(ground, np.ones(width), mode="same") > 0)
 
@@ -173,7 +164,9 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
     speed, source = rotor_speeds(part, vehicle)
     position = part["position"] if part.has("position") else np.zeros((len(part), 3))
     velocity = part["velocity"] if part.has("velocity") else difference(position, rate)
-    attitude = quaternion.normalise(part["attitude"])
+    upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
+    attitude = quaternion.normalise(part["attitude"]) if part.has("attitude") else upright
+    moves = part.has("velocity") or part.has("position")
     return Stretch(
         flight=part.provenance.path,
         start=float(part.time[0]),
@@ -186,6 +179,15 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
         rotor_speed=speed,
         rotor_source=source,
         battery_ratio=_battery_ratio(part),
+        lacks=frozenset(
+            name
+            for name, there in (
+                ("position", part.has("position")),
+                ("velocity", moves),
+                ("attitude", part.has("attitude")),
+            )
+            if not there
+        ),
     )
 
 

@@ -19,6 +19,7 @@ from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 
 CLOSE_SCORE, CLOSE_SHARE = 12.0, 0.01  # of the score, within which effects cannot be told apart
+CLOSE_BY_COMMAND = 0.15  # of what an effect brings, where the rotors' speeds are only what commands would give
 RESAMPLES = 40
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
 LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 4.0, 0.01, 14.0
@@ -42,7 +43,7 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
             if p.name not in parameters
         }
         name = candidate.effect.name
-        close = tuple(s.candidates[-1].effect.name for s in _near(rivals))[:3]
+        close = tuple(s.candidates[-1].effect.name for s in _near(search, others, rivals))[:3]
         share = _confidence(search, rivals)
         effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
     if selection.blows:
@@ -72,9 +73,11 @@ def _rivals(search: Search, others: Sequence[Candidate], chosen: Candidate) -> l
     return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:7]]
 
 
-def _near(rivals: Sequence[Scored]) -> list[Scored]:
+def _near(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
     own = rivals[0]
     margin = max(CLOSE_SCORE, CLOSE_SHARE * own.gain)
+    if search.regression.stretches[0].rotor_source == "command":
+        margin = max(margin, CLOSE_BY_COMMAND * (own.score - search.score(others).score))
     return [s for s in rivals[1:] if s.score > LEAST_GAIN and s.score > own.score - margin]
 
 

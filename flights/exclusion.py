@@ -145,19 +145,23 @@ class _Seen:
 
     def ground(self) -> Rows:
         """Standing on the ground: the land detector's word, or idle rotors under something that carries."""
+        carried = self._carried()
         if self.landed is not None and np.any(np.isfinite(self.landed)):
-            return np.asarray(np.nan_to_num(self.landed, nan=1.0) != 0.0)
+            landed = np.asarray(np.nan_to_num(self.landed, nan=1.0) != 0.0)
+            return landed if self.force is None else landed | carried  # detectors speak seconds after touch-down
+        return carried | self._at_rest_on(carried, self.still())
+
+    def _carried(self) -> Rows:
+        """Idle rotors, and yet no fall."""
         idle, still = self.idle(), self.still()
         if idle is None:
             return np.zeros(self.count, dtype=bool)
-        carried = idle
         if self.force is not None:
             smooth = ndimage.uniform_filter1d(np.nan_to_num(self.force, nan=GRAVITY), self.rows(0.1))
-            carried = idle & (smooth > RESTING_FORCE * GRAVITY)
+            idle = idle & (smooth > RESTING_FORCE * GRAVITY)
         elif still is not None:
-            carried = idle & still
-        resting = _lasting(carried, self.rows(IDLE_TIME))
-        return resting | self._at_rest_on(resting, still)
+            idle = idle & still
+        return _lasting(idle, self.rows(IDLE_TIME))
 
     def _at_rest_on(self, resting: Rows, still: Rows | None) -> Rows:
         """Standing with turning rotors: still, and as high as where the vehicle has rested with idle ones."""

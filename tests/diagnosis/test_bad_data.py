@@ -68,7 +68,7 @@ def test_a_dead_speed_sensor_is_no_dead_rotor(changed, arpl_250g):
 
 def test_a_log_without_motors_is_refused(plain_flights, arpl_250g):
     bare = {f"{kind}_{i}": None for kind in ("rotor_speed", "rotor_command") for i in range(4)}
-    with pytest.raises(DataError, match="Wanted rotor speeds or motor commands"):
+    with pytest.raises(DataError, match="Wanted rotor speeds, motor commands"):
         make_dataset([with_columns(flight, bare) for flight in plain_flights], arpl_250g)
 
 

@@ -1,0 +1,70 @@
+"""What drives the rotors, as speeds: measured ones, or those that commands would give by the vehicle file."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from diagnosis.filters import Floats
+from dynamics.errors import DataError
+from dynamics.vehicle import Rotors, Vehicle
+from flights import Flight
+from flights.verdict.advice import faster_rotors
+
+RotorSource = Literal["measured", "command"]
+SLOWEST = 40.0  # Hz
+QUANTITIES = ("rotor_speed", "rotor_speed_command", "rotor_thrust_command", "rotor_command")
+
+
+def rotor_speeds(flight: Flight, vehicle: Vehicle) -> tuple[Floats, RotorSource]:
+    """(n, rotors) rad/s, measured if there are such, else those that the commands stand for by the vehicle file.
+
+    Raises DataError when there are neither, or none is logged fast enough.
+    """
+    name, count, slow = flight.provenance.path, vehicle.rotors.count, []
+    for quantity in QUANTITIES:
+        if not flight.has(quantity):
+            continue
+        origin = flight.origins.get(quantity)
+        if origin is not None and origin.rate < SLOWEST:
+            slow.append(f"{quantity} at {origin.rate:.0f} Hz")
+            continue
+        values = flight[quantity]
+        if values.shape[1] != count:
+            raise DataError(f"{name} has {values.shape[1]} rotors, the vehicle file {count}. Give its own file.")
+        return _speeds(quantity, values, vehicle.rotors), "measured" if quantity == "rotor_speed" else "command"
+    if flight.has("collective_thrust_command", "torque_command"):
+        return _allocated(flight, vehicle), "command"
+    if slow:
+        advice = faster_rotors(flight.provenance.format, flight.parameters)
+        if (
+            "SDLOG_PROFILE" not in advice
+        ):  # a table may have been a PX4 log
+            advice += f"; with PX4, {faster_rotors('PX4 ULog', {})}"
+        raise DataError(
+            f"{name} has {', '.join(slow)}. Wanted {SLOWEST:.0f} Hz or more, for rotors answer within tens of "
+            f"milliseconds: {advice}. Then fly again."
+        )
+    raise DataError(
+        f"{name} has {', '.join(flight.quantities)}. Wanted rotor speeds, motor commands, or commanded thrust and "
+        "torque; log them."
+    )
+
+
+def _speeds(quantity: str, values: Floats, rotors: Rotors) -> Floats:
+    """Rotor speeds that values of a quantity (n, rotors) stand for."""
+    if quantity == "rotor_thrust_command":
+        return np.asarray(np.sqrt(np.maximum(values, 0.0) / rotors.thrust_constant))
+    if quantity == "rotor_command":
+        curve = rotors.thrust_curve
+        return np.asarray(rotors.speed_max * np.sqrt(np.maximum(curve * values**2 + (1 - curve) * values, 0.0)))
+    return values
+
+
+def _allocated(flight: Flight, vehicle: Vehicle) -> Floats:
+    """(n, rotors) rad/s that give the commanded thrust and torque, where the log knows no rotors."""
+    thrust = flight["collective_thrust_command"].reshape(-1, 1)
+    wanted = np.hstack([thrust, flight["torque_command"]])
+    squares = wanted @ np.linalg.pinv(vehicle.rotors.allocation).T
+    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
