@@ -9,10 +9,9 @@ from dynamics import quaternion
 from dynamics.errors import DataError
 from flights.log import Floats, Reading, Repair, Stream
 from flights.quantities import QUANTITIES
-from flights.source import Span
+from flights.source import LONGEST_STEP_BACK
 
 MOST_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
-LONGEST_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
 STRAY_BY = 1.0  # s that a single stamp may lie away from those around it,
 STRAY_END = 3600.0  # s, and at the ends, where a late first or last word is nothing unusual
 MOST_STRAY = 0.02  # share of rows beyond which stamps are no damage any more
@@ -28,9 +27,7 @@ class Assembly:
     that nothing is lost on clocks that count from 1970.
     """
 
-    def __init__(self, span: Span | None = None) -> None:
-        """span: the stretch to keep of a log whose reader cannot do so while it reads."""
-        self._span = span
+    def __init__(self) -> None:
         self.metadata: dict[str, str] = {}
         self.parameters: dict[str, float] = {}
         self._streams: list[Stream] = []
@@ -73,11 +70,6 @@ class Assembly:
         if parts is not None and table.shape[1] != max(1, len(parts)):
             raise ValueError(f"{name} has {max(1, len(parts))} columns, not {table.shape[1]}")
         stamps, table = self._in_order(stamps, table, f"{name} ({source})")
-        if self._span is not None:
-            kept = self._span.mask(stamps)
-            stamps, table = stamps[kept], table[kept]
-            if not len(stamps):
-                return
         table = self._finite(table, f"{name} ({source})")
         if QUANTITIES[name].parts == ("w", "x", "y", "z"):
             table = self._unit_length(table, f"{name} ({source})")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility
-from flights.log import Log, Provenance, Reading
+from flights.log import Log, Provenance, Reading, Stream
 from flights.readers import (
     betaflight,
     crazyflie,
@@ -26,22 +26,26 @@ from flights.source import Source, Span, opened, sha256
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of log. declares_frames: whether its specification fixes units and frames, so that they need no proof."""
+    """A kind of log. declares_frames: whether its specification fixes units and frames, so that they need no proof.
+
+    reads_spans: whether its reader can keep to a stretch of a file; the others hold all of a flight's quantities.
+    """
 
     label: str
     matches: Callable[[Source], bool]
     read: Callable[[Source], Reading]
     declares_frames: bool
+    reads_spans: bool = True
 
 
 # Asked in this order: what begins with a signature first, text last.
 FORMATS: Mapping[str, Format] = {
-    "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True),
+    "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
     "rosbag": Format("ROS bag", rosbag.matches, rosbag.read, False),
     "parquet": Format("Parquet flight table", parquet.matches, parquet.read, False),
     "crazyflie": Format("Crazyflie micro-SD log", crazyflie.matches, crazyflie.read, True),
-    "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True),
+    "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True, reads_spans=False),
     "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
     "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
     "csv": Format("flight CSV", csv.matches, csv.read, False),
@@ -64,20 +68,23 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
 def read_pieces(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
     """A log that is larger than memory as consecutive logs of so many seconds; stretches without data are passed over.
 
-    Raises what `read_log` raises, and RequestError when seconds is not positive.
+    The file is read once, and only one piece of it is held; of a ULog and a DataFlash log the flight's own quantities
+    are held as a whole, which are a small part of the file. Raises what `read_log` raises, and RequestError when seconds is not positive.
     """
     if not seconds > 0:
         raise RequestError(f"pieces of {seconds} s cannot be; give a positive number of seconds.")
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
-        name, digest, index, more = _format_name(source), sha256(path), 0, True
-        while more:
-            span = Span(index * seconds, (index + 1) * seconds)
-            piece = replace(source, span=span)
-            reading = _read(piece, name)
-            if reading.streams or not (index or span.more):
-                yield _judge(piece, name, digest, reading)
-            index, more = index + 1, span.more
+        name, digest = _format_name(source), sha256(path)
+        whole = None if FORMATS[name].reads_spans else _read(source, name)
+        span = Span(0.0, seconds)
+        while True:
+            reading = _read(replace(source, span=span), name) if whole is None else _cut(whole, span)
+            if reading.streams or not (span.start or span.more):
+                yield _judge(source, name, digest, reading)
+            if not span.more:
+                return
+            span = span.next(seconds)
 
 
 def _format_name(source: Source) -> str:
@@ -95,6 +102,18 @@ def _read(source: Source, name: str) -> Reading:
         raise DataError(
             f"{source.path} is a {FORMATS[name].label}, but so damaged that it cannot be read ({error!r})."
         ) from error
+
+
+def _cut(reading: Reading, span: Span) -> Reading:
+    """The stretch of a reading whose time starts at 0; the stretch's time does so too."""
+    kept = [(stream, span.mask(stream.time)) for stream in reading.streams]
+    start = min((float(stream.time[rows][0]) for stream, rows in kept if rows.any()), default=0.0)
+    streams = tuple(
+        Stream(stream.name, stream.time[rows] - start, stream.values[rows], stream.source)
+        for stream, rows in kept
+        if rows.any()
+    )
+    return replace(reading, streams=streams, start=reading.start + start)
 
 
 def _judge(source: Source, name: str, digest: str, reading: Reading) -> Log:

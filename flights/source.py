@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import gzip
 import hashlib
+import math
 import tempfile
 import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from dynamics.errors import DataError, RequestError
 from flights.log import Repair
 
 HEAD_BYTES = 65_536
+LONGEST_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
 _PIECE = 1 << 20
 _GZIP = b"\x1f\x8b"
 
@@ -26,22 +29,43 @@ _GZIP = b"\x1f\x8b"
 class Span:
     """A stretch of a log that is larger than memory: what lies before start or from end on is not kept.
 
-    start, end: s since the log's first sample. more: whether anything came at or after the end.
+    start, end: s since the log's first sample. origin: that sample's stamp on the file's own clock, once it is known.
+    place: where in the file its reader begins, and at last where the next stretch begins, in a form of the reader's own;
+    None for the beginning. following: the earliest sample seen at or after the end, s.
     """
 
     start: float
     end: float
-    more: bool = False
+    origin: float | None = None
+    place: Any = None
+    following: float = math.inf
+
+    @property
+    def more(self) -> bool:
+        """Whether anything came at or after the end."""
+        return math.isfinite(self.following)
 
     def holds(self, elapsed: float) -> bool:
         """Whether a sample belongs to it. elapsed: s since the log's first sample."""
-        self.more = self.more or elapsed >= self.end
+        if elapsed >= self.end:
+            self.following = min(self.following, elapsed)
         return self.start <= elapsed < self.end
 
     def mask(self, elapsed: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Which samples belong to it. elapsed: (n,) s since the log's first sample."""
-        self.more = self.more or bool((elapsed >= self.end).any())
+        late = elapsed[elapsed >= self.end]
+        self.following = min(self.following, float(late.min(initial=math.inf)))
         return np.asarray((elapsed >= self.start) & (elapsed < self.end))
+
+    def is_past(self, elapsed: float) -> bool:
+        """Whether nothing of it comes any more, as far as stamps may be out of order."""
+        return elapsed >= self.end + LONGEST_STEP_BACK
+
+    def next(self, seconds: float) -> Span:
+        """The stretch of so many seconds that the next sample lies in."""
+        start = max(self.end, math.floor(self.following / seconds) * seconds)
+        end = max(start + seconds, math.nextafter(self.following, math.inf))
+        return Span(start, end, self.origin, self.place)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from flights.tables import TIME
 
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
+_SECTION = 8 << 20  # bytes of a long file that are looked at together
 _MOST_TORN = 0.01  # share of rows with another number of cells than the header
 
 
@@ -28,24 +30,36 @@ class Cut:
     """Keeps a span of the rows by their time. column: of the time. unit: of it, s."""
 
     def __init__(self, span: Span, column: str, unit: float = 1.0) -> None:
-        self._span, self._column, self._unit = span, column, unit
-        self._first: float | None = None
+        self.span, self._column, self._unit = span, column, unit
+        self.is_over = False
+
+    def begin(self, place: int) -> None:
+        """A part of the file begins here, in bytes or rows: where the next span begins unless this one goes on."""
+        if not self.span.more:
+            self.span.place = place
 
     def mask(self, block: Mapping[str, Floats]) -> NDArray[np.bool_]:
         """Which rows of the next block belong to the span."""
         time = block[self._column]
-        if self._first is None and np.isfinite(time).any():
-            self._first = float(time[np.isfinite(time)][0])
-        return self._span.mask((time - (self._first or 0.0)) * self._unit)
+        known = time[np.isfinite(time)]
+        if self.span.origin is None and len(known):
+            self.span.origin = float(known[0])
+        origin = self.span.origin or 0.0
+        self.is_over = bool(len(known)) and self.span.is_past((float(known.min()) - origin) * self._unit)
+        return self.span.mask((time - origin) * self._unit)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A text table. names: of all columns in the file's order. cut: what to keep of it, everything if None."""
+    """A text table. names: of all columns in the file's order. cut: what to keep of it, everything if None.
+
+    prefix: what every line begins with besides its cells, if anything.
+    """
 
     names: Sequence[str]
     delimiter: str = ","
     cut: Cut | None = None
+    prefix: re.Pattern[bytes] | None = None
 
 
 def matches(source: Source) -> bool:
@@ -123,27 +137,50 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
     included = [keys[layout.names.index(name)] for name in wanted]
     # in Latin-1 every byte is a letter, so that a damaged row can be told from a whole one
     encoding = "utf8" if strict else "latin-1"
-    read = pa_csv.ReadOptions(column_names=keys, skip_rows=1, block_size=_BLOCK, encoding=encoding, use_threads=False)
+    read = pa_csv.ReadOptions(column_names=keys, block_size=_BLOCK, encoding=encoding, use_threads=False)
     parse = pa_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=None if strict else drop)
     convert = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
     )
     parts: dict[str, list[Floats]] = {name: [] for name in wanted}
     try:
-        with pa_csv.open_csv(file, read_options=read, parse_options=parse, convert_options=convert) as reader:
-            for batch in reader:
-                block = {
-                    name: column.to_numpy(zero_copy_only=False).astype(float)
-                    for name, column in zip(wanted, batch.columns, strict=True)
-                }
-                kept = slice(None) if layout.cut is None else layout.cut.mask(block)
-                for name, values in block.items():
-                    parts[name].append(values[kept])
+        for start, section in _sections(file, layout):
+            read.skip_rows = 0 if start else 1
+            with pa_csv.open_csv(section, read_options=read, parse_options=parse, convert_options=convert) as reader:
+                for batch in reader:
+                    block = {
+                        name: column.to_numpy(zero_copy_only=False).astype(float)
+                        for name, column in zip(wanted, batch.columns, strict=True)
+                    }
+                    kept = slice(None) if layout.cut is None else layout.cut.mask(block)
+                    for name, values in block.items():
+                        parts[name].append(values[kept])
+            if layout.cut is not None and layout.cut.is_over:
+                break
     except pa.ArrowInvalid as error:
         raise DataError(
             f"its rows cannot be read as numbers: {error}. Wanted a number or nothing in each cell."
         ) from None
     return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}, torn
+
+
+def _sections(file: Path, layout: Layout) -> Iterator[tuple[int, Path | pa.BufferReader]]:
+    """What to parse after each other, with its place in the file: all of it, or lines from where a span begins."""
+    cut, prefix = layout.cut, layout.prefix
+    if cut is None and prefix is None:
+        yield 0, file
+        return
+    with file.open("rb") as stream:
+        place = 0 if cut is None else cut.span.place or 0
+        stream.seek(place)
+        while lines := stream.readlines(_SECTION):
+            if cut is not None:
+                cut.begin(place)
+            bare = lines if prefix is None else [prefix.sub(b"", line, count=1) for line in lines]
+            text = b"".join(bare)
+            if place or text.count(b"\n") > 1 or not text.endswith(b"\n"):  # more than a header by itself
+                yield place, pa.BufferReader(text)
+            place += sum(map(len, lines))
 
 
 def _names(line: str) -> list[str]:

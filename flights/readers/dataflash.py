@@ -49,7 +49,7 @@ def matches(source: Source) -> bool:
 
 def read(source: Source) -> Reading:
     """The streams of a DataFlash log. Raises DataError when it cannot be read."""
-    assembly = Assembly(source.span)
+    assembly = Assembly()
     said = io.StringIO()  # pymavlink prints what it finds wrong
     with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
         log = DFReader_binary.__new__(DFReader_binary)  # in two steps: one that fails would leave its file open

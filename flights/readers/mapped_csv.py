@@ -6,8 +6,6 @@ The mappings in flights/mappings/ are tried by themselves when all of their colu
 from __future__ import annotations
 
 import re
-import tempfile
-from pathlib import Path
 
 import numpy as np
 
@@ -74,15 +72,8 @@ def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly:
     wanted = list(dict.fromkeys(mapping.columns))
     unit = mappings.TIME_UNITS[mapping.time.unit]
     cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
-    layout = csv.Layout(names, mapping.file.delimiter, cut)
-    if not mapping.file.prefix:
-        return csv.read_columns(source.file, layout, wanted, assembly)
-    tags = re.compile(mapping.file.prefix)
-    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
-        bare = Path(folder) / "bare.csv"
-        with source.file.open(encoding="utf-8", errors="replace") as tagged, bare.open("w", encoding="utf-8") as plain:
-            plain.writelines(tags.sub("", line, count=1) for line in tagged)
-        return csv.read_columns(bare, layout, wanted, assembly)
+    prefix = re.compile(mapping.file.prefix.encode()) if mapping.file.prefix else None
+    return csv.read_columns(source.file, csv.Layout(names, mapping.file.delimiter, cut, prefix), wanted, assembly)
 
 
 def _time(values: Floats, mapping: Mapping) -> Floats:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
@@ -32,14 +34,10 @@ def read(source: Source) -> Reading:
                     f"this Parquet file has the columns {', '.join(names[:12])}; wanted {TIME} and columns of the "
                     "flight CSV, as position_x. Rename them."
                 )
-            table = file.read(columns=wanted)
+            columns = _columns(file, wanted, None if source.span is None else csv.Cut(source.span, TIME))
             notes = decode_notes(file.schema_arrow.metadata)
     except (pa.ArrowInvalid, OSError) as error:
         raise DataError(f"this Parquet file is torn or damaged: {error}. Wanted a whole one; write it again.") from None
-    columns = {name: _numbers(table.column(name), name) for name in wanted}
-    if source.span is not None:
-        kept = csv.Cut(source.span, TIME).mask(columns)
-        columns = {name: values[kept] for name, values in columns.items()}
     if len(columns[TIME]):
         csv.add_table(assembly, columns, names)
     if notes is not None:
@@ -49,6 +47,24 @@ def read(source: Source) -> Reading:
         for repair in notes.provenance.repairs:
             assembly.note(f"repaired when it was made: {repair}")
     return assembly.finish(keep_time=True)
+
+
+def _columns(file: pa_parquet.ParquetFile, wanted: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
+    """The wanted columns, all rows or those of a span, of which no more row groups are read than it needs."""
+    if cut is None:
+        table = file.read(columns=list(wanted))
+        return {name: _numbers(table.column(name), name) for name in wanted}
+    parts: dict[str, list[Floats]] = {name: [] for name in wanted}
+    for group in range(cut.span.place or 0, file.num_row_groups):
+        cut.begin(group)
+        table = file.read_row_group(group, columns=list(wanted))
+        block = {name: _numbers(table.column(name), name) for name in wanted}
+        kept = cut.mask(block)
+        for name, values in block.items():
+            parts[name].append(values[kept])
+        if cut.is_over:
+            break
+    return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}
 
 
 def _numbers(column: pa.ChunkedArray, name: str) -> Floats:

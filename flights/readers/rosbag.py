@@ -104,7 +104,7 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: Span | None) -> No
     start, stop = None, None
     if span is not None:
         start, stop = (reader.start_time + round(edge * 1e9) for edge in (span.start, span.end))
-        span.more = reader.end_time > stop
+        span.following = span.end if reader.end_time > stop else span.following
     for connection, stamp, raw in reader.messages(connections=connections, start=start, stop=stop):
         rows = samples.get(connection.topic)
         if rows is None:

@@ -47,7 +47,7 @@ def matches(source: Source) -> bool:
 
 def read(source: Source) -> Reading:
     """The streams of a ULog. Raises DataError when even its header cannot be read."""
-    assembly = Assembly(source.span)
+    assembly = Assembly()
     log = _parse(source, assembly)
     topics = Topics(log.data_list, assembly)
     numbers = {name: value for name, value in log.initial_parameters.items() if isinstance(value, int | float)}
