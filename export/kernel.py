@@ -50,7 +50,8 @@ def kernel_recipe(
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": substeps, "VECTOR_BYTES": processor.vector, "NETWORK_REAL": precision, "FREE": 3,
+        "SUBSTEPS": substeps, "VECTOR_BYTES": processor.vector, "FREE": 3,
+        "NETWORK_REAL": precision, "NETWORK_INTEGER": "int" if precision == "float" else "long",
     }  # fmt: skip
     if network.residual:
         physics = physics_function(model, dt=network.dt, mean=True)
@@ -61,7 +62,9 @@ def kernel_recipe(
             "FREE": 0 if depends_on_position(physics) else 3,
         }  # fmt: skip
     elif model.hidden_count:
-        raise RequestError("a network that replaces the model has no use for effects with hidden states; leave them out.")
+        raise RequestError(
+            "a network that replaces the model has no use for effects with hidden states; leave them out."
+        )
     general = tuple(flag for flag in FLAGS if not flag.startswith("-march"))
     return KernelRecipe(
         sources, (*general, *processor.flags, *(f"-D{name}={value}" for name, value in defines.items()))

@@ -26,7 +26,7 @@ class Convolution:
     @property
     def reach(self) -> int:
         """Columns that the oldest tap lies behind the newest."""
-        return (self.weight.shape[2] - 1) * self.dilation
+        return int((self.weight.shape[2] - 1) * self.dilation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +84,7 @@ class Network:
 
     def _chain(self, width: int) -> int:
         """Outputs of the last layer. Raises RequestError where a layer does not fit the one before."""
-        layers = [(f"convolution {i}", layer) for i, layer in enumerate(self.convolutions)]
-        for name, layer in [*layers, *((f"dense {i}", layer) for i, layer in enumerate(self.perceptron))]:
+        for name, layer in self.layers:
             wide = layer.weight.shape[0]
             if layer.weight.shape[1] != width or layer.bias.shape != (wide,):
                 raise RequestError(f"{name} takes {layer.weight.shape[1]} entries, but is given {width}.")
@@ -95,11 +94,15 @@ class Network:
         return width
 
     def _arrays(self) -> list[tuple[str, Floats]]:
-        layers = [(f"convolution {i}", layer) for i, layer in enumerate(self.convolutions)]
-        named = [*layers, *((f"dense {i}", layer) for i, layer in enumerate(self.perceptron))]
-        found = [(name, part) for name, layer in named for part in (layer.weight, layer.bias)]
+        found = [(name, part) for name, layer in self.layers for part in (layer.weight, layer.bias)]
         scaling = ("input_mean", "input_std", "output_mean", "output_std")
         return [*found, *((name, getattr(self, name)) for name in scaling)]
+
+    @property
+    def layers(self) -> list[tuple[str, Convolution | Dense]]:
+        """All layers in order, with names for messages."""
+        convolutions = [(f"convolution {i}", layer) for i, layer in enumerate(self.convolutions)]
+        return [*convolutions, *((f"dense {i}", layer) for i, layer in enumerate(self.perceptron))]
 
     @property
     def receptive_field(self) -> int:

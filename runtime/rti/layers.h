@@ -13,6 +13,8 @@
 #define UNROLL _Pragma("GCC unroll 16")
 
 typedef real vector __attribute__((vector_size(VECTOR_BYTES)));
+typedef NETWORK_INTEGER lane_numbers __attribute__((vector_size(VECTOR_BYTES))); /* as wide as real */
+typedef unsigned char lane_bytes __attribute__((vector_size(LANES)));
 
 /* Rows of a block's output and vectors along its columns that fit the registers: 32 of them, or 16. */
 #if VECTOR_BYTES == 64 || defined(__aarch64__)
@@ -22,16 +24,38 @@ typedef real vector __attribute__((vector_size(VECTOR_BYTES)));
 #endif
 #define BLOCK_VECTORS 2
 
-/* The entries above zero of a ReLU's output; only these let tangents through. */
+/* The entries above zero of a ReLU's output; only these let tangents through. Where registers can be permuted, a row of
+ * weights is packed vector by vector: `order` moves a vector's active lanes to its front, `start` is where they go. */
+#define PERMUTES (VECTOR_BYTES >= 32)
 typedef struct {
-    unsigned char count, index[WIDEST + 1];
+    unsigned char count, index[WIDEST + LANES];
+#if PERMUTES
+    unsigned char start[WIDEST / LANES];
+    lane_numbers order[WIDEST / LANES];
+#endif
 } active_set;
 
-INLINE void find_active(active_set *set, int entries, const real *values) {
+INLINE int list_active(const int entries, const real *values, unsigned char *index) {
     int count = 0;
-    for (int i = 0; i < entries; i++) {
-        set->index[count] = (unsigned char)i;
+    UNROLL for (int i = 0; i < entries; i++) {
+        index[count] = (unsigned char)i;
         count += values[i] > 0;
+    }
+    return count;
+}
+
+INLINE void find_active(active_set *set, const int entries, const real *values) {
+    int count = 0;
+    UNROLL for (int v = 0; v < entries / LANES; v++) {
+        int more = list_active(LANES, values + v * LANES, set->index + count);
+#if PERMUTES
+        lane_bytes found;
+        memcpy(&found, set->index + count, sizeof found);
+        set->order[v] = __builtin_convertvector(found, lane_numbers); /* what lies behind the active ones is not used */
+        set->start[v] = (unsigned char)count;
+#endif
+        for (int q = 0; v && q < more; q++) set->index[count + q] += (unsigned char)(v * LANES);
+        count += more;
     }
     set->count = (unsigned char)count;
 }
@@ -40,10 +64,13 @@ INLINE void find_active(active_set *set, int entries, const real *values) {
 INLINE void accumulate(const int inputs, const int outputs, const int partial, const real *W, const real *x,
                        vector *sums) {
     const int vectors = outputs / LANES;
-    for (int i = 0; i < inputs; i++) {
-        vector *sum = sums + (i % partial) * vectors;
-        UNROLL for (int v = 0; v < vectors; v++) sum[v] += x[i] * ((const vector *)(W + i * outputs))[v];
-    }
+#define ADD(i, part) \
+    UNROLL for (int v = 0; v < vectors; v++) \
+        sums[(part) * vectors + v] += x[i] * ((const vector *)(W + (i) * outputs))[v];
+    int i = 0;
+    UNROLL for (; i + partial <= inputs; i += partial) UNROLL for (int part = 0; part < partial; part++) { ADD(i + part, part) }
+    UNROLL for (; i < inputs; i++) { ADD(i, i % partial) }
+#undef ADD
 }
 
 /* y = max(0, sums + b), or without max. */
@@ -59,7 +86,7 @@ INLINE void finish(const int outputs, const int partial, const vector *sums, con
 }
 
 /* As many partial sums as hide the additions' latency in eight registers. */
-#define PARTIAL(outputs) ((outputs) / LANES >= 8 ? 1 : (outputs) / LANES >= 4 ? 2 : 4)
+#define PARTIAL(outputs) ((outputs) / LANES >= 8 ? 1 : 8 / ((outputs) / LANES))
 
 INLINE void dense(const int inputs, const int outputs, const int rectify, const real *W, const real *b, const real *x,
                   real *y) {
@@ -74,26 +101,33 @@ INLINE void convolve(const int inputs, const int outputs, const int taps, const 
                      const real *W, const real *b, const real *x, real *y) {
     vector sums[PARTIAL(outputs) * outputs / LANES];
     memset(sums, 0, sizeof sums);
-    for (int tap = 0; tap < taps; tap++)
+    UNROLL for (int tap = 0; tap < taps; tap++)
         accumulate(inputs, outputs, PARTIAL(outputs), W + tap * inputs * outputs, x - tap * dilation * width, sums);
     finish(outputs, PARTIAL(outputs), sums, b, 1, y);
 }
 
-/* packed = the entries of w (16 n) that are in the set. */
+/* packed = those entries of w that are in the set; up to a vector behind them is written as well. */
 INLINE void pack(const int entries, const real *w, const active_set *set, real *packed) {
-    for (int o = 0; o < set->count; o++) packed[o] = w[set->index[o]];
+#if PERMUTES
+    UNROLL for (int v = 0; v < entries / LANES; v++) {
+        vector moved = __builtin_shuffle(((const vector *)w)[v], set->order[v]);
+        memcpy(packed + set->start[v], &moved, sizeof moved);
+    }
+#else
     (void)entries;
+    for (int o = 0; o < set->count; o++) packed[o] = w[set->index[o]];
+#endif
 }
 
 /* out (rows, inputs) = J (rows, outputs) D W, D the ReLU's mask and W (outputs, inputs): one layer of a reverse sweep. */
-INLINE void reverse(const int rows, const int inputs, const int stride, const active_set *set, const real *J,
-                    const real *W, real *out) {
+INLINE void reverse(const int rows, const int inputs, const int stride, int active, const unsigned char *index,
+                    const real *J, const real *W, real *out) {
     const int vectors = inputs / LANES % 4 == 0 && BLOCK_ROWS == 12 ? 4 : inputs / LANES % 2 == 0 ? 2 : 1;
     for (int c = 0; c < inputs; c += vectors * LANES) {
         vector sums[4][6];
         memset(sums, 0, sizeof sums);
-        for (int q = 0; q < set->count; q++) {
-            const int o = set->index[q];
+        for (int q = 0; q < active; q++) {
+            const int o = index[q];
             const vector *w = (const vector *)(W + o * inputs + c);
             UNROLL for (int v = 0; v < vectors; v++)
                 UNROLL for (int r = 0; r < rows; r++) sums[v][r] += J[r * stride + o] * w[v];

@@ -62,6 +62,7 @@ typedef struct {
         real S_weighed[N][NX][L];
         real H[V][STREAMED];
     } a __attribute__((aligned(64)));
+    real by_own_input[MOST_TAPS][WIDEST][NU]; /* the first layer's weights of the inputs, per scaled input */
     active_set active[LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
 } network;
 
@@ -159,12 +160,20 @@ static void roll_out(network *r) {
 
 /* ---- what the runtime calls ---- */
 
+#define TAKE_INPUTS(l, inputs, outputs, taps, dilation) \
+    for (int tap = 0; l == 0 && tap < taps; tap++) \
+        for (int o = 0; o < outputs; o++) \
+            for (int i = 0; i < NU; i++) \
+                r->by_own_input[tap][o][i] = (real)(options->scale * feature_gain[STATE_FEATURES + i]) * \
+                                             (&convolution_##l[0][0][0])[(tap * inputs + STATE_FEATURES + i) * outputs + o];
+
 network *rti_create(const rti_options *options) {
     network *r = aligned_zeros(sizeof *r);
     condensed_create(&r->c, options);
     for (int k = 0; k <= N; k++)
         for (int i = 0; i < FREE; i++) r->c.S[k][i][START + i] = 1; /* positions carry themselves along */
     for (int i = 0; i < NX; i++) r->c.S[0][i][START + i] = 1;
+    EACH_CONVOLUTION(TAKE_INPUTS)
     for (int t = 0; t < COLUMNS; t++) {
         r->active[0][t].count = STATE_FEATURES;
         for (int i = 0; i < STATE_FEATURES; i++) r->active[0][t].index[i] = (unsigned char)i;

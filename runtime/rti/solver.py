@@ -142,7 +142,7 @@ class RtiSolver:
         }  # fmt: skip
         if wrong := [f"{name} {built[name]} instead of {size}" for name, size in wanted.items() if built[name] != size]:
             raise RequestError(f"the kernel {library} was built for {', '.join(wrong)}. Export the model again.")
-        return built["history"]
+        return int(built["history"])
 
     def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
         found = getattr(self._code, function)

@@ -5,6 +5,10 @@
 
 static int columns_at(int node) { return PAD(BY_INPUT + NU * (node + 1)); }
 
+INLINE void add_own_inputs(real *restrict row, const real *restrict weights) {
+    UNROLL for (int i = 0; i < NU; i++) row[i] += weights[i];
+}
+
 /* One layer of convolution at substep s: active outputs from active inputs of the columns under its taps. Columns of
  * the measured history do not move, so taps that reach into it are left out. */
 INLINE void stream_layer(network *r, int s, int columns, const int layer, const int inputs, const int outputs,
@@ -13,7 +17,7 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
     const int span = (taps - 1) * dilation + 1;
     const active_set *mine = &r->active[layer + 1][HISTORY + s];
     const real *rows[taps * inputs];
-    real weights[taps * inputs][outputs] __attribute__((aligned(64))), *active[outputs];
+    real weights[taps * inputs + 1][outputs] __attribute__((aligned(64))), *active[outputs];
     int count = 0;
     for (int tap = 0; tap < taps && s - tap * dilation >= 0; tap++) {
         const int from = s - tap * dilation;
@@ -28,11 +32,8 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
     multiply(mine->count, count, rows, weights[0], outputs, columns, active);
     for (int tap = 0; layer == 0 && tap < taps && s - tap * dilation >= 0; tap++) {
         const int first = BY_INPUT + NU * ((s - tap * dilation) / SUBSTEPS);
-        for (int i = 0; i < NU; i++) { /* a node's own inputs: identities, so their columns are the weights */
-            const real *w = W + (tap * inputs + STATE_FEATURES + i) * outputs;
-            const real gain = (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]);
-            for (int q = 0; q < mine->count; q++) active[q][first + i] += gain * w[mine->index[q]];
-        }
+        for (int q = 0; q < mine->count; q++) /* a node's own inputs: identities, so their columns are the weights */
+            add_own_inputs(active[q] + first, r->by_own_input[tap][mine->index[q]]);
     }
 }
 
@@ -72,78 +73,81 @@ static void stream_features(const network *r, int s, int columns, real (*out)[ST
 }
 
 #define UNTHINK(l, inputs, outputs) \
-    find_active(&set, outputs, r->a.hidden_##l[s]); \
-    reverse(6, inputs, WIDEST, &set, J[at], &perceptron_back_##l[0][0], J[1 - at]); \
+    active = list_active(outputs, r->a.hidden_##l[s], index); \
+    reverse(6, inputs, WIDEST, active, index, J[at], &perceptron_back_##l[0][0], J[1 - at]); \
     at = 1 - at;
 
 /* The perceptron's Jacobian (6, CODE) at substep s by a reverse sweep; six rows are fewer than the tangents' columns. */
 static const real *perceptron_jacobian(const network *r, int s, real J[2][6 * WIDEST]) {
-    active_set set;
-    int at = 0;
+    unsigned char index[WIDEST + 1];
+    int at = 0, active;
     memcpy(J[0], output_back, sizeof output_back);
     EACH_HIDDEN_BACK(UNTHINK)
-    (void)set;
+    (void)index, (void)active;
     return J[at];
 }
 
-/* Derivatives (6, NX) of the accelerations by the state that do not go through the network. */
-static void direct_derivatives(const network *r, int s, real A[NX][8]) {
-    memset(A, 0, sizeof(real) * NX * 8);
+/* Derivatives of the accelerations by the state that do not go through the network, by states from `first` on. */
+static void direct_derivatives(const network *r, int s, int first, real (*A)[8]) {
 #if RESIDUAL
-    for (int i = 0; i < NX; i++)
-        for (int o = 0; o < 6; o++) A[i][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
+    for (int i = first; i < NX; i++)
+        for (int o = 0; o < 6; o++) A[i - first][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
 #endif
 #if BODY_OUTPUTS
     double P[3][4];
     rotation_by_attitude(r->state[s] + 6, r->said[s], 0, P);
     for (int j = 0; j < 4; j++)
-        for (int o = 0; o < 3; o++) A[6 + j][o] += (real)P[o][j];
+        for (int o = 0; o < 6; o++) {
+            real *entry = &A[6 - first + j][o];
+            *entry = (RESIDUAL ? *entry : 0) + (o < 3 ? (real)P[o][j] : 0);
+        }
 #endif
-    (void)r, (void)s;
+    (void)r, (void)s, (void)first, (void)A;
 }
 
-/* W (CODE, 6): the perceptron's Jacobian with its forces turned to world axes, by input of the perceptron. */
-static void turned_jacobian(const network *r, int s, real W[CODE][8]) {
-    real buffer[2][6 * WIDEST] __attribute__((aligned(64)));
-    const real *J = perceptron_jacobian(r, s, buffer);
-    double R[3][3] = {{1, 0, 0}, {0, 1, 0}, {0, 0, 1}};
-    if (BODY_OUTPUTS) rotation(r->state[s] + 6, R);
-    for (int i = 0; i < CODE; i++)
-        for (int o = 0; o < 3; o++) {
-            W[i][o] = (real)R[o][0] * J[i] + (real)R[o][1] * J[WIDEST + i] + (real)R[o][2] * J[2 * WIDEST + i];
-            W[i][3 + o] = J[(3 + o) * WIDEST + i];
-        }
+/* Column i of the perceptron's Jacobian (6, CODE) with its forces turned to world axes by R. */
+INLINE void turned_column(const real *J, int i, const real R[3][3], real *w) {
+    const real *j = J + i;
+    for (int o = 0; o < 3; o++) {
+        w[o] = BODY_OUTPUTS ? R[o][0] * j[0] + R[o][1] * j[WIDEST] + R[o][2] * j[2 * WIDEST] : j[o * WIDEST];
+        w[3 + o] = j[(3 + o) * WIDEST];
+    }
+}
+
+static void rotation_of(const double *q, real R[3][3]) {
+    double exact[3][3];
+    rotation(q, exact);
+    for (int i = 0; i < 9; i++) R[i / 3][i % 3] = (real)exact[i / 3][i % 3];
 }
 
 /* Tangents of the accelerations, world and body axes: through the perceptron, and directly. */
 static void stream_rates(network *r, int s, int columns) {
-    const int first = BY_INPUT + NU * (s / SUBSTEPS), states = RESIDUAL ? FREE : BODY_OUTPUTS ? 6 : NX;
-    const int states_end = RESIDUAL ? NX : BODY_OUTPUTS ? 10 : NX;
+    const int first = BY_INPUT + NU * (s / SUBSTEPS), states = RESIDUAL ? FREE : 6, states_end = RESIDUAL ? NX : 10;
     const active_set *code = &r->active[LAYERS][HISTORY + s];
-    const real *rows[CODE + NX];
-    real W[CODE][8], weights[CODE + NX][8], A[NX][8], *out[6];
+    real buffer[2][6 * WIDEST] __attribute__((aligned(64))), weights[CODE + NX][8], *out[6], R[3][3] = {{0}};
+    const real *J = perceptron_jacobian(r, s, buffer), *rows[CODE + NX];
     int count = 0;
-    turned_jacobian(r, s, W);
-    direct_derivatives(r, s, A);
+    if (BODY_OUTPUTS) rotation_of(r->state[s] + 6, R);
     for (int q = 0; q < code->count; q++, count++) {
-        memcpy(weights[count], W[code->index[q]], sizeof weights[count]);
+        turned_column(J, code->index[q], R, weights[count]);
         rows[count] = r->a.code[code->index[q]];
     }
-    for (int i = states; i < states_end; i++, count++) {
-        memcpy(weights[count], A[i], sizeof weights[count]);
-        rows[count] = r->a.moving[i];
-    }
+    if (RESIDUAL || BODY_OUTPUTS) direct_derivatives(r, s, states, weights + count);
+    for (int i = states; (RESIDUAL || BODY_OUTPUTS) && i < states_end; i++) rows[count++] = r->a.moving[i];
     for (int o = 0; o < 6; o++) out[o] = r->a.rates[o];
     multiply(6, count, rows, weights[0], 8, columns, out);
-    for (int o = 0; o < 6; o++)
-        for (int i = 0; i < NU; i++) {
 #if LAYERS == 0
-            out[o][first + i] += (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]) * W[STATE_FEATURES + i][o];
+    for (int i = 0; i < NU; i++) {
+        turned_column(J, STATE_FEATURES + i, R, weights[0]);
+        for (int o = 0; o < 6; o++)
+            out[o][first + i] += (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]) * weights[0][o];
+    }
 #endif
 #if RESIDUAL
+    for (int o = 0; o < 6; o++)
+        for (int i = 0; i < NU; i++)
             out[o][first + i] += (real)(r->c.o.scale * r->by_input[s][i * PHYSICS_RATES + o]);
 #endif
-        }
     (void)first;
 }
 
