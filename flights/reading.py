@@ -69,7 +69,8 @@ def read_pieces(path: str | Path, seconds: float, *, mapping: str | Path | None 
     """A log that is larger than memory as consecutive logs of so many seconds; stretches without data are passed over.
 
     The file is read once, and only one piece of it is held; of a ULog and a DataFlash log the flight's own quantities
-    are held as a whole, which are a small part of the file. Raises what `read_log` raises, and RequestError when seconds is not positive.
+    are held as a whole, which are a small part of the file. Raises what `read_log` raises, and RequestError for seconds
+    that are not positive.
     """
     if not seconds > 0:
         raise RequestError(f"pieces of {seconds} s cannot be; give a positive number of seconds.")

@@ -30,8 +30,8 @@ class Span:
     """A stretch of a log that is larger than memory: what lies before start or from end on is not kept.
 
     start, end: s since the log's first sample. origin: that sample's stamp on the file's own clock, once it is known.
-    place: where in the file its reader begins, and at last where the next stretch begins, in a form of the reader's own;
-    None for the beginning. following: the earliest sample seen at or after the end, s.
+    place: where in the file its reader begins, and at last where the next stretch begins, in a form of the reader's
+    own; None for the beginning. following: the earliest sample seen at or after the end, s.
     """
 
     start: float

@@ -71,9 +71,10 @@ def read(source: Source) -> Reading:
     assembly = Assembly()
     header = parse_header(source.head)
     with source.file.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-        end = _end_of_records(data, header, assembly)
-        tables, position = _records(data, header, end, source.span)
-    if position < end:
+        place = None if source.span is None else source.span.place
+        start, end = place or (header.size, _end_of_records(data, header, assembly))
+        tables, position = _records(data, header, start, end, source.span)
+    if position is not None and position < end:
         assembly.repair("torn_record", f"{end - position} bytes at the end that are no whole record dropped")
     assembly.metadata["version"] = str(header.version)
     table = tables.get(_main_type(header, tables))
@@ -144,11 +145,12 @@ def _end_of_records(data: mmap.mmap, header: Header, assembly: Assembly) -> int:
     return size
 
 
-def _records(data: mmap.mmap, header: Header, end: int, span: Span | None) -> tuple[dict[int, NDArray[np.void]], int]:
-    """Records by type, in runs of one type each, and where reading ended: an id that is none ends it."""
+def _records(
+    data: mmap.mmap, header: Header, start: int, end: int, span: Span | None
+) -> tuple[dict[int, NDArray[np.void]], int | None]:
+    """Records by type, in runs of one type each, and where reading ended: an id that is none ends it, or the span."""
     found: dict[int, list[NDArray[np.void]]] = {}
-    first: int | None = None
-    position, run = header.size, _FIRST_RUN
+    position, run = start, _FIRST_RUN
     while position + 2 <= end:
         kind = header.types.get(int.from_bytes(data[position : position + 2], "little"))
         if kind is None:
@@ -160,14 +162,23 @@ def _records(data: mmap.mmap, header: Header, end: int, span: Span | None) -> tu
         records = np.frombuffer(data[position : position + count * size], dtype=kind.dtype)
         other = np.flatnonzero(records["id"] != kind.number)
         whole = int(other[0]) if len(other) else count
-        first = int(records["time"][0]) if first is None else first
         kept = records[:whole]
         if span is not None:
-            kept = kept[span.mask((kept["time"].astype(np.int64) - first) / header.ticks)]
+            span.origin = float(kept["time"][0]) if span.origin is None else span.origin
+            elapsed = (kept["time"].astype(np.int64) - int(span.origin)) / header.ticks
+            if not span.more:
+                span.place = (position + size * int(np.count_nonzero(np.cumsum(elapsed >= span.end) == 0)), end)
+            kept = kept[span.mask(elapsed)]
+            if span.is_past(float(elapsed.min())):
+                return _joined_runs(found), None
         found.setdefault(kind.number, []).append(kept)
         position += whole * size
         run = min(2 * run, _LONGEST_RUN) if whole == count else _FIRST_RUN
-    return {number: np.concatenate(runs) for number, runs in found.items()}, position
+    return _joined_runs(found), position
+
+
+def _joined_runs(found: Mapping[int, list[NDArray[np.void]]]) -> dict[int, NDArray[np.void]]:
+    return {number: np.concatenate(runs) for number, runs in found.items()}
 
 
 def _main_type(header: Header, tables: Mapping[int, NDArray[np.void]]) -> int:

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import msgspec
 import numpy as np
 from mcap.exceptions import McapError
-from mcap.records import Channel, Footer, McapRecord, Message, Metadata
-from mcap.stream_reader import StreamReader
+from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdError
 
 from dynamics.errors import DataError
@@ -18,7 +18,7 @@ from flights.assembly import Assembly
 from flights.log import Floats, Reading
 from flights.readers import rosbag
 from flights.readers.px4_rotors import QUAD_X, in_our_order, join_groups
-from flights.source import Source
+from flights.source import Source, Span
 
 _MAGIC = b"\x89MCAP0\r\n"
 
@@ -115,18 +115,13 @@ def read(source: Source) -> Reading:
     """The streams of a recording. Raises DataError for an MCAP file that is none of ours."""
     assembly = Assembly()
     collected = {topic: _Collected(kind, fields) for topic, (kind, fields) in _TOPICS.items()}
-    metadata: dict[str, str] = {}
+    topics, metadata = _resumed(source.span)
     complete, damaged = False, 0
-    topics: dict[int, str] = {}
-    first: int | None = None
-    for part in _parts(source):
+    for part in _parts(source, topics, metadata):
         match part:
             case Channel():
                 topics[part.id] = part.topic
             case Message() if (rows := collected.get(topics.get(part.channel_id, ""))) is not None:
-                first = part.log_time if first is None else first
-                if source.span is not None and not source.span.holds((part.log_time - first) * 1e-9):
-                    continue
                 try:
                     rows.add(part.data)
                 except (msgspec.DecodeError, msgspec.ValidationError):
@@ -137,7 +132,8 @@ def read(source: Source) -> Reading:
                 complete = True
             case _:
                 pass
-    if not metadata and not any(len(rows.time) for rows in collected.values()):
+    complete = complete or (source.span is not None and source.span.more)
+    if source.span is None and not metadata and not any(len(rows.time) for rows in collected.values()):
         raise DataError(
             f"this MCAP file has the topics {', '.join(sorted(topics.values())[:8]) or '(none)'}, and none of a "
             "recording of `alula fly`. Bags of ROS 2 are read as well."
@@ -179,10 +175,33 @@ def _add_rotors(assembly: Assembly, rows: _Collected) -> None:
     assembly.add("rotor_speed", time, in_our_order(speed, order), "/rotors")
 
 
-def _parts(source: Source) -> Iterator[McapRecord]:
-    """Records up to the end or to where the file was torn off."""
+def _resumed(span: Span | None) -> tuple[dict[int, str], dict[str, str]]:
+    """Topics by channel and metadata, as far as they are known from before a span begins."""
+    if span is None or span.place is None:
+        return {}, {}
+    return dict(span.place[1]), dict(span.place[2])
+
+
+def _parts(source: Source, topics: Mapping[int, str], metadata: Mapping[str, str]) -> Iterator[McapRecord]:
+    """Records up to the end, to that of a span, or to where the file was torn off; chunks as what is in them."""
+    span = source.span
     with source.file.open("rb") as stream:
+        place = 0 if span is None or span.place is None else span.place[0]
+        stream.seek(place)
         try:
-            yield from StreamReader(stream).records
+            for part in StreamReader(stream, skip_magic=place > 0, emit_chunks=True).records:
+                for record in breakup_chunk(part) if isinstance(part, Chunk) else [part]:
+                    if span is None or not isinstance(record, Message):
+                        yield record
+                        continue
+                    span.origin = float(record.log_time) if span.origin is None else span.origin
+                    elapsed = (record.log_time - int(span.origin)) * 1e-9
+                    if not span.more and elapsed >= span.end:
+                        span.place = (place, dict(topics), dict(metadata))
+                    if span.holds(elapsed):
+                        yield record
+                    elif span.is_past(elapsed):
+                        return
+                place = stream.tell()
         except (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError):
             return  # the last two from a length that is damage

@@ -18,7 +18,7 @@ from pymavlink.generator.mavcrc import x25crc
 from flights.assembly import Assembly
 from flights.log import Reading
 from flights.readers import mavlink_streams
-from flights.source import Source
+from flights.source import Source, Span
 
 _TOKEN = re.compile(r"(\d*)([a-zA-Z])")
 _STAMP = struct.Struct(">Q")
@@ -85,13 +85,9 @@ def read(source: Source) -> Reading:
     collected: dict[tuple[int, int], dict[int, Messages]] = {}
     autopilots: list[tuple[int, int]] = []
     counts = {"frames": 0, "damaged": 0, "skipped": 0}
-    first: int | None = None
     with source.file.open("rb") as stream:
-        for arrival, frame in _frames(stream, counts):
+        for arrival, frame in _spanned(stream, counts, source.span):
             counts["frames"] += 1
-            first = arrival if first is None else first
-            if source.span is not None and not source.span.holds((arrival - first) * 1e-6):
-                continue
             sender, number = _address(frame)
             if number not in mavlink_streams.WANTED:
                 continue
@@ -136,12 +132,30 @@ def _vehicle(
     return sender
 
 
-def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, bytes]]:
-    """Arrival and bytes of each frame; what is none is skipped and counted."""
-    buffer, position, ended = bytearray(), 0, False
+def _spanned(stream: BinaryIO, counts: dict[str, int], span: Span | None) -> Iterator[tuple[int, bytes]]:
+    """Arrival and bytes of each frame of a span, which begins and ends where a frame does."""
+    if span is None:
+        yield from ((arrival, frame) for _, arrival, frame in _frames(stream, counts))
+        return
+    stream.seek(span.place or 0)
+    for place, arrival, frame in _frames(stream, counts):
+        span.origin = float(arrival) if span.origin is None else span.origin
+        elapsed = (arrival - int(span.origin)) * 1e-6
+        if not span.more:
+            span.place = place
+        if span.holds(elapsed):
+            yield arrival, frame
+        elif span.is_past(elapsed):
+            return
+
+
+def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, int, bytes]]:
+    """Place in the file, arrival and bytes of each frame; what is none is skipped and counted."""
+    buffer, position, ended, before = bytearray(), 0, False, stream.tell()
     while True:
         if len(buffer) - position < _STAMP.size + _LARGEST_FRAME and not ended:
             del buffer[:position]
+            before += position
             position = 0
             piece = stream.read(_PIECE)
             ended = not piece
@@ -158,7 +172,7 @@ def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, byt
         if start + length > len(buffer):
             counts["skipped"] += len(buffer) - position
             return
-        yield _STAMP.unpack_from(buffer, position)[0], bytes(buffer[start : start + length])
+        yield before + position, _STAMP.unpack_from(buffer, position)[0], bytes(buffer[start : start + length])
         position = start + length
 
 

@@ -10,6 +10,7 @@ import pytest
 
 from dynamics.errors import RequestError
 from flights import Flight, read_log, read_pieces
+from flights.readers import csv
 from tests.support.flight_files import Truth, crazyflie_log, dataflash_log, flight_csv, manoeuvre, paper_bag, tlog
 
 DATA = Path(__file__).parents[1] / "data"
@@ -64,6 +65,26 @@ def test_real_logs_in_pieces(name: str) -> None:
     pieces = [stream for piece in read_pieces(DATA / name, 4.0) if (stream := piece.stream("position")) is not None]
     assert len(pieces) > 1
     np.testing.assert_array_equal(np.concatenate([piece.values for piece in pieces]), position.values)
+
+
+def test_a_long_table_is_looked_at_once_however_many_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = flight_csv(TRUTH, tmp_path / "flight.csv")
+    rows, looked = len(TRUTH.time), []
+    mask = csv.Cut.mask
+    monkeypatch.setattr(csv, "_SECTION", path.stat().st_size // 40)
+    monkeypatch.setattr(csv.Cut, "mask", lambda cut, block: (looked.append(len(block["t"])), mask(cut, block))[1])
+    pieces = list(read_pieces(path, 0.5))
+    assert len(pieces) == 13
+    assert rows <= sum(looked) < 3 * rows  # half a second after each piece may still hold rows of it
+
+
+def test_a_stray_stamp_a_year_ahead_is_a_piece_and_not_ten_million(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    lines = flight_csv(TRUTH, path).read_text().splitlines()
+    lines[100] = "3e7," + lines[100].partition(",")[2]
+    path.write_text("\n".join(lines) + "\n")
+    pieces = list(read_pieces(path, 2.5))
+    assert [len(piece.streams[0].time) for piece in pieces] == [249, 250, 101, 1]
 
 
 def test_pieces_of_no_length_are_refused(tmp_path: Path) -> None:

@@ -5,12 +5,13 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from mcap.writer import Writer
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics.errors import DataError
-from flights import read_log
+from flights import read_log, read_pieces
 from runtime.recorder import Recorder
 from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, RotorRecord, SetpointRecord
 from tests.support.flight_files import Truth, manoeuvre
@@ -69,6 +70,15 @@ def test_a_recording_cut_off_in_flight_is_read_up_to_there(recording: Path, tmp_
     torn.write_bytes(data[:3000])  # within the first chunk, which was never whole
     with pytest.raises(DataError, match="without flight data"):
         read_log(torn)
+
+
+def test_a_recording_in_pieces_is_the_recording(recording: Path) -> None:
+    whole, pieces = read_log(recording), list(read_pieces(recording, 1.5))
+    assert len(pieces) == 5
+    assert all(piece.metadata["vehicle"] == "arpl_250g" and not piece.provenance.repairs for piece in pieces)
+    for name in ("position", "rotor_speed", "specific_force"):
+        parts = [stream.values for piece in pieces if (stream := piece.stream(name)) is not None]
+        assert_array_equal(np.concatenate(parts), whole.stream(name).values, name)  # type: ignore[union-attr]
 
 
 def test_an_mcap_file_of_others_is_refused_by_its_topics(tmp_path: Path) -> None:
