@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis import channels
 from diagnosis.filters import Floats, difference, slow
 from diagnosis.prediction import Predictor
 from diagnosis.stretch import Stretch
+from diagnosis.visibility import can_show
 from dynamics.effect import Effect, Span
 from dynamics.vehicle import EffectUse, Vehicle
 
@@ -64,11 +64,10 @@ def make_candidates(
 ) -> tuple[Candidate, ...]:
     """All variants of all effects that these flights could show, in the order of the catalogue."""
     span = _span(stretches)
-    source = stretches[0].rotor_source
     found: list[Candidate] = []
     count = 0
     for effect in catalogue.values():
-        if effect.name == "gust" or _cannot_show(effect, source, stretches):
+        if effect.name == "gust" or not can_show(effect, stretches, vehicle, catalogue):
             continue
         for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
             for at, free in _variants(effect, rotor, vehicle, span):
@@ -76,14 +75,6 @@ def make_candidates(
                 found.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width))))
                 count += width
     return tuple(found)
-
-
-def _cannot_show(effect: Effect, source: str, stretches: Sequence[Stretch]) -> bool:
-    if effect.rotor_speed is not None:
-        return source == "measured"  # what happens between command and speed does not matter where speed is known
-    if effect.name == "rotor_speed_fault":
-        return source == "command"
-    return effect.name == "battery_sag" and any(s.battery_ratio is None for s in stretches)
 
 
 def _variants(
@@ -117,28 +108,6 @@ def make_predictor(
         [f"{candidate.key}.{name}" for name in candidate.free],
         speed_measured=stretch.rotor_source == "measured",
     )
-
-
-def regressors(
-    predictor: Predictor, candidate: Candidate, stretch: Stretch, base: Floats, instruments: Instruments | None
-) -> Floats:
-    """(m, 12, k) columns of a candidate along a stretch.
-
-    base: (m, 12) channels of the present model. instruments: for columns that detect, None for the plain ones.
-    """
-    if candidate.whole:
-        found = predictor.predict(stretch, candidate.values)
-        column = channels.predicted(stretch, [found]) - base[:, :, None]
-        if instruments is not None and candidate.effect.rotor_speed is not None:
-            column[:, ANGULAR] = slow(column[:, ANGULAR], instruments.reduced_rate)
-        return column
-    speed, acceleration = None, None
-    if instruments is not None:
-        acceleration = instruments.rotor_acceleration
-        if candidate.effect.physics is not None:
-            speed = instruments.rotor_speed
-    slopes = predictor.slopes(stretch, candidate.values, rotor_speed=speed, rotor_acceleration=acceleration)
-    return channels.predicted(stretch, slopes)
 
 
 @dataclass(frozen=True, eq=False)

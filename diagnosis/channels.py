@@ -29,33 +29,40 @@ CHANNELS = len(KINDS) * AXES
 
 def present(stretch: Stretch) -> tuple[bool, ...]:
     """Which kinds a stretch has. Without a gyro the angular acceleration is that of the attitude."""
-    return (stretch.specific_force is not None, True, True, stretch.gyro is not None)
+    gyro = stretch.gyro is not None
+    return (stretch.specific_force is not None, stretch.has_pose, True, gyro and stretch.has_attitude)
 
 
 def measured(stretch: Stretch) -> Floats:
     """(m, 12) what was measured, after the filter; zero where a kind is missing."""
     rate, rows = stretch.rate, kept(len(stretch), stretch.rate)
     nothing = np.zeros((len(stretch), 3))
+    _, posed, _, turns = present(stretch)
     force = nothing if stretch.specific_force is None else low_pass(simpson(stretch.specific_force), rate)
     world = low_pass(difference(stretch.velocity, rate), rate) + np.array([0.0, 0.0, GRAVITY])
+    felt = _into_body(stretch, world) if posed else nothing
     angular = low_pass(difference(stretch.body_rate, rate), rate)
-    turning = nothing if stretch.gyro is None else low_pass(stretch.turning, rate)
-    return np.hstack([force[rows], _into_body(stretch, world)[rows], angular[rows], turning[rows]])
+    turning = low_pass(stretch.turning, rate) if turns else nothing
+    return np.hstack([force[rows], felt[rows], angular[rows], turning[rows]])
 
 
 def predicted(stretch: Stretch, predictions: Sequence[Prediction]) -> Floats:
     """(m, 12, k) what k predictions, or k slopes of one, say of the same channels."""
     count, rate, rows = len(stretch), stretch.rate, kept(len(stretch), stretch.rate)
-    raw = np.zeros((count, CHANNELS, len(predictions)))
+    raw = np.zeros((len(predictions), CHANNELS, count))
     here = present(stretch)
-    for k, prediction in enumerate(predictions):
-        raw[:, 0:3, k] = prediction.specific_force if here[0] else 0.0
-        raw[:, 3:6, k] = prediction.world_acceleration(stretch)
-        raw[:, 6:9, k] = prediction.angular_acceleration
-        raw[:, 9:12, k] = prediction.attitude_rate(stretch) if here[3] else 0.0
-    active = np.any(raw, axis=0)
-    result = np.zeros((len(range(count)[rows]), CHANNELS, len(predictions)))
-    result[:, active] = low_pass(simpson(raw[:, active]), rate)[rows]
+    for prediction, channel in zip(predictions, raw, strict=True):
+        if here[0]:
+            channel[0:3] = prediction.specific_force.T
+        if here[1]:
+            channel[3:6] = prediction.world_acceleration(stretch).T
+        channel[6:9] = prediction.angular_acceleration.T
+        if here[3]:
+            channel[9:12] = prediction.attitude_rate(stretch).T
+    active = np.any(raw, axis=2)
+    filtered = low_pass(simpson(raw[active].T), rate)[rows]
+    result = np.zeros((len(filtered), CHANNELS, len(predictions)))
+    result.transpose(2, 1, 0)[active] = filtered.T
     result[:, 3:6] = np.einsum("nji,njk->nik", stretch.to_world[rows], result[:, 3:6])
     return result
 

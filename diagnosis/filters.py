@@ -6,7 +6,7 @@ from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
+from scipy.signal import butter, sosfilt, sosfilt_zi
 
 Floats = NDArray[np.float64]
 
@@ -17,13 +17,28 @@ EDGE = 0.3  # s at both ends that the filters spoil
 
 
 @cache
-def _sections(rate: float, cutoff: float, order: int) -> Floats:
-    return np.asarray(butter(order, cutoff / (rate / 2), output="sos"))
+def _sections(rate: float, cutoff: float, order: int) -> tuple[Floats, Floats]:
+    """Second-order sections and their states for a constant input of 1, (sections, 1, 2)."""
+    sections = butter(order, cutoff / (rate / 2), output="sos")
+    return np.asarray(sections), np.asarray(sosfilt_zi(sections))[:, None]
 
 
 def low_pass(values: Floats, rate: float, cutoff: float = CUTOFF, order: int = 4) -> Floats:
-    """Zero-phase Butterworth along the first axis. values: (n, ...) at rate Hz."""
-    return np.asarray(sosfiltfilt(_sections(rate, cutoff, order), values, axis=0))
+    """Zero-phase Butterworth along the first axis: scipy's sosfiltfilt without its work at every call. (n, ...)."""
+    sections, initial = _sections(rate, cutoff, order)
+    pad = min(3 * _taps(sections), len(values) - 1)
+    rows = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, len(values))
+    before, after = 2 * rows[:, :1] - rows[:, pad:0:-1], 2 * rows[:, -1:] - rows[:, -2 : -pad - 2 : -1]
+    padded = np.concatenate([before, rows, after], axis=1)
+    forward, _ = sosfilt(sections, padded, axis=1, zi=initial * padded[:, :1])
+    back, _ = sosfilt(sections, forward[:, ::-1], axis=1, zi=initial * forward[:, -1:])
+    found = back[:, ::-1][:, pad : pad + len(values)].reshape(*values.shape[1:], len(values))
+    return np.moveaxis(found, -1, 0)
+
+
+def _taps(sections: Floats) -> int:
+    """The filter's order plus one."""
+    return 2 * len(sections) + 1 - int(min((sections[:, 2] == 0).sum(), (sections[:, 5] == 0).sum()))
 
 
 def slow(values: Floats, rate: float) -> Floats:

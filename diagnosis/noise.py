@@ -35,17 +35,23 @@ class NoiseModel:
 
     def whiten(self, rows: Floats) -> Floats:
         """Rows (m, 12) or columns (m, 12, k) as (m - 6, c) or (m - 6, c, k) with unit white noise."""
-        parts = [
-            lfilter(a, [1.0], rows[:, channel], axis=0)[ORDER:] / level
-            for channel, a, level in zip(self.active, self.filters, self.level, strict=True)
-        ]
-        return np.asarray(np.tensordot(np.stack(parts, axis=1), self.mixing, axes=([1], [1])).transpose(
-            (0, 1) if rows.ndim == 2 else (0, 2, 1)
-        ))  # fmt: skip
+        count = len(rows) - ORDER
+        here = rows[:, list(self.active)]
+        shape = (1, len(self.active)) + (1,) * (rows.ndim - 2)
+        white = np.zeros((count, *here.shape[1:]))
+        for lag in range(ORDER + 1):
+            white += (self.filters[:, lag] / self.level).reshape(shape) * here[ORDER - lag : ORDER - lag + count]
+        mixed = self.mixing @ white if rows.ndim == 3 else white @ self.mixing.T
+        return np.asarray(mixed)
 
 
-def estimate_noise(residuals: Sequence[Floats], rate: float, active: Sequence[int]) -> NoiseModel:
-    """The noise of residuals (m, 12) that hold as little physics as possible. rate: Hz."""
+def estimate_noise(
+    residuals: Sequence[Floats], rate: float, active: Sequence[int], *, mixed: bool = True
+) -> NoiseModel:
+    """The noise of residuals (m, 12) that hold as little physics as possible. rate: Hz.
+
+    mixed: whether what channels have in common is noise too.
+    """
     filters, levels, floor = [], [], np.zeros(residuals[0].shape[1])
     for channel in active:
         columns = [r[:, channel] for r in residuals]
@@ -55,6 +61,8 @@ def estimate_noise(residuals: Sequence[Floats], rate: float, active: Sequence[in
         levels.append(np.sqrt(np.mean(innovations**2) / _fast_share(rate)))
         floor[channel] = np.sqrt(variance)
     unmixed = NoiseModel(tuple(active), np.array(filters), np.array(levels), np.eye(len(active)), floor)
+    if not mixed:
+        return unmixed
     white = np.vstack([_fast(unmixed.whiten(r), rate) for r in residuals])
     covariance = white.T @ white / len(white) / _fast_share(rate)
     mixing = np.linalg.inv(np.linalg.cholesky(covariance))

@@ -69,11 +69,9 @@ class Predictor:
         inputs = list(self._symbols.values())
         self._evaluate = RowFunction(ca.Function("evaluate", inputs, [ca.densify(outputs)]), shared=(PARAMETERS,))
         self._age = ca.Function("age", [self._symbols["p"]], [_age(self.model, self._symbols["p"])])
-        directions = ca.DM.eye(len(self.model.parameter_names))
-        columns = [
-            ca.jtimes(outputs, self._symbols["p"], directions[:, self.model.parameter_index(name)]) for name in free
-        ]
-        stacked = ca.Function("slopes", inputs, [ca.densify(ca.vertcat(*columns))]) if free else None
+        places = [self.model.parameter_index(name) for name in free]
+        columns = ca.cse(ca.vec(ca.jacobian(outputs, self._symbols["p"])[:, places])) if free else ca.SX(0, 1)
+        stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
         advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
         self._advance = RowFunction(advance, chained=True) if advance is not None else None

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis import channels
-from diagnosis.candidates import Candidate, Instruments, make_candidates, make_instruments, make_predictor, regressors
+from diagnosis.candidates import Candidate, make_candidates
 from diagnosis.filters import Floats
 from diagnosis.noise import NoiseModel, estimate_noise
 from diagnosis.perturbation import perturbed
-from diagnosis.prediction import Predictor
+from diagnosis.pipeline import Pipeline
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -122,12 +122,14 @@ def make_regression(
 ) -> Regression:
     """The regression of all candidates over stretches of flights numbered from 0."""
     candidates = make_candidates(vehicle, catalogue, stretches)
-    pipeline = _Pipeline(vehicle, catalogue, candidates, stretches[0])
+    pipeline = Pipeline(vehicle, catalogue, candidates, stretches[0])
     rows, columns = map(list, zip(*(pipeline.run(s) for s in stretches), strict=True))
     kinds = np.all([channels.present(s) for s in stretches], axis=0)
     active = [3 * kind + axis for kind in range(4) for axis in range(3) if kinds[kind]]
     rate = stretches[0].rate / max(1, round(stretches[0].rate / 25.0))
-    noise = estimate_noise(_unexplained(rows, columns, active), rate, active)
+    # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
+    mixed = stretches[0].rotor_source != "command"
+    noise = estimate_noise(_unexplained(rows, columns, active), rate, active, mixed=mixed)
     count = max(flight_of) + 1
     width = columns[0].shape[2]
     grams = [np.zeros((width, width)) for _ in range(count)]
@@ -162,29 +164,6 @@ def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Flo
     inner = gram[np.ix_(places, places)] + np.diag(biases.information)
     solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places]]))
     return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
-
-
-class _Pipeline:
-    """From a stretch to residuals and columns, with the models built once."""
-
-    def __init__(
-        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], example: Stretch
-    ) -> None:
-        self._vehicle = vehicle
-        measured = example.rotor_source == "measured"
-        self._present = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
-        shared: dict[tuple[str, tuple[str, ...]], Predictor] = {}
-        for c in candidates:
-            if (c.key, c.free) not in shared:
-                shared[c.key, c.free] = make_predictor(vehicle, catalogue, c, example)
-        self._candidates = [(c, shared[c.key, c.free]) for c in candidates]
-
-    def run(self, stretch: Stretch) -> tuple[Floats, Floats]:
-        """(m, 12) residuals of the present model, and (m, 12, k) columns."""
-        base = channels.predicted(stretch, [self._present.predict(stretch)])[:, :, 0]
-        instruments: Instruments = make_instruments(stretch, self._vehicle)
-        columns = [regressors(p, c, stretch, base, instruments) for c, p in self._candidates]
-        return channels.measured(stretch) - base, np.concatenate(columns, axis=2)
 
 
 def _unexplained(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int]) -> list[Floats]:

@@ -12,7 +12,8 @@ from dynamics.vehicle import Rotors, Vehicle
 from flights import Flight
 from flights.verdict.advice import faster_rotors
 
-RotorSource = Literal["measured", "command"]
+RotorSource = Literal["measured", "speed_command", "command"]  # speeds asked for are taken at their word
+SOURCES: dict[str, RotorSource] = {"rotor_speed": "measured", "rotor_speed_command": "speed_command"}
 SLOWEST = 40.0  # Hz
 QUANTITIES = ("rotor_speed", "rotor_speed_command", "rotor_thrust_command", "rotor_command")
 
@@ -33,7 +34,7 @@ def rotor_speeds(flight: Flight, vehicle: Vehicle) -> tuple[Floats, RotorSource]
         values = flight[quantity]
         if values.shape[1] != count:
             raise DataError(f"{name} has {values.shape[1]} rotors, the vehicle file {count}. Give its own file.")
-        return _speeds(quantity, values, vehicle.rotors), "measured" if quantity == "rotor_speed" else "command"
+        return _speeds(quantity, values, vehicle.rotors), SOURCES.get(quantity, "command")
     if flight.has("collective_thrust_command", "torque_command"):
         return _allocated(flight, vehicle), "command"
     if slow:

@@ -21,7 +21,7 @@ def can_show(effect: Effect, stretches: Sequence[Stretch], vehicle: Vehicle, cat
     """Whether the stretches hold what the effect acts through."""
     source = stretches[0].rotor_source
     if effect.rotor_speed is not None:
-        return source == "command"  # what happens between command and speed does not matter where speed is known
+        return source != "measured"  # what happens between command and speed does not matter where speed is known
     if effect.name == "rotor_speed_fault":
         return source == "measured"
     if effect.name in GAIN_OF_COMMAND and source == "command":
