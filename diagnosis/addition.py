@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,12 +11,15 @@ import msgspec
 
 from diagnosis.candidates import Candidate
 from diagnosis.dataset import Dataset
-from diagnosis.diagnose import IMPROVEMENT
+from diagnosis.diagnose import IMPROVEMENT, diagnose
 from diagnosis.evaluation import misfit, residuals
-from diagnosis.fit import Estimate, fit
+from diagnosis.filters import Floats
+from diagnosis.fit import Estimate, Fit, fit
 from diagnosis.fitness import require_answerable
+from diagnosis.open_loop import HorizonError, open_loop_errors
+from diagnosis.output_error import refit
 from diagnosis.regression import Regression, make_regression
-from diagnosis.report import ChannelError
+from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection import IMPOSSIBLE, Search
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
@@ -25,19 +28,45 @@ from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_file import nearest, write_vehicle
 
 _VERSION = re.compile(r"\.v(\d+)$")
+GUST = "gust"
+ONE_STEP_SLACK = 1.005  # by which one-step misfit may rise for simulated windows that end closer
+# What flights show of an effect whose parameters share one signal; {names} are its values.
+ONE_SIGNAL = {
+    "ground_effect": "gain and radius cannot be told apart: high above the ground only gain x radius^2 shows, here "
+    "{gain:.3g} x ({radius:.3g} m)^2; the radius was tried, not fitted",
+    "wind": "in a model without drag only velocity x coefficient shows: the coefficient is that of a usual rotor drag",
+    "battery_sag": "the voltage at which the file's constants hold was tried, not fitted: {reference:.3g} of a full "
+    "battery's",
+}
 
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """vehicle: with the effect, its history one line longer. estimates: by (effect's key, parameter)."""
+    """vehicle: with the effect, its history one line longer. estimates: by (effect's key, parameter).
+
+    key: the effect's name in a model. channels, misfit, open_loop: held out, before and after; misfit is the squared
+    error over noise, 1 where nothing is left but noise. by_output_error: whether that fit was kept. notes: to the user.
+    """
 
     vehicle: Vehicle
     estimates: Mapping[tuple[str, str], Estimate]
     channels: Mapping[str, ChannelError]
+    key: str
+    misfit: tuple[float, float]
+    open_loop: tuple[tuple[HorizonError, ...], tuple[HorizonError, ...]]
+    by_output_error: bool
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Trial:
+    fit: Fit
+    rows: list[Floats]
+    misfit: float
 
 
 def add_effect(
-    name: str,
+    name: str | None,
     dataset: Dataset,
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
@@ -46,42 +75,143 @@ def add_effect(
     command: str = "",
     rotor: int | None = None,
 ) -> Addition:
-    """Fit an effect on the fitted flights and judge it on those held out.
+    """Fit an effect on the fitted flights and judge it on those held out. name: None for the diagnosis' top effect.
 
-    The effects that the vehicle file has are fitted again with it where that lowers the held-out error further.
+    The effects that the vehicle file has are fitted again with it where that lowers the held-out error further, and
+    all of them once more by output error where that does.
 
     date, command: for the line of history. rotor: for an effect of one rotor; None for the one that fits best.
     Raises RequestError for an effect that is unknown, DataError when the held-out error does not fall.
     """
-    if name not in catalogue:
-        raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {', '.join(catalogue)}.")
+    _require_addable(name, catalogue)
     require_answerable(dataset.everything, vehicle)
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
+    notes: tuple[str, ...] = ()
+    if name is None:
+        findings = diagnose(dataset, vehicle, catalogue)
+        name, rotor, notes = _top(findings.diagnosis)
+        regression = findings.regression
+    else:
+        regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
     candidate = _best_variant(regression, name, rotor)
-    before = residuals(vehicle, catalogue, dataset.held_out, regression.noise)
-    trials = [fit(regression, [candidate, *refitted]) for refitted in ((), _known(regression, candidate))]
-    judged = [residuals(trial.vehicle, catalogue, dataset.held_out, regression.noise) for trial in trials]
-    now, after, fitted = min(
-        ((misfit(rows, regression.noise), rows, trial) for rows, trial in zip(judged, trials, strict=True)),
-        key=lambda found: found[0],
-    )
-    was = misfit(before, regression.noise)
-    if not now < IMPROVEMENT * was:
+    judge = _Judge(dataset, regression)
+    before = judge.rows(vehicle)
+    trials = [judge.trial(fit(regression, [candidate, *known])) for known in _refittings(regression, candidate)]
+    best = min(trials, key=lambda trial: trial.misfit)
+    better = judge.by_output_error(best, vehicle)
+    now, was = better or best, misfit(before, regression.noise)
+    if not now.misfit < IMPROVEMENT * was:
         raise DataError(
             f"{name} was not added: on the held-out flights the error does not fall (squared error over noise "
-            f"{was:.4g} before, {now:.4g} after). `alula diagnose` says what is missing, if anything."
+            f"{was:.4g} before, {now.misfit:.4g} after). `alula diagnose` says what is missing, if anything."
         )
-    errors = channel_errors(before, after, regression)
+    errors = channel_errors(before, now.rows, regression)
+    return Addition(
+        vehicle=with_history(now.fit.vehicle, f"added {candidate.key}", dataset, errors, date=date, command=command),
+        estimates=now.fit.estimates,
+        channels=errors,
+        key=candidate.key,
+        misfit=(was, now.misfit),
+        open_loop=(judge.ahead(vehicle), judge.ahead(now.fit.vehicle)),
+        by_output_error=better is not None,
+        notes=(*notes, *_one_signal(now.fit, candidate)),
+    )
+
+
+class _Judge:
+    """What vehicles are worth on the held-out flights, by the yardstick of one regression."""
+
+    def __init__(self, dataset: Dataset, regression: Regression) -> None:
+        self._dataset, self._regression = dataset, regression
+
+    def rows(self, vehicle: Vehicle) -> list[Floats]:
+        regression = self._regression
+        return residuals(vehicle, regression.catalogue, self._dataset.held_out, regression.noise)
+
+    def trial(self, found: Fit) -> _Trial:
+        rows = self.rows(found.vehicle)
+        return _Trial(found, rows, misfit(rows, self._regression.noise))
+
+    def by_output_error(self, best: _Trial, vehicle: Vehicle) -> _Trial | None:
+        """The same parameters fitted by output error, None where that does not lower the held-out error."""
+        catalogue, dataset = self._regression.catalogue, self._dataset
+        again = refit(best.fit, vehicle, catalogue, dataset.fitted, dataset.held_out)
+        if again is None or not again.after < again.before:
+            return None
+        trial = self.trial(again.fit)
+        return trial if trial.misfit < ONE_STEP_SLACK * best.misfit else None
+
+    def ahead(self, vehicle: Vehicle) -> tuple[HorizonError, ...]:
+        """Open-loop errors, none without a pose."""
+        held_out = self._dataset.held_out
+        return () if any(s.lacks for s in held_out) else open_loop_errors(vehicle, self._regression.catalogue, held_out)
+
+
+def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:
+    if name is not None and name not in catalogue:
+        raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {', '.join(catalogue)}.")
+    if name == GUST:
+        raise DataError(_no_value())
+
+
+def _no_value() -> str:
+    return (
+        "a gust was not added: it is random, so no value in a vehicle file predicts it. Fly in still air to find what "
+        "else is missing; give the mock `--effect gust:intensity=..` to fly in one."
+    )
+
+
+def _top(found: Diagnosis) -> tuple[str, int | None, tuple[str, ...]]:
+    """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it."""
+    if found.verdict == "explained":
+        raise DataError("nothing was added: the model explains these flights down to the sensors' noise.")
+    named = [effect for effect in found.effects if effect.name != GUST]
+    if not named:
+        raise DataError(
+            _no_value()
+            if found.effects
+            else "nothing was added: something is missing, but no effect of the catalogue explains it. `alula compare` "
+            "shows where the model fails; an effect of your own can be given with --effects."
+        )
+    top, notes = named[0], []
+    if top is not found.effects[0]:
+        notes.append("there is a gust as well, which no vehicle file can hold")
+    if found.verdict == "unknown":
+        notes.append(f"{top.name} is a part of what is missing at most: no effect of the catalogue explains the rest")
+    if top.ambiguous_with:
+        notes.append(f"these flights cannot tell {top.name} from {', '.join(top.ambiguous_with)}: {found.next_flight}")
+    return top.name, top.rotor, tuple(notes)
+
+
+def _one_signal(found: Fit, candidate: Candidate) -> tuple[str, ...]:
+    text = ONE_SIGNAL.get(candidate.effect.name)
+    if text is None:
+        return ()
+    fitted = {name: estimate.value for (key, name), estimate in found.estimates.items() if key == candidate.key}
+    return (text.format(**{**candidate.at, **fitted}),)
+
+
+def _refittings(regression: Regression, added: Candidate) -> list[Sequence[Candidate]]:
+    """What may be fitted with the added effect: nothing, or the vehicle file's own effects."""
+    held = {(use.name, use.rotor) for use in regression.vehicle.effects}
+    known = [
+        c for c in regression.candidates if (c.effect.name, c.rotor) in held and c.key != added.key and not c.whole
+    ]
+    return [(), known] if known else [()]
+
+
+def with_history(
+    vehicle: Vehicle, action: str, dataset: Dataset, errors: Mapping[str, ChannelError], *, date: str, command: str = ""
+) -> Vehicle:
+    """The vehicle with one more line of history: what was done, on which flights, and what it brought."""
     entry = HistoryEntry(
         date=date,
-        action=f"added {candidate.key}",
+        action=action,
         flights=tuple(f"{Path(path).name} {digest[:16]}" for path, digest in dataset.hashes.items()),
         before={kind: float(f"{error.before:.6g}") for kind, error in errors.items()},
         after={kind: float(f"{error.after:.6g}") for kind, error in errors.items()},
         command=command,
     )
-    updated = msgspec.structs.replace(fitted.vehicle, history=(*vehicle.history, entry))
-    return Addition(updated, fitted.estimates, errors)
+    return msgspec.structs.replace(vehicle, history=(*vehicle.history, entry))
 
 
 def write_next_version(vehicle: Vehicle, path: Path) -> Path:
@@ -99,14 +229,6 @@ def write_next_version(vehicle: Vehicle, path: Path) -> Path:
             return following
 
 
-def _known(regression: Regression, added: Candidate) -> tuple[Candidate, ...]:
-    """The candidates that are the vehicle file's own effects, but for the one that is added."""
-    held = {(use.name, use.rotor) for use in regression.vehicle.effects}
-    return tuple(
-        c for c in regression.candidates if (c.effect.name, c.rotor) in held and c.key != added.key and not c.whole
-    )
-
-
 def _best_variant(regression: Regression, name: str, rotor: int | None) -> Candidate:
     search = Search(regression)
     mine = [c for c in regression.candidates if c.effect.name == name and rotor in (None, c.rotor)]
@@ -114,8 +236,8 @@ def _best_variant(regression: Regression, name: str, rotor: int | None) -> Candi
         raise DataError(
             f"these flights cannot show {name}"
             + (f" on rotor {rotor}" if rotor is not None else "")
-            + ": with measured rotor speeds there is no motor lag to see, without voltage no sag, and a gust has no "
-            "value that a model could hold. `alula diagnose` lists what they can show."
+            + ": with measured rotor speeds there is no motor lag to see, with commands alone no mass, without voltage "
+            "no sag. `alula diagnose` lists what they can show."
         )
     best = max((search.score([c]) for c in mine), key=lambda s: s.score)
     if best.score == IMPOSSIBLE:

@@ -84,7 +84,7 @@ class _Problem:
         self._candidates = candidates
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
-        self.bounds = [_bounds(c.effect, name) for c, name in self.free]
+        self.bounds = [bounds(c.effect, name) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         self._predictor = Predictor(
             regression.vehicle,
@@ -182,5 +182,6 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
     return (*candidate.free, *REFINED.get(candidate.effect.name, ()))
 
 
-def _bounds(effect: Effect, name: str) -> tuple[float, float]:
+def bounds(effect: Effect, name: str) -> tuple[float, float]:
+    """Physical bounds of an effect's parameter."""
     return next((p.lower, p.upper) for p in effect.parameters if p.name == name)

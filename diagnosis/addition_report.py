@@ -1,0 +1,58 @@
+"""What was added, as `alula add --json` writes it."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import msgspec
+
+from diagnosis.addition import Addition
+from diagnosis.open_loop import HorizonError
+from diagnosis.report import ChannelError, ParameterValue
+
+
+class BeforeAfter(msgspec.Struct, frozen=True):
+    """A number on the held-out flights without the effect and with it."""
+
+    before: float
+    after: float
+
+
+class OpenLoop(msgspec.Struct, frozen=True):
+    """Prediction errors on held-out flights without the effect and with it; empty where the logs hold no pose."""
+
+    before: tuple[HorizonError, ...]
+    after: tuple[HorizonError, ...]
+
+
+class AdditionReport(msgspec.Struct, frozen=True):
+    """effect: its name in the model, the rotor in brackets. parameters: of all effects that were fitted.
+
+    channels: RMS on held-out flights and floor. misfit: squared error over noise, 1 where only noise is left.
+    vehicle: the file that was written.
+    """
+
+    effect: str
+    parameters: dict[str, dict[str, ParameterValue]]
+    fitted_by: Literal["equation error", "output error"]
+    channels: dict[str, ChannelError]
+    misfit: BeforeAfter
+    open_loop: OpenLoop
+    notes: tuple[str, ...]
+    vehicle: str = ""
+
+
+def report(added: Addition) -> AdditionReport:
+    """An addition as a program reads it, but for the name of the file."""
+    parameters: dict[str, dict[str, ParameterValue]] = {}
+    for (key, name), estimate in added.estimates.items():
+        parameters.setdefault(key, {})[name] = ParameterValue(estimate.value, estimate.std, estimate.unit)
+    return AdditionReport(
+        effect=added.key,
+        parameters=parameters,
+        fitted_by="output error" if added.by_output_error else "equation error",
+        channels=dict(added.channels),
+        misfit=BeforeAfter(*added.misfit),
+        open_loop=OpenLoop(*added.open_loop),
+        notes=added.notes,
+    )
