@@ -83,8 +83,20 @@ def _accepted(regression: Regression, selection: Selection, dataset: Dataset) ->
     level = misfit(residuals(best.vehicle, catalogue, dataset.held_out, noise), noise)
     for candidate in selection.chosen.candidates:
         trial = fit(regression, [*accepted, candidate])
+        if at_its_bounds(trial, candidate):
+            continue
         found = misfit(residuals(trial.vehicle, catalogue, dataset.held_out, noise), noise)
         if found < IMPROVEMENT * level:
             best, level = trial, found
             accepted.append(candidate)
     return best
+
+
+def at_its_bounds(found: Fit, candidate: Candidate) -> bool:
+    """Whether a fit has driven a candidate's parameter to a physical bound: it then stands in for something else."""
+    if candidate.effect.measurement is not None:  # a sensor may well be dead
+        return False
+    limits = {p.name: (p.lower, p.upper) for p in candidate.effect.parameters}
+    return any(
+        estimate.value in limits[name] for (key, name), estimate in found.estimates.items() if key == candidate.key
+    )

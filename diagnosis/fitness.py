@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from diagnosis.command_curve import lagged
 from diagnosis.filters import Floats, difference, kept, low_pass
 from diagnosis.stretch import Stretch
 from dynamics.errors import DataError
 from dynamics.vehicle import GRAVITY, Vehicle
 
 SHORTEST = 20.0  # s of flight in all
-GENTLE_SPEED, GENTLE_RATE = 0.25, 0.10  # m/s and rad/s, RMS: less is hover
+GENTLE_SPEED, GENTLE_RATE, GENTLE_FORCE = 0.25, 0.10, 0.5  # m/s, rad/s, m/s^2, RMS: less is hover
 THRUST_RATIO = (0.6, 1.67)  # model over measured, beyond which the vehicle file is another vehicle's
 RPM = 2 * np.pi / 60
+DEGREES = 180 / np.pi
 AGREES, DISAGREES = 0.7, 0.4  # correlation of modelled with measured angular acceleration
+OPPOSITE = -0.4  # the same, of rotors that turn the vehicle the other way than the file says
 LEAST_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
+LEAST_YAWING = 0.3  # the same about z, where rotors push less
+TURNING_RATIO = (0.2, 5.0)  # measured over modelled angular acceleration
 STANDING = 0.1  # of hover speed, below which a rotor's reading is dead
 MOST_PERMUTED = 6  # rotors
+RESPONSES = (0.0, 0.03, 0.06, 0.1)  # s by which rotors may follow commands
 
 
 def require_answerable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
@@ -32,16 +39,21 @@ def require_answerable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
     _require_motion(stretches)
     _require_live_rotors(stretches, vehicle)
     _require_thrust(stretches, vehicle)
-    _require_rotor_order(stretches, vehicle)
+    _require_turning(stretches, vehicle)
 
 
 def _require_motion(stretches: Sequence[Stretch]) -> None:
-    velocity = np.vstack([s.velocity for s in stretches])
-    speed = float(np.sqrt(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))))
     rate = float(np.sqrt(np.mean(np.sum(np.vstack([low_pass(s.body_rate, s.rate) for s in stretches]) ** 2, axis=1))))
-    if speed < GENTLE_SPEED and rate < GENTLE_RATE:
+    if all("velocity" in s.lacks for s in stretches):
+        pushed = float(np.std(np.concatenate([low_pass(_specific_thrust(s), s.rate) for s in stretches])))
+        gentle, seen = pushed < GENTLE_FORCE, f"{pushed:.2f} m/s^2 of change in thrust"
+    else:
+        velocity = np.vstack([s.velocity for s in stretches])
+        speed = float(np.sqrt(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))))
+        gentle, seen = speed < GENTLE_SPEED, f"{speed:.2f} m/s"
+    if gentle and rate < GENTLE_RATE:
         raise DataError(
-            f"the flights are too gentle: {speed:.2f} m/s and {rate:.2f} rad/s RMS. Nearly all effects look alike in "
+            f"the flights are too gentle: {seen} and {rate:.2f} rad/s RMS. Nearly all effects look alike in "
             "hover. Fly straight accelerations to 3 m/s or more along both axes, yaw spins and fast climbs."
         )
 
@@ -81,36 +93,84 @@ def _specific_thrust(stretch: Stretch) -> Floats:
     return np.asarray(np.einsum("nj,nj->n", stretch.to_world[:, :, 2], world))
 
 
-def _require_rotor_order(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
-    """Roll and pitch must turn as the rotors push; if another order of rotors fits, say which."""
-    measured, squares = _turning_and_rotors(stretches)
-    if min(float(np.std(measured[:, 0])), float(np.std(measured[:, 1]))) < LEAST_TURNING:
-        return
-    rows = vehicle.rotors.allocation[1:3]
-    own = _agreement(measured, squares, rows)
-    if own > DISAGREES or vehicle.rotors.count > MOST_PERMUTED:
-        return
-    orders = list(itertools.permutations(range(vehicle.rotors.count)))
-    fits = [_agreement(measured, squares[:, list(order)], rows) for order in orders]
-    best = int(np.argmax(fits))
-    if fits[best] > AGREES:
+def _require_turning(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+    """The vehicle must turn as the rotors push; if another order of rotors or other units fit, say which."""
+    measured, squares = _turning_and_rotors(stretches, vehicle)
+    rows = vehicle.rotors.allocation[1:]
+    if min(float(np.std(measured[:, 0])), float(np.std(measured[:, 1]))) >= LEAST_TURNING:
+        own = _agreement(measured, squares, rows)
+        _require_order(own, measured, squares, rows)
+        if own > DISAGREES:
+            _require_scale(measured[:, :2], squares @ rows[:2].T / np.array(vehicle.body.inertia[:2]))
+    if float(np.std(measured[:, 2])) >= LEAST_YAWING and _correlation(measured[:, 2], squares @ rows[2]) < OPPOSITE:
         raise DataError(
-            f"the rotors do not turn the vehicle as the vehicle file says (agreement {own:.2f}). They do in another "
-            f"order: the log's columns {list(orders[best])} are the file's rotors {list(range(len(orders[best])))} "
-            f"(agreement {fits[best]:.2f}). Reorder [rotors] position and spin, or the log's columns."
+            "the rotors yaw the vehicle the other way than the vehicle file says (agreement "
+            f"{_correlation(measured[:, 2], squares @ rows[2]):.2f}). Turn the signs of [rotors] spin, or check that "
+            "rates are body FLU and rotors in the file's order."
         )
 
 
-def _turning_and_rotors(stretches: Sequence[Stretch]) -> tuple[Floats, Floats]:
-    turning, squares = [], []
-    for s in stretches:
-        rows = kept(len(s), s.rate)
-        turning.append(low_pass(difference(s.body_rate, s.rate), s.rate)[rows])
-        squares.append(low_pass(s.rotor_speed**2, s.rate)[rows])
-    return np.vstack(turning), np.vstack(squares)
+def _require_order(own: float, measured: Floats, squares: Floats, rows: Floats) -> None:
+    count = squares.shape[1]
+    if own > DISAGREES:
+        return
+    if count <= MOST_PERMUTED:
+        orders = list(itertools.permutations(range(count)))
+        fits = [_agreement(measured, squares[:, list(order)], rows) for order in orders]
+        best = int(np.argmax(fits))
+        if fits[best] > AGREES:
+            raise DataError(
+                f"the rotors do not turn the vehicle as the vehicle file says (agreement {own:.2f}). They do in "
+                f"another order: the log's columns {list(orders[best])} are the file's rotors {list(range(count))} "
+                f"(agreement {fits[best]:.2f}). Reorder [rotors] position and spin, or the log's columns."
+            )
+    if own < OPPOSITE:
+        raise DataError(
+            f"the rotors turn the vehicle the other way than the vehicle file says (agreement {own:.2f}), and no other "
+            "order of them fits. Check [rotors] position (body FLU: x forward, y left) and that rates are body FLU."
+        )
+
+
+def _require_scale(measured: Floats, modelled: Floats) -> None:
+    """measured, modelled: (m, 2) angular acceleration about x and y, rad/s^2."""
+    size = np.std(modelled, axis=0)
+    slope = float(np.median(np.sqrt(np.var(measured, axis=0)) / size))
+    if TURNING_RATIO[0] <= slope <= TURNING_RATIO[1]:
+        return
+    hint = "Check inertia (kg m^2) and [rotors] position (m)."
+    if 0.4 * DEGREES < slope < 2.5 * DEGREES:
+        hint = "That is degrees for radians: convert the log's rates to rad/s, or give a mapping with unit = 'deg/s'."
+    raise DataError(
+        f"with this vehicle file the vehicle turns {slope:.3g} times as fast as its rotors push; wanted "
+        f"{TURNING_RATIO[0]:g} to {TURNING_RATIO[1]:g}. {hint}"
+    )
+
+
+def _turning_and_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[Floats, Floats]:
+    """(m, 3) angular acceleration and (m, rotors) squared speeds, as late behind commands as fits best."""
+    commanded = stretches[0].rotor_source != "measured"
+    turning = [low_pass(difference(s.body_rate, s.rate), s.rate)[kept(len(s), s.rate)] for s in stretches]
+    measured = np.vstack(turning)
+    found = []
+    for response in RESPONSES if commanded else RESPONSES[:1]:
+        late = [replace(s, rotor_speed=lagged(s.rotor_speed, s.rate, response)) for s in stretches]
+        found.append(np.vstack([low_pass(s.rotor_speed**2, s.rate)[kept(len(s), s.rate)] for s in late]))
+    explained = [_explained(measured[:, :2], squares) for squares in found]
+    return measured, found[int(np.argmax(explained))]
+
+
+def _explained(measured: Floats, squares: Floats) -> float:
+    """Share of the turning that any mixture of the rotors explains, whatever their order."""
+    columns = np.column_stack([squares, np.ones(len(squares))])
+    left = measured - columns @ np.linalg.lstsq(columns, measured, rcond=None)[0]
+    return 1.0 - float(np.sum(left**2) / max(float(np.sum(measured**2)), 1e-30))
 
 
 def _agreement(measured: Floats, squares: Floats, rows: Floats) -> float:
     """The lesser correlation of roll and pitch."""
     modelled = squares @ rows.T
-    return min(float(np.corrcoef(measured[:, i], modelled[:, i])[0, 1]) for i in range(2))
+    return min(_correlation(measured[:, i], modelled[:, i]) for i in range(2))
+
+
+def _correlation(one: Floats, other: Floats) -> float:
+    return float(np.corrcoef(one, other)[0, 1])
