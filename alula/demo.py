@@ -1,63 +1,78 @@
-"""The main job end to end on the embedded mock: fly the textbook model on a vehicle that hides an effect.
-
-The mock is a process of its own, the link is UDP, the daemon is the one that flies a vehicle.
+"""The main job end to end on a simulated vehicle: fly the textbook model on one that hides an effect, diagnose these
+flights, add what was found, fly the same with it in the controller's model.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from pathlib import Path
+from importlib import util
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 
-from alula.embedded_mock import embedded_mock
-from alula.flight_setup import FlightSetup, prepare_flight
-from alula.paper import TRACKING_NOMINAL
-from dynamics.errors import RequestError, VehicleError
+from alula.demo_flights import LEARNED, NOMINAL, Announce, DemoOptions, FlownManoeuvre, pilot
+from dynamics.errors import RequestError
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
-from runtime.daemon import Daemon
 from vehicles import vehicle_path
 
-Announce = Callable[[str], None]
+if TYPE_CHECKING:
+    from alula.demo_learning import Learning
+
+Started = Callable[[str], None]
+NEEDED = ("scipy", "pyarrow")  # for diagnosis, which a flight computer's install leaves out
 
 
-class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the demo flies. effects: hidden from the controller. duration: s of each manoeuvre. folder: for output."""
+class PredictionError(msgspec.Struct, frozen=True):
+    """RMS of one channel over three axes on a flight that nothing was fitted on, and the sensors' noise of the same."""
 
-    folder: Path
-    vehicle: str = "arpl_250g"
-    effects: tuple[str, ...] = ("rotor_drag:coefficient=2.2e-5", "parasitic_drag:coefficient=0.01")
-    manoeuvres: tuple[str, ...] = ("Ellipse_2", "WarpedEllipse_2", "Lemniscate")
-    duration: float = 20.0
-    rate: float = 100.0
-    seed: int = 1
+    before: float
+    after: float
+    floor: float
+    unit: str
 
 
-class FlownManoeuvre(msgspec.Struct, frozen=True):
-    """How one manoeuvre went. Position errors against the reference, m; paper: its nominal model's RMSE, m."""
+class Learned(msgspec.Struct, frozen=True):
+    """The second half. verdict: diagnosis' word for the first flights. said: the same in a sentence.
 
-    name: str
-    speed_max: float
-    position_rmse: float
-    position_max: float
-    paper_rmse: float | None
-    recording: str
+    added: effects, the most important first. channels: prediction error with the textbook model and with them.
+    vehicle_file: the next version, empty when there was nothing to add; then nothing is flown again. flown: with it.
+    diagnosis: as `alula diagnose --json` writes it.
+    """
+
+    verdict: str
+    said: str
+    added: tuple[str, ...]
+    channels: dict[str, PredictionError]
+    vehicle_file: str
+    flown: tuple[FlownManoeuvre, ...]
+    diagnosis: dict[str, Any]
 
 
 class DemoReport(msgspec.Struct, frozen=True):
-    """What the demo measured, and where it wrote it."""
+    """What the demo measured, and where it wrote it. nominal: flights with the textbook model.
+
+    learned: None when there was no second half; missing: what it would have needed.
+    """
 
     vehicle: str
     hidden_effects: tuple[str, ...]
     seed: int
     nominal: tuple[FlownManoeuvre, ...]
+    lockstep: bool = False
+    learned: Learned | None = None
+    missing: tuple[str, ...] = ()
     files: tuple[str, ...] = ()
+
+    @property
+    def pairs(self) -> tuple[tuple[FlownManoeuvre, FlownManoeuvre | None], ...]:
+        """Each manoeuvre with the textbook model and, if it was flown again, with the learned one."""
+        after = self.learned.flown if self.learned is not None else ()
+        return tuple((before, after[i] if i < len(after) else None) for i, before in enumerate(self.nominal))
 
 
 def check_options(options: DemoOptions) -> None:
-    """Refuse what cannot be flown before anything takes off. Raises RequestError."""
+    """Refuse what cannot be flown or written before anything takes off; makes the folder. Raises RequestError."""
     vehicle = read_vehicle(vehicle_path(options.vehicle))
     for text in options.effects:
         parse_effect(text, vehicle.rotors.count)
@@ -65,45 +80,62 @@ def check_options(options: DemoOptions) -> None:
         named_reference(name, vehicle)
     if not options.manoeuvres:
         raise RequestError("no manoeuvre was given; name at least one, such as Lemniscate.")
+    if options.lockstep and (absent := absent_libraries()):
+        raise RequestError(
+            f"flights in lockstep need {' and '.join(absent)}: pip install 'alula[workbench]', or fly over the link."
+        )
+    probe = options.folder / ".part-probe"
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise RequestError(
+            f"cannot write to {options.folder}: {error.strerror}. Give a folder that can be written with --out."
+        ) from None
 
 
-def run_demo(options: DemoOptions, announce: Announce, started: Callable[[str], None]) -> DemoReport:
-    """Fly every manoeuvre with the textbook model. started: is told the name of each flight as it begins.
+def absent_libraries() -> tuple[str, ...]:
+    """What the second half needs and this install has not."""
+    return tuple(name for name in NEEDED if util.find_spec(name) is None)
 
-    Raises RequestError for options that make no sense, VehicleError when a flight does not end as it should.
+
+def run_demo(
+    options: DemoOptions, announce: Announce, started: Started, *, command: str = ""
+) -> tuple[DemoReport, Learning | None]:
+    """Fly, diagnose, add, fly again. started: is told the name of each part as it begins. command: for the history.
+
+    Without the desk's libraries, or told not to learn, only the first half; then there is no Learning.
+
+    Raises RequestError for options that make no sense, VehicleError when a flight does not end as it should, DataError
+    when the flights cannot be diagnosed.
     """
     check_options(options)
-    flown = []
-    hidden = [part for text in options.effects for part in ("--effect", text)]
-    with embedded_mock(options.vehicle, [*hidden, "--seed", str(options.seed)]) as link:
-        for name in options.manoeuvres:
-            started(name)
-            flown.append(_fly(name, link, options, announce))
-    return DemoReport(options.vehicle, options.effects, options.seed, tuple(flown))
-
-
-def _plain(name: str) -> str:
-    """A reference's name without the signs that a file name cannot have."""
-    return "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in name)
-
-
-def _fly(name: str, link: str, options: DemoOptions, announce: Announce) -> FlownManoeuvre:
-    setup = FlightSetup(
-        link=link, reference=name, vehicle=options.vehicle, duration=options.duration, rate=options.rate,
-        record=options.folder / "recordings", timeout=30.0,
-    )  # fmt: skip
-    flight = prepare_flight(setup)
-    request = msgspec.structs.replace(flight.request, name=f"{time.strftime('%Y%m%d-%H%M%S')}_nominal_{_plain(name)}")
-    report = Daemon(request, flight.vehicle, flight.reference, announce).fly()
-    if not report.landed or report.landing_reason or not report.tracking.samples:
-        raise VehicleError(f"the flight of {name} ended early: {report.outcome} {report.landing_reason}".strip() + ".")
-    tracking = report.tracking
-    paper = TRACKING_NOMINAL.get(named_reference(name, flight.vehicle).name)
-    return FlownManoeuvre(
-        name=name,
-        speed_max=tracking.speed_max,
-        position_rmse=tracking.position_rmse,
-        position_max=tracking.position_max,
-        paper_rmse=paper[0] if paper else None,
-        recording=report.recording or "",
+    nominal = _fly_all(options, str(vehicle_path(options.vehicle)), NOMINAL, announce, started)
+    absent = absent_libraries() if options.learn else ()
+    report = DemoReport(
+        options.vehicle, options.effects, options.seed, nominal, lockstep=options.lockstep, missing=absent
     )
+    if absent or not options.learn:
+        return report, None
+    from alula.demo_learning import learn  # brings SciPy
+
+    started("diagnosis")
+    learning = learn(options, [flown.recording for flown in nominal], command=command)
+    learned = learning.learned
+    if learned.vehicle_file:
+        again = _fly_all(options, learned.vehicle_file, LEARNED, announce, started)
+        learned = msgspec.structs.replace(learned, flown=again)
+    return msgspec.structs.replace(report, learned=learned), learning
+
+
+def _fly_all(
+    options: DemoOptions, vehicle: str, model: str, announce: Announce, started: Started
+) -> tuple[FlownManoeuvre, ...]:
+    """Every manoeuvre with one model on a vehicle with a full battery."""
+    flown = []
+    with pilot(options, announce) as fly:
+        for name in options.manoeuvres:
+            started(f"{name}, {model}")
+            flown.append(fly(name, vehicle, model))
+    return tuple(flown)

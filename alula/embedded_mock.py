@@ -22,9 +22,12 @@ def embedded_mock(vehicle: str, arguments: Sequence[str] = ()) -> Iterator[str]:
     link, ground = _free_port(), _free_port()
     where = ["--link", f"udpout:127.0.0.1:{link}", "--gcs-link", f"udpout:127.0.0.1:{ground}"]
     command = [sys.executable, "-m", "alula", "mock", "--vehicle", vehicle, *where, *arguments]
+    failure: VehicleError | None = None
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
         try:
             yield f"udpin:127.0.0.1:{link}"
+        except VehicleError as error:
+            failure = error  # which may be the mock's own end as seen from the link
         finally:
             ended = process.poll()
             process.terminate()
@@ -34,7 +37,11 @@ def embedded_mock(vehicle: str, arguments: Sequence[str] = ()) -> Iterator[str]:
                 process.kill()
                 _, said = process.communicate()
     if ended is not None:
-        raise VehicleError(f"the mock ended by itself with exit code {ended}: {said.strip()[-500:]}")
+        raise VehicleError(
+            f"the mock ended by itself with exit code {ended}: {said.strip()[-500:] or 'it said nothing'}"
+        ) from failure
+    if failure is not None:
+        raise failure
 
 
 def _free_port() -> int:

@@ -14,3 +14,13 @@ TRACKING_NOMINAL: Mapping[str, tuple[float, float]] = {
     "Parabola": (0.111, 0.006),
     "TransposedParabola": (0.322, 0.049),
 }
+TRACKING_LEARNED: Mapping[str, tuple[float, float]] = {
+    "Ellipse_1": (0.059, 0.002),
+    "Ellipse_2": (0.088, 0.023),
+    "WarpedEllipse_1": (0.044, 0.009),
+    "WarpedEllipse_2": (0.069, 0.017),
+    "Lemniscate": (0.098, 0.011),
+    "ExtendedLemniscate": (0.101, 0.019),
+    "Parabola": (0.092, 0.021),
+    "TransposedParabola": (0.162, 0.051),
+}

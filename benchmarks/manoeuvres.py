@@ -18,7 +18,8 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.demo import DemoOptions, run_demo
+from alula.demo import run_demo
+from alula.demo_flights import DemoOptions
 from alula.demo_report import draw_tracking
 from alula.paper import TRACKING_NOMINAL
 
@@ -35,8 +36,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for run in range(runs):
             names = tuple(TRACKING_NOMINAL)
-            options = DemoOptions(Path(folder) / str(run), effects=(), manoeuvres=names, duration=25.0, seed=100 + run)
-            report = run_demo(options, lambda _: None, print)
+            options = DemoOptions(
+                Path(folder) / str(run), effects=(), manoeuvres=names, duration=25.0, seed=100 + run, learn=False
+            )
+            report, _ = run_demo(options, lambda _: None, print)
             for flown in report.nominal:
                 errors[flown.name].append(flown.position_rmse)
                 speeds[flown.name] = max(speeds.get(flown.name, 0.0), flown.speed_max)

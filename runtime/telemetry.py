@@ -15,6 +15,7 @@ from runtime.dialect import Message, mavlink
 
 _RAD_PER_S = 2 * pi / 60  # of one revolution per minute
 _UNKNOWN_VOLTAGE = 65535
+_IMU_WINDOW = 0.005  # s over which PX4 averages a sample (IMU_INTEG_RATE 200 Hz) that it stamps at the end
 
 LandedState = Literal["undefined", "on_ground", "in_air", "taking_off", "landing"]
 _LANDED: tuple[LandedState, ...] = ("undefined", "on_ground", "in_air", "taking_off", "landing")
@@ -75,7 +76,7 @@ class MotorOutputs(msgspec.Struct, frozen=True, gc=False):
 
 
 class ImuSample(msgspec.Struct, frozen=True, gc=False):
-    """Specific force, m/s^2, and body rates, rad/s, both body FLU, of HIGHRES_IMU."""
+    """Specific force, m/s^2, and body rates, rad/s, both body FLU, of HIGHRES_IMU; time: the middle of its average."""
 
     time: float
     received: float
@@ -131,7 +132,7 @@ def _actuator_outputs(message: Message, received: float, to_ours: ToOurs) -> Mot
 
 def _imu(message: Message, received: float, to_ours: ToOurs) -> ImuSample:
     return ImuSample(
-        to_ours(message.time_usec * 1e-6, received),
+        to_ours(message.time_usec * 1e-6, received) - _IMU_WINDOW / 2,
         received,
         (message.xacc, -message.yacc, -message.zacc),
         (message.xgyro, -message.ygyro, -message.zgyro),

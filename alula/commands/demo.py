@@ -1,11 +1,12 @@
-"""`alula demo`: the main job end to end on the embedded mock."""
+"""`alula demo`: the main job end to end on a simulated vehicle."""
 
 from __future__ import annotations
 
+import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -16,12 +17,14 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from alula.demo import DemoOptions, DemoReport, check_options, run_demo
-from alula.demo_report import write_report
+from alula import demo_report as told
+from alula.demo import DemoReport, absent_libraries, check_options, run_demo
+from alula.demo_flights import DemoOptions
 from alula.paper import TRACKING_NOMINAL
 
 USUAL = DemoOptions(folder=Path("reports/demo"))
-AROUND = 16.0  # s that take-off, approach, return and landing usually add to a manoeuvre
+AROUND, IN_LOCKSTEP = 21.0, 0.3  # s around a manoeuvre over the link; s of computing a second of flight without it
+DIAGNOSING = 20.0  # s
 
 
 def demo(
@@ -35,26 +38,32 @@ def demo(
             help="What the vehicle hides: name:key=value,...; repeatable. By default drag of rotors and body."
         ),
     ] = None,
+    no_effects: Annotated[bool, typer.Option("--no-effects", help="Hide nothing: there is nothing to find.")] = False,
     vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")] = (
         USUAL.vehicle
     ),
     duration: Annotated[float, typer.Option(min=5.0, help="Seconds of each manoeuvre.")] = USUAL.duration,
-    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate, Hz.")] = USUAL.rate,
-    seed: Annotated[int, typer.Option(help="Seed of the mock's randomness.")] = USUAL.seed,
-    out: Annotated[Path, typer.Option(help="Folder for recordings and report.")] = USUAL.folder,
+    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate over the link, Hz.")] = USUAL.rate,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = USUAL.seed,
+    out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = USUAL.folder,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep", help="Fly in simulated time without a link: a minute instead of four.")
+    ] = False,
+    learn: Annotated[bool, typer.Option(help="Go on after the flights with the textbook model.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,
 ) -> None:
-    """Fly the textbook model over MAVLink on a mock vehicle that hides an effect; table, picture, recordings."""
+    """Fly the textbook model on a vehicle that hides an effect, diagnose that, add what is missing, fly again."""
     names = tuple(TRACKING_NOMINAL) if every else tuple(manoeuvre or USUAL.manoeuvres)
-    effects = USUAL.effects if effect is None else tuple(effect)
-    options = DemoOptions(out, vehicle, effects, names, duration, rate, seed)
+    effects = () if no_effects else USUAL.effects if effect is None else tuple(effect)
+    options = DemoOptions(out, vehicle, effects, names, duration, rate, seed, lockstep, learn)
     check_options(options)
     console = Console(stderr=as_json)
-    console.print(f"{vehicle} flies its textbook model over MAVLink; it hides {', '.join(effects) or 'nothing'}")
-    out.mkdir(parents=True, exist_ok=True)
+    how = "in lockstep" if lockstep else "over MAVLink"
+    console.print(f"{vehicle} flies its textbook model {how}; it hides {', '.join(effects) or 'nothing'}")
+    command = shlex.join(["alula", *sys.argv[1:]])
     with (out / "news.txt").open("w", encoding="utf-8") as news, _progress(console, options) as started:
-        report = run_demo(options, lambda line: print(line, file=news, flush=True), started)
-    report = write_report(report, out)
+        report, learning = run_demo(options, lambda line: print(line, file=news, flush=True), started, command=command)
+    report = told.write_report(report, out, learning)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
     else:
@@ -63,10 +72,9 @@ def demo(
 
 @contextmanager
 def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str], None]]:
-    """A bar over the expected time of all flights, and the function that tells it which one begins."""
-    columns = (TextColumn("{task.description:24}"), BarColumn(), TimeElapsedColumn())
-    expected = len(options.manoeuvres) * (options.duration + AROUND)
-    began, over = time.monotonic(), threading.Event()
+    """A bar over the expected time of everything, and the function that tells it which part begins."""
+    columns = (TextColumn("{task.description:28}"), BarColumn(), TimeElapsedColumn())
+    expected, began, over = _expected(options), time.monotonic(), threading.Event()
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task("starting", total=expected)
 
@@ -77,22 +85,38 @@ def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str]
         follower = threading.Thread(target=follow, name="progress", daemon=True)
         follower.start()
         try:
-            yield lambda name: progress.update(task, description=f"flying {name}")
-            progress.update(task, description="flown", completed=expected)
+            yield lambda name: progress.update(task, description=name)
+            progress.update(task, description="done", completed=expected)
         finally:
             over.set()
             follower.join()
 
 
+def _expected(options: DemoOptions) -> float:
+    """Seconds that the whole demo usually takes."""
+    flight = IN_LOCKSTEP * options.duration if options.lockstep else options.duration + AROUND
+    half = len(options.manoeuvres) * flight
+    return half if absent_libraries() or not options.learn else 2 * half + DIAGNOSING
+
+
 def _print(report: DemoReport, console: Console) -> None:
-    table = Table("manoeuvre", title="tracking, textbook model", title_justify="left")
-    for heading in ("top speed m/s", "position RMSE m", "greatest m", "paper's nominal m"):
-        table.add_column(heading, justify="right")
-    for flown in report.nominal:
-        paper = "" if flown.paper_rmse is None else f"{flown.paper_rmse:.3f}"
-        figures = [f"{flown.speed_max:.2f}", f"{flown.position_rmse:.3f}", f"{flown.position_max:.3f}", paper]
-        table.add_row(flown.name, *figures)
-    console.print(table)
+    console.print(
+        _table("tracking: position RMSE against the reference", told.TRACKING_HEADINGS, told.tracking_rows(report))
+    )
+    if report.learned is not None:
+        title = "prediction: RMSE on a flight that nothing was fitted on"
+        console.print(_table(title, told.PREDICTION_HEADINGS, told.prediction_rows(report)))
+    for line in told.closing_lines(report):
+        console.print(line, highlight=False, markup=False)
     console.print("written: " + ", ".join(report.files), highlight=False)
     if not any(path.endswith(".png") for path in report.files):
         console.print("no picture was drawn: it needs matplotlib, which comes with alula\\[workbench]")
+
+
+def _table(title: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    table = Table(title=title, title_justify="left")
+    for place, heading in enumerate(headings):
+        table.add_column(heading, justify="right" if place else "left", no_wrap=not place)
+    for row in rows:
+        table.add_row(*row)
+    return table

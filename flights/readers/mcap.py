@@ -76,9 +76,9 @@ _Row = _Estimate | _Reference | _Setpoint | _Imu | _Rotors | _Battery | _Observa
 
 # topic: its struct, and per field the quantity it tells; of two for one quantity the first is preferred
 _TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
+    "/imu": (_Imu, {"specific_force_body": "specific_force", "rate_body": "rate"}),  # the estimate's rate is filtered
     "/estimate": (_Estimate, {"position_world": "position", "velocity_world": "velocity", "attitude": "attitude",
                               "rate_body": "rate", "reset_counter": "reset_counter"}),
-    "/imu": (_Imu, {"specific_force_body": "specific_force", "rate_body": "rate"}),
     "/rotors": (_Rotors, {"first": "", "speed": "rotor_speed"}),
     "/battery": (_Battery, {"voltage": "battery_voltage", "current": "battery_current"}),
     "/reference": (_Reference, {"position_world": "position_setpoint", "velocity_world": "velocity_setpoint",
