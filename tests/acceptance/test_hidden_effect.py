@@ -1,0 +1,59 @@
+"""The user's own test: an effect is hidden at random, and the command line alone must find it, add it, and be right.
+
+The seed is printed; ALULA_ACCEPTANCE_SEED=N repeats a run.
+"""
+
+import os
+import secrets
+from functools import cache
+
+import pytest
+
+from tests.support.hidden_effect import Draw, Outcome, try_command_line, yardstick
+
+DRAWS, MUST_HOLD = 3, 2
+SEED = int(os.environ.get("ALULA_ACCEPTANCE_SEED", secrets.randbelow(100_000)))
+
+
+@pytest.fixture(scope="module")
+def outcome(tmp_path_factory):
+    """What the command line made of the draw of a number, each worked out once; number -1 hides nothing."""
+    measure = cache(yardstick)
+
+    @cache
+    def worked_out(number: int) -> Outcome:
+        draw = Draw.random(SEED, number) if number >= 0 else Draw("", 0.0, 1.0, SEED)
+        return try_command_line(draw, measure(), tmp_path_factory.mktemp("flights"))
+
+    return worked_out
+
+
+@pytest.fixture
+def told(outcome, capsys):
+    """The same, told even when the test passes."""
+
+    def worked_out(number: int) -> Outcome:
+        found = outcome(number)
+        with capsys.disabled():
+            print(f"\nALULA_ACCEPTANCE_SEED={SEED} {found}")
+        return found
+
+    return worked_out
+
+
+def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_flights(told):
+    found = told(-1)
+    assert found.faults == ()
+    assert found.misses == ()
+    assert found.added is None
+
+
+@pytest.mark.parametrize("number", range(DRAWS))
+def test_no_draw_ends_in_an_error_or_a_worse_model(told, number):
+    assert told(number).faults == ()
+
+
+def test_most_hidden_effects_are_located_named_and_added_until_only_noise_is_left(outcome):
+    found = [outcome(number) for number in range(DRAWS)]
+    held = [not (o.faults or o.misses) for o in found]
+    assert sum(held) >= MUST_HOLD, "\n".join(map(str, found))
