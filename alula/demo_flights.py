@@ -141,4 +141,7 @@ def _file_name(name: str, model: str) -> str:
 
 def _too_much(options: DemoOptions) -> str:
     hidden = ", ".join(options.effects) or "nothing"
-    return f"The vehicle hides {hidden}: hide less, or name gentler manoeuvres with --manoeuvre."
+    return (
+        f"The vehicle hides {hidden}. Hide less, name gentler manoeuvres with --manoeuvre, or leave the machine more "
+        "time."
+    )

@@ -1,18 +1,22 @@
 """What the demo gains: prediction and tracking error before and after, over seeds, and for each catalogued effect.
 
 In lockstep, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default, then
-one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again.
+one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
+flown is kept in a folder, so that a run which was cut short goes on.
 
-    python benchmarks/demo_gain.py [--seeds 5]
+    python benchmarks/demo_gain.py [--seeds 5] [--keep FOLDER] [--minutes 8]
 """
 
 from __future__ import annotations
 
 import argparse
+import sys
 import tempfile
-from collections.abc import Sequence
+import time
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from provenance import write_result
 
@@ -35,17 +39,37 @@ CATALOGUE_MANOEUVRES = ("Ellipse_2", "ExtendedLemniscate", "WarpedEllipse_2")  #
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
-    seeds = parser.parse_args().seeds
-    reports = [_report(DemoOptions(Path(), lockstep=True, seed=seed)) for seed in range(1, seeds + 1)]
-    body = [f"## The demo's default, seeds 1 to {seeds}", "", *_default(reports), "", "## Each effect by itself", ""]
-    body += _catalogue()
+    parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "demo_gain")
+    parser.add_argument("--minutes", type=float, default=float("inf"), help="until no further demo is begun")
+    given = parser.parse_args()
+    seeds = range(1, given.seeds + 1)
+    wanted = {f"default_{seed}": DemoOptions(given.keep, lockstep=True, seed=seed) for seed in seeds}
+    for effect in EFFECTS:
+        name = effect.partition(":")[0]
+        wanted[name] = DemoOptions(given.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
+    found = dict(_demos(wanted, until=time.monotonic() + 60 * given.minutes))
+    if len(found) < len(wanted):
+        sys.exit(f"{len(found)} of {len(wanted)} demos are flown; run again to go on.")
+    reports = [found.pop(f"default_{seed}") for seed in seeds]
+    body = [f"## The demo's default, seeds 1 to {given.seeds}", "", *_default(reports)]
+    body += ["", "## Each effect by itself", "", *_catalogue(found)]
     write_result("demo_gain", "What the demo gains", "\n".join(body))
 
 
-def _report(options: DemoOptions) -> DemoReport:
-    with tempfile.TemporaryDirectory() as folder:
-        values = {name: getattr(options, name) for name in options.__struct_fields__} | {"folder": Path(folder)}
-        return run_demo(DemoOptions(**values), lambda _: None, lambda _: None)[0]
+def _demos(wanted: Mapping[str, DemoOptions], until: float) -> Iterator[tuple[str, DemoReport | str]]:
+    """Each demo's report, or why there is none; those flown before are read again."""
+    for name, options in wanted.items():
+        kept = options.folder / name / "report.json"
+        if not kept.exists() and time.monotonic() < until:
+            options = msgspec.structs.replace(options, folder=kept.parent)
+            try:
+                outcome: DemoReport | str = run_demo(options, lambda _: None, lambda _: None)[0]
+            except AlulaError as error:
+                outcome = str(error)
+            kept.write_bytes(msgspec.json.encode(outcome))
+            print(name, flush=True)
+        if kept.exists():
+            yield name, msgspec.json.decode(kept.read_bytes(), type=DemoReport | str)
 
 
 def _default(reports: Sequence[DemoReport]) -> list[str]:
@@ -72,18 +96,14 @@ def _default(reports: Sequence[DemoReport]) -> list[str]:
     return [*rows, "", f"Both effects and no third were added in {named} of {len(reports)} demos. Mean +- deviation."]
 
 
-def _catalogue() -> list[str]:
+def _catalogue(found: Mapping[str, DemoReport | str]) -> list[str]:
     names = ", ".join(CATALOGUE_MANOEUVRES)
     rows = [f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the textbook model over that with "
             "what was learned, for each.", "", "| hidden | verdict | added | prediction of force | ratios |",
             "| --- " * 5 + "|"]  # fmt: skip
     for effect in EFFECTS:
-        options = DemoOptions(Path(), lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES, seed=1)
-        try:
-            rows.append(_line(effect, _report(options)))
-        except AlulaError as error:
-            rows.append(f"| {effect} | none: {error} | | | |")
-        print(rows[-1], flush=True)
+        outcome = found[effect.partition(":")[0]]
+        rows.append(f"| {effect} | none: {outcome} | | | |" if isinstance(outcome, str) else _line(effect, outcome))
     return rows
 
 

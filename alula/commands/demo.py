@@ -8,6 +8,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -25,6 +26,7 @@ from alula.paper import TRACKING_NOMINAL
 USUAL = DemoOptions(folder=Path("reports/demo"))
 AROUND, IN_LOCKSTEP = 21.0, 0.3  # s around a manoeuvre over the link; s of computing a second of flight without it
 DIAGNOSING = 20.0  # s
+INTERRUPTED = 130  # exit code of a command that Ctrl-C ended
 
 
 def demo(
@@ -61,8 +63,13 @@ def demo(
     how = "in lockstep" if lockstep else "over MAVLink"
     console.print(f"{vehicle} flies its textbook model {how}; it hides {', '.join(effects) or 'nothing'}")
     command = shlex.join(["alula", *sys.argv[1:]])
-    with (out / "news.txt").open("w", encoding="utf-8") as news, _progress(console, options) as started:
-        report, learning = run_demo(options, lambda line: print(line, file=news, flush=True), started, command=command)
+    try:
+        with (out / "news.txt").open("w", encoding="utf-8") as news, _progress(console, options) as started:
+            announce = partial(print, file=news, flush=True)
+            report, learning = run_demo(options, announce, started, command=command)
+    except KeyboardInterrupt:
+        console.print(f"interrupted; what was flown until then is in {out / 'recordings'}", highlight=False)
+        raise typer.Exit(INTERRUPTED) from None
     report = told.write_report(report, out, learning)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
