@@ -45,7 +45,9 @@ BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
 LEAVING_PATIENCE = 60.0  # s from an order to land until streaming is stopped
-SLOW_STREAMS: Mapping[str, float] = {"EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 100.0}
+SLOW_STREAMS: Mapping[str, float] = {  # for the recording, and what may come late
+    "EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 100.0, "SERVO_OUTPUT_RAW": 100.0,
+}  # fmt: skip
 THRUST_CURVE = "THR_MDL_FAC"
 
 REHEARSED_TICKS = 20

@@ -151,6 +151,13 @@ class RotorRecord(msgspec.Struct, frozen=True):
     speed: Annotated[Array, Meta(description="rad/s")]
 
 
+class MotorRecord(msgspec.Struct, frozen=True):
+    """What the autopilot commands its outputs, in its own order."""
+
+    time: Seconds
+    pulse: Annotated[Array, Meta(description="us, of SERVO_OUTPUT_RAW")]
+
+
 class BatteryRecord(msgspec.Struct, frozen=True):
     """The battery as the vehicle reports it."""
 
@@ -189,6 +196,7 @@ Record = (
     | StateRecord
     | ImuRecord
     | RotorRecord
+    | MotorRecord
     | BatteryRecord
     | ParameterRecord
     | TextRecord
@@ -206,6 +214,7 @@ TOPICS: Mapping[type[Record], str] = {
     StateRecord: "/state",
     ImuRecord: "/imu",
     RotorRecord: "/rotors",
+    MotorRecord: "/motors",
     BatteryRecord: "/battery",
     ParameterRecord: "/parameter",
     TextRecord: "/text",

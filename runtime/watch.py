@@ -19,8 +19,8 @@ from runtime.events import Event
 from runtime.link import Direction
 from runtime.peer import Reaction
 from runtime.recorder import Recorder
-from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, Record, RotorRecord, TextRecord
-from runtime.telemetry import Battery, ImuSample, LinkEvent, RotorSpeeds, Telemetry
+from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, MotorRecord, Record, RotorRecord, TextRecord
+from runtime.telemetry import Battery, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 
 # what the link finds, as events of the flight; other names are news without a consequence
 FINDINGS: Mapping[str, Event] = {
@@ -126,6 +126,8 @@ class Watch:
                 self._put(ImuRecord(sample.time, force, rate), sample.received)
             case RotorSpeeds():
                 self._put(RotorRecord(sample.time, sample.first, np.array(sample.speed)), sample.received)
+            case MotorOutputs(source="SERVO_OUTPUT_RAW"):
+                self._put(MotorRecord(sample.time, np.array(sample.value)), sample.received)
             case Battery():
                 charge = (sample.voltage, sample.current, sample.remaining)
                 self._put(BatteryRecord(sample.received, *charge), sample.received)

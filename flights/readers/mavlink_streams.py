@@ -12,7 +12,7 @@ from pymavlink.dialects.v20 import development as mavlink
 from dynamics import frames, quaternion
 from flights.assembly import Assembly
 from flights.log import Floats
-from flights.readers.px4_rotors import QUAD_X, QUADROTOR, in_our_order, join_groups
+from flights.readers.px4_rotors import QUAD_X, QUADROTOR, commands_of_pulses, in_our_order, join_groups
 
 # Upstream's ESC_STATUS, which pymavlink's definitions lack: payload as it travels, and its CRC_EXTRA.
 ESC_STATUS = np.dtype(
@@ -22,8 +22,6 @@ ESC_STATUS_EXTRA = 10
 _ESC_STATUS_ID = 291
 
 _SLICE = 5.0  # s over which the fastest message tells the clocks' offset
-_PWM_LOW, _PWM_SPAN = 1000.0, 1000.0  # microseconds of a motor at rest and its range
-_UNUSED_PWM = 800.0  # below: the channel is not used
 _IGNORE_ATTITUDE, _IGNORE_THRUST, _IGNORE_ROLL_PITCH_YAW_RATE = 128, 64, 7
 _IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56
 
@@ -153,17 +151,10 @@ def _highres_imu(assembly: Assembly, got: Received) -> None:
 
 def _servo_output(assembly: Assembly, got: Received) -> None:
     pulses = got.stack(*(f"servo{motor}_raw" for motor in range(1, 9)))
-    used = int(np.count_nonzero((pulses > _UNUSED_PWM).any(axis=0) & (np.ptp(pulses, axis=0) > 0)))
-    if used == 0:
-        assembly.note("SERVO_OUTPUT_RAW never changes: no rotor commands from it")
-        return
-    command = np.clip((pulses[:, :used] - _PWM_LOW) / _PWM_SPAN, 0.0, 1.0)
-    order = QUAD_X if used == 4 else None
-    assembly.note(
-        "rotor commands are SERVO_OUTPUT_RAW's pulses from 1000 to 2000 us, output n taken for motor n"
-        + (" and put in our order as PX4's quad x" if order else f", {used} motors left in their order")
-    )
-    assembly.add("rotor_command", got.time, in_our_order(command, order), "SERVO_OUTPUT_RAW")
+    command, note = commands_of_pulses(pulses)
+    assembly.note(note)
+    if command.shape[1]:
+        assembly.add("rotor_command", got.time, command, "SERVO_OUTPUT_RAW")
 
 
 def _esc_status(assembly: Assembly, got: Received) -> None:

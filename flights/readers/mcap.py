@@ -17,7 +17,7 @@ from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import Floats, Reading
 from flights.readers import rosbag
-from flights.readers.px4_rotors import QUAD_X, in_our_order, join_groups
+from flights.readers.px4_rotors import QUAD_X, commands_of_pulses, in_our_order, join_groups
 from flights.source import Source, Span
 
 _MAGIC = b"\x89MCAP0\r\n"
@@ -60,6 +60,11 @@ class _Rotors(msgspec.Struct):
     speed: Numbers
 
 
+class _Motors(msgspec.Struct):
+    time: float
+    pulse: Numbers
+
+
 class _Battery(msgspec.Struct):
     time: float
     voltage: float | None
@@ -72,7 +77,7 @@ class _Observation(msgspec.Struct):
     landed: bool
 
 
-_Row = _Estimate | _Reference | _Setpoint | _Imu | _Rotors | _Battery | _Observation
+_Row = _Estimate | _Reference | _Setpoint | _Imu | _Rotors | _Motors | _Battery | _Observation
 
 # topic: its struct, and per field the quantity it tells; of two for one quantity the first is preferred
 _TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
@@ -80,6 +85,7 @@ _TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
     "/estimate": (_Estimate, {"position_world": "position", "velocity_world": "velocity", "attitude": "attitude",
                               "rate_body": "rate", "reset_counter": "reset_counter"}),
     "/rotors": (_Rotors, {"first": "", "speed": "rotor_speed"}),
+    "/motors": (_Motors, {"pulse": "rotor_command"}),
     "/battery": (_Battery, {"voltage": "battery_voltage", "current": "battery_current"}),
     "/reference": (_Reference, {"position_world": "position_setpoint", "velocity_world": "velocity_setpoint",
                                 "attitude": "attitude_setpoint"}),
@@ -146,6 +152,8 @@ def read(source: Source) -> Reading:
     for topic, rows in collected.items():
         if topic == "/rotors":
             _add_rotors(assembly, rows)
+        elif topic == "/motors":
+            _add_motors(assembly, rows)
         else:
             _add_topic(assembly, topic, rows)
     return assembly.finish()
@@ -173,6 +181,16 @@ def _add_rotors(assembly: Assembly, rows: _Collected) -> None:
         else f"rotor speeds are the autopilot's, {speed.shape[1]} motors left in its order"
     )
     assembly.add("rotor_speed", time, in_our_order(speed, order), "/rotors")
+
+
+def _add_motors(assembly: Assembly, rows: _Collected) -> None:
+    time, pulses = np.array(rows.time), np.array(rows.fields["pulse"])
+    if not len(time) or len(pulses) % len(time):
+        return
+    command, note = commands_of_pulses(pulses.reshape(len(time), -1))
+    assembly.note(note)
+    if command.shape[1]:
+        assembly.add("rotor_command", time, command, "/motors")
 
 
 def _resumed(span: Span | None) -> tuple[dict[int, str], dict[str, str]]:

@@ -12,6 +12,8 @@ QUADROTOR = 2  # MAV_TYPE
 # PX4's quad x: motor 1 front right, 2 back left, 3 front left, 4 back right
 QUAD_X = (2, 1, 3, 0)
 FIRST_MOTOR_FUNCTION, LAST_MOTOR_FUNCTION = 101, 112
+_PWM_LOW, _PWM_SPAN = 1000.0, 1000.0  # microseconds of a motor at rest and its range
+_UNUSED_PWM = 800.0  # below: the channel is not used
 _QUADRANTS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of our rotors 0 to 3: signs of x forward and y left
 
 
@@ -41,6 +43,22 @@ def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
     if order is None or motors.shape[1] < len(order):
         return motors
     return motors[:, list(order)]
+
+
+def commands_of_pulses(pulses: Floats) -> tuple[Floats, str]:
+    """Rotor commands 0..1 of SERVO_OUTPUT_RAW's pulses in us, and what that rests on; none when no pulse ever changes.
+
+    pulses: (n, outputs). Returns (n, k), in our order if there are four.
+    """
+    used = int(np.count_nonzero((pulses > _UNUSED_PWM).any(axis=0) & (np.ptp(pulses, axis=0) > 0)))
+    if used == 0:
+        return np.zeros((len(pulses), 0)), "SERVO_OUTPUT_RAW never changes: no rotor commands from it"
+    command = np.clip((pulses[:, :used] - _PWM_LOW) / _PWM_SPAN, 0.0, 1.0)
+    order = QUAD_X if used == 4 else None
+    note = "rotor commands are SERVO_OUTPUT_RAW's pulses from 1000 to 2000 us, output n taken for motor n" + (
+        " and put in our order as PX4's quad x" if order else f", {used} motors left in their order"
+    )
+    return in_our_order(command, order), note
 
 
 def join_groups(time: Floats, first: Floats, speed: Floats) -> tuple[Floats, Floats]:

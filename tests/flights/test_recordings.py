@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from dynamics.errors import DataError
 from flights import read_log, read_pieces
 from runtime.recorder import Recorder
-from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, RotorRecord, SetpointRecord
+from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, MotorRecord, RotorRecord, SetpointRecord
 from tests.support.flight_files import Truth, manoeuvre
 
 
@@ -31,6 +31,8 @@ def recording(truth: Truth, tmp_path_factory: pytest.TempPathFactory) -> Path:
         recorder.put(EstimateRecord(at, at + 0.003, *state, reset_counter=9), now + t)
         recorder.put(ImuRecord(at + 1e-3, truth.specific_force[i], truth.rate[i]), now + t)
         recorder.put(RotorRecord(at, 0, truth.rotor_speed[i, [3, 1, 0, 2]]), now + t)
+        signal = truth.rotor_speed[i, [3, 1, 0, 2]] / 2000.0
+        recorder.put(MotorRecord(at, np.array([*(1000 + 1000 * signal), *[900.0] * 4])), now + t)
         recorder.put(SetpointRecord(at, truth.rate[i], 2.5, float("nan"), 1.0), now + t)
         if i % 100 == 0:
             recorder.put(BatteryRecord(at, 7.4, 3.0, 0.9), now + t)
@@ -51,6 +53,9 @@ def test_a_recording_is_a_flight(recording: Path, truth: Truth) -> None:
         assert_allclose(stream.values, getattr(truth, name), atol=1e-12, err_msg=name)
         assert_allclose(stream.time, truth.time + (1e-3 if name in ("rate", "specific_force") else 0.0), atol=1e-9)
     assert [stream.source for stream in log.alternatives("rate")] == ["/imu", "/estimate"]
+    command = log.stream("rotor_command")
+    assert command is not None
+    assert_allclose(2000.0 * command.values, truth.rotor_speed, atol=1e-9)
     voltage = log.stream("battery_voltage")
     assert voltage is not None
     assert len(voltage.time) == 7
