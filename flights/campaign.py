@@ -34,7 +34,7 @@ SHAPES = (
     "circle",
 )
 PLAINER = {
-    "TransposedParabola_wide": "TransposedParabola:size=2.5,speed=0.63",  # 15 m/s^2
+    "TransposedParabola_wide": "TransposedParabola:size=1.15,speed=0.92",  # 17 m/s^2
     "WarpedEllipse_1_xz": "WarpedEllipse_1:plane=xz",
     "WarpedEllipse_1_yz": "WarpedEllipse_1:plane=yz",
     "line_x_60": "line:speed=0.6",
