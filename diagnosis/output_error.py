@@ -124,7 +124,16 @@ class _Problem:
 
     def cost(self, values: Floats, white: Floats) -> float:
         """Squared white error of all windows with their own unknowns at their best."""
-        return sum(float(np.sum(r * r) - np.sum(nr * solved)) for r, nr, solved in self._projected(values, white))
+        total = 0.0
+        for stretch, starts in self._pairs():
+            windows = self._run(stretch, starts, values)
+            first = self._first(stretch, windows, values)[:, :, :START]
+            slopes = self._simulator.sensitivities(windows, self._parameters(values), first, held=True)
+            r, n = _whitened(white, self._errors(stretch, windows)), self._unknowns(windows, slopes, white)
+            nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
+            nr = np.einsum("wma,wm->wa", n, r)
+            total += float(np.sum(r * r) - np.sum(nr * np.linalg.solve(nn, nr[:, :, None])[:, :, 0]))
+        return total
 
     def step(self, values: Floats, white: Floats) -> tuple[Floats, Floats]:
         """Gauss-Newton step and the covariance of the parameters, from the spread of the windows."""
@@ -143,16 +152,6 @@ class _Problem:
         scale = np.sqrt(np.abs(np.diag(gram)) + 1e-300)
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-8) / np.outer(scale, scale)
         return inverse @ score.sum(axis=0), inverse @ (score.T @ score) @ inverse.T
-
-    def _projected(self, values: Floats, white: Floats) -> list[tuple[Floats, Floats, Floats]]:
-        found = []
-        for stretch, starts in self._pairs():
-            windows = self._run(stretch, starts, values)
-            r, n, _, _ = self._white(stretch, windows, values, white)
-            nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
-            nr = np.einsum("wma,wm->wa", n, r)
-            found.append((r, nr, np.linalg.solve(nn, nr[:, :, None])[:, :, 0]))
-        return found
 
     def _pairs(self) -> list[tuple[Stretch, range]]:
         return [(s, starts) for s, starts in zip(self._stretches, self._starts, strict=True) if len(starts)]
@@ -175,24 +174,22 @@ class _Problem:
         self, stretch: Stretch, windows: Windows, values: Floats, white: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Errors (W, m), slopes in a window's unknowns (W, m, 13), in parameters (W, m, k), instruments (W, m, k)."""
-        p, k = self._parameters(values), len(values)
-        first = self._first(stretch, windows, values)
-        slopes = self._outputs(self._simulator.sensitivities(windows, p, first), windows)
-        own, theta = slopes[..., :START], slopes[..., START:]
-        instruments = theta
+        p, first = self._parameters(values), self._first(stretch, windows, values)
+        slopes = self._simulator.sensitivities(windows, p, first)
+        theta = instruments = self._outputs(slopes, windows)[..., START:]
         if self._instrumented.any():
             speed = make_instruments(stretch, self._vehicle).rotor_speed
             slow = (speed[windows.rows[:, :-1]] + speed[windows.rows[:, 1:]]) / 2
             other = self._outputs(self._simulator.sensitivities(windows, p, first, rotor_speed=slow), windows)
             instruments = np.where(self._instrumented, other[..., START:], theta)
-        unknown = np.concatenate([own, self._readings(windows)], axis=3)
-        count = len(windows.states)
+        errors = _whitened(white, self._errors(stretch, windows))
+        unknowns = self._unknowns(windows, slopes, white)
+        return errors, unknowns, _whitened(white, theta), _whitened(white, instruments)
 
-        def whitened(rows: Floats) -> Floats:
-            return np.asarray(np.einsum("otu,wuo...->wto...", white, rows).reshape(count, -1, *rows.shape[3:]))
-
-        assert theta.shape[3] == k
-        return whitened(self._errors(stretch, windows)), whitened(unknown), whitened(theta), whitened(instruments)
+    def _unknowns(self, windows: Windows, slopes: Floats, white: Floats) -> Floats:
+        """(W, m, 13) white slopes in a window's own unknowns. slopes: of the states, those of the start first."""
+        own = self._outputs(slopes[..., :START], windows)
+        return _whitened(white, np.concatenate([own, self._readings(windows)], axis=3))
 
     def _first(self, stretch: Stretch, windows: Windows, values: Floats) -> Floats:
         """(W, nx, 9 + k) slopes of the windows' first states in their own unknowns and in the parameters."""
@@ -222,6 +219,12 @@ class _Problem:
         found[:, :, 0:3, 3] = -np.gradient(states[:, :, 3:6], self._stride / self._rate, axis=1)
         found[:, :, 3:6, 3] = -states[:, :, 10:13]
         return found
+
+
+def _whitened(white: Floats, rows: Floats) -> Floats:
+    """(W, t x 9, ...) rows of outputs (W, t, 9, ...), white along each window."""
+    made = np.einsum("otu,wuo...->wto...", white, rows)
+    return np.asarray(made.reshape(len(rows), -1, *rows.shape[3:]))
 
 
 def _information() -> Floats:

@@ -67,23 +67,26 @@ class Simulator:
             found[:, step + 1] = self._step(found[:, step], u, a, p, environment[:, step], self._period)
         return Windows(found, inputs, environment, rows)
 
-    def sensitivities(self, windows: Windows, p: Floats, first: Floats, *, rotor_speed: Floats | None = None) -> Floats:
-        """(W, n + 1, nx, s + k) of the states in s directions of the start and k free parameters.
+    def sensitivities(
+        self, windows: Windows, p: Floats, first: Floats, *, rotor_speed: Floats | None = None, held: bool = False
+    ) -> Floats:
+        """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
 
-        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead.
+        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead. held: the
+        parameters are, and all columns are directions of the start.
         """
         count, steps, nx = len(windows.states), windows.inputs.shape[1], windows.states.shape[2]
-        half = windows.inputs.shape[2] // 2
+        half, width = windows.inputs.shape[2] // 2, first.shape[2]
         speed = windows.inputs[:, :, :half] if rotor_speed is None else rotor_speed
         flat = [x.reshape(count * steps, -1) for x in (windows.states[:, :-1], speed, windows.inputs[:, :, half:])]
         around = windows.environment.reshape(count * steps, -1)
         slopes = self._slopes(*flat, p, around, self._period).reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
-        found = np.empty((count, steps + 1, nx, first.shape[2]))
+        found = np.empty((count, steps + 1, nx, width))
         found[:, 0] = first
-        own = slopes.shape[3] - nx
         for step in range(steps):
             found[:, step + 1] = slopes[:, step, :, :nx] @ found[:, step]
-            found[:, step + 1, :, first.shape[2] - own :] += slopes[:, step, :, nx:]
+            if not held:
+                found[:, step + 1, :, width - (slopes.shape[3] - nx) :] += slopes[:, step, :, nx:]
         return found
 
 
