@@ -18,12 +18,12 @@ SEED = int(os.environ.get("ALULA_ACCEPTANCE_SEED", secrets.randbelow(100_000)))
 @pytest.fixture(scope="module")
 def outcome(tmp_path_factory):
     """What the command line made of the draw of a number, each worked out once; number -1 hides nothing."""
-    measure = cache(yardstick)
+    measured = cache(lambda: yardstick(SEED))
 
     @cache
     def worked_out(number: int) -> Outcome:
         draw = Draw.random(SEED, number) if number >= 0 else Draw("", 0.0, 1.0, SEED)
-        return try_command_line(draw, measure(), tmp_path_factory.mktemp("flights"))
+        return try_command_line(draw, measured(), tmp_path_factory.mktemp("flights"))
 
     return worked_out
 

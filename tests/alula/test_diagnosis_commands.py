@@ -85,6 +85,47 @@ def test_add_ends_with_3_when_the_held_out_error_does_not_fall(run, logs):
     assert not (logs / "right.v2.toml").exists()
 
 
+def test_add_without_an_effect_adds_the_top_one_and_tells_what_it_brought_in_json(run, logs, tmp_path):
+    file, out = tmp_path / "added.json", tmp_path / "next.toml"
+    code, shown, message = run("add", "--json", str(file), "--out", str(out), "--hold-out", "flight_2*")
+    assert code == 0, message
+    found = json.loads(file.read_text())
+    assert set(found) == {
+        "effect", "parameters", "fitted_by", "channels", "misfit", "open_loop", "notes", "vehicle",
+    }  # fmt: skip
+    assert found["vehicle"] == str(out)
+    assert found["misfit"]["after"] < 0.5 * found["misfit"]["before"]
+    assert [error["horizon"] for error in found["open_loop"]["before"]] == [0.1, 0.5, 1.0]
+    for before, after in zip(found["open_loop"]["before"], found["open_loop"]["after"], strict=True):
+        assert after["velocity"] < before["velocity"]
+    assert found["effect"] in ("mass", "thrust_constant")  # which share 99.7 % of their signal
+    assert found["parameters"][found["effect"]]["ratio"]["value"] == pytest.approx(1.0, abs=0.07)
+    assert read_vehicle(out).effects[0].name == found["effect"]
+    assert "open loop" in shown
+
+
+def test_add_without_an_effect_adds_nothing_to_a_model_that_explains_the_flights(run, logs):
+    code, _, message = run("add", vehicle="right.toml")
+    assert code == 3
+    assert "the model explains these flights" in message
+    assert not (logs / "right.v2.toml").exists()
+
+
+def test_add_refuses_a_gust_and_says_why(run):
+    code, _, message = run("add gust")
+    assert code == 3
+    assert "no value in a vehicle file predicts it" in " ".join(message.split())
+
+
+def test_add_needs_logs_and_an_effect_for_a_rotor(run):
+    code, _, message = run("add mass", files=())
+    assert code == 2
+    assert "no log was given" in message
+    code, _, message = run("add", "--rotor", "1")
+    assert code == 2
+    assert "Name the effect" in message
+
+
 def test_compare_prints_channels_and_open_loop_errors(run):
     code, shown, _ = run("compare", "--json", "-")
     assert code == 0

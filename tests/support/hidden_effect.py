@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -39,7 +40,7 @@ UNIFORM = ("imu_bias", "gyro_bias")  # the same everywhere, so that nowhere is w
 
 @dataclass(frozen=True)
 class Draw:
-    """What is hidden (nothing if effect is empty): strength over the noise floor, factor on the noise, seed."""
+    """What is hidden, if there is an effect: strength over the noise floor, factor on the noise, seed."""
 
     effect: str
     strength: float
@@ -85,9 +86,15 @@ def vehicle() -> Vehicle:
     return read_vehicle(FOLDER / "arpl_250g.toml")
 
 
-def yardstick() -> Yardstick:
-    """How effects of a size show in flights that hide nothing, at the usual noise."""
-    return Yardstick.of(make_dataset(fly((), noise=1.0, seed=7000), vehicle()), vehicle())
+@cache
+def nothing_hidden(seed: int) -> list[Flight]:
+    """Flights that hide nothing, at the usual noise."""
+    return fly((), noise=1.0, seed=seed)
+
+
+def yardstick(seed: int) -> Yardstick:
+    """How effects of a size show in flights that hide nothing."""
+    return Yardstick.of(make_dataset(nothing_hidden(seed), vehicle()), vehicle())
 
 
 def fly(uses: Sequence[EffectUse], *, noise: float, seed: int) -> list[Flight]:
@@ -126,7 +133,7 @@ def try_command_line(draw: Draw, measure: Yardstick, folder: Path) -> Outcome:
 def _hidden(draw: Draw, measure: Yardstick) -> tuple[list[EffectUse], list[Flight]]:
     """The effect at the drawn strength, or as much of it as the vehicle bears, and its flights."""
     if not draw.effect:
-        return [], fly((), noise=draw.noise, seed=draw.seed)
+        return [], nothing_hidden(draw.seed)
     for share in WEAKER:
         random = np.random.default_rng(draw.seed)
         use = _sized(draw, share * draw.strength * draw.noise, measure, random)
