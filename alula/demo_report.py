@@ -15,6 +15,7 @@ import numpy as np
 
 from alula.demo import DemoReport
 from alula.demo_flights import FlownManoeuvre
+from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from runtime.recording import Recording, read_recording
 
@@ -119,7 +120,11 @@ def closing_lines(report: DemoReport) -> list[str]:
     lines = [f"Diagnosis ({learned.verdict}): {learned.said}"]
     if not learned.vehicle_file:
         return [*lines, "Nothing was added, so nothing was flown again."]
-    return [*lines, f"Added: {', '.join(learned.added)}. The vehicle file with it: {learned.vehicle_file}"]
+    lines.append(f"Added: {', '.join(learned.added)}. The vehicle file with it: {learned.vehicle_file}")
+    faults = [name for name in learned.added if CATALOGUE[name].measurement is not None]
+    if faults:
+        lines.append(f"{' and '.join(faults)}: of a sensor, not of the motion, so tracking cannot gain by it.")
+    return lines
 
 
 def _text(report: DemoReport, files: list[Path]) -> str:

@@ -57,14 +57,18 @@ class PreparedFlight(msgspec.Struct, frozen=True):
     reference: Reference
 
 
-def prepare_flight(setup: FlightSetup) -> PreparedFlight:
-    """Read, check and put together. Raises RequestError for whatever makes no sense or cannot be flown."""
+def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> PreparedFlight:
+    """Read, check and put together. Raises RequestError for whatever makes no sense or cannot be flown.
+
+    flown_before: the vehicle has flown this already, whatever its file says of what it can.
+    """
     endpoint = parse_endpoint(setup.link)
     text = vehicle_text(setup.vehicle, setup.bundle)
     vehicle = parse_vehicle(text)
     trim = find_trim(build_model(vehicle)).vehicle
     reference = named_reference(setup.reference, trim, duration=setup.duration)
-    check_feasibility(reference, trim).require()
+    if not flown_before:
+        check_feasibility(reference, trim).require()
     attachments = {VEHICLE_TEXT: text}
     if Path(setup.reference).is_file():
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))

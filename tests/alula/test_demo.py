@@ -15,9 +15,12 @@ from alula.demo import DemoReport, check_options, run_demo
 from alula.demo_flights import DemoOptions, FlownManoeuvre
 from alula.demo_report import closing_lines, tracked, write_report
 from alula.embedded_mock import embedded_mock
+from alula.flight_setup import FlightSetup, prepare_flight
 from dynamics.errors import RequestError, VehicleError
-from dynamics.vehicle_file import read_vehicle
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle, write_vehicle
 from runtime.recording import read_recording
+from vehicles import vehicle_path
 
 
 def ignore(_: str) -> None:
@@ -139,6 +142,17 @@ def test_without_the_desks_libraries_the_first_half_says_what_to_install(
     assert "pip install 'alula[workbench]'" in closing_lines(report)[0]
     with pytest.raises(RequestError, match="no_such_library"):
         check_options(DemoOptions(tmp_path, lockstep=True))
+
+
+def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_infeasible(tmp_path: Path) -> None:
+    weak = read_vehicle(vehicle_path("arpl_250g")).with_effects(EffectUse("thrust_constant", {"ratio": 0.6}))
+    write_vehicle(weak, tmp_path / "weak.toml")
+    setup = FlightSetup(
+        link="udpin:127.0.0.1:14540", reference="ExtendedLemniscate", vehicle=str(tmp_path / "weak.toml")
+    )
+    with pytest.raises(RequestError, match="cannot fly ExtendedLemniscate"):
+        prepare_flight(setup)
+    assert prepare_flight(setup, flown_before=True).reference.name == "ExtendedLemniscate"
 
 
 @pytest.mark.parametrize(
