@@ -24,6 +24,8 @@ OPPOSITE = -0.4  # the same, of rotors that turn the vehicle the other way than 
 LEAST_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
 LEAST_YAWING = 0.3  # the same about z, where rotors push less
 TURNING_RATIO = (0.2, 5.0)  # measured over modelled angular acceleration
+LEAN_RATIO = (0.2, 5.0)  # horizontal acceleration of the pose over what the vehicle's lean gives
+LEAST_LEAN = 0.3  # m/s^2 RMS of the latter that the ratio needs
 STANDING = 0.1  # of hover speed, below which a rotor's reading is dead
 MOST_PERMUTED = 6  # rotors
 RESPONSES = (0.0, 0.03, 0.06, 0.1)  # s by which rotors may follow commands
@@ -37,6 +39,7 @@ def require_answerable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
             f"{duration:.0f} s of flight are too short to tell effects apart. Fly {SHORTEST:.0f} s or more."
         )
     _require_motion(stretches)
+    _require_metres(stretches)
     _require_live_rotors(stretches, vehicle)
     _require_thrust(stretches, vehicle)
     _require_turning(stretches, vehicle)
@@ -56,6 +59,28 @@ def _require_motion(stretches: Sequence[Stretch]) -> None:
             f"the flights are too gentle: {seen} and {rate:.2f} rad/s RMS. Nearly all effects look alike in "
             "hover. Fly straight accelerations to 3 m/s or more along both axes, yaw spins and fast climbs."
         )
+
+
+def _require_metres(stretches: Sequence[Stretch]) -> None:
+    """The pose must accelerate as the accelerometer feels it, or as the vehicle leans."""
+    posed = [s for s in stretches if s.has_pose]
+    if not posed:
+        return
+    moved, felt = [], []
+    for s in posed:
+        force = np.tile([0.0, 0.0, GRAVITY], (len(s), 1)) if s.specific_force is None else s.specific_force
+        moved.append(low_pass(difference(s.velocity, s.rate), s.rate)[:, :2])
+        felt.append(low_pass(np.einsum("nij,nj->ni", s.to_world, force), s.rate)[:, :2])
+    seen, wanted = (float(np.sqrt(np.mean(np.vstack(x) ** 2))) for x in (moved, felt))
+    if wanted < LEAST_LEAN or LEAN_RATIO[0] <= seen / wanted <= LEAN_RATIO[1]:
+        return
+    hint = "Check the units of position and velocity (m, m/s) and of the time (s)."
+    if 0.5 < seen / wanted / 1000 < 2.0:
+        hint = "That is millimetres for metres: convert position and velocity, or give a column mapping."
+    raise DataError(
+        f"by its position and velocity the vehicle accelerates {seen / wanted:.3g} times as much as it leans; wanted "
+        f"{LEAN_RATIO[0]:g} to {LEAN_RATIO[1]:g}. {hint}"
+    )
 
 
 def _require_live_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
