@@ -174,24 +174,31 @@ def _rounded(cells: Floats) -> list[Any]:
 
 
 def _quantities(stretch: Stretch, vehicle: Vehicle) -> dict[str, Floats]:
+    """(m,) each, by name; without those that rest on what was not logged."""
     rows = kept(len(stretch), stretch.rate)
-    velocity, rate = stretch.smooth[rows, 3:6], stretch.smooth[rows, 10:13]
     thrust = (stretch.rotor_speed**2 @ vehicle.rotors.allocation[0])[rows]
-    level = np.hypot(velocity[:, 0], velocity[:, 1])
-    found = {
-        "speed m/s": np.linalg.norm(velocity, axis=1),
-        "climb m/s": velocity[:, 2],
-        "heading of motion rad": np.where(level > TRAVELS, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan),
+    rate = stretch.smooth[rows, 10:13]
+    found = {} if "velocity" in stretch.lacks else _motion(stretch.smooth[rows, 3:6])
+    found |= {
         "thrust over weight": thrust / vehicle.weight,
         "body rate rad/s": np.linalg.norm(rate, axis=1),
         "roll rate rad/s": rate[:, 0],
         "pitch rate rad/s": rate[:, 1],
         "yaw rate rad/s": rate[:, 2],
-        "height m": stretch.position[rows, 2],
-        "east m": stretch.position[rows, 0],
-        "north m": stretch.position[rows, 1],
-        "time s": stretch.start + np.arange(len(stretch))[rows] / stretch.rate,
     }
+    if "position" not in stretch.lacks:
+        place = stretch.position[rows]
+        found |= {"height m": place[:, 2], "east m": place[:, 0], "north m": place[:, 1]}
+    found["time s"] = stretch.start + np.arange(len(stretch))[rows] / stretch.rate
     if stretch.battery_ratio is not None:
         found["battery voltage over full"] = stretch.battery_ratio[rows]
     return found
+
+
+def _motion(velocity: Floats) -> dict[str, Floats]:
+    level = np.hypot(velocity[:, 0], velocity[:, 1])
+    return {
+        "speed m/s": np.linalg.norm(velocity, axis=1),
+        "climb m/s": velocity[:, 2],
+        "heading of motion rad": np.where(level > TRAVELS, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan),
+    }

@@ -48,7 +48,8 @@ def _print(found: Comparison, console: Console) -> None:
     for error in found.open_loop:
         figures_ahead = (error.position, error.velocity, error.attitude, error.rate)
         ahead.add_row(f"{error.horizon:g}", *(f"{value:.3g}" for value in figures_ahead))
-    console.print(ahead)
+    if found.open_loop:
+        console.print(ahead)
     for cell in found.fails_where:
         where = f"{cell.regime} from {cell.low:g} to {cell.high:g}"
         console.print(f"fails at {where}: {cell.channel} {cell.rms_over_floor:g} times its floor", highlight=False)

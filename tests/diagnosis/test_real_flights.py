@@ -80,6 +80,18 @@ def test_gyro_accelerometer_and_commands_alone_show_the_motors_lag(run: Run, tmp
     assert not {e["name"] for e in told["effects"]} & {"mass", "thrust_constant", "rotor_drag", "linear_drag", "wind"}
 
 
+def test_a_log_without_pose_is_compared_in_what_it_has(run: Run) -> None:
+    log = DATA / "arpl_crazyflie" / "log10_cut.csv.gz"
+    code, shown, _ = run("compare", log, "--vehicle", "crazyflie", "--json", "-")
+    assert code == 0
+    told = json.loads(shown)
+    assert {axis["kind"] for axis in told["axes"]} == {"imu", "angular"}
+    names = {regime["name"] for regime in told["maps"]}
+    assert {"thrust over weight", "body rate rad/s", "time s"} <= names
+    assert not {"speed m/s", "height m", "east m"} & names
+    assert told["open_loop"] == []
+
+
 def test_commanded_thrust_and_torque_show_lateral_drag(run: Run, upgraded: Path, tmp_path: Path) -> None:
     """The Lee-controller flights: a third of a metre per second squared for each metre per second."""
     file = tmp_path / "verdict.json"
