@@ -1,0 +1,167 @@
+"""What diagnosis says of real flights, and of what is known about them. Writes results/real_flights.md.
+
+    python benchmarks/real_flights.py
+
+The flights are the small copies that the tests use (tests/data, each with its source and licence).
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import msgspec
+import numpy as np
+
+from benchmarks.provenance import write_result
+from diagnosis.command_curve import CommandCurve, fit_command_curve
+from diagnosis.dataset import Dataset, read_dataset
+from diagnosis.diagnose import Findings, diagnose
+from diagnosis.evaluation import residuals
+from diagnosis.filters import kept
+from diagnosis.hover_trim import read_trim
+from diagnosis.stretch import stretches
+from dynamics.effects import CATALOGUE
+from dynamics.errors import AlulaError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import read_vehicle
+from flights import Flight
+from vehicles import FOLDER
+
+DATA = Path(__file__).resolve().parents[1] / "tests" / "data"
+MANUAL = DATA / "arpl_crazyflie" / "log10_cut.csv.gz"
+LEE = [DATA / "crazyflie" / "log20.gz", *(DATA / "imrc_lee_crazyflie" / f"log{n}.gz" for n in ("54", "100", "136_2"))]
+LEE_MASS = 0.037  # kg
+TRIM = DATA / "crazypad_trim"
+NORMAL = {"E8": ("normal_flight_E8_log00", "normal_flight_E8_log03"), "E9": ("normal_flight_E9_log00",)}
+FAULTY = (
+    ("tape_on_propeller_M3_E8_log00", "E8"), ("cut_propeller_M3_3mm_E8_log01", "E8"),
+    ("cut_propeller_M3_3mm_E9_log00", "E9"), ("add_weight_W3_near_M3_E9_log02", "E9"),
+)  # fmt: skip
+REFUSED = (
+    ("CrazyPAD, no gyro, no pitch", DATA / "crazyflie" / "E8_log00.gz", "crazyflie"),
+    ("PX4, motors at 10 Hz", DATA / "px4_sih_offboard" / "offboard_hover_topics.ulg.gz", "px4_sih"),
+    ("PX4, ESC telemetry at 4 Hz", DATA / "pyulog_samples" / "sample_px4_events.ulg.gz", "px4_sih"),
+)
+
+
+def main() -> None:
+    """Diagnose all of them and write the table."""
+    crazyflie = read_vehicle(FOLDER / "crazyflie.toml")
+    body = msgspec.structs.replace(crazyflie.body, mass=LEE_MASS)
+    rotors = msgspec.structs.replace(crazyflie.rotors, speed_max=3300.0)
+    upgraded = msgspec.structs.replace(crazyflie, body=body, rotors=rotors)
+    px4 = read_vehicle(FOLDER / "px4_sih.toml")
+    telemetry = DATA / "px4_sih_offboard" / "offboard_hover.tlog.gz"
+    parts = [
+        diagnosed("Crazyflie, manual flight, gyro, accelerometer and motor signals", [MANUAL], crazyflie),
+        diagnosed("Crazyflie under a Lee controller, commanded thrust and torque", LEE, upgraded),
+        lateral_drag(upgraded),
+        diagnosed("PX4's SIH in hover, read from its MAVLink telemetry, motors at 50 Hz", [telemetry], px4),
+        "## CrazyPAD: hover trim against the same vehicle's normal flights\n\n" + trims(crazyflie),
+        "## Logs that cannot answer\n\n" + refusals(),
+    ]
+    write_result("real_flights", "Diagnosis of real flights", "\n\n".join(parts))
+
+
+def diagnosed(title: str, logs: Sequence[Path], vehicle: Vehicle) -> str:
+    """A section about one vehicle's flights."""
+    dataset = read_dataset(list(logs), vehicle)
+    findings = diagnose(dataset, vehicle, CATALOGUE)
+    curve = command_curve(logs, vehicle)
+    gains = [gain.mean for gain in curve.gains.values()]
+    lines = [
+        f"## {title}",
+        "",
+        f"{len(logs)} log{'s' if len(logs) > 1 else ''}, {sum(s.duration for s in dataset.everything):.0f} s. Thrust "
+        f"over what the vehicle file makes of the commands: {min(gains):.2f} to {max(gains):.2f}; explained of the "
+        f"vertical force: {curve.without_lag:.2f} without lag, {curve.explained:.2f} with {1e3 * curve.lag:.0f} ms. "
+        f"Verdict: {findings.diagnosis.verdict}.",
+        "",
+        effects_table(findings),
+        "",
+        channels_table(findings),
+    ]
+    return "\n".join(lines)
+
+
+def command_curve(logs: Sequence[Path], vehicle: Vehicle) -> CommandCurve:
+    """The curve of all flights together."""
+    return fit_command_curve([s for log in logs for s in stretches(Flight.read(log), vehicle)], (), vehicle)
+
+
+def effects_table(findings: Findings) -> str:
+    """The effects found, with 95 % intervals."""
+    lines = ["| effect | values | resamples that agree | not told from |", "| --- | --- | --- | --- |"]
+    for effect in findings.diagnosis.effects:
+        values = ", ".join(f"{n} {p.value:.3g} ± {1.96 * p.std:.1g} {p.unit}" for n, p in effect.parameters.items())
+        rivals = ", ".join(effect.ambiguous_with) or "-"
+        lines.append(f"| {effect.name} | {values} | {100 * effect.confidence:.0f} % | {rivals} |")
+    return "\n".join(lines)
+
+
+def channels_table(findings: Findings) -> str:
+    """Held-out errors."""
+    lines = ["| channel, held out | before | after | floor | unit |", "| --- | --- | --- | --- | --- |"]
+    for kind, error in findings.diagnosis.channels.items():
+        lines.append(f"| {kind} | {error.before:.3g} | {error.after:.3g} | {error.floor:.3g} | {error.unit} |")
+    return "\n".join(lines)
+
+
+def lateral_drag(vehicle: Vehicle) -> str:
+    """Drag per mass along body x and y of each Lee-controller flight, by least squares on the pose's acceleration."""
+    dataset: Dataset = read_dataset(list(LEE), vehicle)
+    rows = residuals(vehicle, CATALOGUE, dataset.everything)
+    lines = ["| flight | along | drag over mass, 1/s | share explained |", "| --- | --- | --- | --- |"]
+    for stretch, row in zip(dataset.everything, rows, strict=True):
+        velocity = np.einsum("nji,nj->ni", stretch.to_world, stretch.smooth[:, 3:6])[kept(len(stretch), stretch.rate)]
+        for axis in range(2):
+            if np.std(velocity[:, axis]) < 0.2:
+                continue
+            columns = np.column_stack([-velocity[:, axis], np.ones(len(velocity))])
+            felt = row[:, 3 + axis]
+            theta = np.linalg.lstsq(columns, felt, rcond=None)[0]
+            explained = 1 - np.var(felt - columns @ theta) / np.var(felt)
+            lines.append(f"| {Path(stretch.flight).name} | {'xy'[axis]} | {theta[0]:.3f} | {explained:.2f} |")
+    return "\n".join(lines)
+
+
+def trims(vehicle: Vehicle) -> str:
+    """Each faulty flight against its vehicle's normal flights."""
+    lines = [
+        "| flight | normal flights | rotor 1 (motor 3): normal, now, still usual | verdict | weak_rotor loss |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    cases = [*FAULTY, *((name, vehicle_of) for vehicle_of in ("E8",) for name in NORMAL[vehicle_of])]
+    for name, of in cases:
+        normal = [TRIM / f"{n}.csv.gz" for n in NORMAL[of] if n != name]
+        found = read_trim([TRIM / f"{name}.csv.gz"], normal, vehicle, None)
+        rotor = found.rotors[1]
+        verdict = "nothing claimed"
+        loss = "-"
+        for effect in found.effects:
+            verdict = f"{effect.name} of rotor {effect.rotor} or {effect.ambiguous_with[0]}"
+            value = effect.parameters["loss"]
+            loss = f"{value.value:.2f} ± {1.96 * value.std:.2f}"
+        shares = f"{rotor.normal:.3f}, {rotor.now:.3f}, {rotor.limit:.3f}"
+        lines.append(f"| {name} | {len(normal)} | {shares} | {verdict} | {loss} |")
+    return "\n".join(lines)
+
+
+def refusals() -> str:
+    """What is said where nothing can be said."""
+    lines = ["| log | exit code | said |", "| --- | --- | --- |"]
+    for title, log, name in REFUSED:
+        try:
+            read_dataset([log], read_vehicle(FOLDER / f"{name}.toml"))
+        except AlulaError as error:
+            said = str(error).replace(f"{log}", log.name)
+            lines.append(f"| {title} | {error.exit_code} | {said} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
