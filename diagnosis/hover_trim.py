@@ -109,11 +109,11 @@ def compare_trim(flights: Sequence[Flight], normal: Sequence[Flight], vehicle: V
             f"the flights tell different things of their rotors: {', '.join(sorted({s.quantity for s in now + usual}))}"
             ". Give flights that were logged alike."
         )
-    return _judged(np.array([s.shares for s in now]), np.array([s.shares for s in usual]), vehicle)
+    return judge_shares(np.array([s.shares for s in now]), np.array([s.shares for s in usual]), vehicle)
 
 
-def _judged(now: Floats, usual: Floats, vehicle: Vehicle) -> TrimComparison:
-    """The verdict on shares (flights, rotors) against those of normal flights."""
+def judge_shares(now: Floats, usual: Floats, vehicle: Vehicle) -> TrimComparison:
+    """The verdict on shares (flights, rotors) in hover against those of normal flights."""
     spread, freedom = _spread(usual)
     before, after, count = usual.mean(axis=0), now.mean(axis=0), vehicle.rotors.count
     error = spread * float(np.sqrt(1 / len(now) + 1 / len(usual)))
