@@ -13,11 +13,13 @@ from alula.commands.campaign import campaign
 from alula.commands.compare import compare
 from alula.commands.demo import demo
 from alula.commands.diagnose import diagnose
+from alula.commands.export import export
 from alula.commands.fly import fly
 from alula.commands.inspect import inspect
 from alula.commands.link import link
 from alula.commands.mock import mock
 from alula.commands.replay import replay
+from alula.commands.train import train
 from dynamics.errors import AlulaError, RequestError
 
 app = typer.Typer(
@@ -45,7 +47,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add):
+for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add, train, export):
     app.command()(_command)
 
 

@@ -7,7 +7,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Literal
 
-from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.codegen import build_library, generate_c
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from export.kernel_source import network_header
@@ -25,16 +25,25 @@ ENTRY = "network.c"
 
 @dataclass(frozen=True)
 class KernelRecipe:
-    """What a kernel is compiled from. sources: text by file name. flags: the compiler's."""
+    """What a kernel is compiled from. sources: text by file name. flags: the compiler's. entry: what it compiles."""
 
     sources: dict[str, str]
     flags: tuple[str, ...]
+    entry: str = ENTRY
 
 
 def kernel_recipe(
-    network: Network, model: Model, problem: Problem, processor: Processor, precision: Precision = "float"
+    network: Network,
+    model: Model,
+    problem: Problem,
+    processor: Processor,
+    precision: Precision = "float",
+    *,
+    mean: bool = True,
 ) -> KernelRecipe:
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
+
+    mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
@@ -54,7 +63,7 @@ def kernel_recipe(
         "NETWORK_REAL": precision, "NETWORK_INTEGER": "int" if precision == "float" else "long",
     }  # fmt: skip
     if network.residual:
-        physics = physics_function(model, dt=network.dt, mean=True)
+        physics = physics_function(model, dt=network.dt, mean=mean)
         sources["physics.c"] = generate_c([physics])
         defines |= {
             "PHYSICS": NAME, "PHYSICS_ARG": physics.sz_arg(), "PHYSICS_RES": physics.sz_res(),
@@ -65,17 +74,14 @@ def kernel_recipe(
         raise RequestError(
             "a network that replaces the model has no use for effects with hidden states; leave them out."
         )
-    general = tuple(flag for flag in FLAGS if not flag.startswith("-march"))
-    return KernelRecipe(
-        sources, (*general, *processor.flags, *(f"-D{name}={value}" for name, value in defines.items()))
-    )
+    return KernelRecipe(sources, (*processor.compiler_flags, *(f"-D{name}={value}" for name, value in defines.items())))
 
 
 def build_kernel(recipe: KernelRecipe) -> Path:
     """Path of the compiled kernel. Raises RequestError when there is no compiler."""
     hpipm = find_hpipm()
     flags = (*recipe.flags, *hpipm.compiler_flags)
-    return build_library(recipe.sources, flags=flags, libraries=hpipm.linker_flags, entry=ENTRY)
+    return build_library(recipe.sources, flags=flags, libraries=hpipm.linker_flags, entry=recipe.entry)
 
 
 def kernel_solver(

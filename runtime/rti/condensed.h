@@ -15,8 +15,8 @@
 
 #include "dense_qp.h"
 
-/* Wanted from the includer: NX, NU, N, VECTOR_BYTES; SENSITIVITY, the type of S; START, the column of dx_0's first
- * entry; X0, the first column of v_0. */
+/* Wanted from the includer: NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, the columns that it looks back;
+ * SENSITIVITY, the type of S; START, the column of dx_0's first entry; X0, the first column of v_0. */
 #define V (N * NU)
 #define LANES_OF(type) (VECTOR_BYTES / (int)sizeof(type))
 #define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
@@ -85,6 +85,12 @@ double *rti_inputs(condensed *r) { return &r->u[0][0]; }
 double *rti_hessian(condensed *r) { return r->H; }
 double *rti_gradient(condensed *r) { return r->g; }
 rti_report *rti_last_report(condensed *r) { return &r->report; }
+
+/* Dimensions for the loader to compare with what it expects. */
+void rti_dimensions(int *found) {
+    const int built[] = {NX, NU, N, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
+    memcpy(found, built, sizeof built);
+}
 
 static bool finite_all(const double *values, int count) {
     for (int i = 0; i < count; i++)

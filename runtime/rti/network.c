@@ -185,12 +185,6 @@ double *rti_parameters(network *r) { return r->p; }
 double *rti_environment(network *r) { return r->e; }
 double *rti_history(network *r) { return &r->history[0][0]; }
 
-/* Dimensions for the loader to compare with what it expects. */
-void rti_dimensions(int *found) {
-    const int built[] = {NX, NU, N, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
-    memcpy(found, built, sizeof built);
-}
-
 /* The model over dt seconds, at most STEPS substeps, from x with the history before it and inputs u. */
 void rti_propagate(network *r, const double *x, const double *u, double dt, double *next) {
     load_history(r);

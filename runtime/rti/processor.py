@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
+from dynamics.codegen import FLAGS
 from dynamics.errors import RequestError
 
 
@@ -19,6 +20,11 @@ class Processor:
     flags: tuple[str, ...]
     vector: int
     needs: tuple[str, ...]
+
+    @property
+    def compiler_flags(self) -> tuple[str, ...]:
+        """The project's flags for code that runs on every such processor."""
+        return (*(flag for flag in FLAGS if not flag.startswith("-march")), *self.flags)
 
     @property
     def runs_here(self) -> bool:

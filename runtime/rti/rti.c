@@ -16,6 +16,7 @@
 /* NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build. */
 #define SENSITIVITY double
 #define START 0
+#define HISTORY 0
 #define X0 ROUND_TO(NX, LANES_OF(double)) /* columns of dx_0, padded */
 #include "condensed.h"
 

@@ -17,8 +17,9 @@ from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
 from runtime.rti.hpipm import find_hpipm
 from runtime.rti.problem import Problem, fill_options
-from runtime.rti.processor import native_processor
+from runtime.rti.processor import Processor, native_processor
 
+ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
     "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
 )  # fmt: skip
@@ -152,11 +153,20 @@ class RtiSolver:
 
 def build_solver(model: Model, problem: Problem) -> Path:
     """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
+    sources, flags = solver_recipe(model, problem, None)
+    hpipm = find_hpipm()
+    return build_library(sources, flags=(*flags, *hpipm.compiler_flags), libraries=hpipm.linker_flags, entry=ENTRY)
+
+
+def solver_recipe(
+    model: Model, problem: Problem, processor: Processor | None
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Sources by file name and compiler flags of a physical model's solver. processor: None for this machine's own."""
     node, step = _functions(model)
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": native_processor().vector,
+        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
     }  # fmt: skip
     for name, function in (("NODE", node), ("STEP", step)):
         defines |= {
@@ -164,11 +174,10 @@ def build_solver(model: Model, problem: Problem) -> Path:
             f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
         }  # fmt: skip
     folder = resources.files("runtime.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in ("rti.c", "condensed.h", "dense_qp.h")}
+    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "dense_qp.h")}
     sources["model.c"] = generate_c([node, step])
-    hpipm = find_hpipm()
-    flags = (*FLAGS, *(f"-D{name}={value}" for name, value in defines.items()), *hpipm.compiler_flags)
-    return build_library(sources, flags=flags, libraries=hpipm.linker_flags, entry="rti.c")
+    flags = FLAGS if processor is None else processor.compiler_flags
+    return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))
 
 
 def _functions(model: Model) -> tuple[ca.Function, ca.Function]:

@@ -1,0 +1,230 @@
+"""`alula export`: all files of a bundle, the proof that they agree, and the manifest that ties them together."""
+
+from __future__ import annotations
+
+import datetime
+import hashlib
+import os
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import RequestError
+from dynamics.model import RIGID_BODY_STATES
+from export.c_files import c_files, compiled
+from export.kernel import KernelRecipe, build_kernel, kernel_recipe
+from export.network import Floats
+from export.onnx_file import OPSET, onnx_model
+from export.parity import Backends, Parity, prove
+from export.symbolic import column_names, column_units, jacobian_function, model_function
+from export.trained import SPEED_UNIT, ExportedModel
+from export.windows import random_windows, recorded_windows, reference_windows
+from runtime.bundle import KERNEL, MANIFEST, ONNX, VEHICLE, InputRange, Manifest
+from runtime.rti.problem import Problem
+from runtime.rti.processor import Processor
+from runtime.rti.solver import RtiSolver, solver_recipe
+
+PARITY, SOURCES = "parity.json", "kernel"
+WINDOWS = 1000
+LIBRARIES = ("alula", "numpy", "casadi", "onnx", "onnxruntime", "torch")
+
+
+@dataclass(frozen=True)
+class ExportOptions:
+    """How a model is exported. logs: flights to compare backends on, the paper's references where there are none."""
+
+    problem: Problem
+    processor: Processor
+    logs: tuple[Path, ...] = ()
+    windows: int = WINDOWS
+    seed: int = 0
+    overwrite: bool = False
+    command: str = "alula export"
+
+
+@dataclass(frozen=True)
+class Exported:
+    """A bundle that was written."""
+
+    folder: Path
+    manifest: Manifest
+    parity: Parity
+
+
+def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) -> Exported:
+    """Write a bundle, under a temporary name until it is whole and proven.
+
+    Raises RequestError when the folder exists already or there is no compiler, DataError when the backends disagree.
+    """
+    if folder.exists() and not options.overwrite:
+        raise RequestError(f"{folder} exists already. Give another --out, or --overwrite.")
+    proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()
+    texts = c_files(model)
+    recipe = _kernel_recipe(model, options, "float")
+    kernel = build_kernel(recipe)
+    parity = _prove(model, options, proto, texts, kernel)
+    parity.require()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+    try:
+        _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
+        manifest = _manifest(model, options, part, proto)
+        (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+        part.chmod(0o755)
+        if folder.exists():
+            shutil.rmtree(folder)
+        os.replace(part, folder)
+    except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
+        raise RequestError(f"cannot write {folder}: {error}. Free some space or give another --out.") from error
+    return Exported(folder, manifest, parity)
+
+
+def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: str) -> KernelRecipe:
+    if model.network is None:
+        sources, flags = solver_recipe(model.flight_model, options.problem, options.processor)
+        return KernelRecipe(sources, flags, "rti.c")
+    return kernel_recipe(
+        model.network, model.flight_model, options.problem, options.processor,
+        "float" if precision == "float" else "double", mean=model.mean,
+    )  # fmt: skip
+
+
+def _prove(model: ExportedModel, options: ExportOptions, proto: bytes, texts: dict[str, str], kernel: Path) -> Parity:
+    single = RtiSolver(model.flight_model, options.problem, kernel)
+    double = RtiSolver(model.flight_model, options.problem, build_kernel(_kernel_recipe(model, options, "double")))
+    backends = Backends(
+        model, proto, model_function(model), jacobian_function(model), compiled(model, texts), single, double
+    )
+    windows: dict[str, Floats] = {}
+    if options.logs:
+        windows["recorded"] = recorded_windows(model, options.logs, options.windows, options.seed)
+    else:
+        windows["reference"] = reference_windows(model, options.windows, options.seed)
+    windows["random"] = random_windows(model, options.windows, options.seed)
+    return prove(backends, windows, options.seed)
+
+
+def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
+    """The kernel's sources, and the command that compiles them, for who wants to build or read them."""
+    command = f"cc {' '.join(recipe.flags)} $HPIPM_FLAGS {recipe.entry} -o kernel.so $HPIPM_LIBRARIES -lm\n"
+    texts = {**recipe.sources, "BUILD": command}
+    return {f"{SOURCES}/{name}": text for name, text in texts.items()}
+
+
+def _write_files(
+    part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], kernel: Path, parity: Parity
+) -> None:
+    (part / SOURCES).mkdir()
+    for name, text in {**texts, VEHICLE: model.vehicle_text}.items():
+        (part / name).write_text(text, encoding="utf-8")
+    (part / ONNX).write_bytes(proto)
+    shutil.copyfile(kernel, part / KERNEL)
+    (part / PARITY).write_bytes(msgspec.json.format(msgspec.json.encode(parity), indent=1) + b"\n")
+
+
+def _manifest(model: ExportedModel, options: ExportOptions, part: Path, proto: bytes) -> Manifest:
+    config = model.config
+    files = {
+        str(path.relative_to(part)): hashlib.sha256(path.read_bytes()).hexdigest()
+        for path in sorted(part.rglob("*"))
+        if path.is_file()
+    }
+    size = RIGID_BODY_STATES + config.rotors
+    shapes: dict[str, tuple[int | str, ...]] = {
+        "history": ("batch", size, model.history),
+        "acceleration": ("batch", 6),
+    }
+    if model.hidden_count:
+        shapes |= {"hidden": ("batch", model.hidden_count), "hidden_rate": ("batch", model.hidden_count)}
+    return Manifest(
+        kind=config.kind, learned=model.network is not None,
+        physics={"none": "none", "nominal": "nominal", "grey_box": "vehicle"}[config.base],  # type: ignore[arg-type]
+        motors=config.motors, label=config.label, rotors=config.rotors, history=model.history, dt=config.dt,
+        frame=config.inputs, ranges=_ranges(model), errors=_errors(model), shapes=shapes,
+        units=dict(zip(column_names(config.rotors), column_units(config.rotors), strict=True)),
+        problem=options.problem, processor=options.processor.name, precision="float", files=files,
+        command=options.command, date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        versions={name: metadata.version(name) for name in LIBRARIES},
+        provenance=_provenance(model, options, proto),
+    )  # fmt: skip
+
+
+def _ranges(model: ExportedModel) -> tuple[InputRange, ...]:
+    """Training's ranges in SI units."""
+    if model.trained is None or model.network is None:
+        return ()
+    ranges, found = model.trained.ranges, []
+    for name, low, high in zip(model.config.input_names, ranges.lowest, ranges.highest, strict=True):
+        unit, factor = _unit(name)
+        found.append(InputRange(name, unit, float(low * factor), float(high * factor)))
+    return tuple(found)
+
+
+def _unit(name: str) -> tuple[str, float]:
+    if name.startswith("motor"):
+        return "rad/s", SPEED_UNIT
+    return ("m/s" if name.startswith("velocity") else "rad/s" if name.startswith("rate") else "1"), 1.0
+
+
+def _errors(model: ExportedModel) -> dict[str, float]:
+    """Errors on the validation flights, all rows counting alike."""
+    errors = () if model.trained is None else model.trained.card.errors
+    rows = sum(error.rows for error in errors)
+    return {
+        name: float((sum(error.rows * getattr(error, name) ** 2 for error in errors) / rows) ** 0.5)
+        for name in (("linear", "angular", "combined", "nominal") if rows else ())
+    }
+
+
+def _provenance(model: ExportedModel, options: ExportOptions, proto: bytes) -> dict[str, str]:
+    told = {
+        "vehicle": hashlib.sha256(model.vehicle_text.encode()).hexdigest(),
+        "windows": ", ".join(map(str, options.logs)) or "the paper's references",
+        "seed": str(options.seed),
+        "opset": str(OPSET),
+        "onnx_bytes": str(len(proto)),
+    }
+    if model.trained is not None:
+        card = model.trained.card
+        told |= {
+            "trained": card.date, "training": card.command,
+            "member": f"{model.member} of {len(model.trained.networks)}",
+            "seeds": ", ".join(map(str, card.seeds)), "recipe": card.recipe.name,
+            "flights": hashlib.sha256(repr(sorted(card.flights.items())).encode()).hexdigest(),
+        }  # fmt: skip
+    return told
+
+
+def _onnx_metadata(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
+    config = model.config
+    names, units = column_names(config.rotors), column_units(config.rotors)
+    told = {
+        "kind": config.kind,
+        "history": "columns oldest first; rows: " + ", ".join(f"{n} [{u}]" for n, u in zip(names, units, strict=True)),
+        "acceleration": "world x, y, z [m/s^2], body angular x, y, z [rad/s^2]; "
+        + ("mean over the next dt" if model.mean else "at the newest column"),
+        "T": str(model.history),
+        "dt": repr(config.dt),
+        "vehicle": model.vehicle.name,
+        "command": options.command,
+    }
+    if model.trained is not None:
+        card = model.trained.card
+        told |= {"trained": card.date, "training": card.command}
+    return told
+
+
+def summary(exported: Exported) -> Sequence[str]:
+    """Lines for the terminal: what was compared and how well it agrees."""
+    head = f"{exported.folder}: {exported.manifest.kind}, kernel for {exported.manifest.processor}"
+    compared = (
+        f"  {c.backend} against {c.against}, {c.count} {c.windows} windows: {c.error:.1e} (<= {c.tolerance:g})"
+        for c in exported.parity.comparisons
+    )
+    return [head, *compared]

@@ -1,0 +1,260 @@
+"""Proof that every backend of a bundle computes the same: torch, ONNX Runtime, CasADi, CasADi's C and the kernel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import casadi as ca
+import msgspec
+import numpy as np
+import onnxruntime
+
+from dynamics.codegen import CompiledFunction
+from dynamics.errors import DataError
+from dynamics.integrators import step_function
+from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
+from export.network import Floats
+from export.trained import SPEED_UNIT, ExportedModel, said_by_torch
+from runtime.rti.problem import fill_options
+from runtime.rti.solver import RtiSolver
+from training.features import accelerations_from, columns, world_accelerations
+from training.features import body_accelerations as to_body
+
+SINGLE, DOUBLE = 1e-5, 1e-12
+DERIVATIVE, SINGLE_DERIVATIVE = 1e-5, 1e-3
+PUSH = 1e-7  # of the scaled inputs: central differences must not step over a ReLU's kink
+Backend = Callable[[Floats, Floats], Floats]
+
+
+class Comparison(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The greatest error of a backend over some windows, relative to the RMS of what it is compared with."""
+
+    backend: str
+    against: str
+    windows: str
+    count: int
+    error: float
+    tolerance: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether the error is within the tolerance; not for what is not a number."""
+        return self.error <= self.tolerance
+
+
+class Parity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """All comparisons of a bundle."""
+
+    comparisons: tuple[Comparison, ...]
+
+    def require(self) -> None:
+        """Raises DataError naming what does not hold."""
+        if broken := [
+            f"{c.backend} differs from {c.against} on {c.count} {c.windows} windows by {c.error:.2g} "
+            f"(allowed: {c.tolerance:g})"
+            for c in self.comparisons
+            if not c.holds
+        ]:
+            raise DataError(f"the exported model is not the trained one: {'; '.join(broken)}. Nothing was written.")
+
+
+@dataclass(frozen=True, eq=False)
+class Backends:
+    """What an export made. onnx: serialised. forward, jacobian: interpreted; compiled_*: model.c as machine code.
+
+    single, double: kernels; double is compiled from the same source for comparison alone.
+    """
+
+    model: ExportedModel
+    onnx: bytes
+    forward: ca.Function
+    jacobian: ca.Function
+    compiled: Mapping[str, CompiledFunction]
+    single: RtiSolver
+    double: RtiSolver
+
+
+def prove(backends: Backends, windows: Mapping[str, Floats], seed: int = 0) -> Parity:
+    """Compare all backends on windows (n, 13 + rotors, T) by name, and derivatives with central differences."""
+    model = backends.model
+    rng = np.random.default_rng(seed)
+    found: list[Comparison] = []
+    for name, given in windows.items():
+        hidden = model.flight_model.hidden_initial * (1 + 0.05 * rng.normal(size=(len(given), model.hidden_count)))
+        exact = _interpreted(backends)(given, hidden)
+        for backend, tolerance in _tolerances(model).items():
+            said = _named(backends)[backend](given, hidden)
+            found.append(_compare(backend, "CasADi interpreted, double", name, said, exact, tolerance))
+        found.append(_jacobian(backends, name, given[:5], hidden[:5]))
+    if model.network is not None:
+        window = next(iter(windows.values()))[0]
+        found.append(_kernel_gradient(backends, backends.double, window, "kernel, double: gradient", DERIVATIVE))
+        found.append(_kernel_gradient(backends, backends.single, window, "kernel, float: gradient", SINGLE_DERIVATIVE))
+    return Parity(tuple(found))
+
+
+def _tolerances(model: ExportedModel) -> dict[str, float]:
+    found = {"ONNX Runtime, float": SINGLE, "CasADi C, double": DOUBLE}
+    if model.network is None:
+        return found  # the physical model's kernel is held against `dynamics` by its own tests
+    if model.trained is not None:
+        found |= {"torch, double": DOUBLE, "torch, float": SINGLE}
+    return found | {"kernel, double": DOUBLE, "kernel, float": SINGLE}
+
+
+def _named(backends: Backends) -> dict[str, Backend]:
+    return {
+        "ONNX Runtime, float": _onnx(backends),
+        "CasADi C, double": _compiled(backends),
+        "torch, double": _torch(backends, double=True),
+        "torch, float": _torch(backends, double=False),
+        "kernel, double": _kernel(backends.double),
+        "kernel, float": _kernel(backends.single),
+    }
+
+
+def _compare(backend: str, against: str, windows: str, said: Floats, exact: Floats, tolerance: float) -> Comparison:
+    scale = np.sqrt(np.mean(np.sum(exact**2, axis=-1)))
+    error = float(np.max(np.linalg.norm(said - exact, axis=-1)) / scale)
+    return Comparison(backend, against, windows, len(exact), error, tolerance)
+
+
+def _interpreted(backends: Backends) -> Backend:
+    def run(windows: Floats, hidden: Floats) -> Floats:
+        return np.array([np.array(backends.forward(*row)[0]).ravel() for row in zip(windows, hidden, strict=True)])
+
+    return run
+
+
+def _compiled(backends: Backends) -> Backend:
+    code = backends.compiled[backends.forward.name()]
+
+    def run(windows: Floats, hidden: Floats) -> Floats:
+        rows = zip(windows, hidden, strict=True)
+        return np.array([code(history=w.ravel(order="F"), hidden=h)["acceleration"].copy() for w, h in rows])
+
+    return run
+
+
+def _onnx(backends: Backends) -> Backend:
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    session = onnxruntime.InferenceSession(backends.onnx, options, providers=["CPUExecutionProvider"])
+
+    def run(windows: Floats, hidden: Floats) -> Floats:
+        given = {"history": windows.astype(np.float32)}
+        if hidden.shape[1]:
+            given["hidden"] = hidden.astype(np.float32)
+        alone = session.run(["acceleration"], {name: values[:1] for name, values in given.items()})[0]
+        together = np.asarray(session.run(["acceleration"], given)[0], dtype=float)
+        return np.concatenate([alone, together[1:]])  # the first as a batch of one, the others as one batch
+
+    return run
+
+
+def _kernel(solver: RtiSolver) -> Backend:
+    def run(windows: Floats, hidden: Floats) -> Floats:
+        found = []
+        for window, carried in zip(windows, hidden, strict=True):
+            look_back(solver, window)
+            state = np.concatenate([window[:RIGID_BODY_STATES, -1], carried])
+            found.append(solver.accelerations(state, window[RIGID_BODY_STATES:, -1]))
+        return np.array(found)
+
+    return run
+
+
+def look_back(solver: RtiSolver, window: Floats) -> None:
+    """Give a solver what lies before a window's newest column."""
+    if columns := len(solver.history):
+        solver.history[:] = window[:, -1 - columns : -1].T
+
+
+def _torch(backends: Backends, *, double: bool) -> Backend:
+    """The checkpoint's own path: training's columns, torch's network, training's accelerations."""
+    model = backends.model
+    config, vehicle = model.config, model.vehicle
+
+    def run(windows: Floats, hidden: Floats) -> Floats:
+        rows = windows.transpose(0, 2, 1)
+        inputs = columns(config, rows[..., 3:13], rows[..., 13:] / SPEED_UNIT)
+        said = said_by_torch(model, inputs, double=double)
+        attitude = windows[:, 6:10, -1]
+        base = None if model.physics is None else to_body(_physics(model, windows, hidden), attitude)
+        return world_accelerations(accelerations_from(config, vehicle, said, base, attitude), attitude)
+
+    return run
+
+
+def _physics(model: ExportedModel, windows: Floats, hidden: Floats) -> Floats:
+    """(n, 6) accelerations of the physics alone, world and body axes, by `dynamics`."""
+    physics, dt = model.physics, model.config.dt
+    assert physics is not None
+    states = np.hstack([windows[:, :RIGID_BODY_STATES, -1], hidden])
+    speeds, still = windows[:, RIGID_BODY_STATES:, -1], np.zeros(physics.hidden_count)
+    step, found = step_function(physics), []
+    for x, u in zip(states, speeds, strict=True):
+        if model.mean:
+            after = np.array(step(x, u, physics.parameter_values, ENVIRONMENT_DEFAULT, still, dt)).ravel()
+            slope = (after - x) / dt
+        else:
+            slope = np.array(physics.derivative(x, u, physics.parameter_values, ENVIRONMENT_DEFAULT, still)).ravel()
+        found.append(np.concatenate([slope[3:6], slope[10:13]]))
+    return np.array(found)
+
+
+def _jacobian(backends: Backends, name: str, windows: Floats, hidden: Floats) -> Comparison:
+    """CasADi C's Jacobian against central differences of its forward function."""
+    code, forward = backends.compiled[backends.jacobian.name()], _compiled(backends)
+    steps = 1e-8 * np.maximum(np.abs(windows).max(axis=(0, 2)), 1)
+    exact, said = [], []
+    for window, carried in zip(windows, hidden, strict=True):
+        moved = []
+        for t in range(window.shape[1]):
+            for i in range(window.shape[0]):
+                change = np.zeros_like(window)
+                change[i, t] = steps[i]
+                pair = np.array([window + change, window - change])
+                ends = forward(pair, np.array([carried, carried]))
+                moved.append((ends[0] - ends[1]) / 2)
+        exact.append(np.array(moved).ravel())
+        by_history = code(history=window.ravel(order="F"), hidden=carried)["by_history"].reshape(-1, 6)
+        said.append((by_history * np.tile(steps, window.shape[1])[:, None]).ravel())
+    return _compare(
+        "CasADi C, double: Jacobian", "central differences", name, np.array(said), np.array(exact), DERIVATIVE
+    )
+
+
+def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, name: str, tolerance: float) -> Comparison:
+    """A kernel's condensed gradient along random directions against central differences of the double's roll-out."""
+    rng = np.random.default_rng(1)
+    exact, model = backends.double, backends.model.flight_model
+    state = model.initial_state(window[:RIGID_BODY_STATES, -1])
+    hover = np.full_like(exact.inputs, model.vehicle.hover_speed)
+    inputs = hover * (1 + 0.02 * rng.normal(size=hover.shape))
+    for each in (exact, solver):
+        look_back(each, window)
+        each.state_reference[:], each.input_reference[:], each.inputs[:] = state, hover, inputs
+        each.prepare(state)
+    wanted, said, scale = [], [], fill_options(exact.problem, model).scale
+    gradient = solver.gradient.copy()
+    for _ in range(5):
+        direction = rng.normal(size=hover.shape)
+        costs = []
+        for step in (PUSH, -PUSH):
+            exact.inputs[:] = inputs + step * scale * direction
+            exact.prepare(state)
+            costs.append(_cost(exact))
+        wanted.append((costs[0] - costs[1]) / (2 * PUSH))
+        said.append(float(gradient @ direction.ravel()))
+    found = np.array(said)[:, None], np.array(wanted)[:, None]
+    return _compare(name, "central differences of the roll-out", "roll-out", *found, tolerance)
+
+
+def _cost(solver: RtiSolver) -> float:
+    """PI-TCN eq. 7 of a solver's current prediction."""
+    options = fill_options(solver.problem, solver.model)
+    error, push = solver.states - solver.state_reference, solver.inputs - solver.input_reference
+    stages = np.sum(np.array(options.Q) * error[1:-1] ** 2) + np.sum(np.array(options.P) * error[-1] ** 2)
+    return float(0.5 * stages + 0.5 * np.sum(np.array(options.R) * push**2))

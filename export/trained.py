@@ -1,0 +1,164 @@
+"""A checkpoint or a vehicle file as what is exported: a network in SI units, the physics it stands on, where from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.model import Model, build_model
+from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from export.network import Convolution, Dense, Floats, Network
+from training.checkpoint import TrainedModel, load
+from training.config import ModelConfig
+from training.features import body_inertia
+
+SPEED_UNIT = 1000 * 2 * np.pi / 60  # rad/s of training's unit of rotor speed, 1000 rpm
+
+
+@dataclass(frozen=True, eq=False)
+class ExportedModel:
+    """What goes into a bundle. network: None for a physical model. physics: None for a network that replaces it.
+
+    member: of the trained ensemble. mean: accelerations are means over the next dt, else those at the newest column.
+    """
+
+    config: ModelConfig
+    network: Network | None
+    physics: Model | None
+    vehicle: Vehicle
+    vehicle_text: str
+    trained: TrainedModel | None = None
+    member: int = 0
+
+    @property
+    def mean(self) -> bool:
+        """Whether accelerations are means over the time to the next column."""
+        return self.config.label == "mean_increment"
+
+    @property
+    def history(self) -> int:
+        """Columns of a window."""
+        return 1 if self.network is None else self.network.history
+
+    @property
+    def flight_model(self) -> Model:
+        """What the solver takes its states, parameters and vehicle from."""
+        return build_model(self.vehicle, effects=()) if self.physics is None else self.physics
+
+    @property
+    def hidden_count(self) -> int:
+        """Hidden states of the physics."""
+        return 0 if self.physics is None else self.physics.hidden_count
+
+
+def read_model(path: Path, *, member: int = 0) -> ExportedModel:
+    """A vehicle file (TOML) as a physical model with its effects, or a checkpoint of training.
+
+    Raises RequestError when it cannot be read, has no such member, or cannot be evaluated column by column.
+    """
+    if path.suffix == ".toml":
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise RequestError(
+                f"cannot read {path}: {error}. Give a vehicle file or a model of `alula train`."
+            ) from error
+        vehicle = parse_vehicle(text)
+        config = ModelConfig("physics", "none", base="grey_box", history=1, rotors=vehicle.rotors.count)
+        return ExportedModel(config, None, build_model(vehicle), vehicle, text)
+    trained = load(path)
+    if trained.networks and not 0 <= member < len(trained.networks):
+        raise RequestError(f"{path} has {len(trained.networks)} members, numbered from 0; there is no {member}.")
+    return exported(trained, member=member)
+
+
+def exported(trained: TrainedModel, *, member: int = 0) -> ExportedModel:
+    """What a trained model exports. Raises RequestError for weights that are not finite."""
+    config = trained.config
+    physics = None if config.base == "none" else build_model(trained.vehicle, effects=_effects(trained))
+    network = network_of(trained, trained.networks[member]) if trained.networks else None
+    return ExportedModel(config, network, physics, trained.vehicle, trained.vehicle_text, trained, member)
+
+
+def _effects(trained: TrainedModel) -> list[EffectUse]:
+    """The effects of the physics under a model, as training had them (`training.physics.RowModel`)."""
+    if trained.config.base == "nominal":
+        return []
+    measured = trained.config.motors == "measured"
+    return [use for use in trained.vehicle.effects if not (measured and CATALOGUE[use.name].rotor_speed)]
+
+
+def network_of(trained: TrainedModel, module: nn.Module) -> Network:
+    """A member's numbers in SI units, its batch norm folded into the layers that follow, which no padding disturbs."""
+    config, scaling = trained.config, trained.scaling
+    unit = np.ones(len(config.input_names))
+    unit[-config.rotors :] = SPEED_UNIT
+    weights = {name: value.double().numpy() for name, value in module.state_dict().items()}
+    entries = len(config.input_names)
+    if config.network == "tcn":
+        convolutions, folded = _convolutions(weights, config)
+        perceptron = _perceptron(weights, "decoder.", folded)
+    elif config.history > 1:
+        first, *rest = _perceptron(weights, "decoder.", None)
+        window = first.weight.reshape(-1, config.history, entries).transpose(0, 2, 1)
+        convolutions, perceptron = (Convolution(window, first.bias, 1),), tuple(rest)
+    else:
+        convolutions, perceptron = (), _perceptron(weights, "decoder.", None)
+    share = 1 / body_inertia(trained.vehicle) if config.outputs == "wrench" else np.ones(6)
+    return Network(
+        convolutions, perceptron, scaling.input_mean * unit, scaling.input_std * unit,
+        scaling.output_mean * share, scaling.output_std * share, config.inputs,
+        "world" if config.outputs == "world" else "body", config.base != "none", config.rotors, config.dt,
+        config.history,
+    )  # fmt: skip
+
+
+def _convolutions(
+    weights: dict[str, Floats], config: ModelConfig
+) -> tuple[tuple[Convolution, ...], tuple[Floats, ...]]:
+    """The convolutions, and what the last one's batch norm leaves for the perceptron: factor and shift."""
+    found = []
+    factor, shift = np.ones(len(config.input_names)), np.zeros(len(config.input_names))
+    for i, dilation in enumerate(config.dilations):
+        flat, bias = weights[f"layers.{i}.linear.weight"], weights[f"layers.{i}.linear.bias"]
+        weight = flat.reshape(len(flat), config.kernel, -1).transpose(0, 2, 1)
+        found.append(Convolution(weight * factor[:, None], bias + np.einsum("oik,i->o", weight, shift), dilation))
+        factor, shift = np.ones(len(flat)), np.zeros(len(flat))
+        if config.batch_norm:
+            norm = {
+                name: weights[f"layers.{i}.norm.{name}"] for name in ("weight", "bias", "running_mean", "running_var")
+            }
+            factor = norm["weight"] / np.sqrt(norm["running_var"] + nn.BatchNorm1d(1).eps)
+            shift = norm["bias"] - norm["running_mean"] * factor
+    return tuple(found), (factor, shift)
+
+
+def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...] | None) -> tuple[Dense, ...]:
+    places = sorted({int(name[len(prefix) :].split(".")[0]) for name in weights if name.startswith(prefix)})
+    layers = [Dense(weights[f"{prefix}{i}.weight"], weights[f"{prefix}{i}.bias"]) for i in places]
+    if norm is not None:
+        first, (factor, shift) = layers[0], norm
+        layers[0] = Dense(first.weight * factor, first.bias + first.weight @ shift)
+    return tuple(layers)
+
+
+def said_by_torch(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
+    """What the member itself says, untouched by export, of windows (m, T, inputs) in training's units: (m, 6).
+
+    double: evaluated in doubles.
+    """
+    assert model.trained is not None
+    scaling, kind = model.trained.scaling, torch.float64 if double else torch.float32
+    module = model.trained.networks[model.member].to(kind)
+    standardised = torch.as_tensor((inputs - scaling.input_mean) / scaling.input_std, dtype=kind)
+    with torch.no_grad():
+        outputs = module(standardised).double().numpy()
+    module.to(torch.float32)
+    return np.asarray(outputs * scaling.output_std + scaling.output_mean)

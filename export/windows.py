@@ -1,0 +1,64 @@
+"""Windows to compare backends on: from logs, along the paper's references, and at random."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.model import RIGID_BODY_STATES
+from dynamics.references import named_reference
+from dynamics.vehicle import Vehicle
+from export.network import Floats
+from export.trained import SPEED_UNIT, ExportedModel
+from training.dataset import make_dataset, settled_motors
+from training.recordings import find_logs, read_recordings
+
+REFERENCES = ("Lemniscate", "TransposedParabola", "WarpedEllipse_1")
+SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than any controller
+
+
+def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, seed: int) -> Floats:
+    """(count or fewer, 13 + rotors, T) windows of logs, in the order of a column. Raises DataError without any."""
+    vehicle = model.vehicle
+    recordings = read_recordings(find_logs(logs), dt=model.config.dt, may_be_tests=True)
+    data = make_dataset(settled_motors(model.config, recordings, vehicle), vehicle, recordings, fewest=1)
+    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    chosen = np.random.default_rng(seed).permutation(data.ends)[:count]
+    return np.asarray(columns[chosen[:, None] + np.arange(1 - model.history, 1)].transpose(0, 2, 1))
+
+
+def reference_windows(model: ExportedModel, count: int, seed: int) -> Floats:
+    """(count, 13 + rotors, T) windows along the paper's manoeuvres, with noise on the rotor speeds."""
+    rng = np.random.default_rng(seed)
+    parts = []
+    for place, name in enumerate(REFERENCES):
+        reference = named_reference(name, model.vehicle)
+        number = count // len(REFERENCES) + (place < count % len(REFERENCES))
+        starts = rng.uniform(0, reference.duration - model.history * model.config.dt, number)
+        times = (starts[:, None] + model.config.dt * np.arange(model.history)).ravel()
+        speeds = reference.inputs(times) + SPEED_NOISE * model.vehicle.hover_speed * rng.normal(
+            size=(times.size, model.vehicle.rotors.count)
+        )
+        columns = np.hstack([reference.states(times), _within(speeds, model.vehicle)])
+        parts.append(columns.reshape(number, model.history, -1).transpose(0, 2, 1))
+    return np.concatenate(parts)
+
+
+def random_windows(model: ExportedModel, count: int, seed: int) -> Floats:
+    """(count, 13 + rotors, T) windows whose columns have nothing to do with each other."""
+    rng = np.random.default_rng(seed)
+    rotors = model.vehicle.rotors.count
+    scale = np.array([1.0] * 3 + [4.0] * 3 + [0.5] * 4 + [4.0] * 3 + [0.2 * model.vehicle.hover_speed] * rotors)
+    windows = rng.normal(size=(count, model.history, RIGID_BODY_STATES + rotors)) * scale
+    windows[..., 2] += 3
+    windows[..., 6] += 1
+    windows[..., 6:10] = quaternion.normalise(windows[..., 6:10])
+    windows[..., 13:] = _within(windows[..., 13:] + model.vehicle.hover_speed, model.vehicle)
+    return np.asarray(windows.transpose(0, 2, 1))
+
+
+def _within(speeds: Floats, vehicle: Vehicle) -> Floats:
+    return np.asarray(np.clip(speeds, vehicle.rotors.speed_min, vehicle.rotors.speed_max))

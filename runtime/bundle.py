@@ -1,0 +1,156 @@
+"""A bundle as the runtime takes it: a folder with a compiled kernel, its vehicle file, and a manifest that ties them.
+
+`alula export` writes bundles; a folder with a vehicle file alone is one of a physical model, compiled when it is flown.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.model import Model, build_model
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from runtime.rti.problem import Problem
+from runtime.rti.processor import PROCESSORS
+
+FORMAT, VERSION = "alula bundle", 1
+MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
+
+
+class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Least and greatest value of an input in training, in SI units."""
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a bundle holds and what it was made from.
+
+    kind: the model's. learned: whether there is a network. physics: "none" for a network that replaces it, "nominal"
+    for the textbook model, "vehicle" for that of the vehicle file with its effects. motors: whether rotor speeds are
+    commanded or measured ones. history: columns of a window, dt seconds apart. inputs: frame and ranges of training's
+    inputs. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX inputs and
+    outputs. files: sha256 by name. provenance: of the model, as training tells it.
+    """
+
+    kind: str
+    learned: bool
+    physics: Literal["none", "nominal", "vehicle"]
+    motors: Literal["command", "measured"]
+    label: str
+    rotors: int
+    history: int
+    dt: float
+    frame: Literal["world", "body"]
+    ranges: tuple[InputRange, ...]
+    errors: dict[str, float]
+    shapes: dict[str, tuple[int | str, ...]]
+    units: dict[str, str]
+    problem: Problem
+    processor: str
+    precision: str
+    files: dict[str, str]
+    command: str
+    date: str
+    versions: dict[str, str]
+    provenance: dict[str, str]
+    format: str = FORMAT
+    version: int = VERSION
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A bundle that may be flown. model: states, parameters and vehicle of the kernel's physics."""
+
+    folder: Path
+    manifest: Manifest
+    vehicle: Vehicle
+    vehicle_text: str
+    model: Model
+
+    @property
+    def kernel(self) -> Path:
+        """The compiled kernel."""
+        return self.folder / KERNEL
+
+    @property
+    def range_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least and greatest inputs (k,) of training."""
+        ranges = self.manifest.ranges
+        return np.array([r.lowest for r in ranges]), np.array([r.highest for r in ranges])
+
+
+def read_bundle(folder: Path) -> Bundle:
+    """Read and check a bundle. Raises RequestError when it is incomplete, edited, or made for another machine."""
+    manifest = _read_manifest(folder / MANIFEST)
+    for name, wanted in manifest.files.items():
+        if _digest(folder / name) != wanted:
+            raise RequestError(
+                f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
+                "is proven about it; export the model again."
+            )
+    for needed in (VEHICLE, KERNEL):
+        if needed not in manifest.files:
+            raise RequestError(f"{folder / MANIFEST} lists no {needed}: it was edited. Export the model again.")
+    _require_machine(folder, manifest)
+    text = (folder / VEHICLE).read_text(encoding="utf-8")
+    vehicle = parse_vehicle(text)
+    return Bundle(folder, manifest, vehicle, text, physics_of(vehicle, manifest))
+
+
+def physics_of(vehicle: Vehicle, manifest: Manifest) -> Model:
+    """The physical model of a bundle: what its kernel was compiled with, or what gives the solver its shapes."""
+    if manifest.physics != "vehicle":
+        return build_model(vehicle, effects=())
+    measured = manifest.motors == "measured"
+    return build_model(
+        vehicle, effects=[use for use in vehicle.effects if not (measured and CATALOGUE[use.name].rotor_speed)]
+    )
+
+
+def _read_manifest(path: Path) -> Manifest:
+    try:
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+    except OSError as error:
+        raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
+    except msgspec.MsgspecError as error:
+        raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
+    if manifest.format != FORMAT or manifest.version != VERSION:
+        raise RequestError(f"{path} is {manifest.format} {manifest.version}, wanted {FORMAT} {VERSION}. Export again.")
+    return manifest
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise RequestError(f"the bundle misses {path}: {error}. Export the model again.") from None
+
+
+def _require_machine(folder: Path, manifest: Manifest) -> None:
+    processor = PROCESSORS.get(manifest.processor)
+    if processor is None or not processor.runs_here:
+        usable = [name for name, known in PROCESSORS.items() if known.runs_here]
+        raise RequestError(
+            f"the kernel in {folder} was built for {manifest.processor}, which this processor does not have. Export "
+            f"the model again here, or elsewhere with --processor {usable[0] if usable else 'native'}."
+        )
+    built, here = manifest.versions.get("casadi", ""), metadata.version("casadi")
+    if built != here:
+        raise RequestError(
+            f"the kernel in {folder} was built against the HPIPM of casadi {built}, here is {here}, whose structs may "
+            "differ. Install that version, or export the model again here."
+        )

@@ -1,0 +1,190 @@
+"""A bundle holds what it says, agrees with what was trained, and is refused once it does not."""
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import onnx
+import onnxruntime
+import pytest
+import torch
+
+from dynamics.codegen import find_compiler
+from dynamics.errors import DataError, RequestError
+from dynamics.vehicle import Vehicle
+from export.bundle import Exported, ExportOptions, export_bundle
+from export.onnx_file import OPSET
+from export.parity import Comparison, Parity
+from export.trained import exported, read_model
+from runtime.bundle import read_bundle
+from runtime.rti.problem import Problem
+from runtime.rti.processor import PROCESSORS, native_processor
+from runtime.rti.solver import RtiSolver
+from tests.support.trained import replaced, untrained_model
+from training.checkpoint import save
+from training.models import KINDS
+
+EXPORT = Callable[[str], Exported]
+
+
+@pytest.mark.parametrize("kind", ["pi_tcn", "mse_tcn", "grey_box", "nominal"])
+def test_every_backend_agrees_with_what_was_trained(export_kind: EXPORT, kind: str) -> None:
+    made = export_kind(kind)
+    backends = {comparison.backend for comparison in made.parity.comparisons}
+    learned = {"torch, double", "torch, float", "kernel, double", "kernel, float", "kernel, float: gradient"}
+    assert {"ONNX Runtime, float", "CasADi C, double", "CasADi C, double: Jacobian"} <= backends
+    assert (learned <= backends) == (kind != "nominal")
+    assert all(comparison.holds for comparison in made.parity.comparisons)
+    stored = msgspec.json.decode((made.folder / "parity.json").read_bytes(), type=Parity)
+    assert stored == made.parity
+
+
+def test_a_difference_is_an_error_that_names_it() -> None:
+    bad = Comparison("kernel, float", "CasADi interpreted, double", "recorded", 1000, 3e-4, 1e-5)
+    with pytest.raises(DataError, match=r"kernel, float differs from CasADi.*recorded.*0\.0003"):
+        Parity((bad,)).require()
+    with pytest.raises(DataError):
+        Parity((msgspec.structs.replace(bad, error=float("nan")),)).require()
+
+
+def test_weights_that_changed_under_the_export_are_found(lagging: Vehicle, tmp_path: Path) -> None:
+    trained = untrained_model(replaced(KINDS["pi_mlp"].config, hidden=(16,)), lagging)
+    model = exported(trained)
+    with torch.no_grad():
+        trained.networks[0].decoder[0].weight += 0.01
+    with pytest.raises(DataError, match="torch, double differs"):
+        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), native_processor(), windows=20))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_onnx_file_says_what_goes_in_and_out(bundle_folder: Path) -> None:
+    proto = onnx.load(bundle_folder / "model.onnx")
+    assert [(opset.domain, opset.version) for opset in proto.opset_import] == [("", OPSET)]
+    told = {entry.key: entry.value for entry in proto.metadata_props}
+    assert told["T"] == "20"
+    assert told["dt"] == "0.01"
+    assert "rotor_speed_3 [rad/s]" in told["history"]
+    session = onnxruntime.InferenceSession(bundle_folder / "model.onnx")
+    for batch in (1, 7):
+        windows = np.random.default_rng(0).normal(size=(batch, 17, 20)).astype(np.float32)
+        assert session.run(None, {"history": windows})[0].shape == (batch, 6)
+
+
+@pytest.mark.parametrize("kind", ["pi_tcn", "grey_box"])
+def test_the_c_files_compile_by_themselves_and_their_example_runs(
+    export_kind: EXPORT, kind: str, tmp_path: Path
+) -> None:
+    folder = export_kind(kind).folder
+    sources = [str(folder / name) for name in ("example.c", "model.c")]
+    subprocess.run([find_compiler(), "-O1", *sources, "-o", str(tmp_path / "example"), "-lm"], check=True)
+    said = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True).stdout
+    bundle = read_bundle(folder)
+    solver = RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
+    hover = np.array([*[0.0] * 6, 1.0, *[0.0] * 6, *[bundle.vehicle.hover_speed] * 4])
+    solver.history[:] = hover
+    wanted = solver.accelerations(bundle.model.initial_state(hover[:13]), hover[13:])
+    np.testing.assert_allclose([float(line) for line in said.split()], wanted, atol=1e-4)
+
+
+@pytest.mark.parametrize("kind", ["pi_tcn", "grey_box", "nominal"])
+def test_a_bundle_is_read_back_and_its_kernel_solves(export_kind: EXPORT, kind: str) -> None:
+    bundle = read_bundle(export_kind(kind).folder)
+    solver = RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
+    state = bundle.model.initial_state(np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6]))
+    solver.reset(state)
+    solver.history[:] = [*state[:13], *[bundle.vehicle.hover_speed] * 4]
+    solver.state_reference[:], solver.input_reference[:] = state, bundle.vehicle.hover_speed
+    assert solver.prepare(state) == 0
+    assert solver.feedback(state) in (0, 1)
+    assert np.isfinite(solver.inputs).all()
+
+
+def copied(folder: Path, to: Path) -> Path:
+    return Path(shutil.copytree(folder, to / "bundle"))
+
+
+def test_an_edited_file_is_refused(bundle_folder: Path, tmp_path: Path) -> None:
+    folder = copied(bundle_folder, tmp_path)
+    with (folder / "vehicle.toml").open("a") as file:
+        file.write("# heavier\n")
+    with pytest.raises(RequestError, match=r"vehicle\.toml is not the file that was exported.*export the model again"):
+        read_bundle(folder)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"format": "other"}, "Export again"),
+        ({"nonsense": 1}, "Export the model again"),
+        ({"processor": "neon"}, "built for neon.*--processor"),
+        ({"files": {}}, "lists no vehicle.toml"),
+    ],
+)
+def test_an_edited_manifest_is_refused(
+    bundle_folder: Path, tmp_path: Path, change: dict[str, object], message: str
+) -> None:
+    folder = copied(bundle_folder, tmp_path)
+    manifest = json.loads((folder / "manifest.json").read_text()) | change
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RequestError, match=message):
+        read_bundle(folder)
+
+
+def test_a_kernel_against_another_hpipm_is_refused(bundle_folder: Path, tmp_path: Path) -> None:
+    folder = copied(bundle_folder, tmp_path)
+    manifest = json.loads((folder / "manifest.json").read_text())
+    manifest["versions"]["casadi"] = "3.1.0"
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(RequestError, match=r"HPIPM of casadi 3\.1\.0"):
+        read_bundle(folder)
+
+
+def test_a_missing_file_and_a_folder_that_is_none_are_refused(bundle_folder: Path, tmp_path: Path) -> None:
+    folder = copied(bundle_folder, tmp_path)
+    (folder / "kernel.so").unlink()
+    with pytest.raises(RequestError, match=r"misses .*kernel\.so"):
+        read_bundle(folder)
+    with pytest.raises(RequestError, match="is no bundle"):
+        read_bundle(tmp_path)
+
+
+def test_an_existing_folder_is_not_overwritten_unless_told(bundle_folder: Path, lagging: Vehicle) -> None:
+    model = exported(untrained_model(KINDS["nominal"].config, lagging))
+    with pytest.raises(RequestError, match=r"exists already.*--overwrite"):
+        export_bundle(model, bundle_folder, ExportOptions(Problem(), native_processor()))
+
+
+def test_weights_that_are_not_finite_are_refused(lagging: Vehicle, tmp_path: Path) -> None:
+    trained = untrained_model(KINDS["pi_tcn"].config, lagging)
+    with torch.no_grad():
+        trained.networks[0].decoder[2].weight[3, 4] = torch.nan
+    save(trained, tmp_path / "model.pt")
+    with pytest.raises(RequestError, match=r"not finite in dense 1.*Train again"):
+        read_model(tmp_path / "model.pt")
+
+
+def test_a_member_that_does_not_exist_is_refused(lagging: Vehicle, tmp_path: Path) -> None:
+    save(untrained_model(KINDS["pi_mlp"].config, lagging, members=2), tmp_path / "model.pt")
+    assert read_model(tmp_path / "model.pt", member=1).member == 1
+    with pytest.raises(RequestError, match="has 2 members"):
+        read_model(tmp_path / "model.pt", member=2)
+
+
+def test_nodes_that_are_no_whole_number_of_columns_are_refused(lagging: Vehicle, tmp_path: Path) -> None:
+    model = exported(untrained_model(KINDS["pi_mlp"].config, lagging))
+    with pytest.raises(RequestError, match="no whole number of the network's steps"):
+        export_bundle(model, tmp_path / "b", ExportOptions(Problem(nodes=19), native_processor()))
+
+
+def test_without_a_compiler_it_says_what_to_install(
+    lagging: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    model = exported(untrained_model(replaced(KINDS["pi_mlp"].config, hidden=(9,)), lagging))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CC", raising=False)
+    with pytest.raises(RequestError, match="no C compiler"):
+        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), PROCESSORS["sse2"]))
