@@ -7,7 +7,7 @@ The file is what `torch.save` makes of plain dictionaries and tensors, so that r
     members           one state_dict a member of the ensemble, empty for models that are only evaluated
     scaling           input_mean, input_std (inputs,), output_mean, output_std (6,)
     ranges            lowest, highest (inputs,) of the training flights, in the inputs' units
-    reliability       disagreement (1,), error_scale (6,)
+    reliability       disagreement, error_floor (6,), error_scale (6,), or none for a single member
     vehicle           TOML text
     card              JSON text
 """
@@ -60,11 +60,12 @@ class Ranges:
 class Reliability:
     """How far an ensemble's disagreement can be read as its error; from the validation flights.
 
-    disagreement: RMS over the outputs of the members' standardised deviation that 1 row in 100 exceeds. error_scale:
-    (6,) factor on the members' deviation that gives half the width of a 90 % interval.
+    disagreement: RMS over the outputs of the members' standardised deviation that 1 row in 100 exceeds. error_floor,
+    error_scale: (6,) half the width of a 90 % interval is the root of floor^2 + (scale * the members' deviation)^2.
     """
 
     disagreement: float
+    error_floor: Floats
     error_scale: Floats
 
 
@@ -109,6 +110,7 @@ def save(model: TrainedModel, path: Path) -> None:
         if reliability is None
         else {
             "disagreement": reliability.disagreement,
+            "error_floor": torch.from_numpy(reliability.error_floor),
             "error_scale": torch.from_numpy(reliability.error_scale),
         },
         "vehicle": model.vehicle_text,
@@ -165,7 +167,9 @@ def load(path: str | Path) -> TrainedModel:
         scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
         ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
         told = content["reliability"]
-        reliability = told and Reliability(told["disagreement"], told["error_scale"].double().numpy())
+        reliability = told and Reliability(
+            told["disagreement"], told["error_floor"].double().numpy(), told["error_scale"].double().numpy()
+        )
         text, members = content["vehicle"], content["members"]
         _require_widths(path, config, scaling, ranges)
     except (KeyError, TypeError, AttributeError, msgspec.MsgspecError) as error:

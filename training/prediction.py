@@ -16,6 +16,7 @@ from training.features import accelerations_from
 Floats = NDArray[np.float64]
 EVALUATED = 8192  # windows at once
 FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
+AGREED = 0.25  # share of the rows, those of least disagreement, whose errors are what is left when members agree
 COVERED = 0.9  # of the errors lie within an interval
 
 
@@ -54,7 +55,8 @@ def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, ga
     if gated and base is not None:
         gate = gate_of(disagreement, model.reliability.disagreement)
     body = accelerations_from(model.config, model.vehicle, gate[:, None] * mean, base, attitude)
-    return Prediction(body, disagreement, deviation * model.reliability.error_scale, gate)
+    told = model.reliability
+    return Prediction(body, disagreement, np.hypot(told.error_floor, told.error_scale * deviation), gate)
 
 
 def gate_of(disagreement: Floats, threshold: float) -> Floats:
@@ -81,8 +83,12 @@ def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> R
         return None
     deviation = outputs.std(axis=0, ddof=1)
     disagreement = np.sqrt(np.mean((deviation / output_std) ** 2, axis=1))
-    ratio = np.abs(outputs.mean(axis=0) - targets) / np.maximum(deviation, 1e-12 * output_std)
-    return Reliability(float(np.quantile(disagreement, FLAGGED)), np.quantile(ratio, COVERED, axis=0))
+    error = np.abs(outputs.mean(axis=0) - targets)
+    agreed = disagreement <= np.quantile(disagreement, AGREED)
+    floor = np.quantile(error[agreed], COVERED, axis=0)
+    beyond = np.sqrt(np.maximum(error**2 - floor**2, 0.0)) / np.maximum(deviation, 1e-12 * output_std)
+    scale = np.quantile(beyond, COVERED, axis=0)
+    return Reliability(float(np.quantile(disagreement, FLAGGED)), floor, scale)
 
 
 def flight_errors(data: Dataset, body: Floats, label: Floats | None = None) -> tuple[FlightError, ...]:

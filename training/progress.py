@@ -7,15 +7,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import torch
 from torch import nn
 from torch.optim import Adam
 
+from dynamics.errors import RequestError
 from training.checkpoint import read_content, write_atomically
 
 
-@dataclass(frozen=True)
-class Report:
+class Report(msgspec.Struct, frozen=True):
     """Where a member stands. loss, physics_loss: of the last batch. validation: mean squared standardised error."""
 
     member: int
@@ -64,11 +65,14 @@ class Run:
         }
         write_atomically(content, path)
 
-    def resume(self, path: Path) -> bool:
-        """Take over what was saved; False when it belongs to another run. Raises RequestError for a damaged file."""
+    def resume(self, path: Path) -> None:
+        """Take over what was saved. Raises RequestError for a damaged file or one of another training."""
         content = read_content(path)
         if content.get("fingerprint") != self.fingerprint:
-            return False
+            raise RequestError(
+                f"{path} is of another training: flights, options, seed or versions differ. Give the same command as "
+                f"before with --resume, or delete {path.parent}."
+            )
         for name in PLAIN:
             setattr(self, name, content[name])
         self.network.load_state_dict(content["network"])
@@ -77,7 +81,6 @@ class Run:
         torch.set_rng_state(content["random"])
         if content["cuda_random"] is not None:
             torch.cuda.set_rng_state(content["cuda_random"])
-        return True
 
 
 PLAIN = ("fingerprint", "step", "best", "best_step", "best_weights", "without_better", "seconds")

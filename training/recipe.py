@@ -35,7 +35,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     name: str = "fast"
     steps: Count = 30_000
     epochs: Count | None = None
-    batch: Count = 1024
+    batch: Count = 256
     learning_rate: Positive = 3e-3
     constant_rate: bool = False
     warm_up: Share = 0.1
@@ -44,11 +44,11 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     physics_start: Share = 0.5
     annealed: bool = False
     physics_points: Literal["space", "plausible"] = "plausible"
-    physics_batch: Count = 256
+    physics_batch: Count = 64
     physics_pool: Count = 16_384
     rollout: Count = 1
     input_noise: Annotated[float, Meta(ge=0)] = 0.0
-    evaluate_every: Count = 500
+    evaluate_every: Count = 1000
     patience: Annotated[int, Meta(ge=0)] = 0
 
 

@@ -57,13 +57,15 @@ class PointTensors:
 def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:
     """Mean and deviation of inputs and targets over the training windows; 0 and 1 for raw numbers, as the paper's.
 
-    Raw residual force and torque are spoken in units of mass and inertia, so that the loss is of accelerations.
+    Residuals keep 0 as their mean, so that a network which says 0 leaves the base as it is. Raw residual force and
+    torque are spoken in units of mass and inertia, so that the loss is of accelerations.
     """
     inputs, targets = data.inputs[data.ends], data.targets[data.ends]
     if not recipe.standardise:
         spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
         return Scaling(np.zeros(inputs.shape[1]), np.ones(inputs.shape[1]), np.zeros(6), spoken)
-    return Scaling(inputs.mean(0), _deviation(inputs), targets.mean(0), _deviation(targets))
+    mean = targets.mean(axis=0) if config.base == "none" else np.zeros(6)
+    return Scaling(inputs.mean(axis=0), _deviation(inputs), mean, _deviation(targets))
 
 
 def _deviation(values: np.ndarray) -> np.ndarray:

@@ -76,12 +76,15 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
     run = Run(network, _adam(network), generator, f"{task.fingerprint} {task.seed}")
     if task.state_file is not None and task.state_file.exists():
         run.resume(task.state_file)
+    elif task.config.base != "none":
+        run.keep_best(evaluate(network, task.validation))  # no residual: what must be beaten
     learner, began = shared(network, size), time.monotonic() - run.seconds
     stopped = recipe.patience and run.without_better >= recipe.patience
     while run.step < schedule.steps and not stopped:
         if schedule.starts_anew(run.step):
             run.optimizer = _adam(network)
-            run.best, run.without_better = float("inf"), 0  # a stage with another loss: its own best
+            if run.step:  # a stage with another loss: its own best
+                run.best, run.without_better = float("inf"), 0
         for group in run.optimizer.param_groups:
             group["lr"] = schedule.learning_rate(run.step)
         network.train()

@@ -31,7 +31,7 @@ def some_model(config: ModelConfig, *, members: int = 2) -> TrainedModel:
         vehicle=read_vehicle(path),
         vehicle_text=path.read_text(),
         card=Card(config.kind, "alula train", "2026-01-01", FAST, {"a.csv": "00"}, {}, "arpl_250g", "11"),
-        reliability=Reliability(0.2, np.full(6, 2.0)),
+        reliability=Reliability(0.2, np.full(6, 0.1), np.full(6, 2.0)),
     )
 
 

@@ -1,4 +1,4 @@
-"""Grey box + residual: the vehicle file's named effects first, a small network on what they leave.
+"""Grey box + residual: the vehicle file's named effects first, temporal convolutions on what they leave.
 
 The residual is force and torque in body axes, as in supplement eq. 1 but on the vehicle file's model, hidden states
 included. Where the ensemble disagrees more than on its own flights the residual fades and the named effects remain.
@@ -9,5 +9,5 @@ from training.models.kind import Kind
 
 MODEL = Kind(
     "grey_box", "the vehicle file's effects, and a network on what they leave",
-    ModelConfig("grey_box", "mlp", base="grey_box", outputs="wrench", history=4),
+    ModelConfig("grey_box", "tcn", base="grey_box", outputs="wrench"),
 )  # fmt: skip

@@ -13,10 +13,14 @@ from training.networks.tcn import TemporalConvolution
 def build_network(config: ModelConfig) -> nn.Module:
     """An untrained network for (m, T, inputs) windows, oldest column first, giving (m, 6). Weights by torch's seed.
 
-    Raises RequestError for a model without a network.
+    One that adds to a base begins by adding nothing. Raises RequestError for a model without a network.
     """
-    if config.network == "tcn":
-        return TemporalConvolution(config)
-    if config.network == "mlp":
-        return WindowPerceptron(config)
-    raise RequestError(f"{config.kind} has no network: it is evaluated, not trained.")
+    if config.network == "none":
+        raise RequestError(f"{config.kind} has no network: it is evaluated, not trained.")
+    network = TemporalConvolution(config) if config.network == "tcn" else WindowPerceptron(config)
+    if config.base != "none":
+        last = network.decoder[-1]
+        assert isinstance(last, nn.Linear)
+        nn.init.zeros_(last.weight)
+        nn.init.zeros_(last.bias)
+    return network

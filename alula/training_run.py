@@ -1,0 +1,248 @@
+"""A training from logs to a checkpoint: what was asked for, the members in their processes, what they leave behind.
+
+While it runs, `MODEL.pt.run` holds what every member goes on from after it was killed.
+"""
+
+from __future__ import annotations
+
+import os
+import shlex
+import shutil
+import sys
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from alula.parallel import parallel_map
+from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from training import checkpoint, parallel
+from training.checkpoint import TrainedModel
+from training.config import ModelConfig, convolutions_for
+from training.effects_fit import named_effects
+from training.models import named_kind
+from training.plan import Plan, make_plan
+from training.progress import Report
+from training.recipe import Recipe, named_recipe
+from training.recordings import find_logs, read_recordings, split_recordings
+from training.trainer import Member, Task, train
+from vehicles import vehicle_path
+
+FAST_PHYSICS_WEIGHT = 0.01  # lambda on plausible points; 1 is the paper's
+STATE, PROGRESS = "member_{}.state", "member_{}.json"
+POLL = 0.5  # s
+Progress = Callable[[Report], None]
+
+
+class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `alula train` was asked for. config, recipe_changes: fields that differ from the model's and the recipe's.
+
+    effects: added to the vehicle file's, as on the command line. ensemble: members. jobs: processes, None for one a
+    core.
+    """
+
+    logs: tuple[Path, ...]
+    vehicle: str
+    model: str
+    out: Path
+    recipe: str = "fast"
+    config: dict[str, Any] = {}
+    recipe_changes: dict[str, Any] = {}
+    effects: tuple[str, ...] = ()
+    keep_effects: bool = False
+    validation: str | None = None
+    hold_out: str | None = None
+    mapping: Path | None = None
+    seed: int = 0
+    ensemble: int = 4
+    jobs: int | None = None
+    device: str = "cpu"
+    resume: bool = False
+    overwrite: bool = False
+
+    @property
+    def folder(self) -> Path:
+        """Where members keep what they go on from."""
+        return self.out.with_name(f"{self.out.name}.run")
+
+    @property
+    def seeds(self) -> tuple[int, ...]:
+        """One for each member."""
+        return tuple(range(self.seed, self.seed + self.ensemble))
+
+
+def run(options: TrainOptions, progress: Progress) -> TrainedModel:
+    """Train every member, write the model and its card beside it. progress: told of each member's evaluations.
+
+    Raises RequestError, DataError for what a user can cause.
+    """
+    device = parallel.find_device(options.device)
+    rank, size = parallel.join_group(device)
+    try:
+        _claim(options, rank)
+        plan = plan_of(options)
+        members = _train_members(options, plan, device, size, progress) if plan.config.network != "none" else ()
+        model = plan.assemble(members, options.seeds, command=_command())
+        if rank == 0:
+            checkpoint.save(model, options.out)
+            write_card(model, options.out)
+            shutil.rmtree(options.folder, ignore_errors=True)
+        parallel.wait_for_all()
+    finally:
+        parallel.leave_group()
+    return model
+
+
+def plan_of(options: TrainOptions) -> Plan:
+    """Read vehicle and flights, and settle what is learned. Raises RequestError, DataError."""
+    vehicle = _vehicle(options)
+    config, recipe = settled(options)
+    recordings = read_recordings(find_logs(options.logs), dt=config.dt, mapping=options.mapping)
+    split = split_recordings(recordings, validation=options.validation, hold_out=options.hold_out)
+    return make_plan(config, recipe, vehicle, split, seed=options.seed, fit=not options.keep_effects)
+
+
+def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
+    """Definition and recipe with the options' changes. Raises RequestError for values that make no sense."""
+    if options.ensemble < 1:
+        raise RequestError(f"an ensemble of {options.ensemble} members: wanted 1 or more.")
+    kind, recipe = named_kind(options.model), named_recipe(options.recipe)
+    config = kind.config_for(recipe)
+    changes = dict(options.config)
+    if "history" in changes and config.network == "tcn":
+        changes["kernel"], changes["dilations"] = convolutions_for(changes["history"])
+    recipe = kind.recipe_for(recipe, fast_weight=FAST_PHYSICS_WEIGHT)
+    if "steps" in options.recipe_changes:
+        recipe = msgspec.structs.replace(recipe, epochs=None)
+    config = _changed(config, changes)
+    return config, _changed(recipe, options.recipe_changes)
+
+
+def write_card(model: TrainedModel, out: Path) -> Path:
+    """The card as JSON beside the model. Raises RequestError when it cannot be written."""
+    path, text = out.with_suffix(".json"), msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
+    part = path.with_name(f"{path.name}.part")
+    try:
+        part.write_bytes(text)
+        part.replace(path)
+    except OSError as error:
+        raise RequestError(f"cannot write {path}: {error}. The model itself is in {out}.") from error
+    return path
+
+
+def _changed(struct: Any, changes: dict[str, Any]) -> Any:
+    """A struct with other values, checked. Raises RequestError for one that its type does not allow."""
+    try:
+        return msgspec.convert({**msgspec.to_builtins(struct), **changes}, type(struct))
+    except msgspec.ValidationError as error:
+        raise RequestError(f"{error}. Look at `alula train --help` for what is allowed.") from error
+
+
+def _vehicle(options: TrainOptions) -> Vehicle:
+    vehicle = read_vehicle(vehicle_path(options.vehicle))
+    uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects]
+    return named_effects(vehicle, uses)
+
+
+def _claim(options: TrainOptions, rank: int) -> None:
+    """Refuse what would be overwritten, and make the folder for the members."""
+    out, folder = options.out, options.folder
+    if out.exists() and not options.overwrite:
+        raise RequestError(f"{out} exists. Give another --out, or --overwrite.")
+    if rank != 0:
+        return
+    if folder.exists() and not options.resume and any(folder.glob(STATE.format("*"))):
+        raise RequestError(
+            f"{folder} holds a training that did not end. Go on with --resume and otherwise the same command, or "
+            "delete the folder."
+        )
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"cannot write to {out.parent}: {error}. Give another --out.") from error
+
+
+@dataclass(frozen=True, eq=False)
+class _Job:
+    task: Task
+    progress_file: Path
+
+
+def _train_members(
+    options: TrainOptions, plan: Plan, device: torch.device, size: int, progress: Progress
+) -> Sequence[Member]:
+    tasks = [
+        plan.task(place, seed, device=device, state_file=options.folder / STATE.format(place))
+        for place, seed in enumerate(options.seeds)
+    ]
+    jobs = options.jobs if options.jobs is not None else len(os.sched_getaffinity(0))
+    if device.type != "cpu" or size > 1 or jobs == 1 or len(tasks) == 1:
+        with _one_thread(device):
+            return [train(task, progress) for task in tasks]
+    work = [_Job(task, options.folder / PROGRESS.format(task.member)) for task in tasks]
+    with _watched([job.progress_file for job in work], progress):
+        found = dict(parallel_map(_work, work, jobs=jobs))
+    return [found[place] for place in range(len(work))]
+
+
+def _work(job: _Job) -> Member:
+    """One member in a process of its own, which tells where it stands through a file."""
+
+    def tell(report: Report) -> None:
+        part = job.progress_file.with_suffix(".part")
+        part.write_bytes(msgspec.json.encode(report))
+        part.replace(job.progress_file)
+
+    with _one_thread(job.task.training.inputs.device):
+        return train(job.task, tell)
+
+
+@contextmanager
+def _one_thread(device: torch.device) -> Iterator[None]:
+    """On a CPU networks this small run fastest, and to the same bits, in one thread."""
+    before = torch.get_num_threads()
+    if device.type == "cpu":
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
+
+
+@contextmanager
+def _watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
+    """Hand on what the members tell through their files while something else waits for them."""
+    over = threading.Event()
+    told: dict[Path, bytes] = {}
+
+    def look() -> None:
+        for file in files:
+            if file.exists() and told.get(file) != (text := file.read_bytes()):
+                told[file] = text
+                progress(msgspec.json.decode(text, type=Report))
+
+    def watch() -> None:
+        while not over.wait(POLL):
+            look()
+
+    for file in files:
+        file.unlink(missing_ok=True)
+    thread = threading.Thread(target=watch, name="training progress", daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
+        look()
+
+
+def _command() -> str:
+    return shlex.join(["alula", *sys.argv[1:]])

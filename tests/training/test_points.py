@@ -1,0 +1,88 @@
+"""The physics-inspired loss: its points are consistent, and the nominal model itself has none of it."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import Vehicle
+from flights.labels import scaled_motors
+from tests.training.conftest import MakePlan
+from training.features import columns, outputs_from
+from training.physics import textbook
+from training.plan import Plan
+from training.points import physics_points
+from training.recipe import PAPER
+
+
+def states_of(plan: Plan, window_columns: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """States (n, 13) and rotor speeds that have these columns; yaw and position, which no column holds, are any."""
+    if plan.config.inputs == "world":
+        moving = window_columns[:, :10]
+    else:
+        down = window_columns[:, 3:6]
+        roll, pitch = np.arctan2(-down[:, 1], -down[:, 2]), np.arcsin(down[:, 0])
+        zero = np.zeros(len(down))
+        turn = quaternion.multiply(
+            quaternion.exponential(np.stack([zero, pitch, zero], 1)),
+            quaternion.exponential(np.stack([roll, zero, zero], 1)),
+        )
+        moving = np.hstack([quaternion.rotate(turn, window_columns[:, :3]), turn, window_columns[:, 6:9]])
+    motors = window_columns[:, -plan.config.rotors :]
+    return np.hstack([np.zeros((len(moving), 3)), moving]), motors / scaled_motors(np.ones(1))
+
+
+@pytest.mark.parametrize("points", ["plausible", "space"])
+@pytest.mark.parametrize("frame", ["body", "world"])
+def test_the_physics_inspired_loss_of_the_nominal_model_is_zero(
+    plan_for: MakePlan, arpl_250g: Vehicle, points: str, frame: str
+) -> None:
+    plan = plan_for(
+        "pi_tcn", config={"inputs": frame, "outputs": frame}, physics_weight=0.01, physics_points=points,
+        physics_pool=64,
+    )  # fmt: skip
+    assert plan.points is not None
+    state, speed = states_of(plan, plan.points.windows[:, -1])
+    nominal = textbook(arpl_250g, dt=0.01, label="mean_increment")(state, speed).body
+    said = outputs_from(plan.config, arpl_250g, nominal, None, state[:, 6:10])
+    np.testing.assert_allclose(said, plan.points.targets, atol=1e-6)
+
+
+def test_histories_of_points_are_motion_of_the_nominal_model(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
+    plan = plan_for("pi_tcn", physics_weight=0.01, physics_pool=32)
+    assert plan.points is not None
+    for points, tolerance in ((plan.points.windows, 1e-9), (space_points(plan, arpl_250g), 2e-3)):
+        state, speed = states_of(plan, points[:, 7])
+        after = textbook(arpl_250g, dt=0.01, label="mean_increment")(state, speed).following
+        again = columns(plan.config, after[:, 3:], points[:, 8, -4:])
+        np.testing.assert_allclose(again, points[:, 8], atol=tolerance)
+
+
+def space_points(plan: Plan, vehicle: Vehicle) -> NDArray[np.float64]:
+    recipe = msgspec.structs.replace(PAPER, physics_pool=32)
+    return physics_points(plan.config, recipe, vehicle, plan.training, seed=0).windows
+
+
+def test_points_of_the_whole_space_lie_far_from_the_flights_and_plausible_ones_near(
+    plan_for: MakePlan, arpl_250g: Vehicle
+) -> None:
+    plan = plan_for("pi_tcn", physics_weight=0.01, physics_pool=256)
+    assert plan.points is not None
+    recorded = plan.training.nominal[:, 3:].std()
+    paper = physics_points(plan.config, PAPER, arpl_250g, plan.training, seed=0)
+    assert paper.targets[:, 3:].std() > 5 * recorded
+    assert recorded < plan.points.targets[:, 3:].std() < 3 * recorded
+
+
+def test_the_same_seed_draws_the_same_points(plan_for: MakePlan) -> None:
+    one, same, other = (
+        plan_for("pi_mlp", physics_weight=0.01, physics_pool=16, seed=seed).points for seed in (1, 1, 2)
+    )  # fmt: skip
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    np.testing.assert_array_equal(one.windows, same.windows)
+    assert not np.array_equal(one.windows, other.windows)
