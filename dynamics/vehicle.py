@@ -84,7 +84,11 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def allocation(self) -> NDArray[np.float64]:
-        """Matrix from squared rotor speeds to (thrust, torque x, y, z) (PI-TCN eq. 2). Returns (4, count)."""
+        """Matrix from squared rotor speeds to (thrust, torque x, y, z) (PI-TCN eq. 2). Returns (4, count).
+
+        Torques are about the origin of the rotors' positions; about a centre of mass c elsewhere they are less by
+        c x (0, 0, thrust), which the flight model takes into account.
+        """
         position = np.array(self.position)
         force = np.full(self.count, self.thrust_constant)
         yaw = self.torque_constant * np.array(self.spin)

@@ -27,6 +27,7 @@ _LEAST_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compare
 _LEAST_SPEED = 0.15  # m/s rms
 _LEAST_ACCELERATION = 0.3  # m/s^2 rms
 _AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
+_NO_AGREEMENT = 0.2  # correlation about zero below which there is none
 _DEGREES = 180 / np.pi
 
 
@@ -52,6 +53,7 @@ def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
         _gravity(on_grid),
         _velocity_against_position(on_grid, grid),
         _tilt_against_acceleration(on_grid, grid),
+        _force_against_acceleration(on_grid, grid),
     ]
     return tuple(finding for finding in found if finding is not None)
 
@@ -183,12 +185,41 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Find
     if min(_rms(a), _rms(b)) < _LEAST_ACCELERATION:
         return None
     agreement = _agreement(a, b)
+    exchanged = _agreement(a, b[:, ::-1])
+    if agreement < _NO_AGREEMENT and exchanged > _AGREEMENT:
+        return Finding(
+            "attitude_frame",
+            f"the vehicle accelerates along x where its thrust leans along y (agreement {agreement:.2f}, exchanged "
+            f"{exchanged:.2f}): attitude and velocity are not in the same axes, as NED labelled as ENU. Wanted ENU and "
+            "FLU; convert them, or give a column mapping.",
+        )
     if agreement > -_AGREEMENT:
         return None
     return Finding(
         "attitude_frame",
         f"the vehicle accelerates away from where its thrust points (agreement {agreement:.2f}): attitude and velocity "
         "are not in the same axes, as NED labelled as ENU. Wanted ENU and FLU; convert them, or give a column mapping.",
+    )
+
+
+def _force_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+    """The accelerometer feels what the velocity does, upwards too."""
+    if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    climb = on_grid["velocity"][:, 2:]
+    acceleration = (climb[span:] - climb[:-span]) / (span / _GRID_RATE)
+    felt = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY, span)
+    known = np.isfinite(acceleration[:, 0]) & np.isfinite(felt[:, 0])
+    if np.count_nonzero(known) < 50:
+        return None
+    a, b = acceleration[known], felt[known] - np.median(felt[known])
+    if min(_rms(a), _rms(b)) < _LEAST_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
+        return None
+    return Finding(
+        "velocity_frame",
+        f"the velocity along z falls when the accelerometer feels the vehicle rise (agreement {_agreement(a, b):.2f}): "
+        "position and velocity are NED labelled as ENU. Wanted z up; convert them, or give a column mapping.",
     )
 
 

@@ -202,6 +202,10 @@ def test_a_table_of_absurd_length_is_not_even_tried(truth: Truth, tmp_path: Path
         ("specific force in g", lambda truth: {"specific_force": truth.specific_force / 9.81}),
         ("velocity in NED", lambda truth: {"velocity": frames.enu_from_ned(truth.velocity)}),
         (
+            "position and velocity in NED",
+            lambda truth: {name: frames.enu_from_ned(getattr(truth, name)) for name in ("position", "velocity")},
+        ),
+        (
             "everything in NED and FRD",
             lambda truth: {
                 "position": frames.enu_from_ned(truth.position),
