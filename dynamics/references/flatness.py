@@ -131,6 +131,8 @@ def _rotor_thrust(thrust: Array, rate: Array, rate_acceleration: Array, vehicle:
     """Thrust of every rotor, N, that gives the wrench with the least effort. Returns (n, rotors)."""
     inertia = np.array(vehicle.body.inertia)
     torque = inertia * rate_acceleration + np.cross(rate, inertia * rate)
+    x, y, _ = vehicle.body.centre_of_mass
+    torque = torque + thrust[:, None] * np.array([y, -x, 0.0])  # about the origin of the rotors' positions
     wrench = np.column_stack([thrust, torque])
     squared_speed = wrench @ np.linalg.pinv(vehicle.rotors.allocation).T
     return np.asarray(vehicle.rotors.thrust_constant * squared_speed)

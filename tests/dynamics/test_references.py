@@ -68,6 +68,17 @@ def test_the_textbook_model_follows_a_reference_with_its_own_inputs(text: str) -
         )
 
 
+def test_rotor_thrusts_balance_a_centre_of_mass_off_the_middle() -> None:
+    body = msgspec.structs.replace(VEHICLE.body, centre_of_mass=(0.01, -0.006, 0.004))
+    vehicle = msgspec.structs.replace(VEHICLE, body=body)
+    model = build_model(vehicle)
+    samples = named_reference("Lemniscate", vehicle).sample([0.0, 7.3, 11.9])
+    for i in range(3):
+        state = np.concatenate([samples.position[i], samples.velocity[i], samples.attitude[i], samples.rate_body[i]])
+        got = model.derivative(state, samples.rotor_speed[i], model.parameter_values, ENVIRONMENT_DEFAULT, [])
+        np.testing.assert_allclose(np.array(got).ravel()[10:13], samples.rate_acceleration[i], atol=1e-6)
+
+
 @settings(max_examples=25)
 @given(text=shapes)
 def test_attitudes_are_unit_continuous_and_turn_with_the_body_rates(text: str) -> None:
