@@ -25,12 +25,14 @@ from vehicles import vehicle_path
 Announce = Callable[[str], None]
 BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0)  # on the way to and from a manoeuvre
 FINDING_PATIENCE = 30.0  # s for the mock, which may have to compile its plant
+OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre unless told otherwise
 NOMINAL, LEARNED = "nominal", "learned"  # which model a flight was flown with, as its file name says
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {NOMINAL: TRACKING_NOMINAL, LEARNED: TRACKING_LEARNED}
 
 
 class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the demo flies. effects: hidden from the controller. duration: s of each manoeuvre. folder: for output.
+    """What the demo flies. effects: hidden from the controller. folder: for output. duration: s of each manoeuvre, None
+    for as many as diagnosis needs: in lockstep more, where the way there and back is not recorded.
 
     rate: of control, Hz. lockstep: fly in simulated time, without a link. learn: whether to go on after the flights
     with the textbook model.
@@ -40,11 +42,18 @@ class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     vehicle: str = "arpl_250g"
     effects: tuple[str, ...] = ("rotor_drag:coefficient=2.2e-5", "parasitic_drag:coefficient=0.01")
     manoeuvres: tuple[str, ...] = ("Ellipse_2", "WarpedEllipse_2", "Lemniscate")
-    duration: float = 10.0
+    duration: float | None = None
     rate: float = 100.0
     seed: int = 1
     lockstep: bool = False
     learn: bool = True
+
+    @property
+    def seconds(self) -> float:
+        """Of each manoeuvre."""
+        if self.duration is not None:
+            return self.duration
+        return IN_LOCKSTEP if self.lockstep else OVER_LINK
 
 
 class FlownManoeuvre(msgspec.Struct, frozen=True):
@@ -84,11 +93,11 @@ def _over_link(
     name: str, vehicle: str, model: str, link: str, options: DemoOptions, announce: Announce
 ) -> FlownManoeuvre:
     setup = FlightSetup(
-        link=link, reference=name, vehicle=vehicle, duration=options.duration, rate=options.rate,
+        link=link, reference=name, vehicle=vehicle, duration=options.seconds, rate=options.rate,
         record=_recordings(options), timeout=FINDING_PATIENCE,
     )  # fmt: skip
     flight = prepare_flight(setup, flown_before=model == LEARNED)
-    plan = msgspec.structs.replace(BRISK, duration=options.duration)
+    plan = msgspec.structs.replace(BRISK, duration=options.seconds)
     request = msgspec.structs.replace(flight.request, name=_file_name(name, model), plan=plan)
     report = Daemon(request, flight.vehicle, flight.reference, announce).fly()
     if not report.landed or report.landing_reason or not report.tracking.samples:
@@ -105,7 +114,7 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
 
     body = read_vehicle(vehicle_path(options.vehicle))
     controller = Controller.build(read_vehicle(vehicle_path(vehicle)))
-    reference = named_reference(name, controller.trim, duration=options.duration)
+    reference = named_reference(name, controller.trim, duration=options.seconds)
     if model == NOMINAL:  # the better model may know that the vehicle is at its limits there; it flew it all the same
         check_feasibility(reference, controller.trim).require()
     effects = [parse_effect(text, body.rotors.count) for text in options.effects]

@@ -13,6 +13,7 @@ from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
 MOST_ROUNDS = 3
+LEAST_SHARE = 0.01  # of the misfit that the first round took away, which a further round must bring
 NO_VALUE = ("gust",)  # that a vehicle file could hold: random air motion
 
 
@@ -41,7 +42,9 @@ def complete(
     added: list[FoundEffect] = []
     for _ in range(MOST_ROUNDS):
         news = _missing(findings, vehicle)
-        if not news or not findings.misfit_after < IMPROVEMENT * findings.misfit_before:
+        gain = findings.misfit_before - findings.misfit_after
+        least = LEAST_SHARE * (first.misfit_before - first.misfit_after) if added else 0.0
+        if not news or gain < least or not findings.misfit_after < IMPROVEMENT * findings.misfit_before:
             break
         action = "added " + ", ".join(_key(effect) for effect in news)
         errors = findings.diagnosis.channels

@@ -24,7 +24,7 @@ from alula.demo_flights import DemoOptions
 from alula.paper import TRACKING_NOMINAL
 
 USUAL = DemoOptions(folder=Path("reports/demo"))
-AROUND, IN_LOCKSTEP = 21.0, 0.3  # s around a manoeuvre over the link; s of computing a second of flight without it
+AROUND, COMPUTING = 21.0, 0.15  # s around a manoeuvre over the link; s of computing a second of flight without it
 DIAGNOSING = 20.0  # s
 INTERRUPTED = 130  # exit code of a command that Ctrl-C ended
 
@@ -44,7 +44,9 @@ def demo(
     vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")] = (
         USUAL.vehicle
     ),
-    duration: Annotated[float, typer.Option(min=5.0, help="Seconds of each manoeuvre.")] = USUAL.duration,
+    duration: Annotated[
+        float | None, typer.Option(min=5.0, help="Seconds of each manoeuvre; by default 10, in lockstep 24.")
+    ] = None,
     rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate over the link, Hz.")] = USUAL.rate,
     seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = USUAL.seed,
     out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = USUAL.folder,
@@ -101,7 +103,7 @@ def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str]
 
 def _expected(options: DemoOptions) -> float:
     """Seconds that the whole demo usually takes."""
-    flight = IN_LOCKSTEP * options.duration if options.lockstep else options.duration + AROUND
+    flight = COMPUTING * options.seconds if options.lockstep else options.seconds + AROUND
     half = len(options.manoeuvres) * flight
     return half if absent_libraries() or not options.learn else 2 * half + DIAGNOSING
 

@@ -42,7 +42,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoRe
 def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoReport, list[str]]:
     """Both halves in lockstep."""
     folder = tmp_path_factory.mktemp("lockstep")
-    options = DemoOptions(folder, lockstep=True, duration=8.0)
+    options = DemoOptions(folder, lockstep=True, duration=16.0)
     parts: list[str] = []
     report, learning = run_demo(options, ignore, parts.append, command="alula demo --lockstep")
     return options, write_report(report, folder, learning), parts
@@ -123,7 +123,7 @@ def test_both_halves_are_in_every_form_of_the_report(learned) -> None:
 
 
 def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_path: Path) -> None:
-    options = DemoOptions(tmp_path, effects=(), lockstep=True, duration=8.0)
+    options = DemoOptions(tmp_path, effects=(), lockstep=True, duration=16.0)
     report, learning = run_demo(options, ignore, ignore)
     assert report.learned.added == ()
     assert report.learned.flown == ()

@@ -4,6 +4,7 @@ import pytest
 
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
+from sitl_mock.parameter_table import LIMITS
 from sitl_mock.parameters import Parameters
 from sitl_mock.tuning import default_tuning, motor_time_constant, parameter_values
 from sitl_mock.vehicle_interface import Tuning
@@ -36,3 +37,12 @@ def test_the_tuning_survives_the_parameter_table() -> None:
     found = parameters.tuning()
     for field in dataclasses.fields(Tuning):
         assert getattr(found, field.name) == pytest.approx(getattr(tuning, field.name), rel=2e-2), field.name
+
+
+@pytest.mark.parametrize("motor_lag", [0.01, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("name", ["arpl_250g", "px4_sih", "crazyflie"])
+def test_px4_would_take_the_tuning_of_a_vehicle_with_fast_or_slow_motors(name: str, motor_lag: float) -> None:
+    hidden = [EffectUse("motor_lag", {"time_constant": motor_lag})]
+    values = parameter_values(default_tuning(read_vehicle(FOLDER / f"{name}.toml"), hidden))
+    for key, (low, high) in LIMITS.items():
+        assert low <= values.get(key, low) <= high, key
