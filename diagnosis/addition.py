@@ -88,7 +88,7 @@ def add_effect(
     notes: tuple[str, ...] = ()
     if name is None:
         findings = diagnose(dataset, vehicle, catalogue)
-        name, rotor, notes = _top(findings.diagnosis)
+        name, rotor, notes = top_effect(findings.diagnosis)
         regression = findings.regression
     else:
         regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
@@ -160,8 +160,11 @@ def _no_value() -> str:
     )
 
 
-def _top(found: Diagnosis) -> tuple[str, int | None, tuple[str, ...]]:
-    """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it."""
+def top_effect(found: Diagnosis) -> tuple[str, int | None, tuple[str, ...]]:
+    """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it.
+
+    Raises DataError when there is none.
+    """
     if found.verdict == "explained":
         raise DataError("nothing was added: the model explains these flights down to the sensors' noise.")
     named = [effect for effect in found.effects if effect.name != GUST]

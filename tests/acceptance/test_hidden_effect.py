@@ -12,6 +12,7 @@ import pytest
 from tests.support.hidden_effect import Draw, Outcome, try_command_line, yardstick
 
 DRAWS, MUST_HOLD = 3, 2
+pytestmark = pytest.mark.timeout(600)  # a draw takes 20 s of processor time, which a busy machine may not have
 SEED = int(os.environ.get("ALULA_ACCEPTANCE_SEED", secrets.randbelow(100_000)))
 
 
