@@ -21,6 +21,7 @@ RPM = 2 * np.pi / 60
 DEGREES = 180 / np.pi
 AGREES, DISAGREES = 0.7, 0.4  # correlation of modelled with measured angular acceleration
 OPPOSITE = -0.4  # the same, of rotors that turn the vehicle the other way than the file says
+ROTORS_TELL = 0.5  # share of the turning that rotors explain in some mixture, if not in the file's
 LEAST_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
 LEAST_YAWING = 0.3  # the same about z, where rotors push less
 TURNING_RATIO = (0.2, 5.0)  # measured over modelled angular acceleration
@@ -149,10 +150,11 @@ def _require_order(own: float, measured: Floats, squares: Floats, rows: Floats) 
                 f"another order: the log's columns {list(orders[best])} are the file's rotors {list(range(count))} "
                 f"(agreement {fits[best]:.2f}). Reorder [rotors] position and spin, or the log's columns."
             )
-    if own < OPPOSITE:
+    if own < OPPOSITE or _explained(measured[:, :2], squares) > ROTORS_TELL:
+        tried = "no other order of them fits" if count <= MOST_PERMUTED else "their orders are too many to try"
         raise DataError(
-            f"the rotors turn the vehicle the other way than the vehicle file says (agreement {own:.2f}), and no other "
-            "order of them fits. Check [rotors] position (body FLU: x forward, y left) and that rates are body FLU."
+            f"the rotors do not turn the vehicle as the vehicle file says (agreement {own:.2f}), and {tried}. Check "
+            "their order and [rotors] position (body FLU: x forward, y left), and that rates are body FLU."
         )
 
 

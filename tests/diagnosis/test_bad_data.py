@@ -61,6 +61,25 @@ def test_another_order_of_rotors_is_named(plain_flights, arpl_250g):
         judge(shuffled, arpl_250g)
 
 
+@pytest.mark.parametrize("shift", [0, 1, 2])
+def test_a_wrong_order_of_many_rotors_is_noticed_without_trying_all(plain_flights, arpl_250g, shift):
+    """Eight rotors, two on each arm."""
+    rotors = arpl_250g.rotors
+    twice = msgspec.structs.replace(
+        rotors, position=rotors.position * 2, spin=rotors.spin * 2, thrust_constant=rotors.thrust_constant / 2
+    )
+    vehicle = msgspec.structs.replace(arpl_250g, rotors=twice)
+    pairs = [
+        with_columns(f, {f"rotor_speed_{i}": f[f"rotor_speed_{(i + shift) % 4}"] for i in range(8)})
+        for f in plain_flights
+    ]
+    if shift == 0:
+        judge(pairs, vehicle)
+        return
+    with pytest.raises(DataError, match="too many to try"):
+        judge(pairs, vehicle)
+
+
 def test_a_dead_speed_sensor_is_no_dead_rotor(changed, arpl_250g):
     with pytest.raises(DataError, match=r"rotor 1 reads nearly zero.*rotor_speed_fault"):
         judge(changed(rotor_speed_1=lambda old: 0 * old), arpl_250g)
