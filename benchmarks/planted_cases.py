@@ -33,7 +33,7 @@ Floats = NDArray[np.float64]
 FLOWN = Path("build/planted_truth")
 EVERYTHING = {**CATALOGUE, **FOREIGN}
 BY_COMMAND = ("motor_lag", "battery_sag")  # with measured rotor speeds these have nothing to say
-BY_SPEED = ("rotor_speed_fault",)  # with commands it has nothing to say
+BY_SPEED = ("rotor_speed_fault", "rotor_gyroscopic")  # a command tells no reading and no acceleration of the rotors
 COMMANDS_SHARE = 0.15  # of the other cases whose logs hold commands only
 # Effects that no data can separate cannot be a fair pair.
 INSEPARABLE = (

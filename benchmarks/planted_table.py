@@ -33,7 +33,7 @@ def table(results: Sequence[Result]) -> str:
     parts = [_source(source, [r for r in good if r["source"] == source]) for source in _sources(good)]
     took = [r["took"] for r in good]
     parts.append(
-        f"{len(results)} cases. Time of a diagnosis of about 100 s of flight on a machine that does other things: "
+        f"{len(results)} cases. Processor time of a diagnosis of about 100 s of flight on one core: "
         f"median {np.median(took):.1f} s, 95 % within {np.quantile(took, 0.95):.1f} s."
     )
     if failed:

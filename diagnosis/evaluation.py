@@ -9,13 +9,14 @@ import numpy as np
 
 from diagnosis import channels
 from diagnosis.filters import Floats
-from diagnosis.noise import NoiseModel
+from diagnosis.noise import NoiseModel, noise_floor
 from diagnosis.prediction import Prediction, Predictor
-from diagnosis.regression import CLOCK_OFFSET, SPECIFIED
+from diagnosis.regression import CLOCK_OFFSET, SPECIFIED, Regression
 from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
+WINDOW = 2.0  # s
 SPECIFIED_AT_MOST = 2.5  # standard deviations of a sensor's bias; what is beyond is a fault
 
 
@@ -58,6 +59,31 @@ def misfit(rows: Sequence[Floats], noise: NoiseModel) -> float:
     return float(sum(np.sum(w**2) for w in white) / sum(w.size for w in white))
 
 
+def typical_misfit(rows: Sequence[Floats], noise: NoiseModel, rate: float) -> float:
+    """The same of a typical window of 2 s (geometric mean), which a few seconds of chaos do not spoil."""
+    length = max(1, round(WINDOW * rate))
+    squares = [np.mean(noise.whiten(r) ** 2, axis=1) for r in rows]
+    means = [np.mean(s[i : i + length]) for s in squares for i in range(0, max(1, len(s) - length // 2), length)]
+    return float(np.exp(np.mean(np.log(means))))
+
+
+def held_out_floor(regression: Regression, stretches: Sequence[Stretch], after: Sequence[Floats]) -> Floats:
+    """(12,) noise floor of stretches that were not fitted; after: (m, 12) what the fitted model leaves of them.
+
+    Turbulence of the rotors grows with their thrust, so that other flights have another floor. It is what all that the
+    catalogue knows leaves, or less where the fitted model leaves less, and never redder than sensors are.
+    """
+    made = [regression.pipeline.run(stretch) for stretch in stretches]
+    left = [y - x @ regression.everything for y, x in made]
+    active = regression.noise.active
+    return np.minimum(noise_floor(left, regression.rate, active), noise_floor(after, regression.rate, active))
+
+
 def floors(noise: NoiseModel) -> dict[str, float]:
     """Noise floor of each kind: norm over its three axes, 0 where the kind is absent."""
-    return {kind: float(np.sqrt(np.sum(noise.floor[3 * i : 3 * i + 3] ** 2))) for i, kind in enumerate(channels.KINDS)}
+    return floor_norms(noise.floor)
+
+
+def floor_norms(floor: Floats) -> dict[str, float]:
+    """The same of a floor (12,)."""
+    return {kind: float(np.sqrt(np.sum(floor[3 * i : 3 * i + 3] ** 2))) for i, kind in enumerate(channels.KINDS)}

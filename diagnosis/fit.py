@@ -6,7 +6,7 @@ slow columns serve as instruments; noise in the columns is compensated as in the
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -15,6 +15,7 @@ import numpy as np
 from diagnosis import channels
 from diagnosis.candidates import Candidate, make_instruments
 from diagnosis.filters import Floats
+from diagnosis.noise import ORDER
 from diagnosis.perturbation import perturbed
 from diagnosis.prediction import Predictor
 from diagnosis.regression import SEED, Biases, Regression, marginal
@@ -22,7 +23,9 @@ from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle
 
-STEPS = 5
+STEPS = 8
+WORSE = 1.001  # times the cost before, beyond which a step is halved
+BLOCK = 2.0  # s, over which residuals may hang together
 SETTLED = 0.02  # of its standard deviation by which a parameter still moves at the end
 NUDGE = 0.02  # relative step of finite differences
 REFINED = {"slung_load": ("length",), "wall_effect": ("scale",)}  # held while searching, fitted in the end
@@ -62,12 +65,7 @@ def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
     if not candidates:
         return Fit(regression.vehicle, {}, ())
     problem = _Problem(regression, candidates)
-    values, covariance = problem.start(), np.zeros((0, 0))
-    for _ in range(STEPS):
-        step, covariance = problem.step(values)
-        values = problem.bounded(values, step)
-        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-15):
-            break
+    values, covariance = _settle(problem)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates = {}
     for place, (candidate, name) in enumerate(problem.free):
@@ -76,6 +74,40 @@ def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
     named = dict(zip(problem.names, values.tolist(), strict=True))
     vehicle = with_candidates(regression.vehicle, candidates, named)
     return Fit(vehicle, estimates, tuple(candidates))
+
+
+def _settle(problem: _Problem) -> tuple[Floats, Floats]:
+    """Values to which Gauss-Newton comes from the linear solution, and their covariance.
+
+    A step that makes the fit worse is halved: along a hidden state's parameters the fit is no parabola.
+    """
+    values = problem.start()
+    step, covariance, cost = problem.step(values)
+    for _ in range(STEPS):
+        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-15):
+            break
+        ahead = problem.bounded(values, step)
+        next_step, next_covariance, next_cost = problem.step(ahead)
+        if next_cost > WORSE * cost:
+            step = step / 2
+            continue
+        values, step, covariance, cost = ahead, next_step, next_covariance, next_cost
+    return values, covariance
+
+
+@dataclass(frozen=True, eq=False)
+class _Rows:
+    """A stretch's whitened residuals y (m, c), and slopes x and instruments z (m, c, k) with the biases behind them."""
+
+    flight: int
+    y: Floats
+    x: Floats
+    z: Floats
+
+    def flat(self) -> tuple[Floats, Floats, Floats]:
+        """The same with time and channels in one: (m c,), (m c, k), (m c, k)."""
+        width = self.x.shape[2]
+        return self.y.ravel(), self.x.reshape(-1, width), self.z.reshape(-1, width)
 
 
 class _Problem:
@@ -119,37 +151,72 @@ class _Problem:
         low, high = np.array(self.bounds).T
         return np.asarray(np.clip(values + step, low, high))
 
-    def step(self, values: Floats) -> tuple[Floats, Floats]:
-        """Change of the parameters and their covariance, every flight's biases integrated out."""
-        r, count, off = self._regression, len(self.free), list(self._regression.biases.columns)
-        width = count + len(off)
-        changed = dict(zip(self.names, values.tolist(), strict=True))
-        grams = [np.zeros((width, width)) for _ in r.flights]
-        products, own = [np.zeros(width) for _ in r.flights], np.zeros((count, count))
-        pairs = zip(r.stretches, self._noisier, r.columns, r.flight_of, strict=True)
-        for stretch, noisier, columns, flight in pairs:
+    def step(self, values: Floats) -> tuple[Floats, Floats, float]:
+        """Change of the parameters, their covariance, and the cost; every flight's biases are integrated out.
+
+        The covariance is the greater of the noise model's and what blocks of residuals show (White, 1980, by blocks).
+        """
+        r, count = self._regression, len(self.free)
+        width = count + len(r.biases.columns)
+        grams, products = [np.zeros((width, width)) for _ in r.flights], [np.zeros(width) for _ in r.flights]
+        own, total, rows = [np.zeros((width, width)) for _ in r.flights], 0.0, []
+        for part, (error_y, error_x, error_z) in self._rows(dict(zip(self.names, values.tolist(), strict=True))):
+            y, x, z = part.flat()
+            grams[part.flight] += z.T @ x
+            products[part.flight] += z.T @ y
+            own[part.flight] += z.T @ z
+            grams[part.flight][:count, :count] -= error_z.T @ error_x
+            products[part.flight][:count] -= error_z.T @ error_y
+            total += float(y @ y)
+            rows.append(part)
+        biases = Biases(tuple(range(count, width)), r.biases.information)
+        gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
+        for one, other, alone in zip(grams, products, own, strict=True):
+            free, free_product = marginal(one, other, biases)
+            gram, product = gram + free[:count, :count], product + free_product[:count]
+            noisy += marginal(alone, other, biases)[0][:count, :count]
+            total -= _explained_by_biases(one, other, biases)
+        scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
+        step = inverse @ product
+        shown = self._blocks(rows, grams, products, own, biases, step)
+        covariance = _greater(inverse @ noisy @ inverse.T, inverse @ shown @ inverse.T)
+        return step, covariance, total
+
+    def _rows(self, changed: Mapping[str, float]) -> Iterator[tuple[_Rows, tuple[Floats, Floats, Floats]]]:
+        """Each stretch's whitened rows, and what the sensors' noise added once more changes in y, x and z."""
+        r, off, count = self._regression, list(self._regression.biases.columns), len(self.free)
+        for stretch, noisier, columns, flight in zip(r.stretches, self._noisier, r.columns, r.flight_of, strict=True):
             y, x, z = self._linear(stretch, changed)
             again_y, again_x, again_z = self._linear(noisier, changed)
             fixed = r.noise.whiten(columns[:, :, off])
-            white_x = np.concatenate([r.noise.whiten(x), fixed], axis=2).reshape(-1, width)
-            white_z = np.concatenate([r.noise.whiten(z), fixed], axis=2).reshape(-1, width)
-            white_y = r.noise.whiten(y).ravel()
-            error_z = r.noise.whiten(again_z - z).reshape(-1, count)
-            error_x = r.noise.whiten(again_x - x).reshape(-1, count)
-            error_y = r.noise.whiten(again_y - y).ravel()
-            grams[flight] += white_z.T @ white_x
-            grams[flight][:count, :count] -= error_z.T @ error_x
-            products[flight] += white_z.T @ white_y
-            products[flight][:count] -= error_z.T @ error_y
-            own += white_z[:, :count].T @ white_z[:, :count]
-        gram, product = np.zeros((count, count)), np.zeros(count)
-        biases = Biases(tuple(range(count, width)), r.biases.information)
-        for one, other in zip(grams, products, strict=True):
-            one, other = marginal(one, other, biases)
-            gram, product = gram + one[:count, :count], product + other[:count]
-        scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
-        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-        return inverse @ product, inverse @ own @ inverse.T
+            white = [np.concatenate([r.noise.whiten(part), fixed], axis=2) for part in (x, z)]
+            errors = [r.noise.whiten(part).reshape(-1, count) for part in (again_x - x, again_z - z)]
+            yield (
+                _Rows(flight, r.noise.whiten(y), white[0], white[1]),
+                (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1]),
+            )
+
+    def _blocks(
+        self, rows: Sequence[_Rows], grams: Sequence[Floats], products: Sequence[Floats], own: Sequence[Floats],
+        biases: Biases, step: Floats,
+    ) -> Floats:  # fmt: skip
+        """(k, k) sum over blocks of time of the squared scores of the parameters, biases taken out."""
+        count, places = len(step), list(biases.columns)
+        length = max(ORDER, round(BLOCK * self._regression.rate))
+        meat = np.zeros((count, count))
+        for part in rows:
+            product, gram, instruments = products[part.flight], grams[part.flight], own[part.flight]
+            inner = instruments[np.ix_(places, places)] + np.diag(biases.information)
+            off = np.linalg.solve(inner, product[places] - gram[np.ix_(places, range(count))] @ step)
+            mixed = np.linalg.solve(inner, instruments[np.ix_(places, range(count))])
+            left = part.y - part.x[:, :, :count] @ step - part.x[:, :, places] @ off
+            free = part.z[:, :, :count] - part.z[:, :, places] @ mixed
+            scores = np.einsum("mck,mc->mk", free, left)
+            starts = np.arange(0, len(scores), length)
+            summed = np.add.reduceat(scores, starts, axis=0)
+            meat += summed.T @ summed
+        return meat
 
     def _linear(self, stretch: Stretch, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
         """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at values."""
@@ -185,3 +252,16 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
 def bounds(effect: Effect, name: str) -> tuple[float, float]:
     """Physical bounds of an effect's parameter."""
     return next((p.lower, p.upper) for p in effect.parameters if p.name == name)
+
+
+def _explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:
+    places = list(biases.columns)
+    inner = gram[np.ix_(places, places)] + np.diag(biases.information)
+    return float(product[places] @ np.linalg.solve(inner, product[places]))
+
+
+def _greater(one: Floats, other: Floats) -> Floats:
+    """The first covariance, widened along each parameter to the other's standard deviation where that is greater."""
+    variances = np.maximum(np.diag(one), 1e-300)
+    wider = np.sqrt(np.maximum(np.diag(other) / variances, 1.0))
+    return np.asarray(one * np.outer(wider, wider))

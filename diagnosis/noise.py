@@ -18,6 +18,7 @@ from diagnosis.filters import Floats
 ORDER = 6
 CAP, REFERENCE = 1.5, 3.0  # Hz
 SEGMENT = 128  # rows of a spectrum
+TORQUES, RED = range(6, 9), 1.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,14 +70,26 @@ def estimate_noise(
     return NoiseModel(unmixed.active, unmixed.filters, unmixed.level, mixing, floor)
 
 
+def noise_floor(residuals: Sequence[Floats], rate: float, active: Sequence[int]) -> Floats:
+    """(12,) standard deviation of the noise in residuals (m, 12), zero where a channel is absent.
+
+    Below 1.5 Hz the mean of the spectrum counts at most as much as that from 1.5 to 3 Hz, or half as much again for
+    torques, which the rotors' turbulence reddens. Bin by bin, as for the filters, would count chance as physics.
+    """
+    floor = np.zeros(residuals[0].shape[1])
+    for channel in active:
+        frequency, spectrum = _spectrum([r[:, channel] for r in residuals], rate)
+        size = np.abs(frequency)
+        slow, level = size < CAP, spectrum[(size >= CAP) & (size <= REFERENCE)].mean()
+        most = level * (RED if channel in TORQUES else 1.0)
+        power = spectrum[~slow].sum() + min(float(spectrum[slow].mean()), float(most)) * slow.sum()
+        floor[channel] = np.sqrt(power * rate / len(spectrum))
+    return floor
+
+
 def _capped_ar(columns: Sequence[Floats], rate: float) -> tuple[Floats, float]:
     """Coefficients (1, -a1, .., -a6) from the capped spectrum, and the variance under it."""
-    length = min(SEGMENT, *(len(x) for x in columns))
-    spectrum, weight = np.zeros(length), 0
-    for x in columns:
-        frequency, power = welch(x, rate, nperseg=length, detrend=False, return_onesided=False)
-        spectrum, weight = spectrum + power * len(x), weight + len(x)
-    spectrum = spectrum / weight
+    frequency, spectrum = _spectrum(columns, rate)
     size = np.abs(frequency)
     reference = spectrum[(size >= CAP) & (size <= REFERENCE)].mean()
     spectrum = np.where(size < CAP, np.minimum(spectrum, reference), spectrum)
@@ -84,6 +97,16 @@ def _capped_ar(columns: Sequence[Floats], rate: float) -> tuple[Floats, float]:
     correlation[0] *= 1 + 1e-4
     a = solve_toeplitz(correlation[:ORDER], correlation[1 : ORDER + 1])
     return np.concatenate([[1.0], -a]), float(correlation[0] * rate)
+
+
+def _spectrum(columns: Sequence[Floats], rate: float) -> tuple[Floats, Floats]:
+    """Frequencies, Hz, both signs, and the mean power density of columns (m,) there."""
+    length = min(SEGMENT, *(len(x) for x in columns))
+    spectrum, weight = np.zeros(length), 0
+    for x in columns:
+        frequency, power = welch(x, rate, nperseg=length, detrend=False, return_onesided=False)
+        spectrum, weight = spectrum + power * len(x), weight + len(x)
+    return np.asarray(frequency), np.asarray(spectrum / weight)
 
 
 def _fast(values: Floats, rate: float) -> Floats:

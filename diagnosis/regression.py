@@ -44,6 +44,7 @@ class Regression:
     all of them the flight's biases are marginalised; joint_gram and joint_product still hold them.
     rows: channels: what was measured less the model, (m, 12) a stretch. columns: (m, 12, k) a stretch, for detection.
     flight_of: the flight of each stretch. observations: a flight's number of whitened residuals.
+    pipeline: makes rows and columns of other stretches. everything: (k,) coefficients of all columns at once, ridged.
     """
 
     vehicle: Vehicle
@@ -63,6 +64,8 @@ class Regression:
     observations: list[int]
     rate: float
     biases: Biases
+    pipeline: Pipeline
+    everything: Floats
 
     @property
     def flights(self) -> range:
@@ -129,7 +132,9 @@ def make_regression(
     rate = stretches[0].rate / max(1, round(stretches[0].rate / 25.0))
     # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
     mixed = stretches[0].rotor_source != "command"
-    noise = estimate_noise(_unexplained(rows, columns, active), rate, active, mixed=mixed)
+    everything = _everything(rows, columns, active)
+    left = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
+    noise = estimate_noise(left, rate, active, mixed=mixed)
     count = max(flight_of) + 1
     width = columns[0].shape[2]
     grams = [np.zeros((width, width)) for _ in range(count)]
@@ -154,7 +159,7 @@ def make_regression(
     return Regression(
         vehicle, catalogue, stretches, flight_of, candidates, noise, rows, columns,
         [g for g, _ in free], [b for _, b in free], [g for g, _ in plain], [b for _, b in plain],
-        grams, products, observations, rate, biases,
+        grams, products, observations, rate, biases, pipeline, everything,
     )  # fmt: skip
 
 
@@ -166,16 +171,15 @@ def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Flo
     return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
 
 
-def _unexplained(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int]) -> list[Floats]:
-    """Residuals after a ridge regression on everything: mostly noise."""
+def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int]) -> Floats:
+    """(k,) coefficients of a ridge regression on all columns, which leaves mostly noise."""
     scale = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)) + 1e-12
     keep = list(active)
     x = np.vstack([(c[:, keep] / scale[keep, None]).reshape(-1, c.shape[2]) for c in columns])
     y = np.concatenate([(r[:, keep] / scale[keep]).ravel() for r in rows])
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
     x = x / size
-    theta = np.linalg.solve(x.T @ x + RIDGE * len(y) * np.eye(x.shape[1]), x.T @ y) / size
-    return [r - c @ theta for r, c in zip(rows, columns, strict=True)]
+    return np.asarray(np.linalg.solve(x.T @ x + RIDGE * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
 
 
 def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:

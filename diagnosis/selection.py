@@ -19,6 +19,7 @@ from diagnosis.regression import Regression
 from dynamics.vehicle import Vehicle
 
 LEAST_GAIN = 40.0  # of score, below which nothing is claimed; feedback makes inertia reach 29 where nothing is hidden
+LEAST_FAULT = 15.0  # the same for what a sensor has beyond its specification, which feedback does not imitate
 LEAST_SHARE = 0.003  # of the first effect's gain that a further one must bring
 PARSIMONY = 0.985  # share of the gain at which the effect with fewer coefficients is preferred
 CROSSED = 0.3  # share of an improvement that must also show on flights left out
@@ -27,6 +28,7 @@ CLOSE = 8  # effects with which pairs are searched
 BOUND_SLACK = 0.02  # of a parameter's usual deviation by which noise may push it over its bound
 WHOLE = (0.4, 1.9)  # amplitude of an effect regressed as a whole
 IMPOSSIBLE = -math.inf
+FAULTS = ("imu_bias", "gyro_bias", "time_delay")
 SMALLEST_WHOLE = {"motor_lag": 0.0025, "time_delay": 0.003}  # s; less is the clocks' own
 
 
@@ -47,6 +49,12 @@ class Scored:
     def names(self) -> set[str]:
         """Its effects."""
         return {c.effect.name for c in self.candidates}
+
+
+def least_gain(candidates: Sequence[Candidate]) -> float:
+    """Score below which these are not claimed."""
+    faults = all(c.effect.name in FAULTS for c in candidates)
+    return LEAST_FAULT if faults else LEAST_GAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +187,8 @@ def select(regression: Regression) -> Selection:
     top = search.first(singles)
     blows_first = before.score > max(top.score, LEAST_GAIN)
     nothing = Scored((), 0.0, 0.0)
-    if max(top.score, before.score) < LEAST_GAIN or (blows_first and top.score < 0.5 * before.score):
+    nothing_found = top.score < least_gain(top.candidates) and before.score < LEAST_GAIN
+    if nothing_found or (blows_first and top.score < 0.5 * before.score):
         return Selection(nothing, singles, before, before, blows_first)
     chosen = search.grow(top, singles)
     after = gust_gain(regression, chosen.columns)

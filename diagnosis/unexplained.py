@@ -19,6 +19,7 @@ from diagnosis.regression import Regression
 from diagnosis.stretch import Stretch
 
 FEATURES = 120
+SMOOTH, FINE = 0.35, 1.5  # of a feature's direction, over the standard deviation of what it depends on
 RIDGES = (1e2, 1e3, 1e4, 1e5)
 LINE = (0.6, 7.0)  # Hz
 SPECTRUM = 512
@@ -26,21 +27,35 @@ SPECTRUM = 512
 
 @dataclass(frozen=True)
 class Leftover:
-    """agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid frequencies.
+    """Measures of what a model leaves.
 
+    agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid frequencies.
     learnable: twice the log-likelihood that a function of the state brings on flights left out, over the number of
-    whitened residuals. line: greatest narrow-band power over its surroundings.
+    whitened residuals. line: greatest narrow-band power over its surroundings. returning: the same share as learnable,
+    of what comes back at the same places within a flight; 0 where nobody asked.
     """
 
     agreement: float
     learnable: float
     line: float
+    returning: float = 0.0
 
 
-def look(regression: Regression, rows: Sequence[Floats]) -> Leftover:
-    """What is left in residuals (m, 12) of the regression's stretches."""
-    learnable = _learnable(regression, rows) / max(regression.total, 1)
-    return Leftover(_agreement(rows, regression.rate), learnable, _line(rows, regression.rate))
+def look(regression: Regression, rows: Sequence[Floats], *, places: bool = False) -> Leftover:
+    """What is left in residuals (m, 12) of the regression's stretches.
+
+    places: whether to ask what comes back at the same places, which a gust does not.
+    """
+    total = max(regression.total, 1)
+    states = [_state(s) for s in regression.stretches]
+    learnable = _learnable(regression, _features(states, SMOOTH), rows, regression.flight_of) / total
+    returning = 0.0
+    if places:
+        spots = [_place(s) for s in regression.stretches]
+        halves = [_halves(x) for x in _features(spots, FINE)], [_halves(r) for r in rows]
+        features, parts = ([half for pair in found for half in pair] for found in halves)
+        returning = _learnable(regression, features, parts, range(len(parts))) / total
+    return Leftover(_agreement(rows, regression.rate), learnable, _line(rows, regression.rate), returning)
 
 
 def _agreement(rows: Sequence[Floats], rate: float) -> float:
@@ -61,39 +76,45 @@ def _agreement(rows: Sequence[Floats], rate: float) -> float:
     return float(np.max(np.concatenate([force, low[3:] / np.maximum(mid[3:], 1e-30)])))
 
 
-def _learnable(regression: Regression, rows: Sequence[Floats]) -> float:
-    """Gain of random Fourier features of the state, leaving one flight out, summed over channels."""
-    states = [_state(s) for s in regression.stretches]
+def _features(states: Sequence[Floats], fineness: float) -> list[Floats]:
+    """Random Fourier features of states (m, k), and the states themselves."""
     everything = np.vstack(states)
     mean, deviation = everything.mean(axis=0), everything.std(axis=0) + 1e-9
     random = np.random.default_rng(0)
-    directions = 0.35 * random.standard_normal((everything.shape[1], FEATURES))
+    directions = fineness * random.standard_normal((everything.shape[1], FEATURES))
     phase = random.uniform(0, 2 * np.pi, FEATURES)
-    features = []
-    for state in states:
-        z = (state - mean) / deviation
-        features.append(np.hstack([np.cos(z @ directions + phase), z, np.ones((len(z), 1))]))
-    noise: NoiseModel = regression.noise
+    scaled = [(state - mean) / deviation for state in states]
+    return [np.hstack([np.cos(z @ directions + phase), z, np.ones((len(z), 1))]) for z in scaled]
+
+
+def _halves(rows: Floats) -> tuple[Floats, Floats]:
+    return rows[: len(rows) // 2], rows[len(rows) // 2 :]
+
+
+def _learnable(
+    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], group_of: Sequence[int]
+) -> float:
+    """Gain of features (m, k) in residuals (m, 12), leaving one group out, summed over channels."""
     total = 0.0
-    for place, channel in enumerate(noise.active):
+    for place, channel in enumerate(regression.noise.active):
         if channel >= 9:
             continue
-        grams, products = _per_flight(regression, features, rows, place, channel)
+        grams, products = _per_group(regression.noise, features, rows, group_of, place, channel)
         total += max(0.0, *(_crossed(grams, products, ridge) for ridge in RIDGES))
     return total
 
 
-def _per_flight(
-    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], place: int, channel: int
-) -> tuple[list[Floats], list[Floats]]:
-    noise, width = regression.noise, features[0].shape[1]
-    grams = [np.zeros((width, width)) for _ in regression.flights]
-    products = [np.zeros(width) for _ in regression.flights]
-    for x, y, flight in zip(features, rows, regression.flight_of, strict=True):
+def _per_group(
+    noise: NoiseModel, features: Sequence[Floats], rows: Sequence[Floats], group_of: Sequence[int], place: int,
+    channel: int,
+) -> tuple[list[Floats], list[Floats]]:  # fmt: skip
+    width, count = features[0].shape[1], max(group_of) + 1
+    grams, products = [np.zeros((width, width)) for _ in range(count)], [np.zeros(width) for _ in range(count)]
+    for x, y, group in zip(features, rows, group_of, strict=True):
         a, level = noise.filters[place], noise.level[place]
         white_x = lfilter(a, [1.0], x, axis=0)[ORDER:] / level
-        grams[flight] += white_x.T @ white_x
-        products[flight] += white_x.T @ (lfilter(a, [1.0], y[:, channel])[ORDER:] / level)
+        grams[group] += white_x.T @ white_x
+        products[group] += white_x.T @ (lfilter(a, [1.0], y[:, channel])[ORDER:] / level)
     return grams, products
 
 
@@ -112,6 +133,11 @@ def _state(stretch: Stretch) -> Floats:
     squares = stretch.rotor_speed**2
     parts = [velocity, stretch.smooth[:, 10:13], squares, stretch.to_world[:, 2, :], stretch.smooth[:, 0:3]]
     return np.hstack(parts)[kept(len(stretch), stretch.rate)]
+
+
+def _place(stretch: Stretch) -> Floats:
+    """(m, 3) where the vehicle is."""
+    return stretch.smooth[kept(len(stretch), stretch.rate), 0:3]
 
 
 def _line(rows: Sequence[Floats], rate: float) -> float:

@@ -8,12 +8,13 @@ import numpy as np
 
 from diagnosis import channels
 from diagnosis.candidates import Candidate
-from diagnosis.evaluation import floors
+from diagnosis.evaluation import floor_norms, held_out_floor
 from diagnosis.filters import Floats
 from diagnosis.fit import Estimate, Fit
 from diagnosis.regression import Regression
 from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
-from diagnosis.selection import IMPOSSIBLE, LEAST_GAIN, Scored, Search, Selection
+from diagnosis.selection import IMPOSSIBLE, LEAST_GAIN, Scored, Search, Selection, least_gain
+from diagnosis.stretch import Stretch
 from diagnosis.unexplained import Leftover
 from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
@@ -21,10 +22,12 @@ from dynamics.vehicle import Vehicle
 CLOSE_SCORE, CLOSE_SHARE = 12.0, 0.01  # of the score, within which effects cannot be told apart
 CLOSE_BY_COMMAND = 0.15  # of what an effect brings, where the rotors' speeds are only what commands would give
 RESAMPLES = 40
+LARGEST_SET = 2  # effects that are named as not told apart; a third is as near as they are, and says no more
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
-LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 4.0, 0.01, 14.0
+LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 5.5, 0.01, 10.0
 LEFT_MISFIT = 1.5
 LEFT_SHARE = 0.03
+GUST_LEARNABLE = 0.35  # of a gust's gain that may be learned from the state at most
 
 
 def found_effects(regression: Regression, selection: Selection, result: Fit) -> tuple[FoundEffect, ...]:
@@ -43,7 +46,7 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
             if p.name not in parameters
         }
         name = candidate.effect.name
-        close = tuple(s.candidates[-1].effect.name for s in _near(search, others, rivals))[:3]
+        close = tuple(s.candidates[-1].effect.name for s in _near(search, others, rivals))[: LARGEST_SET - 1]
         share = _confidence(search, rivals)
         effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
     if selection.blows:
@@ -78,7 +81,7 @@ def _near(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored])
     margin = max(CLOSE_SCORE, CLOSE_SHARE * own.gain)
     if search.regression.stretches[0].rotor_source == "command":
         margin = max(margin, CLOSE_BY_COMMAND * (own.score - search.score(others).score))
-    return [s for s in rivals[1:] if s.score > LEAST_GAIN and s.score > own.score - margin]
+    return [s for s in rivals[1:] if s.score > least_gain(s.candidates) and s.score > own.score - margin]
 
 
 def _confidence(search: Search, rivals: Sequence[Scored]) -> float:
@@ -92,14 +95,20 @@ def _confidence(search: Search, rivals: Sequence[Scored]) -> float:
     return wins / RESAMPLES
 
 
-def judge(effects: Sequence[FoundEffect], left: Leftover, at_first: Leftover, misfits: tuple[float, float]) -> Verdict:
-    """The verdict: whether something is left that no effect explains comes before what was found."""
+def judge(
+    effects: Sequence[FoundEffect], left: Leftover, at_first: Leftover, misfits: tuple[float, float], gust_share: float
+) -> Verdict:
+    """The verdict: whether something is left that no effect explains comes before what was found.
+
+    misfits: of a typical held-out window, before and after. gust_share: gain of a gust over the number of whitened
+    residuals. What a gust leaves is no surprise, unless it can be learned from the state or comes back in its place.
+    """
+    gusty = any(effect.name == "gust" for effect in effects)
+    regular = max(left.learnable, left.returning) > GUST_LEARNABLE * gust_share
     agrees = left.agreement > max(LEFT_AGREEMENT, LEFT_SHARE * at_first.agreement)
     learnable = left.learnable > max(LEFT_LEARNABLE, LEFT_SHARE * at_first.learnable)
-    line = left.line > LEFT_LINE
     misfitting = misfits[1] > max(LEFT_MISFIT, LEFT_SHARE * misfits[0])
-    gusty = any(effect.name == "gust" for effect in effects)
-    if (agrees and not gusty) or learnable or line or (misfitting and not gusty):
+    if left.line > LEFT_LINE or (regular if gusty else agrees or learnable or misfitting):
         return "unknown"
     if not effects:
         return "explained"
@@ -150,10 +159,14 @@ def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
 
 
 def channel_errors(
-    before: Sequence[Floats], after: Sequence[Floats], regression: Regression
+    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, held_out: Sequence[Stretch] = ()
 ) -> dict[str, ChannelError]:
-    """Error of each kind that there is, before and after, over its floor."""
-    was, now, floor = channels.norms(before), channels.norms(after), floors(regression.noise)
+    """Error of each kind that there is, before and after, over its floor.
+
+    held_out: the stretches of before and after, whose floor is theirs; without them it is that of the fitted flights.
+    """
+    level = held_out_floor(regression, held_out, after) if held_out else regression.noise.floor
+    was, now, floor = channels.norms(before), channels.norms(after), floor_norms(level)
     return {
         kind: ChannelError(was[kind], now[kind], floor[kind], channels.UNITS[kind])
         for kind in channels.KINDS
