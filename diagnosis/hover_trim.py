@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from diagnosis.filters import Floats, low_pass
+from diagnosis.filters import Floats, difference, low_pass
 from diagnosis.report import FoundEffect, ParameterValue, Verdict
 from diagnosis.rotor_input import QUANTITIES
 from dynamics.errors import DataError, RequestError
@@ -168,13 +168,21 @@ def _rate(flight: Flight, quantity: str) -> bool:
 def _hovering(flight: Flight) -> NDArray[np.bool_]:
     """(n,) rows of free flight in which the vehicle stands still in the air, in spells that last."""
     rows = flight.usable() & ~excluded_rows(flight, find_exclusions(flight))
-    for quantity, most in (("velocity", HOVER_SPEED), ("rate", HOVER_RATE)):
-        if flight.has(quantity):
-            values = np.nan_to_num(flight[quantity])
-            smooth = low_pass(values, flight.rate, 2.0, 2) if flight.rate > 5.0 and len(flight) > 30 else values
-            rows &= np.linalg.norm(smooth, axis=1) < most
+    if flight.has("velocity"):
+        rows &= _smooth_norm(flight["velocity"], flight.rate) < HOVER_SPEED
+    elif flight.has("position"):
+        rows &= _smooth_norm(difference(np.nan_to_num(flight["position"]), flight.rate), flight.rate) < HOVER_SPEED
+    if flight.has("rate"):
+        rows &= _smooth_norm(flight["rate"], flight.rate) < HOVER_RATE
     least = max(1, round(LEAST_SPELL * flight.rate))
     return np.asarray(ndimage.binary_opening(rows, structure=np.ones(least)))
+
+
+def _smooth_norm(values: Floats, rate: float) -> Floats:
+    """(n,) length of what varies below 1 Hz, so that noise is no motion. values: (n, 3)."""
+    known = np.nan_to_num(values)
+    smooth = low_pass(known, rate, 1.0, 2) if rate > SLOWEST_ROTORS and len(known) > rate else known
+    return np.asarray(np.linalg.norm(smooth, axis=1))
 
 
 def _spread(shares: Floats) -> tuple[float, float]:
