@@ -60,7 +60,7 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
     after = residuals(result.vehicle, catalogue, dataset.held_out, regression.noise)
     left = residuals(result.vehicle, catalogue, dataset.fitted, regression.noise)
     leftover = look(regression, left, places=selection.blows)
-    at_first = look(regression, regression.left_over([]))
+    at_first = look(regression, regression.left_over([])) if result.candidates else leftover
     misfits = misfit(before, regression.noise), misfit(after, regression.noise)
     typical = [typical_misfit(rows, regression.noise, regression.rate) for rows in (before, after)]
     effects = found_effects(regression, selection, result)

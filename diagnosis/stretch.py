@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnosis.filters import CUTOFF, Floats, difference, low_pass
+from diagnosis.filters import Floats, difference, low_pass
 from diagnosis.rotor_input import SLOWEST, RotorSource, rotor_speeds
 from dynamics import quaternion
 from dynamics.errors import DataError
@@ -19,6 +19,7 @@ from flights.exclusion import excluded_rows, find_exclusions
 FASTEST = 500.0  # Hz
 SHORTEST = 3.0  # s
 FULL_CELL = 4.2  # V
+VOLTAGE_CUTOFF = 4.0  # Hz: voltage falls with every manoeuvre, and its noise would stand in the thrust
 MARGIN = 0.5  # s left out around ground and contact
 CONTACT = 60.0  # m/s^2 of specific force that only a crash or a landing has
 
@@ -192,7 +193,7 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
 
 
 def _battery_ratio(part: Flight) -> Floats | None:
-    """Voltage over that of as many full cells as the highest voltage needs, smoothed over a second."""
+    """Voltage over that of as many full cells as the highest voltage needs, smoothed."""
     if not part.has("battery_voltage"):
         return None
     volts = part["battery_voltage"].reshape(-1)
@@ -200,4 +201,4 @@ def _battery_ratio(part: Flight) -> Floats | None:
     if not known.all() or volts.max() < 2.5:
         return None
     cells = math.ceil(float(np.quantile(volts, 0.99)) / (FULL_CELL + 0.2))
-    return np.asarray(low_pass(volts, part.rate, min(1.0, CUTOFF), 2)) / (cells * FULL_CELL)
+    return np.asarray(low_pass(volts, part.rate, VOLTAGE_CUTOFF, 2)) / (cells * FULL_CELL)
