@@ -13,7 +13,7 @@ from diagnosis.command_curve import fit_command_curve
 from diagnosis.stretch import FASTEST, Stretch, stretches
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
-from flights import Flight
+from flights import Flight, read_log
 
 HELD_OUT_SHARE = 0.2
 LEAST_FLIGHTS = 4  # that leaving one out needs; fewer are cut into parts
@@ -72,6 +72,7 @@ def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str |
     if empty:
         notes.append(f"left out, for there are no 3 s of uninterrupted flight in them: {', '.join(empty)}")
     flown = [(f, p) for f, p in zip(flights, parts, strict=True) if p]
+    _require_one_source([p for _, p in flown])
     notes += _missing(flights[0])
     held = _held_out([Path(f.provenance.path).name for f, _ in flown], hold_out)
     if len(flown) == 1:
@@ -94,8 +95,9 @@ def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str |
 
 
 def _read(path: str | Path, mapping: str | Path | None) -> Flight:
-    flight = Flight.read(path, mapping=mapping)
-    return Flight.read(path, mapping=mapping, rate=RESAMPLED) if flight.rate > FASTEST else flight
+    log = read_log(path, mapping=mapping)
+    flight = Flight.from_log(log)
+    return Flight.from_log(log, rate=RESAMPLED) if flight.rate > FASTEST else flight
 
 
 def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:
@@ -110,6 +112,20 @@ def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:
     if copies and len(seen) == 1 and len(flights) > 1:
         raise DataError(f"all {len(flights)} flights are one and the same. Give different flights, or this one alone.")
     return list(seen.values()), [f"left out as copies of another flight: {', '.join(copies)}"] if copies else []
+
+
+def _require_one_source(parts: Sequence[Sequence[Stretch]]) -> None:
+    """Raise DataError when some flights know the rotors' speeds and others what was commanded."""
+    by_source: dict[str, list[str]] = {}
+    for stretches_of_one in parts:
+        first = stretches_of_one[0]
+        by_source.setdefault(first.rotor_source.replace("_", " "), []).append(Path(first.flight).name)
+    if len(by_source) > 1:
+        told = "; ".join(f"{source}: {', '.join(names[:3])}" for source, names in by_source.items())
+        raise DataError(
+            f"the logs know different things of their rotors ({told}). Give logs of one kind, or leave the columns "
+            "rotor_speed out of those that have them."
+        )
 
 
 def _missing(flight: Flight) -> list[str]:

@@ -101,6 +101,12 @@ def test_motors_at_10_hz_are_refused_with_the_profile_to_set(plain_flights, arpl
         make_dataset([slow(flight) for flight in plain_flights], arpl_250g)
 
 
+def test_measured_and_commanded_rotors_are_not_mixed(plain_flights, arpl_250g):
+    commanded = with_columns(plain_flights[1], {f"rotor_speed_{i}": None for i in range(4)})
+    with pytest.raises(DataError, match=r"measured: flight_0.csv; command: flight_1.csv"):
+        make_dataset([plain_flights[0], commanded], arpl_250g)
+
+
 def test_what_a_log_lacks_is_noted(plain_flights, arpl_250g):
     bare = {f"{kind}_{a}": None for kind in ("specific_force", "rate") for a in "xyz"}
     notes = make_dataset([with_columns(flight, bare) for flight in plain_flights], arpl_250g).notes
