@@ -18,6 +18,7 @@ from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
+from runtime.bundle import MANIFEST, ONNX, Bundle, read_bundle
 from runtime.connection import parse_endpoint
 from runtime.daemon import FlightRequest
 from runtime.flyer import FlyerSettings
@@ -55,6 +56,7 @@ class PreparedFlight(msgspec.Struct, frozen=True):
     request: FlightRequest
     vehicle: Vehicle
     reference: Reference
+    bundle: Bundle | None = None
 
 
 def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> PreparedFlight:
@@ -64,12 +66,15 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
     """
     endpoint = parse_endpoint(setup.link)
     text = vehicle_text(setup.vehicle, setup.bundle)
+    bundle = exported_bundle(setup.bundle)
     vehicle = parse_vehicle(text)
     trim = find_trim(build_model(vehicle)).vehicle
     reference = named_reference(setup.reference, trim, duration=setup.duration)
     if not flown_before:
         check_feasibility(reference, trim).require()
     attachments = {VEHICLE_TEXT: text}
+    if bundle is not None:
+        attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
     if Path(setup.reference).is_file():
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
     request = FlightRequest(
@@ -85,18 +90,20 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         metadata=_metadata(setup, attachments),
         attachments=attachments,
     )
-    return PreparedFlight(request, vehicle, reference)
+    return PreparedFlight(request, vehicle, reference, bundle)
+
+
+def exported_bundle(folder: Path | None) -> Bundle | None:
+    """A bundle of `alula export`, None for a folder with a vehicle file alone. Raises RequestError for a bad one."""
+    if folder is None or not any((folder / name).exists() for name in (MANIFEST, ONNX)):
+        return None
+    return read_bundle(folder)
 
 
 def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
     """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
     if (vehicle is None) == (bundle is None):
         raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
-    if bundle is not None and (bundle / "model.onnx").exists():
-        raise RequestError(
-            f"{bundle} holds a learned model, which this version cannot fly yet. Fly its physics alone with "
-            f"--vehicle {bundle / VEHICLE_TEXT}."
-        )
     path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
     try:
         return path.read_text(encoding="utf-8")
@@ -104,8 +111,13 @@ def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
         raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from None
 
 
-def recorded_flight(recording: Recording, vehicle: str | None, bundle: Path | None) -> tuple[Vehicle, Reference]:
-    """Vehicle (another one if given) and reference of a recording. Raises DataError when it does not tell them."""
+def recorded_flight(
+    recording: Recording, vehicle: str | None, bundle: Path | None
+) -> tuple[Vehicle, Reference, Bundle | None]:
+    """Vehicle (another one if given), reference and bundle of a recording.
+
+    Raises DataError when it does not tell them, or was flown by a bundle and neither that nor a vehicle is given.
+    """
     if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
         raise DataError(f"{recording.path} tells neither vehicle nor reference: it was not written by `alula fly`.")
     given = vehicle is not None or bundle is not None
@@ -120,7 +132,12 @@ def recorded_flight(recording: Recording, vehicle: str | None, bundle: Path | No
             path = Path(folder) / REFERENCE_TEXT
             path.write_text(table, encoding="utf-8")
             reference = named_reference(str(path), trim, duration=duration)
-    return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference
+    if not given and MANIFEST in recording.attachments:
+        raise DataError(
+            f"{recording.path} was flown by an exported model: give its bundle with --bundle, or fly it with the "
+            "physics of a vehicle file with --vehicle."
+        )
+    return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference, exported_bundle(bundle)
 
 
 def _table_text(path: Path) -> str:

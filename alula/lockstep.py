@@ -54,11 +54,11 @@ class FlownReference:
 
 def fly_reference(
     vehicle: Vehicle, reference: Reference, *, effects: Sequence[EffectUse] = (), options: VehicleOptions | None = None,
-    seed: int = 0, name: str = "", controller: Controller | None = None,
+    seed: int = 0, name: str = "", controller: Controller | None = None, nominal: Controller | None = None,
 ) -> FlownReference:  # fmt: skip
     """Fly a reference from its start to its end. effects: hidden from the controller. options: the vehicle's sensors.
 
-    controller: None for one of the vehicle file alone.
+    controller: None for one of the vehicle file alone. nominal: to fall back to from a learned model's.
 
     Raises VehicleError when the vehicle does not even reach the reference's start.
     """
@@ -71,7 +71,7 @@ def fly_reference(
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
     settings = FlyerSettings(period=PERIOD, engagement=Settings(resume=True))
-    flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings)
+    flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     return FlownReference(_log(rows, name), _truth(rows, name), aborted)
 

@@ -15,7 +15,7 @@ from pathlib import Path
 import msgspec
 
 from dynamics.errors import RequestError
-from dynamics.model import RIGID_BODY_STATES
+from dynamics.model import RIGID_BODY_STATES, build_model
 from export.c_files import c_files, compiled
 from export.kernel import KernelRecipe, build_kernel, kernel_recipe
 from export.network import Floats
@@ -24,7 +24,7 @@ from export.parity import Backends, Parity, prove
 from export.symbolic import column_names, column_units, jacobian_function, model_function
 from export.trained import SPEED_UNIT, ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.bundle import KERNEL, MANIFEST, ONNX, VEHICLE, InputRange, Manifest
+from runtime.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest
 from runtime.rti.problem import Problem
 from runtime.rti.processor import Processor
 from runtime.rti.solver import RtiSolver, solver_recipe
@@ -73,6 +73,8 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
     try:
         _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
+        if model.network is not None:
+            shutil.copyfile(build_kernel(_physics_recipe(model, options)), part / PHYSICS)
         manifest = _manifest(model, options, part, proto)
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
         part.chmod(0o755)
@@ -93,6 +95,12 @@ def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: str)
         model.network, model.flight_model, options.problem, options.processor,
         "float" if precision == "float" else "double", mean=model.mean,
     )  # fmt: skip
+
+
+def _physics_recipe(model: ExportedModel, options: ExportOptions) -> KernelRecipe:
+    """The solver of the vehicle file's model with its effects."""
+    sources, flags = solver_recipe(build_model(model.vehicle), options.problem, options.processor)
+    return KernelRecipe(sources, flags, "rti.c")
 
 
 def _prove(model: ExportedModel, options: ExportOptions, proto: bytes, texts: dict[str, str], kernel: Path) -> Parity:

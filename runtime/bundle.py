@@ -25,6 +25,7 @@ from runtime.rti.processor import PROCESSORS
 
 FORMAT, VERSION = "alula bundle", 1
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
+PHYSICS = "physics.so"  # the solver of the vehicle file's model, which a learned one falls back to
 
 
 class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -87,6 +88,11 @@ class Bundle:
         return self.folder / KERNEL
 
     @property
+    def physics(self) -> Path:
+        """The compiled solver of the vehicle file's model beside a learned one."""
+        return self.folder / PHYSICS
+
+    @property
     def range_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Least and greatest inputs (k,) of training."""
         ranges = self.manifest.ranges
@@ -102,7 +108,7 @@ def read_bundle(folder: Path) -> Bundle:
                 f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
                 "is proven about it; export the model again."
             )
-    for needed in (VEHICLE, KERNEL):
+    for needed in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
         if needed not in manifest.files:
             raise RequestError(f"{folder / MANIFEST} lists no {needed}: it was edited. Export the model again.")
     _require_machine(folder, manifest)

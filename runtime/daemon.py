@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
+from runtime.bundle import Bundle
 from runtime.commands import Confirmation, request_rates, set_armed, set_mode
 from runtime.connection import Endpoint
 from runtime.control import ControlThread, News, Orders
@@ -102,8 +103,12 @@ class FlightReport(msgspec.Struct, frozen=True):
 class Daemon:
     """One flight, from finding the vehicle to leaving it."""
 
-    def __init__(self, request: FlightRequest, vehicle: Vehicle, reference: Motion, announce: Announce) -> None:
-        """announce: takes one line of news, called from the thread that calls `fly`."""
+    def __init__(
+        self, request: FlightRequest, vehicle: Vehicle, reference: Motion, announce: Announce, *,
+        bundle: Bundle | None = None,
+    ) -> None:  # fmt: skip
+        """announce: takes one line of news, called from the thread that calls `fly`. bundle: of the model to fly."""
+        self._bundle = bundle
         self._request, self._vehicle, self._reference = request, vehicle, reference
         self._announce = announce
         self._began = time.monotonic()
@@ -137,12 +142,14 @@ class Daemon:
             taps = Taps(frame=watch.frame, reset=watch.reset, reaction=watch.reaction, event=watch.event)
             settings = LinkSettings(target_system=request.system, priority=request.priority)
             link = stack.enter_context(Link(request.endpoint, settings, taps))
-            controller = Controller.build(self._vehicle, self._controller_options())  # while the link listens
-            self._rehearse(controller)
+            controller, nominal = self._controllers()  # while the link listens
+            for each in (controller, nominal):
+                if each is not None:
+                    self._rehearse(each)
             status = link.wait_for_vehicle(request.timeout)
             self._greet(status)
             stack.callback(realtime.lower_thread)
-            control = self._start(link, controller)
+            control = self._start(link, controller, nominal)
             stack.callback(self._stop, control)
             self._serve(link, control)
             return self._report(link, control)
@@ -165,6 +172,13 @@ class Daemon:
                 f"The autopilot is {status.autopilot}; only PX4's modes and OFFBOARD rules are known here. "
                 "Nothing was sent."
             )
+
+    def _controllers(self) -> tuple[Controller, Controller | None]:
+        """The controller that flies, and beside a learned one that of the physical model."""
+        options = self._controller_options()
+        if self._bundle is None:
+            return Controller.build(self._vehicle, options), None
+        return Controller.of_bundle(self._bundle, options), Controller.beside(self._bundle, options)
 
     def _rehearse(self, controller: Controller) -> None:
         """Fly some ticks on paper: what a process does for the first time takes tens of milliseconds."""
@@ -196,7 +210,7 @@ class Daemon:
     def _settings(self) -> FlyerSettings:
         return msgspec.structs.replace(self._request.settings, period=1.0 / self._request.rate)
 
-    def _start(self, link: Link, controller: Controller) -> ControlThread:
+    def _start(self, link: Link, controller: Controller, nominal: Controller | None) -> ControlThread:
         request = self._request
         realtime.prepare_interpreter()
         if request.priority is not None:
@@ -207,7 +221,7 @@ class Daemon:
         request_rates(link, asked)
         thrust_map = self._thrust_map(link, controller.trim)
         mission = Mission(controller.trim, self._reference, request.plan)
-        self._flyer = Flyer(controller.trim, controller, mission, thrust_map, self._settings())
+        self._flyer = Flyer(controller.trim, controller, mission, thrust_map, self._settings(), nominal=nominal)
         self._check_place(link)
         self._orders.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(

@@ -52,6 +52,8 @@ class Event(Enum):
     GEOFENCE = "geofence"
     GEOFENCE_LEFT = "geofence_left"
     MODEL_UNHEALTHY = "model_unhealthy"
+    MODEL_OUTSIDE = "model_outside"
+    MODEL_WAITING = "model_waiting"
     RATES_LOW = "rates_low"
     BATTERY_LOW = "battery_low"
     RECORDER_OVERRUN = "recorder_overrun"
@@ -115,6 +117,12 @@ POLICIES: Mapping[Event, Policy] = {
     ),
     Event.MODEL_UNHEALTHY: Policy(
         "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
+    ),
+    Event.MODEL_OUTSIDE: Policy(
+        "outside of what the learned model was trained on", Severity.WARNING, Fallback.NOMINAL_MODEL, clear_after=0.5
+    ),
+    Event.MODEL_WAITING: Policy(
+        "the learned model waits for its history", Severity.NOTICE, Fallback.NOMINAL_MODEL, clear_after=0.0
     ),
     Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),

@@ -84,6 +84,7 @@ class Flyer:
         self._controller = controller
         self._nominal = nominal
         self._nominal_ready = False
+        self._flies = controller
         self._map = thrust_map
         self._rate_limit = vehicle.limits.rate
         self._thrust_limit = vehicle.thrust_limits[1]
@@ -151,19 +152,34 @@ class Flyer:
         window = self._window(self._controller, time)
         if time - self._solved > STALE_SOLUTION:
             self._controller.reset(self._state, time)
+        if self._estimate is not None and self._nominal is not None and self._flies is self._nominal:
+            self._controller.follow(self._nominal, self._estimate.state, self._estimate.time, time)
+        self._judge_model(time)
         self._controller.prepare(*window)
         self._prepared = True
         self._prepare_nominal(window, time)
 
     def _prepare_nominal(self, window: tuple[Array, Array], time: float) -> None:
-        """Keep the nominal controller ready while something is wrong; it costs nothing while all is well."""
-        if self._nominal is None or self.events.fallback is Fallback.NONE:
+        """Keep the nominal controller ready beside a learned one, and while something is wrong."""
+        if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
             return
         if not self._nominal_ready and self._state is not None:
             self._nominal.reset(self._state, time)
+        if self._estimate is not None and self._flies is not self._nominal:
+            self._nominal.follow(self._controller, self._estimate.state, self._estimate.time, time)
         self._nominal.prepare(*window)
         self._nominal_ready = True
+
+    def _judge_model(self, time: float) -> None:
+        """Whether a learned model may be believed at the next tick."""
+        waiting, outside, unfit = self._controller.distrust(time)
+        if waiting:
+            self._found[Event.MODEL_WAITING] = waiting
+        if outside:
+            self._found[Event.MODEL_OUTSIDE] = outside
+        if unfit:
+            self._found[Event.MODEL_UNHEALTHY] = unfit
 
     def reference_now(self, time: float) -> Array | None:
         """The state (13,) that is asked for at a time, None when nothing is tracked."""
@@ -363,7 +379,7 @@ class Flyer:
             what = f"status {command.status}" if finite else "a solution that is not finite"
             self._found[Event.SOLVER_FAILED] = what
             return None
-        self._solution = (time, command, controller)
+        self._solution, self._flies = (time, command, controller), controller
         self._solved = time
         return command.rate_body, command.collective_thrust
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
+from runtime.bundle import Bundle
 from runtime.controller import Controller, ControllerOptions
 from runtime.estimate import Estimate
 from runtime.flyer import Decision, Flyer, FlyerSettings
@@ -44,9 +45,12 @@ class ReplayReport(msgspec.Struct, frozen=True):
         return self.compared == self.identical and not self.unmatched and self.states_agree
 
 
-def replay(recording: Recording, vehicle: Vehicle, reference: Motion) -> ReplayReport:
-    """Fly a recording's estimates and observations again. Raises DataError when it does not hold what that needs."""
-    flyer = _flyer(recording, vehicle, reference)
+def replay(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None) -> ReplayReport:
+    """Fly a recording's estimates and observations again. Raises DataError when it does not hold what that needs.
+
+    bundle: of the model to fly, instead of the vehicle's own.
+    """
+    flyer = _flyer(recording, vehicle, reference, bundle)
     estimates = {record.arrival: _estimate(record) for record in recording.records(EstimateRecord)}
     observations: list[ObservationRecord] = recording.records(ObservationRecord)
     if not observations:
@@ -62,7 +66,7 @@ def replay(recording: Recording, vehicle: Vehicle, reference: Motion) -> ReplayR
     return _compare(recording, decisions, lost)
 
 
-def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion) -> Flyer:
+def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None) -> Flyer:
     metadata = recording.metadata
     missing = [name for name in NEEDED if name not in metadata]
     if missing:
@@ -71,10 +75,11 @@ def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion) -> Flyer:
     settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
     options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
-    controller = Controller.build(vehicle, options)
+    controller = Controller.build(vehicle, options) if bundle is None else Controller.of_bundle(bundle, options)
+    nominal = None if bundle is None else Controller.beside(bundle, options)
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
-    return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings)
+    return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings, nominal=nominal)
 
 
 def _estimate(record: EstimateRecord) -> Estimate:

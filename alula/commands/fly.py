@@ -59,7 +59,10 @@ def fly(
     )  # fmt: skip
     console = Console(stderr=as_json)
     flight = prepare_flight(setup)
-    daemon = Daemon(flight.request, flight.vehicle, flight.reference, lambda text: console.print(text, markup=False))
+    daemon = Daemon(
+        flight.request, flight.vehicle, flight.reference, lambda text: console.print(text, markup=False),
+        bundle=flight.bundle,
+    )  # fmt: skip
     with _interrupts(daemon.interrupt):
         report = daemon.fly()
     if as_json:

@@ -15,8 +15,13 @@ from training.networks import build_network
 from training.recipe import FAST
 
 
-def untrained_model(config: ModelConfig, vehicle: Vehicle, *, seed: int = 0, members: int = 1) -> TrainedModel:
-    """A model whose scaling and ranges are those of brisk flight; batch norms have seen something."""
+def untrained_model(
+    config: ModelConfig, vehicle: Vehicle, *, seed: int = 0, members: int = 1, gain: float = 1.0
+) -> TrainedModel:
+    """A model whose scaling and ranges are those of brisk flight; batch norms have seen something.
+
+    gain: factor on what the network says.
+    """
     networks = []
     for member in range(members if config.network != "none" else 0):
         torch.manual_seed(seed + member)
@@ -37,6 +42,7 @@ def untrained_model(config: ModelConfig, vehicle: Vehicle, *, seed: int = 0, mem
     scale = np.array([2.0] * 3 + [10.0] * 3)
     if config.outputs == "wrench":
         scale = scale * np.array([*[vehicle.body.mass] * 3, *vehicle.body.inertia])
+    scale = gain * scale
     output_mean = np.array([0.0, 0.0, 9.81 if config.outputs == "body" else 0.0, 0.0, 0.0, 0.0])
     text = vehicle_toml(vehicle)
     card = Card(

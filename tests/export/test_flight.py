@@ -1,0 +1,126 @@
+"""An exported model flies: through its kernel, back to physics where it does not know, and bit for bit again."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from alula.flight_setup import FlightSetup, prepare_flight
+from dynamics.errors import RequestError
+from dynamics.references import named_reference
+from dynamics.vehicle import Limits, Vehicle
+from export.bundle import ExportOptions, export_bundle
+from export.trained import exported
+from runtime.bundle import Bundle, read_bundle
+from runtime.controller import Controller
+from runtime.events import Event
+from runtime.mission import Phase
+from runtime.rti.problem import Problem
+from runtime.rti.processor import native_processor
+from runtime.state import State
+from tests.support.rate_controlled_vehicle import PERIOD, Flight
+from tests.support.trained import replaced, untrained_model
+from training.models import KINDS
+
+
+@pytest.fixture(scope="module")
+def bundle(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Bundle:
+    """A residual on the textbook model that says almost nothing, so that it flies without training."""
+    vehicle = msgspec.structs.replace(arpl_250g, limits=Limits(rate=(12.0, 12.0, 6.0)))
+    config = replaced(KINDS["res_tcn"].config, channels=8, hidden=(16,))
+    model = exported(untrained_model(config, vehicle, gain=0.002))
+    folder = tmp_path_factory.mktemp("bundle") / "b"
+    return read_bundle(export_bundle(model, folder, ExportOptions(Problem(), native_processor(), windows=20)).folder)
+
+
+def flight_of(bundle: Bundle) -> Flight:
+    controller, nominal = Controller.of_bundle(bundle), Controller.beside(bundle)
+    reference = named_reference("circle:laps=2,speed=0.8", controller.trim)
+    return Flight(controller.trim, controller, reference, nominal=nominal)
+
+
+def test_it_takes_off_on_physics_until_its_history_is_filled_and_tracks_on_its_own(bundle: Bundle) -> None:
+    flight = flight_of(bundle)
+    story = flight.run(40.0)
+    waited = [change for change in story.changes if change.event is Event.MODEL_WAITING]
+    assert [change.active for change in waited[:2]] == [True, False]
+    assert 0.15 < waited[1].time - waited[0].time < 0.4  # 18 columns of 10 ms
+    assert story.phases[-1] is Phase.SHUTDOWN
+    assert max(story.errors) < 0.3
+    assert Event.MODEL_UNHEALTHY not in story.raised
+
+
+def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(bundle: Bundle) -> None:
+    flight = flight_of(bundle)
+    flight.run(30.0, until=Phase.TRACK)
+    flight.run(0.5)
+    flight.findings = {Event.MODEL_OUTSIDE.value: "rate_x is 12"}
+    flight.run(0.5)
+    assert flight.flyer.engagement.state is State.FALLBACK
+    flight.findings = {}
+    flight.run(1.0)
+    assert flight.flyer.engagement.state is State.ENGAGED
+    sent = np.array([decision.rate_body for decision in flight.story.decisions[-210:]])
+    thrust = np.array([decision.newtons for decision in flight.story.decisions[-210:]])
+    assert np.abs(np.diff(sent, axis=0)).max() < 0.2  # rad/s from one tick to the next
+    assert np.abs(np.diff(thrust)).max() < 0.05 * bundle.vehicle.weight
+
+
+def test_a_state_outside_of_the_training_range_is_noticed(bundle: Bundle) -> None:
+    controller = Controller.of_bundle(bundle)
+    state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+    controller.reset(state, 0.0)
+    controller.compensate(state, 0.01, 0.01)
+    assert controller.distrust(0.01)[1] == ""
+    state[10] = 30.0
+    controller.compensate(state, 0.02, 0.02)
+    assert "rate_x is 30, trained on" in controller.distrust(0.02)[1]
+
+
+def test_a_vehicle_that_does_otherwise_than_predicted_is_noticed(bundle: Bundle) -> None:
+    controller = Controller.of_bundle(bundle)
+    state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+    controller.reset(state, 0.0)
+    for tick in range(100):
+        now = tick * PERIOD
+        controller.compensate(state, now, now + 0.02)
+        state = state.copy()
+        state[3] += 0.2 * PERIOD  # a breeze, less than estimates resolve
+    assert controller.distrust(1.0)[2] == ""
+    for tick in range(100, 200):
+        now = tick * PERIOD
+        controller.compensate(state, now, now + 0.02)
+        state = state.copy()
+        state[3] += 8.0 * PERIOD
+    assert "times the training error" in controller.distrust(2.0)[2]
+
+
+def test_delay_is_made_up_for_by_the_model_itself(bundle: Bundle) -> None:
+    """A truth that the kernel itself flies is recovered from estimates 30 ms old."""
+    options = msgspec.structs.replace(Controller.of_bundle(bundle).options, delay=0.0)
+    controller, truth_of = Controller.of_bundle(bundle, options), Controller.of_bundle(bundle, options)
+    state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+    controller.reset(state, 0.0)
+    truth_of.reset(state, 0.0)
+    rng, past = np.random.default_rng(0), [state]
+    columns = [np.concatenate([state, [bundle.vehicle.hover_speed] * 4])] * 30
+    for tick in range(60):
+        now = tick * PERIOD
+        found = controller.compensate(past[-1 - min(3, tick)], now - PERIOD * min(3, tick), now)
+        np.testing.assert_allclose(found, past[-1], atol=1e-6)
+        speed = bundle.vehicle.hover_speed * (1 + 0.05 * rng.normal(size=4))
+        controller.solver.inputs[0] = speed
+        controller._acted(found, now, speed)
+        columns.append(np.concatenate([past[-1], speed]))
+        truth_of.solver.history[:] = columns[-1 - len(truth_of.solver.history) : -1]
+        past.append(truth_of.solver.propagate(past[-1], speed, PERIOD).copy())
+
+
+def test_a_learned_bundle_is_checked_before_anything_is_sent(bundle: Bundle, tmp_path: Path) -> None:
+    setup = FlightSetup(link="udpin:127.0.0.1:14999", reference="circle", bundle=bundle.folder)
+    assert prepare_flight(setup).bundle is not None
+    (tmp_path / "model.onnx").write_bytes(b"")
+    (tmp_path / "vehicle.toml").write_text(bundle.vehicle_text)
+    with pytest.raises(RequestError, match="is no bundle"):
+        prepare_flight(msgspec.structs.replace(setup, bundle=tmp_path))
