@@ -154,9 +154,10 @@ def _table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
+    """The demo's page, or where nothing was flown again the page of the diagnosis that found nothing."""
     from studio.flown import FlownComparison
     from studio.page import Origin
-    from studio.report import demo_page
+    from studio.report import demo_page, diagnosis_page
 
     flown = [
         FlownComparison(before.name, _flown_track(before), _flown_track(after))
@@ -169,7 +170,11 @@ def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
         made=datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds"),
         inputs=learning.dataset.hashes,
     )
-    page = demo_page(flown, learning.completion.first, learning.dataset, origin=origin, hidden=report.hidden_effects)
+    first, dataset = learning.completion.first, learning.dataset
+    if flown:
+        page = demo_page(flown, first, dataset, origin=origin, hidden=report.hidden_effects)
+    else:
+        page = diagnosis_page(first, dataset, learning.completion.vehicle, origin=origin)
     path.write_text(page, encoding="utf-8")
 
 

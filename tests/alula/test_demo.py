@@ -130,7 +130,8 @@ def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_pa
     assert report.learned.vehicle_file == ""
     assert not list(tmp_path.glob("*.toml"))
     assert "nothing was flown again" in closing_lines(report)[-1]
-    assert write_report(report, tmp_path, learning).files
+    files = {Path(name).name for name in write_report(report, tmp_path, learning).files}
+    assert files == {"tracking.csv", "tracking.png", "report.html", "report.md", "report.json"}
 
 
 def test_without_the_desks_libraries_the_first_half_says_what_to_install(
