@@ -78,7 +78,7 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
         (f"{item.key}.{parameter.name}", parameter, item)
         for item in model.model.effects
         for parameter in item.effect.parameters
-        if not item.effect.measurement and not _is_random(item.effect.name)
+        if not item.effect.measurement and not is_random(item.effect.name)
     ]
     scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in found]
     return _Problem(
@@ -87,7 +87,7 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
     )  # fmt: skip
 
 
-def _is_random(name: str) -> bool:
+def is_random(name: str) -> bool:
     """Whether an effect's hidden state is noise, of which a model of the mean knows nothing."""
     return name == "gust"
 

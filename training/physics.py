@@ -44,10 +44,9 @@ class RowModel:
     ) -> None:
         used = [use for use in effects if motors == "command" or CATALOGUE[use.name].rotor_speed is None]
         self.model = build_model(vehicle, effects=used)
-        function = _row(self.model, dt, label)
+        function = row_function(self.model, dt, label)
         # the carried state is only handed from row to row within one call
         self._code = compile_functions([function.mapaccum("rows", BLOCK)])["rows"]
-        self._carried = function.size1_in(0)
 
     def __call__(self, state: Floats, rotor_speed: Floats, *, parameters: Floats | None = None) -> Rows:
         """Consecutive rows of one flight. state: (n, 13). rotor_speed: (n, rotors) rad/s, held until the next row.
@@ -57,7 +56,7 @@ class RowModel:
         p = self.model.parameter_values if parameters is None else parameters
         inputs, outputs = self._code.inputs, self._code.outputs
         inputs["p"][:] = np.tile(p, BLOCK)
-        inputs["carried"][:] = self._initial(rotor_speed[0])
+        inputs["carried"][:] = initial_hidden(self.model, rotor_speed[:1])[0]
         body, following = np.empty((len(state), 6)), np.empty((len(state), RIGID_BODY_STATES))
         for start in range(0, len(state), BLOCK):
             stop = min(start + BLOCK, len(state))
@@ -69,15 +68,16 @@ class RowModel:
             inputs["carried"][:] = outputs["carried_on"].reshape(BLOCK, -1)[-1]
         return Rows(body, following)
 
-    def _initial(self, rotor_speed: Floats) -> Floats:
-        """Hidden states of hover, but rotors as fast as they are told at the start."""
-        carried = np.zeros(self._carried)
-        carried[: self.model.hidden_count] = self.model.hidden_initial
-        for item in self.model.effects:
-            if "rotor_speed" in item.hidden:
-                place = item.hidden["rotor_speed"]
-                carried[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = rotor_speed
-        return carried
+
+def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:
+    """(m, hidden + 1) hidden states of hover, but rotors as fast as they are told at the start: (m, rotors) rad/s."""
+    carried = np.zeros((len(rotor_speed), model.hidden_count + 1))
+    carried[:, : model.hidden_count] = model.hidden_initial
+    for item in model.effects:
+        if "rotor_speed" in item.hidden:
+            place = item.hidden["rotor_speed"]
+            carried[:, place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = rotor_speed
+    return carried
 
 
 def textbook(vehicle: Vehicle, *, dt: float, label: Label) -> RowModel:
@@ -85,7 +85,7 @@ def textbook(vehicle: Vehicle, *, dt: float, label: Label) -> RowModel:
     return RowModel(vehicle, (), dt=dt, label=label, motors="command")
 
 
-def _row(model: Model, dt: float, label: Label) -> ca.Function:
+def row_function(model: Model, dt: float, label: Label) -> ca.Function:
     """(carried, x, u, p) -> carried_on, body, following; carried holds the hidden states and one number more."""
     hidden, spare = ca.SX.sym("hidden", model.hidden_count), ca.SX.sym("spare")
     x, u = ca.SX.sym("x", RIGID_BODY_STATES), ca.SX.sym("u", model.input_count)

@@ -52,6 +52,10 @@ class Run:
         else:
             self.without_better += 1
 
+    def is_exhausted(self, patience: int) -> bool:
+        """Whether so many evaluations in a row brought nothing better. patience: 0 for never."""
+        return 0 < patience <= self.without_better
+
     def save(self, path: Path) -> None:
         """Write all of it. Raises RequestError when the disk refuses."""
         on_gpu = next(self.network.parameters()).is_cuda

@@ -79,7 +79,7 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
     elif task.config.base != "none":
         run.keep_best(evaluate(network, task.validation))  # no residual: what must be beaten
     learner, began = shared(network, size), time.monotonic() - run.seconds
-    stopped = recipe.patience and run.without_better >= recipe.patience
+    stopped = run.is_exhausted(recipe.patience) and not run.step < schedule.restart < schedule.steps
     while run.step < schedule.steps and not stopped:
         if schedule.starts_anew(run.step):
             run.optimizer = _adam(network)
@@ -109,7 +109,7 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
             report(
                 Report(task.member, run.step, schedule.steps, loss.item(), told, validation, run.best, rate)
             )  # fmt: skip
-        stopped = recipe.patience and run.without_better >= recipe.patience and run.step >= schedule.restart
+        stopped = run.is_exhausted(recipe.patience) and not run.step < schedule.restart < schedule.steps
     wait_for_all()
     return Member(run.best_weights, run.best, run.best_step, run.step, run.seconds)
 

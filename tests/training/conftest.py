@@ -8,6 +8,7 @@ from typing import Any
 
 import msgspec
 import pytest
+import torch
 
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
@@ -27,6 +28,8 @@ MANOEUVRES = (
     "circle:laps=2,ramp=1,speed=1.2",
 )
 MakePlan = Callable[..., Plan]
+
+torch.set_num_threads(1)  # small networks: more threads only wait for each other
 
 
 @pytest.fixture(scope="session")
