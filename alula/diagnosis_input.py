@@ -26,6 +26,7 @@ HoldOut = Annotated[
     str | None, typer.Option(help="File names to judge on, as a pattern; by default the last fifth of the flights.")
 ]
 Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
+Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Mapped = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
 
 

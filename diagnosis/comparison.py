@@ -11,7 +11,7 @@ import numpy as np
 from diagnosis import channels
 from diagnosis.dataset import Dataset
 from diagnosis.evaluation import floors, residuals
-from diagnosis.filters import Floats
+from diagnosis.filters import EDGE, Floats
 from diagnosis.fitness import require_answerable
 from diagnosis.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
@@ -112,14 +112,22 @@ def _axes(rows: Sequence[Floats], regression: Regression) -> tuple[AxisError, ..
     )
 
 
-def _worst(stretches: Sequence[Stretch], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
-    floor, count = regression.noise.floor, max(1, round(WORST * regression.rate))
-    active = floor > 0
+def worst_window(rows: Sequence[Floats], floor: Floats, rate: float) -> tuple[int, int, float]:
+    """Stretch and first row of the two seconds with the greatest error over floor, and that error.
+
+    rows: (m, 12) residuals of each stretch at rate Hz. floor: (12,).
+    """
+    count, active = max(1, round(WORST * rate)), floor > 0
     found = []
-    for stretch, r in zip(stretches, rows, strict=True):
+    for index, r in enumerate(rows):
         squared = np.mean((r[:, active] / floor[active]) ** 2, axis=1)
         mean = np.convolve(squared, np.ones(count) / count, mode="valid") if len(squared) >= count else squared
         place = int(np.argmax(mean))
-        start = stretch.start + 0.3 + place / regression.rate
-        found.append(WorstSeconds(stretch.flight, round(start, 2), round(float(np.sqrt(mean[place])), 2)))
-    return max(found, key=lambda w: w.rms_over_floor)
+        found.append((index, place, float(np.sqrt(mean[place]))))
+    return max(found, key=lambda window: window[2])
+
+
+def _worst(stretches: Sequence[Stretch], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
+    index, place, level = worst_window(rows, regression.noise.floor, regression.rate)
+    start = stretches[index].start + EDGE + place / regression.rate
+    return WorstSeconds(stretches[index].flight, round(start, 2), round(level, 2))

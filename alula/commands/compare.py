@@ -9,8 +9,9 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from alula.diagnosis_input import Effects, Logs, Mapped, VehicleOption, read_input
+from alula.diagnosis_input import Effects, Logs, Mapped, Page, VehicleOption, read_input
 from alula.output import write_json
+from alula.provenance import origin
 
 if TYPE_CHECKING:
     from diagnosis.comparison import Comparison
@@ -22,14 +23,21 @@ def compare(
     effects: Effects = None,
     mapping: Mapped = None,
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
+    html: Page = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it fails."""
     dataset, read, catalogue = read_input(logs, vehicle, None, effects, mapping)
     from diagnosis import comparison as room
 
-    found = room.compare(dataset, read, catalogue).comparison
+    compared = room.compare(dataset, read, catalogue)
+    found = compared.comparison
     if json is not None:
         write_json(found, json)
+    if html is not None:
+        from studio.page import write_page
+        from studio.report import comparison_page
+
+        write_page(comparison_page(compared, dataset, read, origin=origin(dataset.hashes)), html)
     if json != Path("-"):
         _print(found, Console())
 

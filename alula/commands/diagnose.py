@@ -10,8 +10,18 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from alula.diagnosis_input import Effects, HoldOut, Logs, Mapped, VehicleOption, read_input, require_workbench
+from alula.diagnosis_input import (
+    Effects,
+    HoldOut,
+    Logs,
+    Mapped,
+    Page,
+    VehicleOption,
+    read_input,
+    require_workbench,
+)
 from alula.output import write_json
+from alula.provenance import origin
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import read_vehicle
 from vehicles import vehicle_path
@@ -34,6 +44,7 @@ def diagnose(
     mapping: Mapped = None,
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
+    html: Page = None,
 ) -> None:
     """Name the physical effect that is missing from a vehicle's model, or say that the model explains the flights.
 
@@ -49,6 +60,12 @@ def diagnose(
     findings = room.diagnose(dataset, read, catalogue)
     if json is not None:
         write_json(findings.diagnosis, json)
+    if html is not None:
+        from studio.page import write_page
+        from studio.report import add_command, diagnosis_page
+
+        add = add_command(findings.diagnosis, logs, vehicle, hold_out)
+        write_page(diagnosis_page(findings, dataset, read, origin=origin(dataset.hashes, add)), html)
     if json != Path("-"):
         _print(findings, Console(file=sys.stdout))
 

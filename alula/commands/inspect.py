@@ -12,6 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from alula.provenance import origin
 from alula.workbench import workbench
 from dynamics.errors import AlulaError, DataError
 
@@ -33,9 +34,10 @@ def inspect(
 ) -> None:
     """Judge logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
     with workbench("alula inspect"):
-        from alula.inspection_page import Section, section, write_page
         from flights import Flight, read_log
         from flights.verdict.inspection import judge
+        from studio.inspected import Section, inspection_page, section
+        from studio.page import write_page
     found: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
@@ -56,7 +58,8 @@ def inspect(
         for inspection in found:
             _print(inspection, console, everything=everything)
     if html is not None:
-        write_page(sections, html)
+        hashes = {inspection.path: inspection.sha256 for inspection in found}
+        write_page(inspection_page(sections, origin=origin(hashes)), html)
         print(f"written: {html}", file=sys.stderr)
     _end(found, refused)
 

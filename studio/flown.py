@@ -1,0 +1,107 @@
+"""Flights of the same references before and after: how far from the reference, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from studio.figure import AFTER, BEFORE, Floats, Picture, line, picture, thinned
+
+MOST_POINTS = 1200  # of a line
+REFERENCE = "#9ca3af"
+
+
+@dataclass(frozen=True, eq=False)
+class FlownTrack:
+    """One flight while it tracked its reference. time: (n,) s. position, reference: (n, 3) world, m.
+
+    position_rmse, position_max: distance to the reference, m. speed_max: m/s.
+    """
+
+    time: Floats
+    position: Floats
+    reference: Floats
+    position_rmse: float
+    position_max: float
+    speed_max: float
+
+
+@dataclass(frozen=True, eq=False)
+class FlownComparison:
+    """The same manoeuvre flown with the model before and after effects were added to it. name: of the manoeuvre."""
+
+    name: str
+    before: FlownTrack
+    after: FlownTrack
+
+
+def tracking_bars(flown: Sequence[FlownComparison]) -> Picture:
+    """Position RMSE of each manoeuvre, before beside after."""
+    figure = go.Figure()
+    for name, colour, tracks in _sides(flown):
+        rmse = [100 * track.position_rmse for track in tracks]
+        figure.add_trace(go.Bar(
+            x=[f.name for f in flown], y=rmse, name=name, marker_color=colour, texttemplate="%{y:.1f}",
+            hovertemplate="%{x}<br>" + name + ": %{y:.3g} cm<extra></extra>",
+        ))  # fmt: skip
+    figure.update_layout(barmode="group")
+    figure.update_xaxes(title_text="manoeuvre")
+    figure.update_yaxes(title_text="position RMSE, cm", rangemode="tozero")
+    return picture(figure, 340, "Bars: position RMSE of each manoeuvre before and after.")
+
+
+def flight_view(flown: FlownComparison) -> Picture:
+    """A manoeuvre from above and from the side, and its error over time."""
+    figure = make_subplots(rows=3, row_heights=[0.5, 0.25, 0.25], vertical_spacing=0.11)
+    _path(figure, flown.before.reference, "reference", REFERENCE, 5)
+    for name, colour, (track,) in _sides([flown]):
+        _path(figure, track.position, name, colour, 1.4)
+        error = 100 * np.linalg.norm(track.position - track.reference, axis=1)
+        rows = thinned([error], MOST_POINTS)
+        drawn = line(track.time[rows], error[rows], name=name, colour=colour, unit="cm", showlegend=False)
+        figure.add_trace(drawn, row=3, col=1)
+        figure.add_hline(y=100 * track.position_rmse, line={"color": colour, "dash": "dash", "width": 1}, row=3, col=1)
+    figure.update_xaxes(title_text="x (east), m", row=1, col=1)
+    figure.update_yaxes(title_text="y (north), m", scaleanchor="x", row=1, col=1)
+    figure.update_xaxes(title_text="x (east), m", row=2, col=1)
+    figure.update_yaxes(title_text="z (up), m", row=2, col=1)
+    figure.update_xaxes(title_text="time, s", row=3, col=1)
+    figure.update_yaxes(title_text="error, cm", rangemode="tozero", row=3, col=1)
+    return picture(figure, 760, f"{flown.name} from above, from the side, and its position error over time.")
+
+
+def flight_in_space(flown: FlownComparison) -> Picture:
+    """A manoeuvre in three dimensions, to be turned with the pointer."""
+    figure = go.Figure()
+    figure.add_trace(_curve(flown.before.reference, "reference", REFERENCE, 6))
+    for name, colour, (track,) in _sides([flown]):
+        figure.add_trace(_curve(track.position, name, colour, 3))
+    axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": "#d1d5db"} for axis in "xyz"}
+    figure.update_layout(scene={**axes, "aspectmode": "data"})
+    return picture(figure, 420, f"{flown.name} in three dimensions.")
+
+
+def _sides(flown: Sequence[FlownComparison]) -> tuple[tuple[str, str, list[FlownTrack]], ...]:
+    return ("before", BEFORE, [f.before for f in flown]), ("after", AFTER, [f.after for f in flown])
+
+
+def _path(figure: go.Figure, position: Floats, name: str, colour: str, width: float) -> None:
+    """The same path from above (x, y) and from the side (x, z)."""
+    for row, axis in ((1, 1), (2, 2)):
+        rows = thinned([position[:, 0], position[:, axis]], MOST_POINTS)
+        drawn = line(
+            position[rows, 0], position[rows, axis], name=name, colour=colour, unit="m", width=width,
+            showlegend=row == 1, legendgroup=name,
+        )  # fmt: skip
+        figure.add_trace(drawn, row=row, col=1)
+
+
+def _curve(position: Floats, name: str, colour: str, width: float) -> Any:
+    rows = thinned([*position.T], MOST_POINTS)
+    x, y, z = position[rows].astype(np.float32).T
+    return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line={"color": colour, "width": width})

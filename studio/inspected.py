@@ -1,0 +1,125 @@
+"""The page of `alula inspect --html`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from flights import Flight
+from flights.verdict import Inspection
+from studio.figure import (
+    AFTER,
+    BLACK,
+    FLOOR,
+    GREEN,
+    ORANGE,
+    PURPLE,
+    SKY,
+    UNFLOWN,
+    VERMILION,
+    YELLOW,
+    Picture,
+    line,
+    picture,
+    thinned,
+)
+from studio.page import Origin, render
+
+ROWS = (
+    ("velocity", "velocity", "m/s"), ("rate", "body rate", "rad/s"), ("specific_force", "specific force", "m/s²"),
+    ("rotor_speed", "rotor speed", "rad/s"), ("rotor_speed_command", "rotor command", "rad/s"),
+    ("rotor_thrust_command", "rotor command", "N"), ("rotor_command", "rotor command", ""),
+    ("battery_voltage", "battery", "V"),
+)  # fmt: skip
+COLOURS = (AFTER, ORANGE, GREEN, PURPLE, SKY, VERMILION, BLACK, YELLOW)
+
+
+@dataclass(frozen=True)
+class Section:
+    """One log's verdict and its pictures; None where the log has nothing to draw."""
+
+    inspection: Inspection
+    flight: Picture | None
+    delays: Picture | None
+    coverage: tuple[Picture, ...]
+
+
+def section(inspection: Inspection, flight: Flight) -> Section:
+    """The part of the page that is about one log."""
+    return Section(inspection, _flight_lines(inspection, flight), _delay_points(inspection), _coverage_maps(inspection))
+
+
+def inspection_page(sections: Sequence[Section], *, origin: Origin) -> str:
+    """The page of these logs."""
+    count = len(sections)
+    title = f"Alula: inspection of {count} log{'' if count == 1 else 's'}"
+    return render("inspection.html", title=title, origin=origin, sections=sections)
+
+
+def _flight_lines(inspection: Inspection, flight: Flight) -> Picture | None:
+    rows = [row for row in ROWS if flight.has(row[0])]
+    if not rows:
+        return None
+    figure = make_subplots(rows=len(rows), shared_xaxes=True, vertical_spacing=0.03)
+    for row, (name, title, unit) in enumerate(rows, start=1):
+        values = flight[name].reshape(len(flight), -1)
+        labels = [column for column in flight.columns if column.startswith(f"{name}_")] or [name]
+        for index, (column, label) in enumerate(zip(values.T, labels, strict=False)):
+            kept = thinned([column])
+            drawn = line(
+                flight.time[kept], column[kept], name=label, colour=COLOURS[index % len(COLOURS)], unit=unit, width=1,
+                showlegend=False,
+            )  # fmt: skip
+            figure.add_trace(drawn, row=row, col=1)
+        figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
+    for item in inspection.exclusions:
+        figure.add_vrect(x0=item.start, x1=item.stop, fillcolor="#718096", opacity=0.25, line_width=0)
+    figure.update_xaxes(title_text="time, s", row=len(rows), col=1)
+    return picture(figure, 150 * len(rows) + 60, "Lines: what the log holds, over time.")
+
+
+def _delay_points(inspection: Inspection) -> Picture | None:
+    if not inspection.delays:
+        return None
+    figure = go.Figure()
+    for delay in inspection.delays:
+        kind = "lag of the response" if delay.is_response else "late"
+        reach = 1e3 * (delay.high - delay.low) / 2
+        figure.add_trace(go.Scatter(
+            x=[1e3 * delay.seconds], y=[f"{delay.stream}<br>against {delay.against}"], mode="markers", name=kind,
+            error_x={"type": "data", "array": [reach]}, showlegend=False,
+            marker={"size": 9, "color": ORANGE if delay.is_response else AFTER},
+            hovertemplate=f"{kind}: %{{x:.2f}} ± {reach:.2f} ms<extra></extra>",
+        ))  # fmt: skip
+    figure.update_xaxes(title_text="ms by which stamps are late (blue), or by which a response lags (orange)")
+    figure.add_vline(x=0, line={"color": FLOOR, "width": 1})
+    figure.update_yaxes(automargin=True, autorange="reversed")
+    return picture(figure, 90 + 48 * len(inspection.delays), "Points with bars: delays between the log's streams.")
+
+
+def _coverage_maps(inspection: Inspection) -> tuple[Picture, ...]:
+    pictures = []
+    for cells in inspection.coverage:
+        seconds = np.array(cells.seconds)
+        across, up = cells.column_name.removesuffix(" 1"), cells.row_name.removesuffix(" 1")
+        figure = go.Figure(go.Heatmap(
+            z=np.log10(np.where(seconds > 0, seconds, np.nan)), x=_ranges(cells.column_edges),
+            y=_ranges(cells.row_edges), colorscale="Cividis", showscale=False, customdata=seconds,
+            hovertemplate="%{y}, %{x}: %{customdata:.1f} s<extra></extra>", xgap=1, ygap=1,
+            text=[[f"{value:.1f} s" if value > 0 else "" for value in row] for row in seconds],
+            texttemplate="%{text}", textfont_size=10,
+        ))  # fmt: skip
+        figure.update_xaxes(title_text=across, type="category", automargin=True)
+        figure.update_yaxes(title_text=up, type="category", automargin=True)
+        figure.update_layout(plot_bgcolor=UNFLOWN)
+        pictures.append(picture(figure, 380, f"Map: seconds flown by {across} and {up}."))
+    return tuple(pictures)
+
+
+def _ranges(edges: Sequence[float]) -> list[str]:
+    return [f"{low:g} to {high:g}" for low, high in pairwise(edges)]

@@ -1,0 +1,80 @@
+"""The page kit: one HTML file with style, pictures and provenance in it, readable without a network or JavaScript."""
+
+from __future__ import annotations
+
+import base64
+import gzip
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import jinja2
+from plotly import offline
+
+from dynamics.errors import RequestError
+from studio.numbers import quantity_shown, shown, unit_shown
+
+TEMPLATES = Path(__file__).parent / "templates"
+PACKAGES = ("alula", "numpy", "scipy", "casadi")
+
+
+@dataclass(frozen=True)
+class Origin:
+    """How a page came about. command: that made it. made: date and time. inputs: sha256 of each file that was read.
+
+    add: the command that adds the effect that was found, empty where there is none to add.
+    """
+
+    command: str = ""
+    made: str = ""
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    add: str = ""
+
+
+def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:
+    """A page from a template of this room, as HTML."""
+    versions = {name: metadata.version(name) for name in PACKAGES}
+    page: str = (
+        _environment()
+        .get_template(template)
+        .render(title=title, origin=origin, versions=versions, plotly=_packed_plotly(), **content)
+    )
+    return page
+
+
+def write_page(text: str, path: Path) -> None:
+    """Write a page under a temporary name, then rename it. Raises RequestError when it cannot be written."""
+    part = path.with_name(path.name + ".part")
+    try:
+        part.write_text(text, encoding="utf-8")
+        part.replace(path)
+    except OSError as error:
+        raise RequestError(f"cannot write {path}: {error.strerror or error}. Give another file to --html.") from error
+
+
+def embedded(value: Any) -> str:
+    """JSON that may stand in a script element, whatever its texts hold."""
+    text = value if isinstance(value, str) else json.dumps(value, allow_nan=False)
+    return text.replace("<", "\\u003c")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    loader = jinja2.FileSystemLoader(TEMPLATES)
+    environment = jinja2.Environment(
+        loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["shown"] = shown
+    environment.filters["unit"] = unit_shown
+    environment.filters["quantity"] = quantity_shown
+    return environment
+
+
+@cache
+def _packed_plotly() -> str:
+    """plotly.js, gzip and base64: 2 MB instead of 4.8, inflated by the browser."""
+    return base64.b64encode(gzip.compress(offline.get_plotlyjs().encode(), mtime=0)).decode()

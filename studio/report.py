@@ -1,0 +1,101 @@
+"""The pages of compare, diagnose and demo, each one self-contained HTML file."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from diagnosis.comparison import Compared
+from diagnosis.dataset import Dataset
+from diagnosis.diagnose import Findings
+from diagnosis.regimes import regime_maps, regime_planes
+from diagnosis.report import Diagnosis, sentence
+from diagnosis.spectrum import residual_spectrum
+from dynamics.vehicle import Vehicle
+from studio import diagnosed as pictures
+from studio import flown as flights
+from studio import regions
+from studio.evidence import agreement, likeness, overlay
+from studio.flown import FlownComparison
+from studio.page import Origin, render
+
+
+def diagnosis_page(findings: Findings, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
+    """The page of `alula diagnose --html`. vehicle: with the model that was judged."""
+    found = findings.diagnosis
+    return render(
+        "diagnosis.html", title=f"What the model of {vehicle.name} misses", origin=origin, vehicle=vehicle,
+        **_diagnosed(findings, dataset, vehicle), unfinished=found.verdict == "unknown",
+    )  # fmt: skip
+
+
+def comparison_page(compared: Compared, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
+    """The page of `alula compare --html`."""
+    rows, noise, rate = compared.residuals, compared.regression.noise, compared.regression.rate
+    seen = overlay(dataset.everything, rows, rows, noise.floor, rate)
+    both = agreement(rows)
+    return render(
+        "comparison.html", title=f"The model of {vehicle.name} against its flights", origin=origin, vehicle=vehicle,
+        compared=compared.comparison, names=pictures.NAMES, bars=pictures.axis_bars(compared.comparison.axes),
+        seen=seen,
+        lines=pictures.overlay_lines(seen, improved=False), regimes=regions.regime_map(compared.maps),
+        planes=[regions.plane_map(plane) for plane in compared.planes],
+        spectrum=pictures.spectrum_lines(compared.spectrum, None),
+        agreement=None if both is None else pictures.agreement_points(both),
+    )  # fmt: skip
+
+
+def demo_page(
+    flown: Sequence[FlownComparison],
+    findings: Findings,
+    dataset: Dataset,
+    *,
+    origin: Origin,
+    hidden: Sequence[str] = (),
+) -> str:
+    """The demo's page: tracking and prediction error before and after, the flights, and what diagnosis found between.
+
+    findings, dataset: of the first flights. hidden: what the simulated vehicle hid, in words.
+    """
+    views = [(item, flights.flight_view(item), flights.flight_in_space(item)) for item in flown]
+    vehicle = findings.regression.vehicle
+    return render(
+        "demo.html", title="Alula demo: the model before and after diagnosis", origin=origin, flown=flown,
+        tracking=flights.tracking_bars(flown) if flown else None, views=views, hidden=hidden, vehicle=vehicle,
+        **_diagnosed(findings, dataset, vehicle),
+    )  # fmt: skip
+
+
+def add_command(diagnosis: Diagnosis, logs: Sequence[Path], vehicle: str, hold_out: str | None) -> str:
+    """The command that adds the first effect that was found, empty where there is none that can be added."""
+    able = [effect for effect in diagnosis.effects if effect.name != "gust"]
+    if not able:
+        return ""
+    words = ["alula", "add", able[0].name, *map(str, logs), "--vehicle", vehicle]
+    return shlex.join([*words, *(["--hold-out", hold_out] if hold_out else [])])
+
+
+def _diagnosed(findings: Findings, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
+    """What the sections on a diagnosis show."""
+    regression, selection = findings.regression, findings.selection
+    noise, rate = regression.noise, regression.rate
+    rows = [*regression.rows, *findings.before]
+    improved = bool(findings.diagnosis.effects)
+    seen = overlay(dataset.held_out, findings.before, findings.after, noise.floor, rate)
+    both = agreement(rows)
+    after = residual_spectrum(findings.after, noise, rate) if improved else None
+    maps = regime_maps(dataset.everything, rows, noise.floor, vehicle)
+    planes = regime_planes(dataset.everything, rows, noise.floor, vehicle)
+    return {
+        "diagnosis": findings.diagnosis, "sentence": sentence(findings.diagnosis), "notes": findings.notes,
+        "names": pictures.NAMES, "bars": pictures.channel_bars(findings.diagnosis.channels), "seen": seen,
+        "lines": pictures.overlay_lines(seen, improved=improved), "regimes": regions.regime_map(maps),
+        "planes": [regions.plane_map(plane) for plane in planes],
+        "ranking": pictures.ranking_bars(selection.singles, selection.chosen),
+        "intervals": pictures.interval_lines(findings.diagnosis),
+        "spectrum": pictures.spectrum_lines(residual_spectrum(findings.before, noise, rate), after),
+        "agreement": None if both is None else pictures.agreement_points(both),
+        "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
+    }  # fmt: skip

@@ -1,0 +1,159 @@
+"""The pages of compare, diagnose and demo: whole, small, the same numbers as the JSON, drawn without a network."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from diagnosis.comparison import Compared
+from diagnosis.dataset import Dataset
+from diagnosis.diagnose import Findings
+from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
+from studio.evidence import likeness, overlay
+from studio.flown import FlownComparison, FlownTrack
+from studio.numbers import quantity_shown, shown
+from studio.page import Origin, write_page
+from studio.report import add_command, comparison_page, demo_page, diagnosis_page
+
+LARGEST = 5_000_000  # bytes
+ORIGIN = Origin("alula diagnose <a> & b.csv", "2026-01-01T00:00:00+00:00", {"b.csv": "0" * 64}, "alula add rotor_drag")
+SECTIONS = ("errors", "lines", "regions", "ranking", "spectrum", "agreement", "likeness", "history")
+
+
+def flown() -> FlownComparison:
+    time = np.linspace(0, 10, 500)
+    reference = np.column_stack([np.sin(time), np.cos(time), np.ones_like(time)])
+    return FlownComparison(
+        "circle",
+        FlownTrack(time, reference + 0.1, reference, 0.173, 0.174, 1.0),
+        FlownTrack(time, reference + 0.01, reference, 0.0173, 0.0174, 1.0),
+    )
+
+
+def numbers(page: str) -> set[float]:
+    """What the page's tables show, at full precision."""
+    return {float(value) for value in re.findall(r'data-value="([^"]+)"', page)}
+
+
+@pytest.fixture(scope="module")
+def pages(findings: Findings, compared: Compared, dataset: Dataset, vehicle: Vehicle) -> dict[str, str]:
+    return {
+        "diagnose": diagnosis_page(findings, dataset, vehicle, origin=ORIGIN),
+        "compare": comparison_page(compared, dataset, vehicle, origin=ORIGIN),
+        "demo": demo_page([flown()], findings, dataset, origin=ORIGIN, hidden=("rotor_drag",)),
+    }
+
+
+@pytest.mark.parametrize("name", ["diagnose", "compare", "demo"])
+def test_a_page_is_one_small_file_that_needs_nothing_else(pages: dict[str, str], name: str) -> None:
+    page = pages[name]
+    assert len(page.encode()) < LARGEST
+    assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)\s*=", page)
+    assert "alula diagnose &lt;a&gt; &amp; b.csv" in page
+
+
+def test_the_diagnosis_shows_its_sections_in_the_order_of_questions(pages: dict[str, str]) -> None:
+    places = [pages["diagnose"].index(f'id="{section}"') for section in SECTIONS]
+    assert places == sorted(places)
+    assert pages["diagnose"].index("The model misses rotor_drag") < places[0]
+
+
+def test_the_pages_numbers_are_those_of_the_json(pages: dict[str, str], findings: Findings, compared: Compared) -> None:
+    diagnosis = findings.diagnosis
+    told = {value for e in diagnosis.channels.values() for value in (e.before, e.after, e.floor)}
+    told |= {p.value for e in diagnosis.effects for p in e.parameters.values()}
+    assert told <= numbers(pages["diagnose"])
+    assert told <= numbers(pages["demo"])
+    axes = {value for a in compared.comparison.axes for value in (a.rms, a.floor)}
+    assert axes <= numbers(pages["compare"])
+
+
+def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(findings: Findings, dataset: Dataset) -> None:
+    regression = findings.regression
+    seen = overlay(dataset.held_out, findings.before, findings.after, regression.noise.floor, regression.rate)
+    known = np.isfinite(seen.measured).all(axis=1)
+    left = np.vstack(findings.before)
+    np.testing.assert_allclose((seen.measured - seen.current)[known], left, atol=1e-12)
+    assert seen.left_out == 0
+    inside = (seen.time >= seen.worst[0]) & (seen.time < seen.worst[1]) & known
+    active = regression.noise.floor > 0
+    squares = np.mean(((seen.measured - seen.current)[:, active] / regression.noise.floor[active]) ** 2, axis=1)
+    assert np.mean(squares[inside]) > np.mean(squares[known])
+
+
+def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: Findings) -> None:
+    pair = [s for s in findings.selection.singles if s.names & {"thrust_constant", "mass"}]
+    assert likeness(findings.regression, pair).shared[0, 1] > 0.9
+    seen = likeness(findings.regression, findings.selection.singles)
+    assert np.diag(seen.shared) == pytest.approx(1.0)
+    np.testing.assert_allclose(seen.shared, seen.shared.T)
+    assert ((seen.shared >= 0) & (seen.shared <= 1)).all()
+
+
+def test_the_command_that_adds_is_the_one_to_type(findings: Findings) -> None:
+    command = add_command(findings.diagnosis, [Path("a b.csv")], "v.toml", "hold*")
+    assert command == "alula add rotor_drag 'a b.csv' --vehicle v.toml --hold-out 'hold*'"
+
+
+def test_a_page_that_cannot_be_written_is_a_wrong_request(tmp_path: Path) -> None:
+    with pytest.raises(RequestError, match="cannot write"):
+        write_page("", tmp_path / "no_folder" / "page.html")
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.012345, "0.0123"), (12.3, "12.3"), (2.2e-5, "2.20 × 10⁻⁵"), (0.0, "0"), (float("nan"), "–"), (1234.0, "1,234")],
+)
+def test_numbers_are_written_for_people(value: float, text: str) -> None:
+    assert shown(value) == text
+
+
+def test_units_stand_behind_a_comma() -> None:
+    assert quantity_shown("speed m/s") == "speed, m/s"
+    assert quantity_shown("thrust over weight") == "thrust over weight"
+
+
+BROWSER = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
+)
+NARROW = """<body style="margin:0">
+<iframe id="phone" src="page.html" style="width:390px;height:4000px"></iframe>
+<script>
+  const phone = document.getElementById("phone");
+  const look = () => {
+    const page = phone.contentDocument.documentElement;
+    if (!page.dataset.drawn) return setTimeout(look, 200);
+    document.title = `drawn ${page.dataset.drawn} of ${page.querySelectorAll(".plot").length}, ` +
+      `wide ${page.scrollWidth}, errors ${page.querySelectorAll(".plot:not(:has(.main-svg))").length}`;
+  };
+  look();
+</script></body>"""
+
+
+@pytest.mark.skipif(BROWSER is None and os.environ.get("CI") != "true", reason="no Chromium here; CI has one")
+@pytest.mark.parametrize("name", ["diagnose", "compare", "demo"])
+def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
+    pages: dict[str, str], name: str, tmp_path: Path
+) -> None:
+    assert BROWSER is not None, "CI must have Chromium"
+    write_page(pages[name], tmp_path / "page.html")
+    (tmp_path / "phone.html").write_text(NARROW)
+    command = [
+        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader", "--enable-unsafe-swiftshader",
+        "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files",
+        "--virtual-time-budget=30000", "--dump-dom", (tmp_path / "phone.html").as_uri(),
+    ]  # fmt: skip
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
+    title = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
+    assert title is not None, done.stderr[-2000:]
+    drawn, pictures, wide, failed = map(int, title.groups())
+    assert drawn == pictures > 5
+    assert wide <= 390
+    assert failed == 0
