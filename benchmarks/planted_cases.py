@@ -40,6 +40,7 @@ INSEPARABLE = (
     {"thrust_constant", "mass", "inertia", "battery_sag", "slung_load"}, {"torque_constant", "inertia"},
     {"weak_rotor", "centre_of_mass", "rotor_speed_fault"}, {"wind", "gust"}, {"rotor_drag", "linear_drag"},
 )  # fmt: skip
+INSIDE = 0.1  # of a parameter's range that keeps away from its bounds
 SLOWEST_MOTORS = 0.045  # s of lag that the controllers bear
 MOCK_CANNOT = ("motor_lag", "rotor_speed_fault")  # it always has a lag; its speed sensors fail by option only
 ROTORPY_CANNOT_SIZE = ("wind", "gust")  # they need a drag that the file knows
@@ -168,7 +169,13 @@ def planted(name: str, case: Case) -> EffectUse:
     towards = np.array([direction(parameters[n], random) for n in candidate.free])
     size = case.strength / shown(regression, candidate, towards)
     values = {n: candidate.at[n] + size * t for n, t in zip(candidate.free, towards, strict=True)}
-    clipped = {n: float(np.clip(v, parameters[n].lower, parameters[n].upper)) for n, v in values.items()}
+    inside = {n: INSIDE * (parameters[n].upper - parameters[n].lower) for n in values}  # a bound is where guesses end
+    clipped = {
+        n: float(np.clip(v, parameters[n].lower + inside[n], parameters[n].upper - inside[n]))
+        if parameters[n].lower != parameters[n].neutral
+        else float(np.clip(v, parameters[n].lower, parameters[n].upper - inside[n]))
+        for n, v in values.items()
+    }
     return EffectUse(name, {**candidate.at, **clipped}, candidate.rotor)
 
 

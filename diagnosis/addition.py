@@ -9,9 +9,10 @@ from pathlib import Path
 
 import msgspec
 
+from diagnosis.acceptance import IMPROVEMENT
 from diagnosis.candidates import Candidate
 from diagnosis.dataset import Dataset
-from diagnosis.diagnose import IMPROVEMENT, diagnose
+from diagnosis.diagnose import diagnose
 from diagnosis.evaluation import misfit, residuals
 from diagnosis.filters import Floats
 from diagnosis.fit import Estimate, Fit, fit

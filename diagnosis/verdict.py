@@ -13,14 +13,13 @@ from diagnosis.filters import Floats
 from diagnosis.fit import Estimate, Fit
 from diagnosis.regression import Regression
 from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
-from diagnosis.selection import IMPOSSIBLE, LEAST_GAIN, Scored, Search, Selection, least_gain
+from diagnosis.rivals import near_rivals, rivals_of
+from diagnosis.selection import LEAST_GAIN, Scored, Search, Selection
 from diagnosis.stretch import Stretch
 from diagnosis.unexplained import Leftover
 from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 
-CLOSE_SCORE, CLOSE_SHARE = 12.0, 0.01  # of the score, within which effects cannot be told apart
-CLOSE_BY_COMMAND = 0.15  # of what an effect brings, where the rotors' speeds are only what commands would give
 RESAMPLES = 40
 LARGEST_SET = 2  # effects that are named as not told apart; a third is as near as they are, and says no more
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
@@ -36,7 +35,7 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
     effects = []
     for candidate in result.candidates:
         others = [c for c in result.candidates if c is not candidate]
-        rivals = _rivals(search, others, candidate)
+        rivals = rivals_of(search, others, candidate)
         parameters = {
             name: _value(estimate) for (key, name), estimate in result.estimates.items() if key == candidate.key
         }
@@ -46,7 +45,7 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
             if p.name not in parameters
         }
         name = candidate.effect.name
-        close = tuple(s.candidates[-1].effect.name for s in _near(search, others, rivals))[: LARGEST_SET - 1]
+        close = tuple(s.candidates[-1].effect.name for s in near_rivals(search, others, rivals))[: LARGEST_SET - 1]
         share = _confidence(search, rivals)
         effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
     if selection.blows:
@@ -60,28 +59,6 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
 
 def _value(estimate: Estimate) -> ParameterValue:
     return ParameterValue(estimate.value, estimate.std, estimate.unit)
-
-
-def _rivals(search: Search, others: Sequence[Candidate], chosen: Candidate) -> list[Scored]:
-    """The chosen effect first, then each other effect's best variant in its place, best first."""
-    best: dict[str, Scored] = {}
-    taken = {c.effect.name for c in others}
-    for candidate in search.regression.candidates:
-        name = candidate.effect.name
-        if name in taken or name == chosen.effect.name:
-            continue
-        scored = search.score([*others, candidate])
-        if scored.score > IMPOSSIBLE and (name not in best or scored.score > best[name].score):
-            best[name] = scored
-    return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:7]]
-
-
-def _near(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
-    own = rivals[0]
-    margin = max(CLOSE_SCORE, CLOSE_SHARE * own.gain)
-    if search.regression.stretches[0].rotor_source == "command":
-        margin = max(margin, CLOSE_BY_COMMAND * (own.score - search.score(others).score))
-    return [s for s in rivals[1:] if s.score > least_gain(s.candidates) and s.score > own.score - margin]
 
 
 def _confidence(search: Search, rivals: Sequence[Scored]) -> float:

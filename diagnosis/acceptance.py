@@ -1,0 +1,109 @@
+"""Which of the chosen effects stand up to the full model and to flights that were not fitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.candidates import Candidate
+from diagnosis.dataset import Dataset
+from diagnosis.evaluation import misfit, residuals, typical_misfit
+from diagnosis.filters import Floats
+from diagnosis.fit import Fit, fit
+from diagnosis.regression import Regression
+from diagnosis.rivals import near_rivals, rivals_of
+from diagnosis.selection import Search, Selection
+
+IMPROVEMENT = 0.999  # share of the held-out misfit that must remain at most after adding an effect
+IDLE = 1.01  # times the misfit that may remain at most without an effect that others replace
+UNSEEN = 25.0  # squared change over noise on held-out flights, less of which tells nothing
+LEADING = 2  # effects whose rivals are tried in the full model
+
+
+def accepted_fit(regression: Regression, selection: Selection, dataset: Dataset) -> Fit:
+    """The fit of as many of the chosen effects as held-out flights bear out, each in its turn."""
+    accepted: list[Candidate] = []
+    best = fit(regression, accepted)
+    rows = _held_out(best, regression, dataset)
+    for candidate in _best_form(regression, selection.chosen.candidates, dataset):
+        trial = fit(regression, [*accepted, candidate])
+        if at_its_bounds(trial, candidate):
+            continue
+        changed = _held_out(trial, regression, dataset)
+        if borne_out(rows, changed, regression):
+            best, rows = trial, changed
+            accepted.append(candidate)
+    return _without_idle(best, regression, dataset)
+
+
+def _without_idle(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
+    """The fit without effects that the others, fitted anew, replace on the fitted and on the held-out flights."""
+    noise = regression.noise
+
+    def levels(found: Fit) -> list[float]:
+        parts = (dataset.fitted, dataset.held_out)
+        return [misfit(residuals(found.vehicle, regression.catalogue, part, noise), noise) for part in parts]
+
+    while len(best.candidates) > 1:
+        limits = [IDLE * level for level in levels(best)]
+        fewer = [fit(regression, [c for c in best.candidates if c is not one]) for one in best.candidates]
+        reached = [(levels(trial), trial) for trial in fewer]
+        idle = [
+            (sum(now), trial) for now, trial in reached if all(n <= limit for n, limit in zip(now, limits, strict=True))
+        ]
+        if not idle:
+            return best
+        best = min(idle, key=lambda found: found[0])[1]
+    return best
+
+
+def _best_form(regression: Regression, chosen: Sequence[Candidate], dataset: Dataset) -> tuple[Candidate, ...]:
+    """The chosen effects, the first two in favour of near rivals where the full model fits clearly better with them.
+
+    To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
+    """
+    search, best, level = Search(regression), list(chosen), 0.0
+    for place in range(min(len(chosen), LEADING)):
+        leading = best[:LEADING]
+        others = [c for i, c in enumerate(leading) if i != place]
+        near = near_rivals(search, others, rivals_of(search, others, leading[place]))
+        for rival in near[:1]:
+            level = level or _fitted_level(fit(regression, leading), regression, dataset)
+            trial = [*leading[:place], rival.candidates[-1], *leading[place + 1 :]]
+            found = _fitted_level(fit(regression, trial), regression, dataset)
+            if IDLE * found < level:
+                best, level = [*trial, *best[LEADING:]], found
+    return tuple(best)
+
+
+def _fitted_level(found: Fit, regression: Regression, dataset: Dataset) -> float:
+    rows = residuals(found.vehicle, regression.catalogue, dataset.fitted, regression.noise)
+    return misfit(rows, regression.noise)
+
+
+def _held_out(found: Fit, regression: Regression, dataset: Dataset) -> list[Floats]:
+    return residuals(found.vehicle, regression.catalogue, dataset.held_out, regression.noise)
+
+
+def borne_out(before: Sequence[Floats], after: Sequence[Floats], regression: Regression) -> bool:
+    """Whether an addition lowers the held-out error, in all or, where seconds of chaos outweigh it, typically.
+
+    Flights on which it changes next to nothing cannot tell; there the fitted flights that were left out have told.
+    """
+    noise = regression.noise
+    changes = sum(float(np.sum(noise.whiten(a - b) ** 2)) for a, b in zip(after, before, strict=True))
+    if changes < UNSEEN:
+        return True
+    typical = [typical_misfit(rows, noise, regression.rate) for rows in (before, after)]
+    return misfit(after, noise) < IMPROVEMENT * misfit(before, noise) or typical[1] < IMPROVEMENT * typical[0]
+
+
+def at_its_bounds(found: Fit, candidate: Candidate) -> bool:
+    """Whether a fit has driven a candidate's parameter to a physical bound: it then stands in for something else."""
+    if candidate.effect.measurement is not None:  # a sensor may well be dead
+        return False
+    limits = {p.name: (p.lower, p.upper) for p in candidate.effect.parameters}
+    return any(
+        estimate.value in limits[name] for (key, name), estimate in found.estimates.items() if key == candidate.key
+    )
