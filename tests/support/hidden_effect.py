@@ -20,6 +20,7 @@ from alula import cli
 from diagnosis.dataset import make_dataset
 from dynamics import quaternion
 from dynamics.effects import CATALOGUE
+from dynamics.errors import AlulaError
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from flights import Flight
@@ -33,7 +34,7 @@ LAGS = {1.5: 0.03, 5.0: 0.045}  # s; the mock's motors always lag, so that there
 GUST_TIME = 1.0  # s
 EMPTY = 0.25  # charge of the battery on the last flight, whose voltage must vary for sag to show
 SHORTEST = 6.0  # s of a flight, else the hidden effect was more than the vehicle could bear
-WEAKER = (1.0, 0.7, 0.5)  # of the strength, tried in turn until the vehicle bears it
+WEAKER = (1.0, 0.7, 0.5, 0.3)  # of the strength, tried in turn until the vehicle bears it
 AT_FLOOR = 1.3  # times its floor a channel may have after adding, the goal for the worst effect
 UNIFORM = ("imu_bias", "gyro_bias")  # the same everywhere, so that nowhere is worse than elsewhere
 
@@ -137,7 +138,10 @@ def _hidden(draw: Draw, measure: Yardstick) -> tuple[list[EffectUse], list[Fligh
     for share in WEAKER:
         random = np.random.default_rng(draw.seed)
         use = _sized(draw, share * draw.strength * draw.noise, measure, random)
-        flights = fly((use,), noise=draw.noise, seed=draw.seed)
+        try:
+            flights = fly((use,), noise=draw.noise, seed=draw.seed)
+        except AlulaError:  # it did not even reach the beginning
+            continue
         if min(f.duration for f in flights) > SHORTEST:
             return [use], flights
     raise RuntimeError(f"{draw}: the vehicle bears it at no strength; make the draw itself gentler")
