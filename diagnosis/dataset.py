@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.command_curve import fit_command_curve
-from diagnosis.stretch import FASTEST, Stretch, stretches
+from diagnosis.stretch import FASTEST, Stretch, fast, slow_ones, stretches
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight, read_log
@@ -129,12 +129,12 @@ def _require_one_source(parts: Sequence[Sequence[Stretch]]) -> None:
 
 
 def _missing(flight: Flight) -> list[str]:
-    notes = []
-    if not flight.has("specific_force"):
+    notes = [f"too slow to be used: {', '.join(slow)}" for slow in [slow_ones(flight)] if slow]
+    if not fast(flight, "specific_force"):
         notes.append("no accelerometer in the log: a force cannot be told from a fault of the pose")
-    if not flight.has("rate"):
+    if not fast(flight, "rate"):
         notes.append("no gyro in the log: torques show only through the attitude, and gyro and clock stay unchecked")
-    if not flight.has("attitude") or not (flight.has("velocity") or flight.has("position")):
+    if not fast(flight, "attitude") or not (fast(flight, "velocity") or fast(flight, "position")):
         notes.append("no pose in the log: gyro and accelerometer alone say nothing of what depends on speed or place")
     return notes
 

@@ -17,6 +17,7 @@ from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
 
 FASTEST = 500.0  # Hz
+SLOWEST_LOGGED = 0.95 * SLOWEST  # Hz; clocks are not exact
 SHORTEST = 3.0  # s
 FULL_CELL = 4.2  # V
 VOLTAGE_CUTOFF = 4.0  # Hz: voltage falls with every manoeuvre, and its noise would stand in the thrust
@@ -123,29 +124,44 @@ def stretches(flight: Flight, vehicle: Vehicle) -> tuple[Stretch, ...]:
 
     Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
     """
-    name = flight.provenance.path
-    posed = flight.has("attitude") and (flight.has("velocity") or flight.has("position"))
-    if not posed and not flight.has("rate", "specific_force"):
-        raise DataError(lacking(flight))
     if flight.rate < SLOWEST:
         raise DataError(
-            f"{name} has {flight.rate:.0f} rows a second. Wanted {SLOWEST:.0f} Hz or more of gyro and pose."
+            f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {SLOWEST:.0f} Hz or more of gyro "
+            "and pose."
         )
+    posed = fast(flight, "attitude") and (fast(flight, "velocity") or fast(flight, "position"))
+    if not posed and not (fast(flight, "rate") and fast(flight, "specific_force")):
+        raise DataError(lacking(flight))
     speed, _ = rotor_speeds(flight, vehicle)
     parts = flight.segments(exclude=_on_ground(flight, speed), shortest=SHORTEST)
     return tuple(_stretch(part, vehicle) for part in parts)
+
+
+def fast(flight: Flight, quantity: str) -> bool:
+    """Whether a quantity was logged, and often enough for what it is used for."""
+    origin = flight.origins.get(quantity)
+    return flight.has(quantity) and (origin is None or origin.rate >= SLOWEST_LOGGED)
+
+
+def slow_ones(flight: Flight) -> list[str]:
+    """What was logged of motion, but too slowly to be used."""
+    return [
+        f"{name} at {flight.origins[name].rate:.0f} Hz"
+        for name in ("attitude", "velocity", "rate", "specific_force")
+        if flight.has(name) and not fast(flight, name)
+    ]
 
 
 def lacking(flight: Flight) -> str:
     """What a flight lacks that diagnosis cannot do without, and what can be done."""
     wanted = ("attitude", "velocity", "rate", "specific_force")
     names = {"rate": "gyro", "specific_force": "accelerometer"}
-    missing = ", ".join(names.get(name, name) for name in wanted if not flight.has(name))
+    missing = [names.get(name, name) for name in wanted if not flight.has(name)] + slow_ones(flight)
     return (
-        f"{flight.provenance.path} has {', '.join(flight.quantities)}; it lacks {missing}. Wanted attitude with "
-        "velocity or position, or else gyro and accelerometer: log them and fly again. With other flights of this "
-        "vehicle that were normal, `alula diagnose LOG --vehicle V --normal NORMAL` compares how the rotors share the "
-        "load in hover, which needs the motor commands alone."
+        f"{flight.provenance.path} has {', '.join(flight.quantities)}; it lacks {', '.join(missing)}. Wanted attitude "
+        f"with velocity or position, or else gyro and accelerometer, at {SLOWEST:.0f} Hz or more: log them and fly "
+        "again. With other flights of this vehicle that were normal, `alula diagnose LOG --vehicle V --normal NORMAL` "
+        "compares how the rotors share the load in hover, which needs the motor commands alone."
     )
 
 
@@ -164,10 +180,13 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
     rate = part.rate
     speed, source = rotor_speeds(part, vehicle)
     position = part["position"] if part.has("position") else np.zeros((len(part), 3))
-    velocity = part["velocity"] if part.has("velocity") else difference(position, rate)
+    moves = fast(part, "velocity") or fast(part, "position")
+    velocity = np.zeros((len(part), 3))
+    if moves:
+        velocity = part["velocity"] if fast(part, "velocity") else difference(position, rate)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
-    attitude = quaternion.normalise(part["attitude"]) if part.has("attitude") else upright
-    moves = part.has("velocity") or part.has("position")
+    attitude = quaternion.normalise(part["attitude"]) if fast(part, "attitude") else upright
+    known = {"position": part.has("position"), "velocity": moves, "attitude": fast(part, "attitude")}
     return Stretch(
         flight=part.provenance.path,
         start=float(part.time[0]),
@@ -175,20 +194,12 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
         position=position,
         velocity=velocity,
         attitude=np.asarray(attitude),
-        gyro=part["rate"] if part.has("rate") else None,
-        specific_force=part["specific_force"] if part.has("specific_force") else None,
+        gyro=part["rate"] if fast(part, "rate") else None,
+        specific_force=part["specific_force"] if fast(part, "specific_force") else None,
         rotor_speed=speed,
         rotor_source=source,
         battery_ratio=_battery_ratio(part),
-        lacks=frozenset(
-            name
-            for name, there in (
-                ("position", part.has("position")),
-                ("velocity", moves),
-                ("attitude", part.has("attitude")),
-            )
-            if not there
-        ),
+        lacks=frozenset(name for name, there in known.items() if not there),
     )
 
 

@@ -101,6 +101,21 @@ def test_motors_at_10_hz_are_refused_with_the_profile_to_set(plain_flights, arpl
         make_dataset([slow(flight) for flight in plain_flights], arpl_250g)
 
 
+def test_a_pose_that_was_logged_slowly_is_no_pose(plain_flights, arpl_250g):
+    """PX4's default profile: gyro and motors may be fast, attitude and position never are."""
+
+    def seldom(flight):
+        slow = {n: Origin("vehicle_local_position", 10.0, 100) for n in ("position", "velocity", "attitude")}
+        return type(flight)(flight.time, flight.columns, flight.provenance, {**flight.origins, **slow})
+
+    dataset = make_dataset([seldom(f) for f in plain_flights], arpl_250g)
+    assert dataset.fitted[0].lacks == {"velocity", "attitude"}
+    assert any("too slow to be used: attitude at 10 Hz, velocity at 10 Hz" in note for note in dataset.notes)
+    bare = {f"{kind}_{a}": None for kind in ("specific_force", "rate") for a in "xyz"}
+    with pytest.raises(DataError, match="it lacks gyro, accelerometer, attitude at 10 Hz, velocity at 10 Hz"):
+        make_dataset([with_columns(seldom(f), bare) for f in plain_flights], arpl_250g)
+
+
 def test_measured_and_commanded_rotors_are_not_mixed(plain_flights, arpl_250g):
     commanded = with_columns(plain_flights[1], {f"rotor_speed_{i}": None for i in range(4)})
     with pytest.raises(DataError, match=r"measured: flight_0.csv; command: flight_1.csv"):
