@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import plotly.graph_objects as go
@@ -30,6 +30,7 @@ BROKEN = {
     "attitude_rate": "turning less<br>the gyro",
 }
 AXIS = "xyz"
+ROOM = 1.15  # of the longest bar, for the number behind it
 
 
 def channel_bars(errors: dict[str, ChannelError]) -> Picture:
@@ -48,8 +49,9 @@ def channel_bars(errors: dict[str, ChannelError]) -> Picture:
             hovertemplate="%{y}<br>" + label + ": %{customdata}, %{x:.3g} times the floor<extra></extra>",
         ))  # fmt: skip
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
+    worst = max(max(e.before, e.after) / e.floor for e in errors.values())
     figure.update_layout(barmode="group")
-    figure.update_xaxes(title_text="RMS error, times the noise floor (dashed)", rangemode="tozero")
+    figure.update_xaxes(title_text="times the noise floor", range=[0, ROOM * worst])
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 120 + 75 * len(names), "Bars: error of each channel before and after, over its noise floor.")
 
@@ -63,7 +65,7 @@ def axis_bars(axes: Sequence[AxisError]) -> Picture:
         hovertemplate="%{y}<br>%{customdata}, %{x:.3g} times the floor<extra></extra>",
     ))  # fmt: skip
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text="RMS error, times the noise floor (dashed)", rangemode="tozero")
+    figure.update_xaxes(title_text="times the noise floor", range=[0, ROOM * max(a.rms / a.floor for a in axes)])
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 90 + 30 * len(names), "Bars: error of each channel over its noise floor.")
 
@@ -74,8 +76,8 @@ def overlay_lines(seen: Overlay, *, improved: bool) -> Picture:
     improved: whether there is a better model to draw.
     """
     figure, choices = go.Figure(), []
-    for channel in range(len(KINDS) * AXES):
-        if not np.nan_to_num(seen.measured[:, channel]).any():
+    for channel in np.argsort(-seen.missed).tolist():
+        if not seen.missed[channel]:
             continue
         kind, unit = KINDS[channel // AXES], unit_shown(UNITS[KINDS[channel // AXES]])
         lines = [
@@ -90,7 +92,6 @@ def overlay_lines(seen: Overlay, *, improved: bool) -> Picture:
             figure.add_trace(drawn)
         name = f"{NAMES[kind]}, {AXIS[channel % AXES]}"
         choices.append(Choice(name, range(first, len(figure.data)), {"yaxis.title.text": f"{name}, {unit}"}))
-    choices.sort(key=lambda choice: -_missed(figure, choice.lines))
     choosing(figure, choices, asked="channel")
     for begin, name in zip(seen.begins, seen.names, strict=True):
         figure.add_vline(x=begin, line={"color": FLOOR, "width": 1})
@@ -107,12 +108,6 @@ def overlay_lines(seen: Overlay, *, improved: bool) -> Picture:
     figure.update_xaxes(title_text="time, s (one flight behind the other)", range=[low - 1, high + 1])
     figure.update_yaxes(title_text=choices[0].layout["yaxis.title.text"])
     return picture(figure, 420, "Lines: what was measured and what the models say, over time.")
-
-
-def _missed(figure: go.Figure, lines: Collection[int]) -> float:
-    """Share of a channel's variance that the current model misses: the channels that tell most come first."""
-    measured, said = (np.asarray(figure.data[i].y, dtype=float) for i in list(lines)[:2])
-    return float(np.nanvar(measured - said) / max(np.nanvar(measured), 1e-12))
 
 
 def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, most: int = 14) -> Picture:
@@ -180,7 +175,7 @@ def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
 
 def agreement_points(seen: Agreement) -> Picture:
     """What the accelerometer misses against what the pose misses: a force lies on the diagonal."""
-    titles = [f"{AXIS[axis]}: correlation {seen.correlation[axis]:.2f}" for axis in range(3)]
+    titles = [f"{AXIS[axis]}: {seen.correlation[axis]:.2f}" for axis in range(3)]
     figure = make_subplots(cols=3, subplot_titles=titles, horizontal_spacing=0.09)
     reach = float(np.quantile(np.abs(np.hstack([seen.imu, seen.mocap])), 0.999))
     for axis, colour in enumerate((AFTER, ORANGE, GREEN)):
@@ -196,8 +191,8 @@ def agreement_points(seen: Agreement) -> Picture:
         figure.add_trace(diagonal, row=1, col=axis + 1)
         figure.update_xaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
         figure.update_yaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
-    figure.update_xaxes(title_text="missed by the accelerometer's view, m/s²", row=1, col=2)
-    figure.update_yaxes(title_text="by the pose's, m/s²", row=1, col=1)
+    figure.update_xaxes(title_text="missed, as felt, m/s²", row=1, col=2)
+    figure.update_yaxes(title_text="as seen, m/s²", row=1, col=1)
     figure.update_annotations(font_size=12)
     says = "Points: what accelerometer and pose say that the model misses, axis by axis."
     return picture(figure, 340, says, titles=True)

@@ -27,7 +27,8 @@ class Overlay:
     """Measured and modelled channels over flights that are shown one behind the other, a row of NaN between them.
 
     time: (n,) s. measured, current, improved: (n, 12). begins: where each flight begins, s. names: of the flights.
-    worst: first and last second of the two worst. left_out: flights that were too many to show.
+    worst: first and last second of the two worst. missed: (12,) RMS over floor of the current model in them, 0 where a
+    channel is absent. left_out: stretches that were too many to show.
     """
 
     time: Floats
@@ -37,6 +38,7 @@ class Overlay:
     begins: tuple[float, ...]
     names: tuple[str, ...]
     worst: tuple[float, float]
+    missed: Floats
     left_out: int
 
 
@@ -62,6 +64,8 @@ def overlay(
             table.append(np.vstack([values, gap]))
     place, row, _ = worst_window([before[i] for i in chosen], floor, rate)
     start = begins[place] + row / rate
+    inside = before[chosen[place]][row : row + round(WORST * rate)]
+    over_floor = np.sqrt(np.mean(inside**2, axis=0)) / np.where(floor > 0, floor, np.inf)
     return Overlay(
         time=np.concatenate(times),
         measured=np.vstack(tables[0]),
@@ -70,6 +74,7 @@ def overlay(
         begins=tuple(begins),
         names=tuple(Path(stretches[i].flight).name for i in chosen),
         worst=(start, start + WORST),
+        missed=over_floor,
         left_out=len(stretches) - len(chosen),
     )
 

@@ -34,7 +34,7 @@ def regime_map(maps: Sequence[Regime]) -> Picture:
         ))  # fmt: skip
     choosing(figure, choices, asked="channel")
     figure.update_layout(plot_bgcolor=UNFLOWN)
-    figure.update_xaxes(title_text="sixth of the flown range, low to high (values under the pointer)", type="category")
+    figure.update_xaxes(title_text="low to high, in sixths", type="category")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 34 * len(maps), "Map: error over floor along each quantity.")
 
