@@ -20,6 +20,7 @@ THRUST_RATIO = (0.6, 1.67)  # model over measured, beyond which the vehicle file
 RPM = 2 * np.pi / 60
 DEGREES = 180 / np.pi
 AGREES, DISAGREES = 0.7, 0.4  # correlation of modelled with measured angular acceleration
+STANDS_OUT, APART = 0.45, 0.2  # the same of an order that fits less, but better than all others by as much
 OPPOSITE = -0.4  # the same, of rotors that turn the vehicle the other way than the file says
 ROTORS_TELL = 0.5  # share of the turning that rotors explain in some mixture, if not in the file's
 LEAST_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
@@ -143,8 +144,8 @@ def _require_order(own: float, measured: Floats, squares: Floats, rows: Floats) 
     if count <= MOST_PERMUTED:
         orders = list(itertools.permutations(range(count)))
         fits = [_agreement(measured, squares[:, list(order)], rows) for order in orders]
-        best = int(np.argmax(fits))
-        if fits[best] > AGREES:
+        best, second = np.argsort(fits)[::-1][:2].tolist()
+        if fits[best] > AGREES or (fits[best] > STANDS_OUT and fits[best] - fits[second] > APART):
             raise DataError(
                 f"the rotors do not turn the vehicle as the vehicle file says (agreement {own:.2f}). They do in "
                 f"another order: the log's columns {list(orders[best])} are the file's rotors {list(range(count))} "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import json
 import re
 from pathlib import Path
@@ -81,6 +82,20 @@ def test_gyro_accelerometer_and_commands_alone_show_the_motors_lag(run: Run, tmp
     assert with_lag >= 96
     assert "no pose in the log" in shown
     assert not {e["name"] for e in told["effects"]} & {"mass", "thrust_constant", "rotor_drag", "linear_drag", "wind"}
+
+
+def test_motors_in_the_crazyflies_own_order_are_noticed(run: Run, tmp_path: Path) -> None:
+    """Motors 1 to 4 instead of the file's rotors 0 to 3, in a flight that shows them through their lag alone."""
+    with gzip.open(DATA / "arpl_crazyflie" / "log10_cut.csv.gz", "rt") as file:
+        header, *rows = file.read().splitlines()
+    renamed = header
+    for rotor in range(4):
+        renamed = renamed.replace(f"rotor_command_{rotor}", f"ROTOR_COMMAND_{3 - rotor}")
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([renamed.lower(), *rows]))
+    code, _, wrong = run("diagnose", log, "--vehicle", "crazyflie")
+    assert code == 3
+    assert "columns [3, 2, 1, 0] are the file's rotors [0, 1, 2, 3]" in wrong
 
 
 def test_a_log_without_pose_is_compared_in_what_it_has(run: Run) -> None:
