@@ -39,9 +39,7 @@ def rotor_speeds(flight: Flight, vehicle: Vehicle) -> tuple[Floats, RotorSource]
         return _allocated(flight, vehicle), "command"
     if slow:
         advice = faster_rotors(flight.provenance.format, flight.parameters)
-        if (
-            "SDLOG_PROFILE" not in advice
-        ):  # a table may have been a PX4 log
+        if "SDLOG_PROFILE" not in advice:  # a table may have been a PX4 log
             advice += f"; with PX4, {faster_rotors('PX4 ULog', {})}"
         raise DataError(
             f"{name} has {', '.join(slow)}. Wanted {SLOWEST:.0f} Hz or more, for rotors answer within tens of "
