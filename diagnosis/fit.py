@@ -25,6 +25,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 
 STEPS = 8
 WORSE = 1.001  # times the cost before, beyond which a step is halved
+STABLE = 0.4  # rows, of the shortest lag that a Runge-Kutta step a row follows
 BLOCK = 2.0  # s, over which residuals may hang together
 SETTLED = 0.02  # of its standard deviation by which a parameter still moves at the end
 NUDGE = 0.02  # relative step of finite differences
@@ -88,7 +89,7 @@ def _settle(problem: _Problem) -> tuple[Floats, Floats]:
             break
         ahead = problem.bounded(values, step)
         next_step, next_covariance, next_cost = problem.step(ahead)
-        if next_cost > WORSE * cost:
+        if not next_cost <= WORSE * cost:
             step = step / 2
             continue
         values, step, covariance, cost = ahead, next_step, next_covariance, next_cost
@@ -116,7 +117,8 @@ class _Problem:
         self._candidates = candidates
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
-        self.bounds = [bounds(c.effect, name) for c, name in self.free]
+        rate = regression.stretches[0].rate
+        self.bounds = [_stable(c.effect, name, rate) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         self._predictor = Predictor(
             regression.vehicle,
@@ -144,7 +146,8 @@ class _Problem:
                     f"{candidate.key}.{n}": candidate.at[n] + float(t)
                     for n, t in zip(candidate.free, part, strict=True)
                 }
-        return np.array([found.get(f"{c.key}.{n}", c.at[n]) for c, n in self.free])
+        low, high = np.array(self.bounds).T
+        return np.clip([found.get(f"{c.key}.{n}", c.at[n]) for c, n in self.free], low, high)
 
     def bounded(self, values: Floats, step: Floats) -> Floats:
         """Values after a step, within their bounds."""
@@ -162,6 +165,8 @@ class _Problem:
         own, total, rows = [np.zeros((width, width)) for _ in r.flights], 0.0, []
         for part, (error_y, error_x, error_z) in self._rows(dict(zip(self.names, values.tolist(), strict=True))):
             y, x, z = part.flat()
+            if not np.isfinite(y @ y) or not np.isfinite(x).all():
+                return np.zeros(count), np.zeros((count, count)), np.inf  # hidden states have run away
             grams[part.flight] += z.T @ x
             products[part.flight] += z.T @ y
             own[part.flight] += z.T @ z
@@ -247,6 +252,12 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.whole:
         return tuple(candidate.at)
     return (*candidate.free, *REFINED.get(candidate.effect.name, ()))
+
+
+def _stable(effect: Effect, name: str, rate: float) -> tuple[float, float]:
+    """Bounds within which rows at `rate` Hz can be integrated: the rotors' lag is no shorter than 0.4 of a row."""
+    low, high = bounds(effect, name)
+    return (max(low, STABLE / rate) if effect.rotor_speed is not None else low), high
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:
