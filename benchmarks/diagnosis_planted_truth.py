@@ -80,7 +80,7 @@ def _same_form(effect: FoundEffect, true: Mapping[str, EffectUse]) -> bool:
     """Whether parameters that were tried, not fitted, are the true ones: else the fitted ones mean something else."""
     held = {n: p.value for n, p in effect.parameters.items() if p.std == 0}
     return all(
-        abs(value - true[effect.name].parameters.get(n, value)) <= 0.05 * abs(value) for n, value in held.items()
+        abs(value - true[effect.name].parameters.get(n, value)) <= 1e-3 * abs(value) for n, value in held.items()
     )
 
 
