@@ -4,7 +4,7 @@ In lockstep, with the mock's estimates, sensor noise, delays, motor lag and inne
 one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
 flown is kept in a folder, so that a run which was cut short goes on.
 
-    python benchmarks/demo_gain.py [--seeds 5] [--keep FOLDER] [--minutes 8]
+    python benchmarks/demo_gain.py [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]
 """
 
 from __future__ import annotations
@@ -39,13 +39,17 @@ CATALOGUE_MANOEUVRES = ("Ellipse_2", "ExtendedLemniscate", "WarpedEllipse_2")  #
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--effects", default="", help="names of those to fly, by default all")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "demo_gain")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="until no further demo is begun")
     given = parser.parse_args()
     seeds = range(1, given.seeds + 1)
     wanted = {f"default_{seed}": DemoOptions(given.keep, lockstep=True, seed=seed) for seed in seeds}
+    chosen = given.effects.split(",") if given.effects else [effect.partition(":")[0] for effect in EFFECTS]
     for effect in EFFECTS:
         name = effect.partition(":")[0]
+        if name not in chosen:
+            continue
         wanted[name] = DemoOptions(given.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
     found = dict(_demos(wanted, until=time.monotonic() + 60 * given.minutes))
     if len(found) < len(wanted):
@@ -102,7 +106,9 @@ def _catalogue(found: Mapping[str, DemoReport | str]) -> list[str]:
             "what was learned, for each.", "", "| hidden | verdict | added | prediction of force | ratios |",
             "| --- " * 5 + "|"]  # fmt: skip
     for effect in EFFECTS:
-        outcome = found[effect.partition(":")[0]]
+        if (name := effect.partition(":")[0]) not in found:
+            continue
+        outcome = found[name]
         rows.append(f"| {effect} | none: {outcome} | | | |" if isinstance(outcome, str) else _line(effect, outcome))
     return rows
 
