@@ -241,6 +241,7 @@ class ControlThread:
             preparation_seconds=self._preparation,
             departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
             late_cause=cause.value,
+            model_ratio=self._flyer.model_ratio,
         )
 
     def _put(self, record: Record, now: float) -> None:

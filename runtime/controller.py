@@ -132,6 +132,11 @@ class Controller:
         """(N, nu) rotor speeds of the current prediction, rad/s."""
         return self.solver.inputs
 
+    @property
+    def fit_ratio(self) -> float:
+        """A learned model's running error over its error in training, NaN for a physical one."""
+        return math.nan if self._columns is None else self.health.ratio
+
     def node_times(self, time: float) -> Array:
         """(N + 1,) times of the reference that a tick at a time looks at: from when its command acts."""
         return time + self.options.delay + self._offsets

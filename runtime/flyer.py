@@ -118,6 +118,11 @@ class Flyer:
         return self.over and self.mission.phase is Phase.SHUTDOWN
 
     @property
+    def model_ratio(self) -> float:
+        """A learned model's running error over its error in training; NaN where none flies."""
+        return self._controller.fit_ratio
+
+    @property
     def horizon(self) -> tuple[Array, Array] | None:
         """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
         if not self._prepared:

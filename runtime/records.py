@@ -7,6 +7,7 @@ World ENU, body FLU, attitude body to world, w first, as everywhere.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import nan
 from typing import Annotated, Any
 
 import msgspec
@@ -70,6 +71,9 @@ class TickRecord(msgspec.Struct, frozen=True):
     preparation_seconds: Seconds
     departure_seconds: Annotated[float, Meta(description="s from what set the tick off to the setpoint's departure")]
     late_cause: str
+    model_ratio: Annotated[float, Meta(description="a learned model's error over its error in training, else NaN")] = (
+        nan
+    )
 
 
 class ObservationRecord(msgspec.Struct, frozen=True):
