@@ -86,13 +86,15 @@ def _require_metres(stretches: Sequence[Stretch]) -> None:
 
 
 def _require_live_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
-    speeds = np.vstack([s.rotor_speed for s in stretches])
-    dead = [i for i, speed in enumerate(np.median(speeds, axis=0)) if speed < STANDING * vehicle.hover_speed]
-    if dead:
-        raise DataError(
-            f"rotor {', '.join(map(str, dead))} reads nearly zero speed while the vehicle flies: its speed sensor is "
-            "dead (rotor_speed_fault), not the rotor. Repair it, or give a log with the motor commands instead."
-        )
+    for flight in dict.fromkeys(s.flight for s in stretches):
+        speeds = np.vstack([s.rotor_speed for s in stretches if s.flight == flight])
+        dead = [i for i, speed in enumerate(np.median(speeds, axis=0)) if speed < STANDING * vehicle.hover_speed]
+        if dead:
+            raise DataError(
+                f"{flight}: rotor {', '.join(map(str, dead))} reads nearly zero speed while the vehicle flies: its "
+                "speed sensor is dead (rotor_speed_fault), not the rotor. Repair it, or give a log with the motor "
+                "commands instead."
+            )
 
 
 def _require_thrust(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
