@@ -97,11 +97,19 @@ def pairs(source: str, count: int, seed: int) -> list[tuple[str, str]]:
     found: list[tuple[str, str]] = []
     while len(found) < count:
         first, second = sorted(random.choice(usable, 2, replace=False).tolist())
-        if any({first, second} <= group for group in INSEPARABLE) or "rotor_speed_fault" in (first, second):
-            continue
-        if (first, second) not in found:
+        if fair((first, second)) and (first, second) not in found:
             found.append((first, second))
     return found
+
+
+def fair(pair: Sequence[str]) -> bool:
+    """Whether one kind of log shows both effects and tells them apart."""
+    alike = any(set(pair) <= group for group in INSEPARABLE)
+    return (
+        not alike
+        and "rotor_speed_fault" not in pair
+        and not (set(pair) & set(BY_COMMAND) and set(pair) & set(BY_SPEED))
+    )
 
 
 def fly(source: str, uses: Sequence[EffectUse], noise: float, seed: int, *, commands: bool = False) -> list[Flight]:

@@ -34,7 +34,25 @@ def accepted_fit(regression: Regression, selection: Selection, dataset: Dataset)
         if borne_out(rows, changed, regression):
             best, rows = trial, changed
             accepted.append(candidate)
-    return _without_idle(best, regression, dataset)
+    return _with_known(_without_idle(best, regression, dataset), regression, dataset)
+
+
+def _with_known(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
+    """The fit with the vehicle file's own effects fitted anew beside what was found, where that helps held-out flights.
+
+    They were fitted without what is found now, and may have stood in for it.
+    """
+    held = {(use.name, use.rotor) for use in regression.vehicle.effects}
+    mine = {c.key for c in best.candidates}
+    known = [c for c in regression.candidates if (c.effect.name, c.rotor) in held and not c.whole and c.key not in mine]
+    if not known or not best.candidates:
+        return best
+    together = fit(regression, [*best.candidates, *known])
+    levels = [misfit(_held_out(found, regression, dataset), regression.noise) for found in (best, together)]
+    if not levels[1] < IMPROVEMENT * levels[0]:
+        return best
+    estimates = {key: value for key, value in together.estimates.items() if key[0] in mine}
+    return Fit(together.vehicle, estimates, best.candidates)
 
 
 def _without_idle(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
@@ -103,7 +121,8 @@ def at_its_bounds(found: Fit, candidate: Candidate) -> bool:
     """Whether a fit has driven a candidate's parameter to a physical bound: it then stands in for something else."""
     if candidate.effect.measurement is not None:  # a sensor may well be dead
         return False
-    limits = {p.name: (p.lower, p.upper) for p in candidate.effect.parameters}
+    # where the effect vanishes it stands in for nothing: the vehicle file may claim one that is not there
+    limits = {p.name: {p.lower, p.upper} - {p.neutral} for p in candidate.effect.parameters}
     return any(
         estimate.value in limits[name] for (key, name), estimate in found.estimates.items() if key == candidate.key
     )

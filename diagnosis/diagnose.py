@@ -58,7 +58,9 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
     typical = [typical_misfit(rows, regression.noise, regression.rate) for rows in (before, after)]
     effects = found_effects(regression, selection, result)
     gust_share = selection.gust.gain / max(regression.total, 1)
-    verdict = judge(effects, leftover, at_first, (typical[0], typical[1]), gust_share)
+    swings = any(c.effect.hidden and c.effect.rotor_speed is None for c in result.candidates)
+    misfits_now = None if swings else (typical[0], typical[1])
+    verdict = judge(effects, leftover, at_first, misfits_now, gust_share)
     unseen = not_excited(regression, selection.chosen)
     apart = [effects[0].name, *effects[0].ambiguous_with] if effects else []
     floor = regression.noise.floor

@@ -73,18 +73,23 @@ def _confidence(search: Search, rivals: Sequence[Scored]) -> float:
 
 
 def judge(
-    effects: Sequence[FoundEffect], left: Leftover, at_first: Leftover, misfits: tuple[float, float], gust_share: float
+    effects: Sequence[FoundEffect],
+    left: Leftover,
+    at_first: Leftover,
+    misfits: tuple[float, float] | None,
+    gust_share: float,
 ) -> Verdict:
     """The verdict: whether something is left that no effect explains comes before what was found.
 
-    misfits: of a typical held-out window, before and after. gust_share: gain of a gust over the number of whitened
+    misfits: of a typical held-out window, before and after; None where something swings by itself, which on wild flights
+    nobody can foretell. gust_share: gain of a gust over the number of whitened
     residuals. What a gust leaves is no surprise, unless it can be learned from the state or comes back in its place.
     """
     gusty = any(effect.name == "gust" for effect in effects)
     regular = max(left.learnable, left.returning) > GUST_LEARNABLE * gust_share
     agrees = left.agreement > max(LEFT_AGREEMENT, LEFT_SHARE * at_first.agreement)
     learnable = left.learnable > max(LEFT_LEARNABLE, LEFT_SHARE * at_first.learnable)
-    misfitting = misfits[1] > max(LEFT_MISFIT, LEFT_SHARE * misfits[0])
+    misfitting = misfits is not None and misfits[1] > max(LEFT_MISFIT, LEFT_SHARE * misfits[0])
     if left.line > LEFT_LINE or (regular if gusty else agrees or learnable or misfitting):
         return "unknown"
     if not effects:

@@ -105,6 +105,15 @@ def test_what_the_file_knew_is_fitted_again_with_what_is_added(plain, heavier):
     assert added.effects[1].parameters["coefficient"] < 4e-7
 
 
+def test_diagnosis_too_fits_what_the_file_knew_beside_what_it_finds(plain, heavier):
+    draggy = heavier.with_effects(EffectUse("rotor_drag", {"coefficient": 4e-6}))  # there is none
+    found = diagnose(plain, draggy, SOME)
+    values = {use.name: use.parameters for use in found.vehicle.effects}
+    assert found.diagnosis.effects[0].name == "mass"
+    assert values["mass"]["ratio"] == pytest.approx(1 / 1.06, rel=0.01)
+    assert values["rotor_drag"]["coefficient"] < 6e-7
+
+
 def test_an_effect_that_does_not_help_is_refused(plain, arpl_250g):
     with pytest.raises(DataError, match="was not added"):
         add_effect("wind", plain, arpl_250g, SOME, date="2026-01-02")
