@@ -23,7 +23,7 @@ from training.recordings import Recording
 
 Floats = NDArray[np.float64]
 FEWEST_WINDOWS = 500
-THRUST_FIT = (0.5, 2.0)  # of measured over modelled specific force, outside which the vehicle file is another's
+MOST_OFF = 2.5  # factor of specific force, or of roll and pitch, by which a vehicle file may err and not be another's
 LEAST_AGREEMENT = 0.2  # correlation of modelled with measured roll and pitch acceleration
 EXCITED = 0.5  # rad/s^2 of angular acceleration from which on that can be judged
 
@@ -167,19 +167,25 @@ def _require_fit(dataset: Dataset, vehicle: Vehicle) -> None:
     """Refuse a vehicle file whose textbook model has nothing to do with the flights. Raises DataError."""
     label, nominal = dataset.label[dataset.ends], dataset.nominal[dataset.ends]
     ratio = float(np.sum(label[:, 2] * nominal[:, 2]) / np.sum(nominal[:, 2] ** 2))
-    if not THRUST_FIT[0] < ratio < THRUST_FIT[1]:
+    if not 1 / MOST_OFF < ratio < MOST_OFF:
         raise DataError(
             f"the vehicle file {vehicle.name} does not fit these flights: they show {ratio:.2f} times the specific "
             "force that its rotors give. Check mass, thrust_constant (N s^2/rad^2) and speed_max (rad/s), or give the "
             "file of the vehicle that flew."
         )
+    seen, said = label[:, 3:5].std(axis=0), nominal[:, 3:5].std(axis=0)
+    if np.any(seen < EXCITED) or np.any(said == 0):
+        return
+    turning = seen / said
+    if np.all(turning > MOST_OFF) or np.all(turning < 1 / MOST_OFF):
+        raise DataError(
+            f"the vehicle file {vehicle.name} does not fit these flights: roll and pitch accelerate "
+            f"{turning[0]:.2g} and {turning[1]:.2g} times as much as it says. Check inertia (kg m^2) and rotor "
+            "positions (m), or give the file of the vehicle that flew."
+        )
     for axis, name in ((3, "roll"), (4, "pitch")):
-        seen, said = label[:, axis], nominal[:, axis]
-        if (
-            seen.std() > EXCITED
-            and said.std() > 0
-            and (agreement := float(np.corrcoef(seen, said)[0, 1])) < (LEAST_AGREEMENT)
-        ):
+        agreement = float(np.corrcoef(label[:, axis], nominal[:, axis])[0, 1])
+        if agreement < LEAST_AGREEMENT:
             raise DataError(
                 f"the vehicle file {vehicle.name} does not fit these flights: its {name} acceleration correlates with "
                 f"theirs by {agreement:.2f}. Check the order and the positions of its rotors."

@@ -61,7 +61,8 @@ def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, ga
 
 def gate_of(disagreement: Floats, threshold: float) -> Floats:
     """Share of a residual that is believed: all of it up to the threshold, then falling with the square."""
-    return np.asarray(np.minimum(1.0, (threshold / np.maximum(disagreement, 1e-300)) ** 2))
+    least = max(threshold, 1e-12)  # members that all kept no residual agree exactly
+    return np.asarray((least / np.maximum(disagreement, least)) ** 2)
 
 
 def member_outputs(model: TrainedModel, data: Dataset, *, member: int | None = None) -> Floats:

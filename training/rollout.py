@@ -70,6 +70,9 @@ class Rollout:
     def loss(self, network: nn.Module, chosen: Tensor, generator: torch.Generator) -> Tensor:
         """Mean over the steps of the squared error of the mean acceleration up to each, in standardised units.
 
+        Errors of a model that speaks in body axes are counted in those of the first step, so that a single step has
+        the one-step loss.
+
         chosen: (b,) numbers that pick starts, modulo their count.
         """
         rows = self.starts[chosen % len(self.starts)]
@@ -80,13 +83,15 @@ class Rollout:
         for column in windows[:, :-1].unbind(1):
             stream.push(column)
         column, state = windows[:, -1], self.state[rows]
+        back = None if self.config.outputs == "world" else conjugate(state[:, 3:7])
         error, total = torch.zeros(len(rows), 6, device=rows.device), torch.zeros((), device=rows.device)
         for step in range(self.steps):
             outputs = stream.push(column)
             assert outputs is not None
             world = self._world(outputs, self.base[rows + step], state[:, 3:7])
             error = error + (world - self.label[rows + step])
-            total = total + (error / ((step + 1) * self.error_std)).square().mean()
+            counted = error if back is None else torch.cat([rotated(back, error[:, :3]), error[:, 3:]], 1)
+            total = total + (counted / ((step + 1) * self.error_std)).square().mean()
             state = advanced(state, world, self.config.dt)
             if step + 1 < self.steps:
                 column = self._column(state, self.tensors.inputs[rows + step + 1])
@@ -113,12 +118,17 @@ class Rollout:
         if self.config.inputs == "world":
             moving = state
         else:
-            back = torch.cat([attitude[:, :1], -attitude[:, 1:]], 1)
+            back = conjugate(attitude)
             down = torch.tensor([0.0, 0.0, -1.0], device=state.device).expand(len(state), 3)
             moving = torch.cat([rotated(back, state[:, :3]), rotated(back, down), state[:, 7:]], 1)
         width = moving.shape[1]
         standardised = (moving - self.scaling["input_mean"][:width]) / self.scaling["input_std"][:width]
         return torch.cat([standardised, recorded[:, width:]], 1)
+
+
+def conjugate(attitude: Tensor) -> Tensor:
+    """The inverse rotations. attitude: (b, 4), unit."""
+    return torch.cat([attitude[:, :1], -attitude[:, 1:]], 1)
 
 
 def rotated(attitude: Tensor, vector: Tensor) -> Tensor:

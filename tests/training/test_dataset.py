@@ -111,8 +111,8 @@ def test_measured_rotor_speeds_stand_in_for_commands_when_all_flights_lack_them(
 
 
 def test_a_vehicle_file_that_does_not_fit_is_refused(arpl_250g: Vehicle, recordings: Sequence[Recording]) -> None:
-    heavy = msgspec.structs.replace(arpl_250g, body=msgspec.structs.replace(arpl_250g.body, mass=0.1))
-    with pytest.raises(DataError, match=r"does not fit these flights: they show 0.4\d times the specific force"):
+    heavy = msgspec.structs.replace(arpl_250g, body=msgspec.structs.replace(arpl_250g.body, mass=0.05))
+    with pytest.raises(DataError, match=r"does not fit these flights: they show 0.2\d times the specific force"):
         make_dataset(BODY, heavy, recordings)
     order = arpl_250g.rotors.position[1:] + arpl_250g.rotors.position[:1]
     turned = msgspec.structs.replace(

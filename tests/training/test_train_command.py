@@ -1,0 +1,134 @@
+"""`alula train`: from a folder of flights to a checkpoint with its card, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from typer.testing import CliRunner, Result
+
+from alula.cli import app
+from dynamics.errors import DataError, RequestError
+from training import checkpoint
+
+QUICK = ("--steps", "40", "--batch", "64", "--ensemble", "2", "--jobs", "1")
+
+
+def train(*arguments: object) -> Result:
+    result = CliRunner().invoke(app, ["train", *map(str, arguments)])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def test_a_folder_of_flights_becomes_a_checkpoint_with_its_card(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "m.pt"
+    curves = tmp_path / "curves"
+    done = train(
+        folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--out", out, *QUICK, "--tensorboard", curves,
+    )  # fmt: skip
+    model = checkpoint.load(out)
+    card = json.loads((tmp_path / "m.json").read_text())
+    assert len(model.networks) == 2
+    assert model.reliability is not None
+    assert card["kind"] == "pi_tcn"
+    assert card["recipe"]["physics_weight"] == 0.01
+    assert set(card["flights"]) | set(card["validation"]) == {f"flight_{place}.parquet" for place in range(4)}
+    assert [error["flight"] for error in card["errors"]] == ["flight_2.parquet"]
+    assert card["seeds"] == [0, 1]
+    assert "flight_2.parquet" in done.output
+    assert list(curves.glob("events*"))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["curves", "m.json", "m.pt"]
+    with pytest.raises(RequestError, match=r"m.pt exists. Give another --out, or --overwrite"):
+        train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--out", out, *QUICK)
+
+
+def test_a_grey_box_brings_its_fitted_effects_along(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "g.pt"
+    done = train(
+        folder, "--vehicle", "arpl_250g", "--model", "grey_box", "--effect", "motor_lag", "--effect", "rotor_drag",
+        "--out", out, *QUICK, "--json",
+    )  # fmt: skip
+    card = json.loads(done.stdout)
+    model = checkpoint.load(out)
+    lag, drag = model.vehicle.effects
+    assert lag.parameters["time_constant"] == pytest.approx(0.04, rel=0.05)
+    assert drag.parameters["coefficient"] == pytest.approx(6e-5, rel=0.05)
+    assert all(error["combined"] < 1.1 * error["base"] for error in card["errors"])
+    with pytest.raises(RequestError, match="arpl_250g names no effect"):
+        train(folder, "--vehicle", "arpl_250g", "--model", "grey_box", "--out", tmp_path / "h.pt", *QUICK)
+
+
+def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "p.pt"
+    train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--recipe", "paper", "--out", out, "--steps", 4,
+          "--ensemble", 1)  # fmt: skip
+    model = checkpoint.load(out)
+    assert (model.config.inputs, model.config.label, model.config.batch_norm) == ("world", "instantaneous", True)
+    assert (model.config.dropout, model.config.filtered_inputs, model.config.motors) == (0.1, True, "measured")
+    recipe = model.card.recipe
+    assert (recipe.batch, recipe.physics_batch, recipe.learning_rate) == (1024, 1024, 1e-4)
+    assert (recipe.physics_weight, recipe.physics_points, recipe.physics_pool) == (1.0, "space", 1024)
+    np.testing.assert_array_equal(model.scaling.input_std, np.ones(14))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "message"),
+    [
+        (("--model", "lstm"), RequestError, "unknown model 'lstm'. Known: nominal, pi_tcn"),
+        (("--model", "pi_tcn", "--recipe", "slow"), RequestError, "unknown recipe 'slow'. Known: paper, fast"),
+        (("--model", "pi_tcn", "--label", "guess"), RequestError, "Invalid enum value 'guess'"),
+        (("--model", "pi_tcn", "--learning-rate", "-1"), RequestError, "Expected `float` > 0"),
+        (("--model", "res_tcn", "--physics-weight", "1"), RequestError, "for models without a base"),
+        (("--model", "pi_tcn", "--validation", "x*"), RequestError, "matches none"),
+        (("--model", "pi_tcn", "--device", "abacus"), RequestError, "unknown device 'abacus'"),
+        (("--model", "pi_tcn", "--vehicle", "px4_sih"), DataError, "px4_sih does not fit these flights"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(
+    folder: Path, tmp_path: Path, arguments: tuple[str, ...], error: type[Exception], message: str
+) -> None:
+    given = arguments if "--vehicle" in arguments else ("--vehicle", "arpl_250g", *arguments)
+    with pytest.raises(error, match=message):
+        train(folder, *given, "--out", tmp_path / "m.pt")
+    assert not (tmp_path / "m.pt").exists()
+
+
+def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "alula", "train", str(folder), "--vehicle", "arpl_250g", "--model", "pi_mlp",
+               "--steps", "2000", "--batch", "64", "--ensemble", "1"]  # fmt: skip
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    whole = subprocess.run([*command, "--out", str(tmp_path / "whole.pt")], env=environment, check=False)
+    assert whole.returncode == 0
+    state = tmp_path / "m.pt.run" / "member_0.state"
+    with subprocess.Popen([*command, "--out", str(tmp_path / "m.pt")], env=environment) as killed:
+        deadline = time.monotonic() + 60
+        while not state.exists():
+            assert time.monotonic() < deadline
+            assert killed.poll() is None
+            time.sleep(0.01)
+        killed.send_signal(signal.SIGKILL)
+    assert not (tmp_path / "m.pt").exists()
+    with pytest.raises(RequestError, match=r"holds a training that did not end. Go on with --resume"):
+        train(*command[4:], "--out", tmp_path / "m.pt")
+    train(*command[4:], "--out", tmp_path / "m.pt", "--resume")
+    one, other = (checkpoint.load(tmp_path / name).networks[0].state_dict() for name in ("whole.pt", "m.pt"))
+    assert all(torch.equal(one[name], other[name]) for name in one)
+    assert not state.parent.exists()
+
+
+def test_members_in_processes_of_their_own_are_those_of_one_process(folder: Path, tmp_path: Path) -> None:
+    common = (folder, "--vehicle", "arpl_250g", "--model", "pi_mlp", "--steps", 20, "--ensemble", 2)
+    train(*common, "--jobs", 1, "--out", tmp_path / "one.pt")
+    train(*common, "--jobs", 2, "--out", tmp_path / "two.pt")
+    windows = np.random.default_rng(0).normal(size=(9, 1, 13))
+    one, two = (checkpoint.load(tmp_path / name).outputs(windows) for name in ("one.pt", "two.pt"))
+    np.testing.assert_array_equal(one, two)
