@@ -36,6 +36,7 @@ EMPTY = 0.25  # charge of the battery on the last flight, whose voltage must var
 SHORTEST = 6.0  # s of a flight, else the hidden effect was more than the vehicle could bear
 WEAKER = (1.0, 0.7, 0.5, 0.3)  # of the strength, tried in turn until the vehicle bears it
 AT_FLOOR = 1.3  # times its floor a channel may have after adding, the goal for the worst effect
+REFUSED = (3,)  # exit code of what says honestly that it cannot; no error, but nothing is added either
 UNIFORM = ("imu_bias", "gyro_bias")  # the same everywhere, so that nowhere is worse than elsewhere
 
 
@@ -176,8 +177,7 @@ def _added(
 ) -> dict[str, Any] | None:
     first = effects[0]
     rotor = [] if first["rotor"] is None else ["--rotor", str(first["rotor"])]
-    refused = (3,) if first["name"] == "gust" else ()
-    added = _asked("add", [first["name"], *logs, *held, *rotor], folder, faults, may=refused)
+    added = _asked("add", [first["name"], *logs, *held, *rotor], folder, faults, may=REFUSED)
     written = folder / "vehicle.v2.toml"
     if bool(added) != written.exists():
         faults.append(f"alula add answered {'with' if added else 'without'} a result, but the file says otherwise")

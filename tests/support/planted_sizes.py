@@ -18,6 +18,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 Floats = NDArray[np.float64]
 
 SECANTS = 4
+FARTHEST = 0.4  # of the way from neutral to a bound: a vehicle with three times its inertia is another vehicle
 ONE_SIZE = ("heading", "distance", "scale", "correlation_time")  # parameters that say where or when, not how much
 
 
@@ -56,7 +57,7 @@ class Yardstick:
         towards = {p.name: _direction(p, self.vehicle, random) for p in free}
 
         def use(size: float) -> EffectUse:
-            moved = {p.name: float(np.clip(p.neutral + size * towards[p.name], p.lower, p.upper)) for p in free}
+            moved = {p.name: _bounded(p, size * towards[p.name]) for p in free}
             return EffectUse(name, {**held, **moved}, rotor)
 
         size = 1.0
@@ -68,6 +69,12 @@ class Yardstick:
         places = np.vstack([s.position for s in self.data.everything])
         lowest, highest = places.min(axis=0).tolist(), places.max(axis=0).tolist()
         return Span(tuple(lowest), tuple(highest))
+
+
+def _bounded(parameter: Parameter, moved: float) -> float:
+    """The value at a distance from neutral, but not near a bound."""
+    low, high = (FARTHEST * (bound - parameter.neutral) for bound in (parameter.lower, parameter.upper))
+    return float(parameter.neutral + np.clip(moved, low, high))
 
 
 def _direction(parameter: Parameter, vehicle: Vehicle, random: np.random.Generator) -> float:
