@@ -9,7 +9,8 @@ from dynamics.model import RIGID_BODY_STATES
 
 Array = NDArray[np.float64]
 CAPACITY = 256  # rows kept; when they are used up the newer half moves to the front
-WIDEST_GAP = 3.5  # columns between two measurements, from which on the history has a hole
+BRIDGED = 1.5  # columns between two measurements, from which on what was predicted in between stays
+WIDEST_GAP = 0.1  # s between two measurements, from which on the history begins anew
 
 
 class ColumnHistory:
@@ -39,8 +40,13 @@ class ColumnHistory:
         if last >= 0 and time <= self._times[last]:
             self._count = self._known
             return np.asarray(self._states[last] if time == self._times[last] else state)
-        if last < 0 or time - self._times[last] > WIDEST_GAP * self.dt:
+        gap = time - self._times[last] if last >= 0 else np.inf
+        if gap > WIDEST_GAP:
             self._known, self._since = 0, time
+        elif gap > BRIDGED * self.dt:
+            self._known = max(
+                self._known, int(np.searchsorted(self._times[: self._count], time - 0.5 * self.dt, side="left"))
+            )
         near = self._states[self._known - 1, 6:10] if self._known else np.array([1.0, 0.0, 0.0, 0.0])
         self._count = self._known
         self._append(time, state)
