@@ -20,11 +20,11 @@ from scipy import ndimage, stats
 
 from diagnosis.filters import Floats, difference, low_pass
 from diagnosis.report import FoundEffect, ParameterValue, Verdict
-from diagnosis.rotor_input import QUANTITIES
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
+from flights.rotors import QUANTITIES
 
 LEAST_HOVER = 4.0  # s
 LEAST_SPELL = 0.5  # s of hover that count

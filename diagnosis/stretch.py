@@ -9,12 +9,12 @@ from functools import cached_property
 import numpy as np
 
 from diagnosis.filters import Floats, difference, low_pass
-from diagnosis.rotor_input import SLOWEST, RotorSource, rotor_speeds
 from dynamics import quaternion
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
+from flights.rotors import SLOWEST, RotorSource, rotor_speeds
 
 FASTEST = 500.0  # Hz
 SLOWEST_LOGGED = 0.95 * SLOWEST  # Hz; clocks are not exact

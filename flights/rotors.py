@@ -12,20 +12,23 @@ from flights.flight import Flight
 from flights.log import Floats
 from flights.verdict.advice import faster_rotors
 
-RotorSource = Literal["measured", "command"]
+RotorSource = Literal["measured", "speed_command", "command"]  # speeds asked for are taken at their word
+SOURCES: dict[str, RotorSource] = {"rotor_speed": "measured", "rotor_speed_command": "speed_command"}
 SLOWEST = 40.0  # Hz
-MEASURED, COMMANDED = ("rotor_speed",), ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
+COMMANDS = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
+QUANTITIES = ("rotor_speed", *COMMANDS)
 
 
 def rotor_speeds(
-    flight: Flight, vehicle: Vehicle, *, prefer: RotorSource = "measured"
+    flight: Flight, vehicle: Vehicle, *, prefer: Literal["measured", "command"] = "measured"
 ) -> tuple[Floats, RotorSource]:  # fmt: skip
-    """(n, rotors) rad/s, measured or those that commands stand for by the vehicle file: as preferred, else the others.
+    """(n, rotors) rad/s, measured if there are such, else those that the commands stand for by the vehicle file.
 
+    prefer: "command" takes commands first, for models that shall be given what is asked of the rotors.
     Raises DataError when there are neither, or none is logged fast enough.
     """
     name, count, slow = flight.provenance.path, vehicle.rotors.count, []
-    for quantity in MEASURED + COMMANDED if prefer == "measured" else COMMANDED + MEASURED:
+    for quantity in QUANTITIES if prefer == "measured" else (*COMMANDS, "rotor_speed"):
         if not flight.has(quantity):
             continue
         origin = flight.origins.get(quantity)
@@ -35,14 +38,16 @@ def rotor_speeds(
         values = flight[quantity]
         if values.shape[1] != count:
             raise DataError(f"{name} has {values.shape[1]} rotors, the vehicle file {count}. Give its own file.")
-        return _speeds(quantity, values, vehicle.rotors), "measured" if quantity == "rotor_speed" else "command"
+        return _speeds(quantity, values, vehicle.rotors), SOURCES.get(quantity, "command")
     if flight.has("collective_thrust_command", "torque_command"):
         return _allocated(flight, vehicle), "command"
     if slow:
         advice = faster_rotors(flight.provenance.format, flight.parameters)
+        if "SDLOG_PROFILE" not in advice:  # a table may have been a PX4 log
+            advice += f"; with PX4, {faster_rotors('PX4 ULog', {})}"
         raise DataError(
             f"{name} has {', '.join(slow)}. Wanted {SLOWEST:.0f} Hz or more, for rotors answer within tens of "
-            f"milliseconds: {advice}, and fly again."
+            f"milliseconds: {advice}. Then fly again."
         )
     raise DataError(
         f"{name} has {', '.join(flight.quantities)}. Wanted rotor speeds, motor commands, or commanded thrust and "

@@ -16,7 +16,7 @@ from flights.flight import Flight
 from flights.labels import Samples, paper_table, samples, scaled_motors
 from flights.rotors import rotor_speeds
 from flights.windows import windows
-from training.config import ModelConfig
+from training.config import ModelConfig, Motors
 from training.features import body_accelerations, columns, outputs_from
 from training.physics import RowModel, textbook
 from training.recordings import Recording
@@ -75,11 +75,10 @@ def settled_motors(config: ModelConfig, recordings: Sequence[Recording], vehicle
 
     Raises DataError when the flights differ, or one has no motor data.
     """
-    found = {
-        rotor_speeds(segment, vehicle, prefer=config.motors)[1]: recording.name
-        for recording in recordings
-        for segment in recording.segments[:1]
-    }
+    found: dict[Motors, str] = {}
+    for recording in recordings:
+        _, source = rotor_speeds(recording.segments[0], vehicle, prefer=config.motors)
+        found["measured" if source == "measured" else "command"] = recording.name
     if len(found) > 1:
         raise DataError(
             f"{found['command']} has motor commands, {found['measured']} measured rotor speeds only: a network cannot "
