@@ -13,6 +13,7 @@ from alula.commands.campaign import campaign
 from alula.commands.compare import compare
 from alula.commands.demo import demo
 from alula.commands.diagnose import diagnose
+from alula.commands.evaluate import evaluate
 from alula.commands.export import export
 from alula.commands.fly import fly
 from alula.commands.inspect import inspect
@@ -47,7 +48,7 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add, train, export):
+for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add, train, evaluate, export):
     app.command()(_command)
 
 

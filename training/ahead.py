@@ -33,11 +33,12 @@ class OpenLoop(msgspec.Struct, frozen=True):
 class Pulse(msgspec.Struct, frozen=True):
     """Error of the response to +200 rpm for 10 ms, over the response itself, 100 ms after it began.
 
-    name: which rotors. rate: of body rates. velocity: of velocity. thrust: of velocity along body z alone.
+    name: which rotors. rate: of body rates, None for all rotors, which hardly turn it. velocity: of velocity. thrust:
+    of velocity along body z alone.
     """
 
     name: str
-    rate: float
+    rate: float | None
     velocity: float
     thrust: float
 
@@ -78,7 +79,7 @@ def pulse_responses(model: TrainedModel, plant: TrainedModel, data: Dataset) -> 
     collective = _error(model, plant, data, rows, np.ones(rotors))
     return (
         Pulse("one rotor", *np.sqrt(np.mean(np.square(single), axis=0)).tolist()),
-        Pulse("all rotors", *collective),
+        Pulse("all rotors", None, *collective[1:]),
     )
 
 
@@ -86,11 +87,12 @@ def starts(model: TrainedModel, data: Dataset, *, ahead: int) -> NDArray[np.intp
     """Rows with enough columns before them, and `ahead` rows after them, in one stretch without a gap."""
     behind = warm_up(model.config) - 1
     rows = np.arange(behind, len(data.time) - ahead)
-    known = np.isfinite(np.hstack([data.position, data.state, data.motors])).all(axis=1)
+    known = np.asarray(np.isfinite(np.hstack([data.position, data.state, data.motors])).all(axis=1))
     broken = np.concatenate([[0], np.cumsum(~known | _begins(data))])
     # a stretch's first row may be the oldest column, so it does not count as a break of the window that begins there
     whole = broken[rows + ahead + 1] - broken[rows - behind + 1] == 0
-    return np.asarray(rows[whole & known[rows - behind]])
+    begun: NDArray[np.intp] = rows[np.logical_and(whole, known[rows - behind])]
+    return begun
 
 
 def _begins(data: Dataset) -> NDArray[np.bool_]:

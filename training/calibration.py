@@ -56,5 +56,3 @@ def auroc(score: Floats, positive: NDArray[np.bool_]) -> float:
     if hits in (0, len(ordered[inverse])):
         return float("nan")
     return float((rank[positive].sum() - 0.5 * hits * (hits + 1)) / (hits * (len(score) - hits)))
-
-

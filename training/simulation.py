@@ -117,5 +117,3 @@ def warm_up(config: ModelConfig) -> int:
 
 def _rotor_speed(motors: Floats) -> Floats:
     return motors / scaled_motors(np.ones(1))
-
-

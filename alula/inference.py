@@ -1,0 +1,109 @@
+"""How long one prediction takes, by engine: torch's window, the streamed network, the ONNX file, the physics in C."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+
+import msgspec
+import numpy as np
+import onnxruntime
+import torch
+from numpy.typing import NDArray
+
+from export.onnx_file import onnx_model
+from export.trained import SPEED_UNIT, exported
+from training.checkpoint import TrainedModel
+from training.dataset import Dataset
+from training.evaluation import PLANT, Judged
+from training.physics import BLOCK, RowModel
+from training.streamed import Stream
+
+Floats = NDArray[np.float64]
+REPEATS, WARM_UP = 300, 20
+
+
+class Inference(msgspec.Struct, frozen=True):
+    """Seconds of one prediction: the median, and what a tenth of them exceed."""
+
+    model: str
+    engine: str
+    median: float
+    slowest: float
+
+
+def time_inference(judged: Sequence[Judged]) -> tuple[Inference, ...]:
+    """Every model but the plant, with every engine that it has, on rows of the flights."""
+    found = []
+    with _one_thread():
+        for one in judged:
+            name = one.evaluation.name
+            calls = {} if name == PLANT else _engines(one.model, one.data)
+            found += [_timed(name, engine, *call) for engine, call in calls.items()]
+    return tuple(found)
+
+
+def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[], object], int]]:
+    """Something to call for each engine, and how many predictions a call makes."""
+    if not model.networks:
+        return {"C, 128 rows a call": (_physics_call(model, data), BLOCK)}
+    config = model.config
+    offsets = np.arange(1 - config.history, 1)
+    columns = data.inputs[data.ends[0] + offsets]
+    window = torch.from_numpy((columns - model.scaling.input_mean) / model.scaling.input_std).float()[None]
+    network, stream = model.networks[0], Stream(model.networks[0], config)
+    for column in window[0, :-1]:
+        stream.push(column[None])
+    return {
+        "torch, window": (lambda: network(window), 1),
+        "torch, streamed": (lambda: stream.push(window[:, -1]), 1),
+        "onnxruntime": (_onnx_call(model, data), 1),
+    }
+
+
+def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
+    """What a bundle's model.onnx computes: network and physics from a window in SI units."""
+    proto = onnx_model(exported(model), {})
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = 1
+    session = onnxruntime.InferenceSession(proto.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    rows = data.ends[0] + np.arange(1 - model.config.history, 1)
+    given = {}
+    for place, needed in enumerate(session.get_inputs()):
+        shape = [size if isinstance(size, int) else 1 for size in needed.shape]
+        given[needed.name] = columns[rows].T[None].astype(np.float32) if place == 0 else np.zeros(shape, np.float32)
+    return lambda: session.run(None, given)
+
+
+def _physics_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
+    rows = RowModel(
+        model.vehicle, model.vehicle.effects, dt=model.config.dt, label=model.config.label, motors=model.config.motors
+    )
+    state = np.hstack([data.position, data.state])[:BLOCK]
+    speed = SPEED_UNIT * data.motors[:BLOCK]
+    return lambda: rows(state, speed)
+
+
+def _timed(model: str, engine: str, call: Callable[[], object], predictions: int) -> Inference:
+    taken = np.empty(REPEATS)
+    with torch.no_grad():
+        for _ in range(WARM_UP):
+            call()
+        for place in range(REPEATS):
+            began = time.perf_counter()
+            call()
+            taken[place] = time.perf_counter() - began
+    median, slowest = np.quantile(taken / predictions, [0.5, 0.9])
+    return Inference(model, engine, float(median), float(slowest))
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -1,0 +1,74 @@
+"""Tables as data, for the terminal, for spreadsheets, for Markdown."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+from rich.table import Table as RichTable
+
+from dynamics.errors import RequestError
+
+Cell = str | int | float | None
+
+
+class Table(msgspec.Struct, frozen=True):
+    """name: of its file. note: what a reader has to know. headings: with units. rows: as long as the headings.
+
+    digits: significant ones of numbers, for people; files hold all of them.
+    """
+
+    name: str
+    title: str
+    headings: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    note: str = ""
+    digits: int = 3
+
+
+def shown(cell: Cell, digits: int = 3) -> str:
+    """A cell as people read it: so many significant digits, never a power of ten where a few zeros do."""
+    if cell is None or cell != cell:  # NaN is not itself
+        return ""
+    if not isinstance(cell, float):
+        return str(cell)
+    text = f"{cell:.{digits}g}"
+    return f"{cell:.0f}" if "e+" in text else text
+
+
+def terminal_table(table: Table) -> RichTable:
+    """For rich to print; columns of numbers to the right."""
+    made = RichTable(title=table.title, title_justify="left", caption=table.note or None, caption_justify="left")
+    for place, heading in enumerate(table.headings):
+        numeric = all(not isinstance(row[place], str) for row in table.rows)
+        made.add_column(heading, justify="right" if numeric else "left")
+    for row in table.rows:
+        made.add_row(*(shown(cell, table.digits) for cell in row))
+    return made
+
+
+def markdown(table: Table) -> str:
+    """The table with its title and note."""
+    lines = [table.headings, ("---",) * len(table.headings)]
+    lines += [tuple(shown(cell, table.digits) for cell in row) for row in table.rows]
+    body = "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+    return "\n\n".join(part for part in (f"**{table.title}**", body, table.note) if part)
+
+
+def write_csv(tables: Sequence[Table], folder: Path) -> list[Path]:
+    """One file a table, NAME.csv. Raises RequestError when the folder cannot be written to."""
+    written = []
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for table in tables:
+            path = folder / f"{table.name}.csv"
+            part = path.with_name(f"{path.name}.part")
+            with part.open("w", newline="", encoding="utf-8") as file:
+                csv.writer(file).writerows([table.headings, *table.rows])
+            part.replace(path)
+            written.append(path)
+    except OSError as error:
+        raise RequestError(f"cannot write {folder}: {error.strerror or error}. Give another --csv.") from error
+    return written

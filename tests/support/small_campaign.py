@@ -1,0 +1,27 @@
+"""A campaign's folder of a few short flights, with what was true beside what was measured."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from alula.lockstep import fly_reference
+from dynamics.references import named_reference
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_effect
+from flights import Flight
+
+
+def fly_campaign(folder: Path, vehicle: Vehicle, effects: Sequence[str], flights: dict[str, str]) -> Path:
+    """Write flights (split/name -> reference) that hide effects (text) from the vehicle's file."""
+    (folder / "truth").mkdir(parents=True)
+    (folder / "campaign.json").write_text(json.dumps({"effects": [*effects, "gust:intensity=0.1"]}))
+    uses = [parse_effect(text, vehicle.rotors.count) for text in effects]
+    for place, (name, text) in enumerate(flights.items()):
+        flown = fly_reference(vehicle, named_reference(text, vehicle), effects=uses, seed=place, name=name)
+        path = folder / f"{name}.parquet"
+        path.parent.mkdir(exist_ok=True)
+        Flight.from_log(flown.log, rate=100).to_parquet(path)
+        Flight.from_log(flown.truth, rate=100).to_parquet(folder / "truth" / path.name)
+    return folder
