@@ -1,0 +1,131 @@
+"""What output error does to parameters: planted effects fitted by equation error, then by output error.
+
+Nine flights of 12 s of the mock's vehicle (M) and of RotorPy's (R); two are held out. The held-out errors are those by
+which `alula add` decides which of the two fits it keeps.
+
+    python benchmarks/output_error.py
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from alula.parallel import parallel_map
+from benchmarks.provenance import write_result
+from diagnosis.addition import add_effect
+from diagnosis.dataset import make_dataset
+from diagnosis.evaluation import misfit, residuals
+from diagnosis.fit import fit
+from diagnosis.output_error import refit
+from diagnosis.regression import make_regression
+from diagnosis.selection import Search
+from dynamics.effects import CATALOGUE
+from dynamics.errors import DataError
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from sitl_mock.tuning import ACTUATION_DELAY
+from tests.support.hidden_effect import fly
+from tests.support.rotorpy_flights import FINE_STEP, rotorpy_flights
+from vehicles import FOLDER
+
+SENSORS = ("imu_bias", "gyro_bias", "time_delay")
+
+
+@dataclass(frozen=True)
+class Case:
+    """late: s by which a command is heard late, which is as good as more lag."""
+
+    source: str
+    use: EffectUse
+    noise: float
+    late: float = 0.0
+
+
+TRUTHS = (
+    EffectUse("rotor_drag", {"coefficient": 1.5e-5}),
+    EffectUse("mass", {"ratio": 1.05}),
+    EffectUse("inertia", {"ratio_x": 1.2, "ratio_y": 1.1, "ratio_z": 1.1}),
+)
+MOCK_ALONE = (
+    EffectUse("rotor_gyroscopic", {"inertia": 3e-6}),
+    EffectUse("slung_load", {"mass": 0.03, "length": 0.5}),
+    EffectUse("weak_rotor", {"loss": 0.05}, 1),
+)
+KEPT = Path("build/output_error.jsonl")
+
+
+def cases() -> list[Case]:
+    found = [Case(source, use, 1.0) for use in TRUTHS for source in "MR"]
+    found += [Case("M", use, 1.0) for use in MOCK_ALONE]
+    lag = EffectUse("motor_lag", {"time_constant": 0.04})
+    return [*found, Case("M", lag, 1.0, ACTUATION_DELAY), Case("R", lag, 1.0, FINE_STEP / 2)]
+
+
+def run(case: Case) -> list[str]:
+    """Rows of the table: one a parameter."""
+    vehicle, use = read_vehicle(FOLDER / "arpl_250g.toml"), case.use
+    if case.source == "M":
+        flights = fly((use,), noise=case.noise, seed=11)
+    else:
+        flights = rotorpy_flights(vehicle, [use], seed=11, noise=case.noise, commands=use.name == "motor_lag")
+    data = make_dataset(flights, vehicle)
+    some = {name: CATALOGUE[name] for name in (use.name, *SENSORS)}
+    regression = make_regression(vehicle, some, data.fitted, data.flight_of)
+    search = Search(regression)
+    mine = [c for c in regression.candidates if c.effect.name == use.name and c.rotor == use.rotor]
+    first = fit(regression, [max(mine, key=lambda c: search.score([c]).score)])
+    second = refit(first, vehicle, some, data.fitted, data.held_out)
+    assert second is not None
+    one_step = [misfit(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
+                for f in (first, second.fit)]  # fmt: skip
+    try:
+        kept = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor).by_output_error
+    except DataError:
+        kept = None
+    rows = []
+    for (key, name), estimate in first.estimates.items():
+        true = use.parameters[name] + (case.late if name == "time_constant" else 0.0)
+        again = second.fit.estimates[key, name]
+        found = [f"{100 * (e.value / true - 1):+.2f} ± {196 * e.std / abs(true):.2f}" for e in (estimate, again)]
+        chosen = {True: "output error", False: "equation error", None: "not added"}[kept]
+        rows.append(
+            f"| {case.source} | {key} {name} | {case.noise:g} | {found[0]} | {found[1]} | {one_step[0]:.3f}, "
+            f"{one_step[1]:.3f} | {second.before:.3f}, {second.after:.3f} | {chosen} |"
+        )
+    return rows
+
+
+def table(rows: Sequence[str]) -> str:
+    fits = [f"{which}, % off ± 95 %" for which in ("equation error", "output error")]
+    head = (
+        "| "
+        + " | ".join(["flights", "parameter", "noise", *fits, "misfit, one step", "misfit, windows", "kept"])
+        + " |"
+    )
+    return "\n".join([__doc__.split("\n\n")[1], "", head, "|" + " --- |" * 8, *rows])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", type=int, default=1)
+    options = parser.parse_args()
+    KEPT.parent.mkdir(exist_ok=True)
+    done = dict(json.loads(line) for line in KEPT.read_text().splitlines()) if KEPT.exists() else {}
+    todo = [case for case in cases() if repr(case) not in done]
+    with KEPT.open("a") as file:
+        for index, rows in parallel_map(run, todo, jobs=options.jobs):
+            done[repr(todo[index])] = rows
+            print(json.dumps([repr(todo[index]), rows]), file=file, flush=True)
+    rows = [row for case in cases() for row in done[repr(case)]]
+    write_result("output_error", "Output error against equation error", table(rows))
+
+
+if __name__ == "__main__":
+    main()
