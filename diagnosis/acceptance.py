@@ -14,6 +14,7 @@ from diagnosis.fit import Fit, fit
 from diagnosis.regression import Regression
 from diagnosis.rivals import near_rivals, rivals_of
 from diagnosis.selection import Search, Selection
+from diagnosis.stretch import Stretch
 
 IMPROVEMENT = 0.999  # share of the held-out misfit that must remain at most after adding an effect
 IDLE = 1.01  # times the misfit that may remain at most without an effect that others replace
@@ -48,7 +49,7 @@ def _with_known(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
     if not known or not best.candidates:
         return best
     together = fit(regression, [*best.candidates, *known])
-    levels = [misfit(_held_out(found, regression, dataset), regression.noise) for found in (best, together)]
+    levels = [_level(found, regression, dataset.held_out) for found in (best, together)]
     if not levels[1] < IMPROVEMENT * levels[0]:
         return best
     estimates = {key: value for key, value in together.estimates.items() if key[0] in mine}
@@ -57,11 +58,9 @@ def _with_known(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
 
 def _without_idle(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
     """The fit without effects that the others, fitted anew, replace on the fitted and on the held-out flights."""
-    noise = regression.noise
 
     def levels(found: Fit) -> list[float]:
-        parts = (dataset.fitted, dataset.held_out)
-        return [misfit(residuals(found.vehicle, regression.catalogue, part, noise), noise) for part in parts]
+        return [_level(found, regression, part) for part in (dataset.fitted, dataset.held_out)]
 
     while len(best.candidates) > 1:
         limits = [IDLE * level for level in levels(best)]
@@ -87,17 +86,16 @@ def _best_form(regression: Regression, chosen: Sequence[Candidate], dataset: Dat
         others = [c for i, c in enumerate(leading) if i != place]
         near = near_rivals(search, others, rivals_of(search, others, leading[place]))
         for rival in near[:1]:
-            level = level or _fitted_level(fit(regression, leading), regression, dataset)
+            level = level or _level(fit(regression, leading), regression, dataset.everything)
             trial = [*leading[:place], rival.candidates[-1], *leading[place + 1 :]]
-            found = _fitted_level(fit(regression, trial), regression, dataset)
+            found = _level(fit(regression, trial), regression, dataset.everything)
             if IDLE * found < level:
                 best, level = [*trial, *best[LEADING:]], found
     return tuple(best)
 
 
-def _fitted_level(found: Fit, regression: Regression, dataset: Dataset) -> float:
-    rows = residuals(found.vehicle, regression.catalogue, dataset.fitted, regression.noise)
-    return misfit(rows, regression.noise)
+def _level(found: Fit, regression: Regression, stretches: Sequence[Stretch]) -> float:
+    return misfit(residuals(found.vehicle, regression.catalogue, stretches, regression.noise), regression.noise)
 
 
 def _held_out(found: Fit, regression: Regression, dataset: Dataset) -> list[Floats]:

@@ -45,6 +45,12 @@ class NoiseModel:
         mixed = self.mixing @ white if rows.ndim == 3 else white @ self.mixing.T
         return np.asarray(mixed)
 
+    def whiten_one(self, place: int, values: Floats) -> Floats:
+        """Values (m, ...) of the active channel at a place, by its own filter alone: (m - 6, ...)."""
+        count = len(values) - ORDER
+        parts = (a * values[ORDER - lag : ORDER - lag + count] for lag, a in enumerate(self.filters[place]))
+        return np.asarray(sum(parts) / self.level[place])
+
 
 def estimate_noise(
     residuals: Sequence[Floats], rate: float, active: Sequence[int], *, mixed: bool = True

@@ -9,6 +9,8 @@ import numpy as np
 
 from diagnosis.filters import Floats
 
+BLOCK = 256  # rows that are evaluated at once, whatever the stretch's length: one function serves all
+
 
 class RowFunction:
     """One function evaluated at every row. shared: places of the arguments that are the same for all rows.
@@ -20,23 +22,35 @@ class RowFunction:
         self._function = function
         self._shared = shared
         self._chained = chained
-        self._by_count: dict[int, ca.Function] = {}
+        self._by_count: dict[int, Any] = {}
 
     def __call__(self, *arguments: Floats) -> Floats:
         """(n, k) of the first output. arguments: (n, width) each, (width,) for shared ones and a chained state."""
         count = next(len(a) for i, a in enumerate(arguments) if not self._single(i))
-        if count not in self._by_count:
-            self._by_count[count] = self._over_rows(count)
-        function = self._by_count[count]
-        buffer: Any
-        buffer, evaluate = function.buffer()
-        flat = [np.ascontiguousarray(a, dtype=float).reshape(-1) for a in arguments]
-        for place, values in enumerate(flat):
-            buffer.set_arg(place, values.data)
+        ready = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         result = np.empty((count, self._function.size1_out(0)))
+        size = count if self._chained else BLOCK
+        for start in range(0, count, size):
+            part = [a if self._single(i) else a[start : start + size] for i, a in enumerate(ready)]
+            rows = min(size, count - start)
+            if rows == size:
+                self._run(size, part, result[start : start + size])
+            else:  # the last block is filled up with copies of its last row
+                spare = np.empty((size, result.shape[1]))
+                filled = [a if self._single(i) else _filled_up(a, size) for i, a in enumerate(part)]
+                self._run(size, filled, spare)
+                result[start:] = spare[:rows]
+        return result
+
+    def _run(self, count: int, arguments: list[Floats], result: Floats) -> None:
+        """Evaluate `count` rows; all arrays are contiguous, and result is written in place."""
+        if count not in self._by_count:
+            self._by_count[count] = self._over_rows(count).buffer()
+        buffer, evaluate = self._by_count[count]
+        for place, values in enumerate(arguments):
+            buffer.set_arg(place, values.reshape(-1).data)
         buffer.set_res(0, result.reshape(-1).data)
         evaluate()
-        return result
 
     def _single(self, place: int) -> bool:
         return place in self._shared or (self._chained and place == 0)
@@ -45,3 +59,7 @@ class RowFunction:
         if self._chained:
             return self._function.mapaccum("rows", count)
         return self._function.map("rows", "serial", count, list(self._shared), [])
+
+
+def _filled_up(values: Floats, count: int) -> Floats:
+    return np.concatenate([values, np.repeat(values[-1:], count - len(values), axis=0)])

@@ -11,10 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import median_filter
-from scipy.signal import lfilter
 
 from diagnosis.filters import Floats, kept
-from diagnosis.noise import ORDER, NoiseModel
+from diagnosis.noise import NoiseModel
 from diagnosis.regression import Regression
 from diagnosis.stretch import Stretch
 
@@ -111,10 +110,9 @@ def _per_group(
     width, count = features[0].shape[1], max(group_of) + 1
     grams, products = [np.zeros((width, width)) for _ in range(count)], [np.zeros(width) for _ in range(count)]
     for x, y, group in zip(features, rows, group_of, strict=True):
-        a, level = noise.filters[place], noise.level[place]
-        white_x = lfilter(a, [1.0], x, axis=0)[ORDER:] / level
+        white_x = noise.whiten_one(place, x)
         grams[group] += white_x.T @ white_x
-        products[group] += white_x.T @ (lfilter(a, [1.0], y[:, channel])[ORDER:] / level)
+        products[group] += white_x.T @ noise.whiten_one(place, y[:, channel])
     return grams, products
 
 

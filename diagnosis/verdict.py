@@ -81,9 +81,9 @@ def judge(
 ) -> Verdict:
     """The verdict: whether something is left that no effect explains comes before what was found.
 
-    misfits: of a typical held-out window, before and after; None where something swings by itself, which on wild flights
-    nobody can foretell. gust_share: gain of a gust over the number of whitened
-    residuals. What a gust leaves is no surprise, unless it can be learned from the state or comes back in its place.
+    misfits: of a typical held-out window, before and after; None where something swings by itself, which nobody can
+    foretell on wild flights. gust_share: gain of a gust over the number of whitened residuals. What a gust leaves is no
+    surprise, unless it can be learned from the state or comes back in its place.
     """
     gusty = any(effect.name == "gust" for effect in effects)
     regular = max(left.learnable, left.returning) > GUST_LEARNABLE * gust_share
