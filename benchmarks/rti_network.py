@@ -129,7 +129,8 @@ def measure(folder: Path) -> dict[str, object]:
     for processor in [known for known in PROCESSORS.values() if known.runs_here]:
         solver = solver_for(model, processor)
         calm = [fly(solver, period)[1] for period in PERIODS.values() for _ in range(2)]
-        _, hard, iterations = fly(solver, 3.5, jumps=0.6)
+        runs = [fly(solver, 3.5, jumps=0.6) for _ in range(3)]
+        hard, iterations = np.min([times for _, times, _ in runs], axis=0), runs[0][2]  # same ticks, least disturbed
         busy = hard[iterations > 0]
         found[processor.name] = {
             "median": np.median(np.concatenate(calm), axis=0).tolist(),
@@ -372,7 +373,9 @@ def main() -> None:
     plot(found)
     lines = [
         "PI-TCN (T = 20, receptive field 19, 16 channels, body frame), N = 20 nodes of 50 ms, exact history "
-        "derivatives, floats; microseconds, medians over flights along a lemniscate, other work on the machine.", "",
+        "derivatives, floats; microseconds, medians over flights along a lemniscate, other work on the machine. "
+        "Saturated: ticks whose QP had active bounds while the reference leapt by 0.6 m every 0.3 s, each the least of "
+        "three equal flights.", "",
         *timing(measured), "",
         f"An iteration takes {work / 1e6:.1f} MFLOP; this core's peak with {processor.name}, measured in the same run, "
         f"is {best / 1e9:.0f} GFLOP/s: the median step runs at {100 * work / best / fastest:.0f} % of it.", "",
