@@ -74,7 +74,7 @@ def test_points_of_the_whole_space_lie_far_from_the_flights_and_plausible_ones_n
     recorded = plan.training.nominal[:, 3:].std()
     paper = physics_points(plan.config, PAPER, arpl_250g, plan.training, seed=0)
     assert paper.targets[:, 3:].std() > 5 * recorded
-    assert recorded < plan.points.targets[:, 3:].std() < 3 * recorded
+    assert 0.7 * recorded < plan.points.targets[:, 3:].std() < 2 * recorded
 
 
 def test_the_same_seed_draws_the_same_points(plan_for: MakePlan) -> None:

@@ -68,9 +68,7 @@ def test_of_one_flight_the_last_fifth_validates_and_it_is_said(recordings: Seque
 
 def test_a_log_without_free_flight_is_named(flights: Sequence[Flight], tmp_path: Path) -> None:
     flight = flights[0]
-    still = {name: np.zeros_like(values) for name, values in flight.columns.items()}
-    still["attitude_w"] = np.ones(len(flight))
-    still["specific_force_z"] = np.full(len(flight), 9.81)
-    path = Flight(flight.time, still, flight.provenance).to_parquet(tmp_path / "still.parquet")
+    disarmed = {**flight.columns, "armed": np.zeros(len(flight))}
+    path = Flight(flight.time, disarmed, flight.provenance).to_parquet(tmp_path / "still.parquet")
     with pytest.raises(DataError, match=r"still.parquet: nowhere 1 s of free flight"):
         read_recordings([path], dt=0.01)
