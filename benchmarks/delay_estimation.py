@@ -113,7 +113,7 @@ def rows(answers: list[Answer]) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=40, help="flights of each noise level")
-    parser.add_argument("--first-seed", type=int, default=40_000, help="10000 and up are for calibration")
+    parser.add_argument("--first-seed", type=int, default=50_000, help="10000 and up are for calibration")
     parser.add_argument("--jobs", type=int, default=None)
     options = parser.parse_args()
     cases = [

@@ -28,6 +28,7 @@ from flights.quantities import ROTORS
 GRID_RATE = 200.0  # Hz of the comparisons
 CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
 LOWEST = 0.5  # Hz: slower differences are biases
+VELOCITY_BAND = (0.2, 5.0)  # Hz: slower is tilt, faster the controller's answer to the estimate's noise
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 RESPONSE_BAND = (0.05, 10.0)  # Hz: where a vehicle moves; slower is its battery
@@ -155,7 +156,7 @@ def _velocity(frame: _Frame, attitude_late: float) -> Delay | None:
     if velocity is None or force is None or attitude is None:
         return None
     felt = quaternion.rotate(attitude, force)
-    band = frame.band("velocity", "attitude", "specific_force")
+    band = frame.band("velocity", "attitude", "specific_force", band=VELOCITY_BAND)
     return _compare(frame, filters.derivative(velocity, 1 / frame.rate), felt, "velocity", "specific_force", band)
 
 
