@@ -19,6 +19,7 @@ from dynamics.effect import Effect, Expression
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from dynamics.vehicle import EffectUse, Vehicle
 
+SLOW_HIDDEN = 50.0  # Hz at which hidden states other than the rotors' speed are integrated: they swing more slowly
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 
 
@@ -75,6 +76,7 @@ class Predictor:
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
         advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
         self._advance = RowFunction(advance, chained=True) if advance is not None else None
+        self._follows_rotors = any(item.effect.rotor_speed is not None for item in self.model.effects)
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -124,11 +126,13 @@ class Predictor:
     def _hidden(self, stretch: Stretch, p: Floats) -> Floats:
         """(n, h) hidden states along the stretch, from their values in hover."""
         assert self._advance is not None
-        steps = len(stretch) - 1
-        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])
+        stride = 1 if self._follows_rotors else max(1, int(stretch.rate / SLOW_HIDDEN))
+        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])[::stride]
+        steps = len(here) - 1
         initial = _settled(self.model, stretch)
-        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), 1 / stretch.rate)
-        return np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
+        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / stretch.rate)
+        found = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
+        return found if stride == 1 else _between(found, stride, len(stretch))
 
 
 def _settled(model: Model, stretch: Stretch) -> Floats:
@@ -139,6 +143,14 @@ def _settled(model: Model, stretch: Stretch) -> Floats:
             if name == "rotor_speed":
                 hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = stretch.rotor_speed[0]
     return hidden
+
+
+def _between(values: Floats, stride: int, count: int) -> Floats:
+    """(count, k) values (m, k) of every stride-th row, linear between them, the last one held."""
+    place = np.minimum(np.arange(count) / stride, len(values) - 1)
+    before = np.minimum(place.astype(int), len(values) - 2)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * values[before] + share * values[before + 1])
 
 
 def _symbols(model: Model) -> dict[str, Expression]:
