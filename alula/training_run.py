@@ -100,9 +100,12 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
     return model
 
 
-def plan_of(options: TrainOptions) -> Plan:
-    """Read vehicle and flights, and settle what is learned. Raises RequestError, DataError."""
-    vehicle = _vehicle(options)
+def plan_of(options: TrainOptions, vehicle: Vehicle | None = None) -> Plan:
+    """Read vehicle and flights, and settle what is learned. vehicle: instead of the options'.
+
+    Raises RequestError, DataError.
+    """
+    vehicle = _vehicle(options) if vehicle is None else vehicle
     config, recipe = settled(options)
     recordings = read_recordings(find_logs(options.logs), dt=config.dt, mapping=options.mapping)
     split = split_recordings(recordings, validation=options.validation, hold_out=options.hold_out)
@@ -116,6 +119,8 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
     kind, recipe = named_kind(options.model), named_recipe(options.recipe)
     config = kind.config_for(recipe)
     changes = dict(options.config)
+    if "inputs" in changes and config.outputs != "wrench":
+        changes.setdefault("outputs", changes["inputs"])
     if "history" in changes and config.network == "tcn":
         changes["kernel"], changes["dilations"] = convolutions_for(changes["history"])
     recipe = kind.recipe_for(recipe, fast_weight=FAST_PHYSICS_WEIGHT)
@@ -184,7 +189,7 @@ def _train_members(
     ]
     jobs = options.jobs if options.jobs is not None else len(os.sched_getaffinity(0))
     if device.type != "cpu" or size > 1 or jobs == 1 or len(tasks) == 1:
-        with _one_thread(device):
+        with one_thread(device):
             return [train(task, progress) for task in tasks]
     work = [_Job(task, options.folder / PROGRESS.format(task.member)) for task in tasks]
     with _watched([job.progress_file for job in work], progress):
@@ -200,12 +205,12 @@ def _work(job: _Job) -> Member:
         part.write_bytes(msgspec.json.encode(report))
         part.replace(job.progress_file)
 
-    with _one_thread(job.task.training.inputs.device):
+    with one_thread(job.task.training.inputs.device):
         return train(job.task, tell)
 
 
 @contextmanager
-def _one_thread(device: torch.device) -> Iterator[None]:
+def one_thread(device: torch.device) -> Iterator[None]:
     """On a CPU networks this small run fastest, and to the same bits, in one thread."""
     before = torch.get_num_threads()
     if device.type == "cpu":

@@ -57,6 +57,9 @@ def train(
     inputs: Annotated[str | None, typer.Option(help="body or world frame; of the model by default.")] = None,
     motors: Annotated[str | None, typer.Option(help="command or measured rotor speeds.")] = None,
     label: Annotated[str | None, typer.Option(help="mean_increment over 10 ms, or instantaneous.")] = None,
+    filtered_inputs: Annotated[
+        bool | None, typer.Option("--filtered-inputs", help="The paper's filter on the inputs, which sees the future.")
+    ] = None,
     history: Annotated[int | None, typer.Option(min=1, help="Columns that the network sees.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Steps of Adam; 30,000 by default.")] = None,
     batch: Annotated[int | None, typer.Option(min=1, help="Windows a step; 256 by default.")] = None,
@@ -82,8 +85,7 @@ def train(
         logs=tuple(logs), vehicle=vehicle, model=model, out=out, recipe=recipe, validation=validation,
         hold_out=hold_out, effects=tuple(effect or ()), keep_effects=keep_effects, seed=seed, ensemble=ensemble,
         jobs=jobs, device=device, resume=resume, overwrite=overwrite, mapping=mapping,
-        config=_given(inputs=inputs, motors=motors, label=label, history=history)
-        | ({} if inputs is None else {"outputs": inputs}),
+        config=_given(inputs=inputs, motors=motors, label=label, filtered_inputs=filtered_inputs, history=history),
         recipe_changes=_given(
             steps=steps, batch=batch, learning_rate=learning_rate, patience=patience, physics_weight=physics_weight,
             physics_points=physics_points, annealed=annealed, rollout=rollout, input_noise=input_noise,

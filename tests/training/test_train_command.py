@@ -16,6 +16,7 @@ import torch
 from typer.testing import CliRunner, Result
 
 from alula.cli import app
+from alula.training_run import TrainOptions, settled
 from dynamics.errors import DataError, RequestError
 from training import checkpoint
 
@@ -78,6 +79,14 @@ def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> 
     assert (recipe.batch, recipe.physics_batch, recipe.learning_rate) == (1024, 1024, 1e-4)
     assert (recipe.physics_weight, recipe.physics_points, recipe.physics_pool) == (1.0, "space", 1024)
     np.testing.assert_array_equal(model.scaling.input_std, np.ones(14))
+
+
+@pytest.mark.parametrize(("kind", "outputs"), [("mse_tcn", "world"), ("res_tcn", "wrench")])
+def test_the_frame_of_the_inputs_is_that_of_the_outputs_unless_they_are_a_wrench(kind: str, outputs: str) -> None:
+    options = TrainOptions((), "arpl_250g", kind, Path("m.pt"), config={"inputs": "world", "history": 10})
+    config, _ = settled(options)
+    assert (config.inputs, config.outputs) == ("world", outputs)
+    assert config.receptive_field <= 10
 
 
 @pytest.mark.parametrize(
