@@ -19,6 +19,7 @@ from diagnosis.dataset import Dataset, make_dataset
 from diagnosis.evaluation import floors
 from diagnosis.pipeline import Pipeline
 from diagnosis.regression import Regression, make_regression
+from diagnosis.stretch import Stretch
 from dynamics.effect import Parameter
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
@@ -209,6 +210,6 @@ def shown(regression: Regression, candidate: Candidate, towards: Floats) -> floa
     )
 
 
-def _foreign(regression: Regression, candidate: Candidate, stretch) -> Floats:
+def _foreign(regression: Regression, candidate: Candidate, stretch: Stretch) -> Floats:
     predictor = make_predictor(regression.vehicle, EVERYTHING, candidate, stretch)
     return channels.predicted(stretch, predictor.slopes(stretch, candidate.values))

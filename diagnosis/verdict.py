@@ -25,6 +25,7 @@ LARGEST_SET = 2  # effects that are named as not told apart; a third is as near 
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
 LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 5.5, 0.01, 10.0
 LEFT_MISFIT = 1.5
+SWINGING_LINE = 30.0  # beside what swings by itself, whose phase is lost on wild flights
 LEFT_SHARE = 0.03
 GUST_LEARNABLE = 0.35  # of a gust's gain that may be learned from the state at most
 
@@ -90,7 +91,8 @@ def judge(
     agrees = left.agreement > max(LEFT_AGREEMENT, LEFT_SHARE * at_first.agreement)
     learnable = left.learnable > max(LEFT_LEARNABLE, LEFT_SHARE * at_first.learnable)
     misfitting = misfits is not None and misfits[1] > max(LEFT_MISFIT, LEFT_SHARE * misfits[0])
-    if left.line > LEFT_LINE or (regular if gusty else agrees or learnable or misfitting):
+    line = left.line > (LEFT_LINE if misfits is not None else SWINGING_LINE)
+    if line or (regular if gusty else agrees or learnable or misfitting):
         return "unknown"
     if not effects:
         return "explained"

@@ -22,6 +22,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from dynamics.references import named_reference
+from dynamics.references.flatness import ReferenceSamples
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from flights import Flight
 from tests.support.planted import MANOEUVRES
@@ -189,7 +190,7 @@ def _fly(
     }  # fmt: skip
 
 
-def _wanted(samples) -> Floats:
+def _wanted(samples: ReferenceSamples) -> Floats:
     """(n, 11) position, velocity, acceleration, yaw and its rate."""
     yaw = np.unwrap(samples.yaw)
     rate = np.gradient(yaw, HELD * STEP)
