@@ -61,6 +61,11 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
 
     Raises RequestError when the folder exists already or there is no compiler, DataError when the backends disagree.
     """
+    if not options.processor.runs_here:
+        raise RequestError(
+            f"this machine cannot run a kernel for {options.processor.name}, so it could not be proven. Export the "
+            "model on the vehicle's computer."
+        )
     if folder.exists() and not options.overwrite:
         raise RequestError(f"{folder} exists already. Give another --out, or --overwrite.")
     proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()

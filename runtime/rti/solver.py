@@ -53,7 +53,7 @@ class RtiSolver:
     def __init__(self, model: Model, problem: Problem, library: Path | None = None) -> None:
         """library: a learned model's compiled kernel instead of the model's own code, which is compiled if needed."""
         self.model, self.problem = model, problem
-        self._code = ctypes.CDLL(str(library or build_solver(model, problem)))
+        self._code = _load(library or build_solver(model, problem))
         self._declare()
         columns = 0 if library is None else self._require_dimensions(library)
         options = fill_options(problem, model)
@@ -149,6 +149,20 @@ class RtiSolver:
         found = getattr(self._code, function)
         found.restype, found.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
         return np.ctypeslib.as_array(found(self._handle), shape=shape)
+
+
+def _load(library: Path) -> ctypes.CDLL:
+    """A compiled solver, with this machine's HPIPM loaded before it, wherever that was when it was built.
+
+    Raises RequestError when it does not fit this machine.
+    """
+    hpipm = find_hpipm()
+    try:
+        for needed in (hpipm.blasfeo, hpipm.hpipm):
+            ctypes.CDLL(str(needed))
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
 
 
 def build_solver(model: Model, problem: Problem) -> Path:

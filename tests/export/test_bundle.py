@@ -3,6 +3,7 @@
 import json
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -13,20 +14,25 @@ import onnxruntime
 import pytest
 import torch
 
-from dynamics.codegen import find_compiler
+from dynamics.codegen import build_library, find_compiler
 from dynamics.errors import DataError, RequestError
+from dynamics.model import build_model
 from dynamics.vehicle import Vehicle
 from export.bundle import Exported, ExportOptions, export_bundle
+from export.kernel import ENTRY, kernel_recipe
 from export.onnx_file import OPSET
 from export.parity import Comparison, Parity
 from export.trained import exported, read_model
 from runtime.bundle import read_bundle
+from runtime.rti.hpipm import find_hpipm
 from runtime.rti.problem import Problem
 from runtime.rti.processor import PROCESSORS, native_processor
 from runtime.rti.solver import RtiSolver
+from tests.support.networks import random_network
 from tests.support.trained import replaced, untrained_model
 from training.checkpoint import save
 from training.models import KINDS
+from vehicles import FOLDER
 
 EXPORT = Callable[[str], Exported]
 
@@ -188,3 +194,33 @@ def test_without_a_compiler_it_says_what_to_install(
     monkeypatch.delenv("CC", raising=False)
     with pytest.raises(RequestError, match="no C compiler"):
         export_bundle(model, tmp_path / "b", ExportOptions(Problem(), PROCESSORS["sse2"]))
+
+
+def test_a_kernel_finds_hpipm_where_it_lies_here(arpl_250g: Vehicle) -> None:
+    """A bundle from another machine remembers that machine's folders."""
+    recipe = kernel_recipe(random_network(channels=(), dilations=(), hidden=(8,)), build_model(arpl_250g, effects=()),
+                           Problem(nodes=2, horizon=0.02), native_processor())  # fmt: skip
+    hpipm = find_hpipm()
+    flags = (*recipe.flags, *hpipm.compiler_flags)
+    library = build_library(recipe.sources, flags=flags, libraries=(str(hpipm.hpipm), str(hpipm.blasfeo)), entry=ENTRY)
+    script = (
+        "import sys; from pathlib import Path; from dynamics.model import build_model\n"
+        "from dynamics.vehicle_file import read_vehicle; from runtime.rti.problem import Problem\n"
+        "from runtime.rti.solver import RtiSolver\n"
+        "model = build_model(read_vehicle(sys.argv[1]), effects=())\n"
+        "RtiSolver(model, Problem(nodes=2, horizon=0.02), Path(sys.argv[2]))\n"
+    )
+    subprocess.run([sys.executable, "-c", script, str(FOLDER / "arpl_250g.toml"), str(library)], check=True)
+
+
+def test_a_kernel_that_cannot_be_loaded_is_refused(lagging: Vehicle, tmp_path: Path) -> None:
+    (tmp_path / "kernel.so").write_bytes(b"no library")
+    with pytest.raises(RequestError, match="cannot load"):
+        RtiSolver(build_model(lagging), Problem(), tmp_path / "kernel.so")
+
+
+def test_a_kernel_that_cannot_run_here_is_not_exported(lagging: Vehicle, tmp_path: Path) -> None:
+    foreign = next(processor for processor in PROCESSORS.values() if not processor.runs_here)
+    model = exported(untrained_model(KINDS["nominal"].config, lagging))
+    with pytest.raises(RequestError, match="could not be proven"):
+        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), foreign))
