@@ -20,6 +20,7 @@ from alula.commands.inspect import inspect
 from alula.commands.link import link
 from alula.commands.mock import mock
 from alula.commands.replay import replay
+from alula.commands.sweep import sweep
 from alula.commands.train import train
 from dynamics.errors import AlulaError, RequestError
 
@@ -48,7 +49,10 @@ def _options(
     """Makes a quadrotor's flight model true, and flies with it."""
 
 
-for _command in (demo, mock, fly, link, replay, campaign, inspect, compare, diagnose, add, train, evaluate, export):
+for _command in (
+    demo, mock, fly, link, replay, campaign, inspect,
+    compare, diagnose, add, train, evaluate, sweep, export,
+):  # fmt: skip
     app.command()(_command)
 
 

@@ -40,16 +40,19 @@ def _flights_table(found: Evaluated, against: str, words: str) -> Table:
 
 def _ratio_table(found: Evaluated) -> Table:
     models = [model for model in found.models if model.name not in (NOMINAL, PLANT)]
+    known = {kind for row in paper.PREDICTION.values() for kind in row}
     headings = ["flight"]
     for model in models:
-        headings += [f"{model.name} / NOM", f"paper's {model.kind} / NOM"]
+        headings += [f"{model.name} / NOM"] + ([f"paper's {model.kind} / NOM"] if model.kind in known else [])
     rows = []
     for peak in found.peaks:
         cells: list[Cell] = [_short(peak.flight)]
         for model in models:
             error = _of_flight(model.label, peak.flight)
             ratio = None if error is None else error.combined / error.nominal
-            cells += [ratio, paper.prediction_ratio(peak.flight, model.kind)]
+            cells.append(ratio)
+            if model.kind in known:
+                cells.append(paper.prediction_ratio(peak.flight, model.kind))
         rows.append(tuple(cells))
     note = "Against labels. NOM on the same rows and the same labels; the paper's vehicle and flights are other ones."
     return Table("ratio_to_nominal", "RMSE over NOM's, beside the paper's Table I", tuple(headings), tuple(rows), note)

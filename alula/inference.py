@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 
 import msgspec
 import numpy as np
@@ -12,6 +11,7 @@ import onnxruntime
 import torch
 from numpy.typing import NDArray
 
+from alula.training_run import one_thread
 from export.onnx_file import onnx_model
 from export.trained import SPEED_UNIT, exported
 from training.checkpoint import TrainedModel
@@ -36,7 +36,7 @@ class Inference(msgspec.Struct, frozen=True):
 def time_inference(judged: Sequence[Judged]) -> tuple[Inference, ...]:
     """Every model but the plant, with every engine that it has, on rows of the flights."""
     found = []
-    with _one_thread():
+    with one_thread(torch.device("cpu")):
         for one in judged:
             name = one.evaluation.name
             calls = {} if name == PLANT else _engines(one.model, one.data)
@@ -44,15 +44,18 @@ def time_inference(judged: Sequence[Judged]) -> tuple[Inference, ...]:
     return tuple(found)
 
 
+def time_network(model: TrainedModel, data: Dataset) -> float:
+    """Median seconds of one prediction by torch, a whole window at a time; in the threads that are set."""
+    network, window = model.networks[0], _window(model, data)
+    return _timed("", "", lambda: network(window), 1).median
+
+
 def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[], object], int]]:
     """Something to call for each engine, and how many predictions a call makes."""
     if not model.networks:
         return {"C, 128 rows a call": (_physics_call(model, data), BLOCK)}
-    config = model.config
-    offsets = np.arange(1 - config.history, 1)
-    columns = data.inputs[data.ends[0] + offsets]
-    window = torch.from_numpy((columns - model.scaling.input_mean) / model.scaling.input_std).float()[None]
-    network, stream = model.networks[0], Stream(model.networks[0], config)
+    window = _window(model, data)
+    network, stream = model.networks[0], Stream(model.networks[0], model.config)
     for column in window[0, :-1]:
         stream.push(column[None])
     return {
@@ -60,6 +63,12 @@ def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[],
         "torch, streamed": (lambda: stream.push(window[:, -1]), 1),
         "onnxruntime": (_onnx_call(model, data), 1),
     }
+
+
+def _window(model: TrainedModel, data: Dataset) -> torch.Tensor:
+    """The first window of the flights, (1, T, inputs), standardised."""
+    columns = data.inputs[data.ends[0] + np.arange(1 - model.config.history, 1)]
+    return torch.from_numpy((columns - model.scaling.input_mean) / model.scaling.input_std).float()[None]
 
 
 def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
@@ -97,13 +106,3 @@ def _timed(model: str, engine: str, call: Callable[[], object], predictions: int
             taken[place] = time.perf_counter() - began
     median, slowest = np.quantile(taken / predictions, [0.5, 0.9])
     return Inference(model, engine, float(median), float(slowest))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

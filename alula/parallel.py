@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from dynamics.errors import RequestError, VehicleError
 
@@ -63,6 +63,16 @@ def _result(done: Future[Result]) -> Result:
         ) from error
 
 
+def _gathered(done: Any, killed: type[Exception]) -> Any:
+    try:
+        return done.result()
+    except killed as error:
+        raise VehicleError(
+            f"workers of the cluster ended by themselves, again and again on the same item: {error}. Look at their "
+            "logs; run the same command again, what was finished is kept."
+        ) from error
+
+
 def _on_cluster(
     function: Callable[[Item], Result], items: Sequence[Item], address: str
 ) -> Iterator[tuple[int, Result]]:
@@ -79,4 +89,4 @@ def _on_cluster(
     with client:
         places = {client.submit(function, item, pure=False): index for index, item in enumerate(items)}
         for done in distributed.as_completed(list(places), loop=client.loop):
-            yield places[done], done.result()
+            yield places[done], _gathered(done, distributed.KilledWorker)

@@ -100,12 +100,9 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
     return model
 
 
-def plan_of(options: TrainOptions, vehicle: Vehicle | None = None) -> Plan:
-    """Read vehicle and flights, and settle what is learned. vehicle: instead of the options'.
-
-    Raises RequestError, DataError.
-    """
-    vehicle = _vehicle(options) if vehicle is None else vehicle
+def plan_of(options: TrainOptions) -> Plan:
+    """Read vehicle and flights, and settle what is learned. Raises RequestError, DataError."""
+    vehicle = _vehicle(options)
     config, recipe = settled(options)
     recordings = read_recordings(find_logs(options.logs), dt=config.dt, mapping=options.mapping)
     split = split_recordings(recordings, validation=options.validation, hold_out=options.hold_out)

@@ -1,0 +1,106 @@
+"""One training of a study: what it is, and what became of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import msgspec
+
+from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
+from training.card import FlightError
+
+At = dict[str, float | str]
+
+
+class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """name: of its files. at: its place in the study. model: a kind. config, recipe: what differs from the kind's own.
+
+    prior: factors on the vehicle file's constants (`with_factors`). flights: pattern of the training flights that are
+    used. hide_motors: rotor speeds are kept from the network.
+    """
+
+    name: str
+    at: At
+    model: str
+    seed: int
+    config: dict[str, Any] = {}
+    recipe: dict[str, Any] = {}
+    prior: dict[str, float] = {}
+    flights: str = "*"
+    hide_motors: bool = False
+
+
+class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """fingerprint: of everything that decided it. label, true: errors on the test flights.
+
+    validation: mean squared standardised error on the validation flights. seconds: of training. inference: s, of one
+    prediction by torch. worker: process that made it.
+    """
+
+    cell: Cell
+    fingerprint: str
+    label: tuple[FlightError, ...]
+    true: tuple[FlightError, ...]
+    validation: float
+    steps: int
+    seconds: float
+    inference: float
+    worker: str
+
+    @property
+    def best_known(self) -> tuple[FlightError, ...]:
+        """Errors against the truth, or against labels where that is all there is."""
+        return self.true or self.label
+
+
+class StudyOptions(msgspec.Struct, frozen=True):
+    """What is common to the cells of a study. recipe: changes to the recipe, such as steps and batch."""
+
+    seeds: tuple[int, ...]
+    recipe: dict[str, Any] = {}
+
+
+def repeated(
+    options: StudyOptions, name: str, at: Mapping[str, float | str], model: str, **changes: Any
+) -> tuple[Cell, ...]:
+    """A cell for each seed. changes: fields of `Cell`; its recipe's stand over those of the options."""
+    recipe = {**options.recipe, **changes.pop("recipe", {})}
+    return tuple(
+        Cell(f"{name}_seed{seed}", {**at, "seed": float(seed)}, model, seed, recipe=recipe, **changes)
+        for seed in options.seeds
+    )
+
+
+def with_factors(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
+    """The vehicle with constants that are wrong by factors: Jxx, Jyy, Jzz, k_f, k_tau, mass.
+
+    Raises RequestError for another name.
+    """
+    inertia, body, rotors = list(vehicle.body.inertia), vehicle.body, vehicle.rotors
+    for name, factor in factors.items():
+        if name in INERTIA:
+            inertia[INERTIA.index(name)] *= factor
+        elif name == "mass":
+            body = msgspec.structs.replace(body, mass=body.mass * factor)
+        elif name == "k_f":
+            rotors = msgspec.structs.replace(rotors, thrust_constant=rotors.thrust_constant * factor)
+        elif name == "k_tau":
+            rotors = msgspec.structs.replace(rotors, torque_constant=rotors.torque_constant * factor)
+        else:
+            raise RequestError(f"unknown constant {name!r}. Known: {', '.join(INERTIA)}, k_f, k_tau, mass.")
+    body = msgspec.structs.replace(body)
+    msgspec.structs.force_setattr(body, "inertia", tuple(inertia))  # a prior may be wrong beyond what any body can be
+    return msgspec.structs.replace(vehicle, body=body, rotors=rotors)
+
+
+INERTIA = ("Jxx", "Jyy", "Jzz")
+
+
+def grouped(results: Sequence[CellResult], *keys: str) -> dict[tuple[float | str, ...], list[CellResult]]:
+    """Results by their places along some of the study's quantities, in the order in which they come."""
+    found: dict[tuple[float | str, ...], list[CellResult]] = {}
+    for result in results:
+        found.setdefault(tuple(result.cell.at[key] for key in keys), []).append(result)
+    return found
