@@ -202,7 +202,7 @@ from pathlib import Path
 from training.plan import make_plan
 from training.models import named_kind
 from training.recipe import FAST
-from training.recordings import Split, read_recordings
+from training.recordings import read_recordings, split_recordings
 from training.trainer import train
 from training.parallel import leave_group
 from dynamics.vehicle_file import read_vehicle
@@ -227,7 +227,7 @@ def test_two_processes_learn_what_one_does(plan_for: MakePlan, folder: Path, tmp
     done = subprocess.run(
         [*command, str(folder), str(out)], env=environment, capture_output=True, text=True, check=False, timeout=100
     )
-    assert done.returncode == 0, done.stderr[-2000:]
+    assert done.returncode == 0, done.stderr[:2000]
     alone = train(task_of(plan_for("pi_mlp", **SHORT)), quietly)
     for name, weight in torch.load(out, weights_only=True).items():
         torch.testing.assert_close(weight, alone.weights[name], rtol=1e-3, atol=1e-4)
