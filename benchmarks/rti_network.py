@@ -17,6 +17,8 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import matplotlib as mpl
@@ -95,8 +97,9 @@ def fly(solver: RtiSolver, period: float, *, jumps: float = 0.0) -> tuple[float,
         solver.input_reference[:] = speeds[ahead[:-1], None]
         if columns := len(solver.history):
             solver.history[:] = past[-columns:]
-        solver.prepare(_whole(solver, plant))
-        solver.feedback(_whole(solver, plant))
+        with undisturbed() if jumps else nullcontext():
+            solver.prepare(_whole(solver, plant))
+            solver.feedback(_whole(solver, plant))
         report = solver.report
         times.append([getattr(report, f"{part}_seconds") for part in PARTS])
         iterations.append(report.iterations)
@@ -107,6 +110,20 @@ def fly(solver: RtiSolver, period: float, *, jumps: float = 0.0) -> tuple[float,
             return float("inf"), np.array(times), np.array(iterations)
     late = np.array(errors[200:])
     return float(100 * np.sqrt(np.mean(late**2))), np.array(times), np.array(iterations)
+
+
+@contextmanager
+def undisturbed() -> Iterator[None]:
+    """SCHED_FIFO for one iteration, where it is granted: worst cases are then the solver's own."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(50))
+    except PermissionError:
+        yield
+        return
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def _whole(solver: RtiSolver, plant: Plant) -> np.ndarray:
@@ -374,8 +391,8 @@ def main() -> None:
     lines = [
         "PI-TCN (T = 20, receptive field 19, 16 channels, body frame), N = 20 nodes of 50 ms, exact history "
         "derivatives, floats; microseconds, medians over flights along a lemniscate, other work on the machine. "
-        "Saturated: ticks whose QP had active bounds while the reference leapt by 0.6 m every 0.3 s, each the least of "
-        "three equal flights.", "",
+        "Saturated: ticks whose QP had active bounds while the reference leapt by 0.6 m every 0.3 s, under SCHED_FIFO, "
+        "each the least of three equal flights.", "",
         *timing(measured), "",
         f"An iteration takes {work / 1e6:.1f} MFLOP; this core's peak with {processor.name}, measured in the same run, "
         f"is {best / 1e9:.0f} GFLOP/s: the median step runs at {100 * work / best / fastest:.0f} % of it.", "",
