@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import msgspec
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
 from alula.workbench import workbench
@@ -110,9 +110,9 @@ class _Bars:
     """A bar for each member with its losses and the time left, and the same as curves for TensorBoard."""
 
     def __init__(self, console: Console, tensorboard: Path | None) -> None:
-        self.progress = Progress(
-            TextColumn("{task.description:10}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[losses]}"),
-            TimeElapsedColumn(), TimeRemainingColumn(), console=console,
+        self.progress = Progress(  # 80 columns wide in all
+            TextColumn("{task.description}"), BarColumn(bar_width=10), TaskProgressColumn(),
+            TextColumn("{task.fields[losses]}"), TimeElapsedColumn(), TimeRemainingColumn(), console=console,
         )  # fmt: skip
         self._tasks: dict[int, Any] = {}
         self._writer: SummaryWriter | None = None
@@ -127,8 +127,8 @@ class _Bars:
             self._tasks[report.member] = self.progress.add_task(
                 f"member {report.member}", total=report.steps, losses=""
             )  # fmt: skip
-        physics = "" if report.physics_loss is None else f" physics {report.physics_loss:.3g}"
-        losses = f"loss {report.loss:.4f}{physics} validation {report.validation:.4f} best {report.best:.4f}"
+        physics = "" if report.physics_loss is None else f" PI {report.physics_loss:.3g}"
+        losses = f"loss {report.loss:.3g}{physics} val {report.validation:.3g}"
         self.progress.update(self._tasks[report.member], completed=report.step, losses=losses)
         if self._writer is not None:
             told = {"loss": report.loss, "validation": report.validation, "learning rate": report.learning_rate}
