@@ -35,8 +35,8 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The optimal control problem. nodes: N. horizon: s. levenberg_marquardt: added to the Hessian's diagonal.
 
     tolerance, iterations: HPIPM's; row_iterations: the same when bounds on states or thrust act. soft_penalty: price of
-    leaving such a bound, linear and quadratic. keep_in_box: hold the vehicle file's position box, if it has one, in the
-    prediction as well.
+    leaving such a bound (body rates, velocity by axis, thrust, box), linear and quadratic. keep_in_box: hold the vehicle
+    file's position box, if it has one, in the prediction as well.
     """
 
     nodes: int = 20
@@ -81,6 +81,7 @@ def fill_options(problem: Problem, model: Model) -> ctypes.Structure:
     options.u_upper[:] = [vehicle.rotors.speed_max] * inputs
     lower, upper = [-math.inf] * states, [math.inf] * states
     lower[10:13], upper[10:13] = [-rate for rate in vehicle.limits.rate], list(vehicle.limits.rate)
+    lower[3:6], upper[3:6] = [-vehicle.limits.speed] * 3, [vehicle.limits.speed] * 3
     if problem.keep_in_box and vehicle.limits.box is not None:
         lower[0:3], upper[0:3] = vehicle.limits.box
     options.x_lower[:], options.x_upper[:] = lower, upper

@@ -209,6 +209,23 @@ def test_the_position_box_holds_the_prediction_back() -> None:
     assert ends[1] < 0.35
 
 
+def test_the_prediction_stays_within_the_vehicles_speed() -> None:
+    slow = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), speed=1.0))
+    solver = RtiSolver(build_model(slow), Problem())
+    state = hovering(solver.model)
+    solver.reset(state)
+    solver.state_reference[:] = state
+    solver.state_reference[:, 0] = 1.0
+    solver.input_reference[:] = VEHICLE.hover_speed
+    fastest = 0.0
+    for _ in range(120):
+        solver.prepare(state)
+        solver.feedback(state)
+        state = solver.propagate(state, solver.inputs[0], 0.01).copy()
+        fastest = max(fastest, abs(state[3]))
+    assert 0.9 < fastest < 1.05
+
+
 def test_a_state_that_is_not_finite_changes_nothing() -> None:
     solver = RtiSolver(build_model(VEHICLE), Problem())
     state = excited(solver)
