@@ -8,15 +8,14 @@ from alula import paper
 from alula.inference import Inference
 from alula.tables import Cell, Table
 from training.card import FlightError
-from training.evaluation import NOMINAL, PLANT, Evaluated, Evaluation
+from training.evaluation import BASE, NOMINAL, PLANT, Evaluated, Evaluation
 from training.prediction import pooled
 
 
 def evaluation_tables(found: Evaluated, timings: Sequence[Inference]) -> tuple[Table, ...]:
     """Every table there is something for."""
-    tables = [*_table_one(found), _parts_table(found), _timing_table(timings, found)]
-    beyond = (_ahead_table(found), _pulse_table(found), _calibration_table(found))
-    return (*tables, *(table for table in beyond if table.rows))
+    beyond = (_timing_table(timings, found), _ahead_table(found), _pulse_table(found), _calibration_table(found))
+    return (*_table_one(found), _parts_table(found), *(table for table in beyond if table.rows))
 
 
 def _table_one(found: Evaluated) -> list[Table]:
@@ -39,7 +38,7 @@ def _flights_table(found: Evaluated, against: str, words: str) -> Table:
 
 
 def _ratio_table(found: Evaluated) -> Table:
-    models = [model for model in found.models if model.name not in (NOMINAL, PLANT)]
+    models = [model for model in found.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
     known = {kind for row in paper.PREDICTION.values() for kind in row}
     headings = ["flight"]
     for model in models:
@@ -135,7 +134,7 @@ def _short(flight: str) -> str:
 
 def summary_lines(found: Evaluated) -> list[str]:
     """The answer in a sentence for each learned model, and the notes."""
-    lines = [_sentence(model) for model in found.models if model.name not in (NOMINAL, PLANT)]
+    lines = [_sentence(model) for model in found.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
     return [*lines, *(f"note: {note}" for note in found.notes)]
 
 

@@ -28,6 +28,7 @@ from training.truth import hidden_plant, true_label, true_states
 Floats = NDArray[np.float64]
 FEWEST = 50  # windows
 NOMINAL, PLANT = "NOM", "plant"
+BASE = "named effects alone"
 
 
 class Peak(msgspec.Struct, frozen=True):
@@ -94,8 +95,9 @@ def evaluate(
 ) -> tuple[Evaluated, tuple[Judged, ...]]:
     """Every model, NOM of the first one's vehicle before them, the plant behind them where a campaign tells it.
 
-    done: told each name when its model is through. Raises RequestError for flights that a model has learned from,
-    DataError for flights that cannot be judged on.
+    Before a grey box with a network stands its base, so that what the network adds can be seen. done: told each name
+    when its model is through. Raises RequestError for flights that a model has learned from, DataError for flights that
+    cannot be judged on.
     """
     if not models:
         raise RequestError("no model to evaluate. Give checkpoints of `alula train` (.pt), or --vehicle.")
@@ -103,7 +105,9 @@ def evaluate(
     notes = [note for named in models for note in _seen_before(named, recordings)]
     plant = None if campaign is None else physical_model(PLANT, hidden_plant(campaign, vehicle), config)
     bare = msgspec.structs.replace(vehicle, effects=())
-    everyone = [Named(NOMINAL, physical_model("nominal", bare, config)), *models]
+    everyone = [Named(NOMINAL, physical_model("nominal", bare, config))]
+    for named in models:
+        everyone += [*_base_of(named), named]
     if plant is not None:
         everyone.append(Named(PLANT, plant))
     judged = []
@@ -152,6 +156,13 @@ def _seen_before(named: Named, recordings: Sequence[Recording]) -> list[str]:
         )
     chosen = [r.name for r in recordings if r.sha256 in card.validation.values()]
     return [f"the best step of {named.name} was chosen on {', '.join(chosen)}"] if chosen else []
+
+
+def _base_of(named: Named) -> list[Named]:
+    model = named.model
+    if not model.networks or model.config.base != "grey_box":
+        return []
+    return [Named(f"{named.name} base", physical_model(BASE, model.vehicle, model.config))]
 
 
 def _judge(named: Named, recordings: Sequence[Recording], campaign: Path | None, plant: TrainedModel | None) -> Judged:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dynamics.errors import RequestError
-from training.evaluation import NOMINAL, PLANT, Judged
+from training.evaluation import BASE, NOMINAL, PLANT, Judged
 from training.features import world_accelerations
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ FORMATS = ("png", "pdf")
 
 def prediction_figure(judged: Sequence[Judged], flight: str) -> Figure:
     """A flight as the paper's Figure 5 has it: left, a slice where NOM errs most; right, RMSE of each axis, stacked."""
-    shown = [one for one in judged if one.evaluation.name != PLANT]
+    shown = [one for one in judged if one.evaluation.name != PLANT and one.evaluation.kind != BASE]
     times, label, said = _common_rows(shown, flight)
     begin = _worst_slice(times, said[0] - label)
     inside = (times >= begin) & (times <= begin + SLICE)
@@ -114,7 +114,7 @@ def nominal_ratios(judged: Sequence[Judged]) -> tuple[dict[str, list[float | Non
     flights = [error.flight for error in judged[0].evaluation.best_known]
     found: dict[str, list[float | None]] = {}
     for one in judged:
-        if one.evaluation.name in (NOMINAL, PLANT):
+        if one.evaluation.name in (NOMINAL, PLANT) or one.evaluation.kind == BASE:
             continue
         by_flight = {error.flight: error.combined / error.nominal for error in one.evaluation.best_known}
         found[one.evaluation.name] = [by_flight.get(flight) for flight in flights]

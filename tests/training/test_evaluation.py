@@ -91,6 +91,17 @@ def test_a_simulation_begins_with_what_the_model_predicts(
     np.testing.assert_allclose(speed, np.linalg.norm(said[:, :3], axis=1), rtol=2e-3, atol=2e-3)
 
 
+def test_what_a_network_adds_to_named_effects_stands_beside_them(
+    recordings: tuple[Recording, ...], arpl_250g: Vehicle
+) -> None:
+    known = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.035}), EffectUse("rotor_drag"))
+    found, _ = evaluate([Named("ours", model_of("grey_box", known))], recordings, campaign=None, done=lambda _: None)
+    assert [model.name for model in found.models] == [NOMINAL, "ours base", "ours"]
+    base, ours = (pooled(model.label) for model in found.models[1:])
+    assert base.combined == pytest.approx(ours.base)
+    assert base.combined < 0.5 * base.nominal
+
+
 def test_pulse_responses_of_the_plant_itself_are_right_and_weaker_rotors_show(
     campaign: Path, recordings: tuple[Recording, ...], arpl_250g: Vehicle
 ) -> None:
