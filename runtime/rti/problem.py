@@ -35,8 +35,8 @@ class Problem(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The optimal control problem. nodes: N. horizon: s. levenberg_marquardt: added to the Hessian's diagonal.
 
     tolerance, iterations: HPIPM's; row_iterations: the same when bounds on states or thrust act. soft_penalty: price of
-    leaving such a bound (body rates, velocity by axis, thrust, box), linear and quadratic. keep_in_box: hold the vehicle
-    file's position box, if it has one, in the prediction as well.
+    leaving such a bound (body rates, velocity by axis, thrust, box), linear and quadratic. keep_in_box: hold the
+    vehicle file's position box, if it has one, in the prediction as well.
     """
 
     nodes: int = 20
