@@ -15,7 +15,7 @@ from training.prediction import pooled
 def evaluation_tables(found: Evaluated, timings: Sequence[Inference]) -> tuple[Table, ...]:
     """Every table there is something for."""
     beyond = (_timing_table(timings, found), _ahead_table(found), _pulse_table(found), _calibration_table(found))
-    return (*_table_one(found), _parts_table(found), *(table for table in beyond if table.rows))
+    return (*_table_one(found), *_parts_tables(found), *(table for table in beyond if table.rows))
 
 
 def _table_one(found: Evaluated) -> list[Table]:
@@ -57,24 +57,31 @@ def _ratio_table(found: Evaluated) -> Table:
     return Table("ratio_to_nominal", "RMSE over NOM's, beside the paper's Table I", tuple(headings), tuple(rows), note)
 
 
-def _parts_table(found: Evaluated) -> Table:
-    rows = []
-    for model in found.models:
-        cells: list[Cell] = [model.name, model.motors, "5 Hz, both ways" if model.filtered_inputs else "as logged"]
-        for errors in (model.label, model.true):
-            all_flights = pooled(errors) if errors else None
-            cells += [None] * 4 if all_flights is None else [
-                all_flights.linear, all_flights.angular, all_flights.combined,
-                all_flights.combined / all_flights.nominal,
-            ]  # fmt: skip
-        spread = f"{min(model.members):.3g} to {max(model.members):.3g}" if model.members else ""
-        rows.append((*cells, spread))
-    headings = (
-        "model", "motors", "inputs", "label m/s²", "label rad/s²", "label both", "label / NOM", "true m/s²",
-        "true rad/s²", "true both", "true / NOM", "members alone",
-    )  # fmt: skip
-    note = "All flights as one. Members: RMSE of each by itself, against the truth where it is known, else the labels."
-    return Table("parts", "Linear and angular accelerations apart", headings, tuple(rows), note)
+def _parts_tables(found: Evaluated) -> list[Table]:
+    """All flights as one, linear and angular apart: against labels, and against the truth where it is known."""
+    label = tuple(
+        (model.name, model.motors, "filtered" if model.filtered_inputs else "logged", *_parts(model.label))
+        for model in found.models
+    )
+    kinds = ("m/s²", "rad/s²", "both", "/ NOM")
+    note = "All flights as one. Filtered: at 5 Hz, both ways, as the paper's; no flight has such inputs."
+    title = "Linear and angular accelerations apart, against labels"
+    tables = [Table("parts_label", title, ("model", "motors", "inputs", *kinds), label, note)]
+    if found.models[0].true:
+        note = "All flights as one. Alone: least and greatest RMSE of a member by itself, each of its own seed."
+        true = tuple(
+            (model.name, *_parts(model.true), len(model.members) or None, min(model.members, default=None),
+             max(model.members, default=None))
+            for model in found.models
+        )  # fmt: skip
+        headings = ("model", *kinds, "members", "best alone", "worst alone")
+        tables.append(Table("parts_true", title.replace("labels", "the truth"), headings, true, note))
+    return tables
+
+
+def _parts(errors: Sequence[FlightError]) -> tuple[float, float, float, float]:
+    whole = pooled(errors)
+    return whole.linear, whole.angular, whole.combined, whole.combined / whole.nominal
 
 
 def _timing_table(timings: Sequence[Inference], found: Evaluated) -> Table:
