@@ -38,7 +38,8 @@ class Prediction:
 def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, gated: bool = True) -> Prediction:
     """The ensemble's mean, or what one member says. data: made with the model's config and vehicle.
 
-    gated: whether a residual fades where the members disagree more than on their own flights.
+    gated: whether a grey box's residual fades where the members disagree more than on their own flights; on the
+    textbook model it never does, for that is the worse one to fall back to.
     """
     ends = data.ends
     base = None if data.base is None else data.base[ends]
@@ -52,7 +53,7 @@ def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, ga
     deviation = outputs.std(axis=0, ddof=1)
     disagreement = np.sqrt(np.mean((deviation / model.scaling.output_std) ** 2, axis=1))
     gate = np.ones(len(ends))
-    if gated and base is not None:
+    if gated and model.config.base == "grey_box":
         gate = gate_of(disagreement, model.reliability.disagreement)
     body = accelerations_from(model.config, model.vehicle, gate[:, None] * mean, base, attitude)
     told = model.reliability
