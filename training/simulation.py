@@ -103,7 +103,7 @@ class Simulation:
             return np.zeros((len(state), 6))
         outputs = np.stack(ready) * scaling.output_std + scaling.output_mean
         mean = outputs.mean(axis=0)
-        if base is not None and len(outputs) > 1 and model.reliability is not None:
+        if config.base == "grey_box" and len(outputs) > 1 and model.reliability is not None:
             spread = outputs.std(axis=0, ddof=1) / scaling.output_std
             gate = gate_of(np.sqrt(np.mean(spread**2, axis=1)), model.reliability.disagreement)
             mean = gate[:, None] * mean
