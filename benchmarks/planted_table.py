@@ -8,6 +8,13 @@ from typing import Any
 import numpy as np
 
 Result = dict[str, Any]
+NOTES = (
+    "Odd seeds, on which nothing was calibrated; even ones were for that. `noise` is a factor on what sensors and "
+    "turbulence add. An effect that is named for one that no data can separate from it (mass and thrust_constant, "
+    "torque_constant and inertia) is missed in the first row and right in the second, if that is declared. Offsets of "
+    "gyro, accelerometer and clock within specification (0.01 rad/s, 0.02 m/s^2, 1 ms) are hidden as well and count as "
+    "missed, though diagnosis says nothing of them by intention.",
+)
 LARGEST_SET = 2  # of effects that may be named as not told apart
 
 
@@ -39,7 +46,7 @@ def table(results: Sequence[Result]) -> str:
     if failed:
         told = "; ".join(f"{r['key']}: {r['error']}" for r in failed)
         parts.append(f"Not flown or not answered: {told}.")
-    return "\n\n".join(parts)
+    return "\n\n".join([*NOTES, *parts])
 
 
 def _sources(results: Sequence[Result]) -> list[str]:
