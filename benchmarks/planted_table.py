@@ -9,7 +9,7 @@ import numpy as np
 
 Result = dict[str, Any]
 NOTES = (
-    "Odd seeds, on which nothing was calibrated; even ones were for that. `noise` is a factor on what sensors and "
+    "Odd seeds; even ones were for calibrating. `noise` is a factor on what sensors and "
     "turbulence add. An effect that is named for one that no data can separate from it (mass and thrust_constant, "
     "torque_constant and inertia) is missed in the first row and right in the second, if that is declared. Offsets of "
     "gyro, accelerometer and clock within specification (0.01 rad/s, 0.02 m/s^2, 1 ms) are hidden as well and count as "
