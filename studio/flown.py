@@ -82,7 +82,8 @@ def flight_in_space(flown: FlownComparison) -> Picture:
     for name, colour, (track,) in _sides([flown]):
         figure.add_trace(_curve(track.position, name, colour, 3))
     axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": "#d1d5db"} for axis in "xyz"}
-    figure.update_layout(scene={**axes, "aspectmode": "data"})
+    away = {"eye": {"x": 1.8, "y": 1.8, "z": 1.4}}
+    figure.update_layout(scene={**axes, "aspectmode": "data", "camera": away})
     return picture(figure, 420, f"{flown.name} in three dimensions.")
 
 
