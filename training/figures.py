@@ -77,7 +77,7 @@ def heatmap_figure(
     if not len(known):
         raise RequestError("no cell of this heatmap is finished yet. Go on with the same `alula sweep`.")
     with mpl.rc_context({"font.size": 9}):
-        figure = Figure(figsize=(3.4 * len(grids) + 0.8, 3.6), layout="constrained")
+        figure = Figure(figsize=(3.4 * len(grids) + 0.8, 4.0), layout="constrained")
         row = figure.subplots(1, len(grids), sharey=True, squeeze=False)[0]
         for axes, (name, grid) in zip(row, grids.items(), strict=True):
             drawn = axes.imshow(grid, origin="lower", cmap="viridis_r", vmin=known.min(), vmax=known.max())
