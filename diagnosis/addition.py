@@ -105,7 +105,7 @@ def add_effect(
             f"{name} was not added: on the held-out flights the error does not fall (squared error over noise "
             f"{was:.4g} before, {now.misfit:.4g} after). `alula diagnose` says what is missing, if anything."
         )
-    errors = channel_errors(before, now.rows, regression)
+    errors = channel_errors(before, now.rows, regression, dataset.held_out)
     return Addition(
         vehicle=with_history(now.fit.vehicle, f"added {candidate.key}", dataset, errors, date=date, command=command),
         estimates=now.fit.estimates,
