@@ -1,5 +1,6 @@
 """The command line as a user meets it: help, version, and how mistakes end."""
 
+import os
 import subprocess
 import sys
 from importlib import metadata
@@ -92,3 +93,11 @@ def test_starting_imports_nothing_of_the_desk():
     code = "import sys, alula.cli; print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def test_numerical_libraries_use_one_thread_each() -> None:
+    code = "import sys, alula, runtime.realtime; early = 'numpy' in sys.modules; import os, alula.__main__; " \
+        "print(early, os.environ['OPENBLAS_NUM_THREADS'])"  # fmt: skip
+    without = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=without)
+    assert done.stdout.split() == ["False", "1"]
