@@ -40,10 +40,12 @@ def kernel_recipe(
     precision: Precision = "float",
     *,
     mean: bool = True,
+    extrapolated: bool = False,
 ) -> KernelRecipe:
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
+    extrapolated: accelerations are carried on by half a step along their slope, else held over it.
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
@@ -55,7 +57,7 @@ def kernel_recipe(
         )
     folder = resources.files("runtime.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES}
-    sources["network.h"] = network_header(network)
+    sources["network.h"] = network_header(network, extrapolated=extrapolated)
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
@@ -85,7 +87,17 @@ def build_kernel(recipe: KernelRecipe) -> Path:
 
 
 def kernel_solver(
-    network: Network, model: Model, problem: Problem, processor: Processor, precision: Precision = "float"
+    network: Network,
+    model: Model,
+    problem: Problem,
+    processor: Processor,
+    precision: Precision = "float",
+    *,
+    mean: bool = True,
 ) -> RtiSolver:
-    """A solver on a freshly built kernel, as the runtime makes one of a bundle's."""
-    return RtiSolver(model, problem, build_kernel(kernel_recipe(network, model, problem, processor, precision)))
+    """A solver on a freshly built kernel, as the runtime makes one of a bundle's.
+
+    mean: the network says mean accelerations, else instantaneous ones, which are extrapolated.
+    """
+    recipe = kernel_recipe(network, model, problem, processor, precision, mean=mean, extrapolated=not mean)
+    return RtiSolver(model, problem, build_kernel(recipe))

@@ -24,6 +24,7 @@ typedef NETWORK_REAL real;
 #define COLUMNS (HISTORY + STEPS)
 #define STATE_FEATURES (FEATURES - NU)
 #define HIDDEN_STATES (NX - 13)
+#define RATES (6 + HIDDEN_STATES)
 #define COLUMN_ENTRIES (13 + NU) /* of a measured column: the rigid body, then the rotors' commanded speeds */
 
 #if RESIDUAL
@@ -31,7 +32,7 @@ typedef NETWORK_REAL real;
 #pragma GCC optimize("O1")
 #include "physics.c" /* PHYSICS(x, u, p, e) -> rates, their derivatives by x and by u; see export.physics */
 #pragma GCC pop_options
-#define PHYSICS_RATES (6 + HIDDEN_STATES)
+#define PHYSICS_RATES RATES
 #endif
 
 /* Rows of the tangents of each layer's input, for as many substeps as its taps reach back. */
@@ -46,6 +47,9 @@ typedef struct {
     double said[STEPS][6];   /* what the network says: a force per mass (world or body axes), angular acceleration */
     double linear[STEPS][3]; /* mean acceleration, world axes */
     double angular[STEPS][3];
+#if EXTRAPOLATED
+    double before[RATES]; /* what a substep before gave: accelerations, then the hidden states' rates */
+#endif
 #if RESIDUAL
     double by_state[STEPS][PHYSICS_RATES * NX], by_input[STEPS][PHYSICS_RATES * NU]; /* by column */
     double physics_work[PHYSICS_W + 1];
@@ -59,6 +63,9 @@ typedef struct {
         real moving[NX][STREAMED]; /* tangents of the state */
         real rates[6][STREAMED];   /* tangents of the accelerations, world and body axes */
         real other[HIDDEN_STATES + 1][STREAMED];
+#if EXTRAPOLATED
+        real rates_before[6][STREAMED], other_before[HIDDEN_STATES + 1][STREAMED];
+#endif
         real S_weighed[N][NX][L];
         real H[V][STREAMED];
     } a __attribute__((aligned(64)));
@@ -125,6 +132,22 @@ static void accelerate(network *r, int s, const double *x, const double *u, doub
 #endif
 }
 
+/* Instantaneous accelerations are carried on by half a step along their slope (Adams-Bashforth 2), for their mean. */
+static void extrapolate(network *r, int s, double h, double *hidden) {
+#if EXTRAPOLATED
+    double *parts[] = {r->linear[s], r->angular[s], hidden};
+    const int sizes[] = {3, 3, HIDDEN_STATES};
+    for (int part = 0, i = 0; part < 3; part++)
+        for (int j = 0; j < sizes[part]; j++, i++) {
+            const double now = parts[part][j];
+            parts[part][j] += 0.5 * h / STEP_SECONDS * (now - r->before[i]);
+            r->before[i] = now;
+        }
+#else
+    (void)r, (void)s, (void)h, (void)hidden;
+#endif
+}
+
 /* One substep of h seconds from r->state[s] to next: column, network, motion. */
 static void advance(network *r, int s, const double *u, double h, double *next) {
     double hidden[HIDDEN_STATES + 1];
@@ -132,6 +155,7 @@ static void advance(network *r, int s, const double *u, double h, double *next) 
     write_features(r, HISTORY + s, x, u);
     evaluate(r, s, HISTORY + s);
     accelerate(r, s, x, u, hidden);
+    extrapolate(r, s, h, hidden);
     move_body(x, r->linear[s], r->angular[s], h, next);
     for (int i = 0; i < HIDDEN_STATES; i++) next[13 + i] = x[13 + i] + h * hidden[i];
 }
@@ -148,10 +172,28 @@ static void load_history(network *r) {
     (void)first;
 }
 
+/* A prediction's start: the history before it, its first state, and what the newest column of the history gives. */
+static void begin(network *r, const double *x) {
+    load_history(r);
+    memcpy(r->state[0], x, sizeof r->state[0]);
+#if EXTRAPOLATED
+    double hidden[HIDDEN_STATES + 1], then[NX];
+    const double *column = r->history[HISTORY - 1];
+    memcpy(then, column, sizeof(double) * 13);
+    memcpy(then + 13, x + 13, sizeof(double) * HIDDEN_STATES); /* not measured: as now, then a step back */
+    evaluate(r, 0, HISTORY - 1);
+    accelerate(r, 0, then, column + 13, hidden);
+    for (int i = 0; i < HIDDEN_STATES; i++) then[13 + i] -= STEP_SECONDS * hidden[i];
+    if (HIDDEN_STATES) accelerate(r, 0, then, column + 13, hidden);
+    memcpy(r->before, r->linear[0], sizeof r->linear[0]);
+    memcpy(r->before + 3, r->angular[0], sizeof r->angular[0]);
+    memcpy(r->before + 6, hidden, sizeof(double) * HIDDEN_STATES);
+#endif
+}
+
 static void roll_out(network *r) {
     condensed *c = &r->c;
-    load_history(r);
-    memcpy(r->state[0], c->x[0], sizeof r->state[0]);
+    begin(r, c->x[0]);
     for (int s = 0; s < STEPS; s++) advance(r, s, c->u[s / SUBSTEPS], STEP_SECONDS, r->state[s + 1]);
     for (int k = 1; k <= N; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
 }
@@ -187,8 +229,7 @@ double *rti_history(network *r) { return &r->history[0][0]; }
 
 /* The model over dt seconds, at most STEPS substeps, from x with the history before it and inputs u. */
 void rti_propagate(network *r, const double *x, const double *u, double dt, double *next) {
-    load_history(r);
-    memcpy(r->state[0], x, sizeof r->state[0]);
+    begin(r, x);
     int s = 0;
     for (; dt > STEP_SECONDS * (1 + 1e-9) && s < STEPS - 1; s++, dt -= STEP_SECONDS)
         advance(r, s, u, STEP_SECONDS, r->state[s + 1]);

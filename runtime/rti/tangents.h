@@ -204,6 +204,16 @@ static void stream_motion(network *r, int s, int columns) {
 #undef ROW
 }
 
+/* Tangents of `extrapolate`, over a whole substep. Those of the measured column before the first are zero. */
+INLINE void extrapolate_rows(const int rows, int columns, real (*now)[STREAMED], real (*before)[STREAMED]) {
+    for (int i = 0; i < rows; i++)
+        for (int c = 0; c < columns; c += LANES) {
+            vector value = *(vector *)&now[i][c];
+            *(vector *)&now[i][c] += (real)0.5 * (value - *(vector *)&before[i][c]);
+            *(vector *)&before[i][c] = value;
+        }
+}
+
 #define CLEAR(l, inputs, outputs, taps, dilation) memset(r->a.ring_##l, 0, sizeof r->a.ring_##l);
 #define FIND(l, inputs, outputs, taps, dilation) find_active(&r->active[l + 1][t], outputs, r->a.column[l + 1][t]);
 #define PLACE(l, inputs, outputs, taps, dilation) into[l] = r->a.ring_##l[s % ((taps - 1) * dilation + 1)];
@@ -219,6 +229,10 @@ static void stream_tangents(network *r) {
     memset(r->a.moving, 0, sizeof r->a.moving);
     memset(r->a.rates, 0, sizeof r->a.rates);
     memset(r->a.other, 0, sizeof r->a.other);
+#if EXTRAPOLATED
+    memset(r->a.rates_before, 0, sizeof r->a.rates_before);
+    memset(r->a.other_before, 0, sizeof r->a.other_before);
+#endif
     for (int i = FREE; i < NX; i++) r->a.moving[i][i - FREE] = 1;
     for (int s = 0; s < STEPS; s++) {
         const int node = s / SUBSTEPS, columns = columns_at(node);
@@ -229,6 +243,10 @@ static void stream_tangents(network *r) {
         EACH_CONVOLUTION(STREAM_LAYER)
         stream_rates(r, s, columns);
         stream_hidden(r, s, columns);
+#if EXTRAPOLATED
+        extrapolate_rows(6, columns, r->a.rates, r->a.rates_before);
+        extrapolate_rows(HIDDEN_STATES, columns, r->a.other, r->a.other_before);
+#endif
         stream_motion(r, s, columns);
         if (s % SUBSTEPS == SUBSTEPS - 1)
             for (int i = 0; i < NX; i++)

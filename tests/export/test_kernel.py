@@ -40,14 +40,19 @@ CASES = {
         [EffectUse("ground_effect")],
     ),
 }
+INSTANTANEOUS = {
+    "instantaneous": CASES["body"],
+    "instantaneous, one column": CASES["one column"],
+    "instantaneous residual on lag and drag": CASES["residual on lag and drag"],
+}
 WITHOUT_PHYSICS = ("body", "world", "one column", "window of four", "odd widths")
 
 
-def window(network: Network, seed: int = 0) -> np.ndarray:
-    """Random columns (receptive field, 13 + rotors)."""
+def window(network: Network, seed: int = 0, *, more: int = 0) -> np.ndarray:
+    """Random columns (receptive field and so many more, 13 + rotors)."""
     rng = np.random.default_rng(seed)
     scale = np.array([0.1] * 3 + [1.0] * 3 + [0.1] * 4 + [1.0] * 3 + [40.0] * network.rotors)
-    columns = rng.normal(size=(network.receptive_field, 13 + network.rotors)) * scale
+    columns = rng.normal(size=(network.receptive_field + more, 13 + network.rotors)) * scale
     columns[:, 2] += 0.5
     columns[:, 6] += 1
     columns[:, 6:10] = quaternion.normalise(columns[:, 6:10])
@@ -57,10 +62,11 @@ def window(network: Network, seed: int = 0) -> np.ndarray:
 
 def solver_of(case: str, precision: Precision, problem: Problem = SHORT) -> tuple[RtiSolver, np.ndarray]:
     """A solver with a random history and random inputs along the horizon, and the state that it starts from."""
-    network, effects = CASES[case]
+    network, effects = (CASES | INSTANTANEOUS)[case]
     model = build_model(VEHICLE, effects=effects)
-    solver = kernel_solver(network, model, problem, native_processor(), precision)
-    columns = window(network)
+    mean = case not in INSTANTANEOUS
+    solver = kernel_solver(network, model, problem, native_processor(), precision, mean=mean)
+    columns = window(network, more=not mean)
     solver.history[:] = columns[:-1]
     state = model.initial_state(columns[-1, :13])
     solver.reset(state)
@@ -145,7 +151,8 @@ def test_a_residual_is_added_to_the_mean_accelerations_of_the_model(case: str) -
 
 @pytest.mark.parametrize(
     ("case", "precision", "tolerance"),
-    [(case, "double", 1e-6) for case in CASES] + [("body", "float", 2e-4), ("residual on lag and drag", "float", 2e-4)],
+    [(case, "double", 1e-6) for case in (*CASES, *INSTANTANEOUS)]
+    + [("body", "float", 2e-4), ("residual on lag and drag", "float", 2e-4)],
 )
 def test_hessian_and_gradient_are_gauss_newtons_of_the_roll_out(
     case: str, precision: Precision, tolerance: float
