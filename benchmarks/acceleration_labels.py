@@ -21,7 +21,7 @@ from flights import Flight, filters, kalman
 from flights.log import Floats
 
 CUTOFFS = (1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)  # Hz
-TUNING = ("Lemniscate_yz_90", "WarpedEllipse_2_xy_90", "Parabola_yz_90", "Ellipse_2_xz_90")
+TUNING = ("Lemniscate_yz_100", "WarpedEllipse_2_xz_100", "Parabola_yz_100", "Ellipse_2_xz_100")
 Method = Callable[[Floats, float, float], Floats]
 
 
