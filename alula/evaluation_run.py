@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,13 +11,11 @@ from matplotlib.figure import Figure
 
 from alula.evaluation_tables import evaluation_tables, summary_lines
 from alula.inference import Inference, time_inference
-from alula.provenance import origin
+from alula.page import write_tables_page
 from alula.tables import Table
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import read_vehicle
 from flights.campaign import paper_campaign
-from studio.page import write_page
-from studio.tables import Image, PageTable, tables_page
 from training import checkpoint, figures
 from training.config import ModelConfig
 from training.evaluation import PLANT, Evaluated, Judged, Named, evaluate, physical_model
@@ -96,17 +93,10 @@ def draw(results: Results, folder: Path) -> list[Path]:
 
 def write_html(results: Results, path: Path) -> None:
     """Tables and pictures in one file. Raises RequestError when it cannot be written."""
-    images = []
-    for _, figure, says in _figures(results):
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=110)
-        images.append(Image(buffer.getvalue(), says))
-    tables = [PageTable(t.title, t.headings, t.rows, t.note, t.digits) for t in results.tables]
+    pictures = [(figure, says) for _, figure, says in _figures(results)]
     title = "Flight models on flights that they have not seen"
-    made = tables_page(
-        title, summary_lines(results.evaluated), tables, images, origin=origin(results.evaluated.flights)
-    )  # fmt: skip
-    write_page(made, path)
+    lines, flights = summary_lines(results.evaluated), results.evaluated.flights
+    write_tables_page(path, title, lines, results.tables, pictures, inputs=flights)
 
 
 def _figures(results: Results) -> list[tuple[str, Figure, str]]:

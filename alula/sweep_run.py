@@ -1,9 +1,9 @@
-"""A sweep from what was asked for: its cells, the map that runs them, what is made of their results."""
+"""A sweep from what was asked for: its cells and the map that runs them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,18 +11,16 @@ from typing import Any
 import msgspec
 
 from alula.evaluation_run import find_flights
-from alula.study_tables import search_table, study_figure, study_table
-from alula.sweep_cells import CellWork, finished_cells, run_cells
-from alula.sweep_search import Range, search, tried
-from alula.tables import Table
+from alula.sweep_cells import run_cells
+from alula.sweep_search import Range, Search
+from alula.sweep_work import CellWork, file_hash, finished_cells
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import read_vehicle, vehicle_toml
-from training import figures
 from training.config import ModelConfig
 from training.recipe import Recipe, named_recipe
 from training.recordings import CAMPAIGN, find_logs
-from training.studies import STUDIES, grid_cells
-from training.studies.cell import Cell, CellResult, StudyOptions
+from training.studies import STARRED, STUDIES, grid_cells
+from training.studies.cell import Cell, CellResult, Outcome, StudyOptions
 from vehicles import vehicle_path
 
 GRID, SEARCH = "grid", "search"
@@ -30,13 +28,14 @@ SEARCHED = "physics_weight=1e-4:1"  # lambda
 
 
 class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `alula sweep` was asked for."""
+    """What `alula sweep` was asked for. simulated: logs or folders of a simulation without effects."""
 
     study: str
     logs: tuple[Path, ...]
     vehicle: str
     out: Path
     tests: tuple[Path, ...] = ()
+    simulated: tuple[Path, ...] = ()
     seeds: int = 2
     steps: int | None = None
     batch: int | None = None
@@ -50,33 +49,29 @@ class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     mapping: Path | None = None
 
 
-class Answer(msgspec.Struct, frozen=True):
-    """`alula sweep --json`."""
-
-    study: str
-    cells: tuple[CellResult, ...]
-
-
 @dataclass(frozen=True, eq=False)
 class Sweep:
     """A sweep that may begin. along: the quantities that cells differ in. count: of the cells.
 
-    results: trains what is missing. finished: what is there already.
+    outcomes: trains what is missing. finished: what is there already. flights: sha256 of what is learned from and
+    judged on, by path. works: of the cells, where they are known beforehand.
     """
 
     study: str
     along: tuple[str, ...]
     count: int
-    results: Callable[[], Iterator[tuple[int, CellResult]]]
+    outcomes: Callable[[], Iterator[tuple[int, Outcome]]]
     finished: Callable[[], Iterator[tuple[int, CellResult]]]
+    flights: Mapping[str, str]
+    works: tuple[CellWork, ...] = ()
 
 
 def make_sweep(options: SweepOptions) -> Sweep:
     """Settle the cells and make the folder. Raises RequestError for whatever makes no sense."""
     named_recipe(options.recipe)
-    work = _works(options)
     changes = {name: value for name, value in (("steps", options.steps), ("batch", options.batch)) if value is not None}
     common = StudyOptions(tuple(range(options.seeds)), changes)
+    work = _works(options)
     if options.study == SEARCH:
         return _search(options, work, changes)
     if options.study == GRID:
@@ -86,24 +81,15 @@ def make_sweep(options: SweepOptions) -> Sweep:
         cells, along = STUDIES[options.study].cells(common), STUDIES[options.study].along
     else:
         raise RequestError(f"unknown study {options.study!r}. Known: {', '.join((*STUDIES, GRID, SEARCH))}.")
-    works = [work(cell) for cell in cells]
+    works = tuple(work(cell) for cell in cells)
+    for one in works:
+        one.settled()  # a value that makes no sense ends the sweep before it begins
     return Sweep(
         options.study, along, len(works),
-        results=lambda: run_cells(works, jobs=options.jobs, scheduler=options.scheduler),
+        outcomes=lambda: run_cells(works, jobs=options.jobs, scheduler=options.scheduler),
         finished=lambda: finished_cells(works),
+        flights=_hashes(works[0]), works=works,
     )  # fmt: skip
-
-
-def table_of(sweep: Sweep, results: Sequence[CellResult]) -> Table:
-    """The study's table."""
-    if sweep.study == SEARCH:
-        return search_table(sweep.along, results)
-    return study_table(sweep.study, sweep.along, results)
-
-
-def draw(sweep: Sweep, results: Sequence[CellResult], folder: Path) -> list[Path]:
-    """The study's picture, PNG and PDF."""
-    return figures.save(study_figure(sweep.study, sweep.along, results), folder, sweep.study)
 
 
 def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
@@ -112,16 +98,36 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     tests = options.tests or tuple(path for path in options.logs if path.is_dir() and (path / CAMPAIGN).exists())
     if not tests:
         raise RequestError("no flight to judge on was given: give --test, logs or folders that nothing is trained on.")
+    simulated = _simulated(options)
     text = vehicle_toml(read_vehicle(vehicle_path(options.vehicle)))
     judged = find_flights(tests)
-    if shared := {path.resolve() for path in logs} & {path.resolve() for path in judged}:
+    if shared := {path.resolve() for path in (*logs, *simulated)} & {path.resolve() for path in judged}:
         raise RequestError(f"{min(shared).name} is among both training and test flights. Give it once.")
     try:
         options.out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise RequestError(f"cannot write to {options.out}: {error.strerror}. Give another --out.") from error
-    logs, judged, out = (tuple(p.resolve() for p in paths) for paths in (logs, judged, (options.out,)))  # for workers
-    return lambda cell: CellWork(cell, out[0], logs, judged, text, options.recipe, options.mapping)
+    logs, judged, simulated, out = (
+        tuple(path.resolve() for path in paths) for paths in (logs, judged, simulated, (options.out,))
+    )  # for workers in other folders
+    return lambda cell: CellWork(
+        cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated
+    )  # fmt: skip
+
+
+def _simulated(options: SweepOptions) -> tuple[Path, ...]:
+    """Flights of a simulation without effects. Raises RequestError when they are wanted and missing, or not wanted."""
+    if (options.study == STARRED) != bool(options.simulated):
+        raise RequestError(
+            f"--simulated is for the study {STARRED!r}, and it needs it: give the folder of `alula campaign "
+            "--no-effects --out FOLDER`."
+        )
+    return find_logs(options.simulated) if options.simulated else ()
+
+
+def _hashes(work: CellWork) -> dict[str, str]:
+    """sha256 of all flights by the last parts of their paths."""
+    return {"/".join(path.parts[-3:]): file_hash(path) for path in (*work.logs, *work.simulated, *work.tests)}
 
 
 def _search(options: SweepOptions, work: Callable[[Cell], CellWork], changes: dict[str, Any]) -> Sweep:
@@ -129,16 +135,14 @@ def _search(options: SweepOptions, work: Callable[[Cell], CellWork], changes: di
     for item in ranges:
         _require_field(item.name, Recipe)
     jobs = options.jobs if options.jobs is not None else len(os.sched_getaffinity(0))
-
-    def results() -> Iterator[tuple[int, CellResult]]:
-        return search(
-            work, options.model, ranges, options.trials, seed=0, recipe=changes, jobs=jobs, scheduler=options.scheduler
-        )
-
-    def finished() -> Iterator[tuple[int, CellResult]]:
-        return iter(enumerate(tried(work, options.model, options.trials)))
-
-    return Sweep(SEARCH, tuple(item.name for item in ranges), options.trials, results, finished)
+    search = Search(work, options.model, ranges, options.trials, changes)
+    example = work(Cell(SEARCH, {}, options.model, 0, recipe=changes))
+    example.settled()
+    return Sweep(
+        SEARCH, tuple(item.name for item in ranges), options.trials,
+        outcomes=lambda: search.run(jobs=jobs, scheduler=options.scheduler),
+        finished=search.tried, flights=_hashes(example),
+    )  # fmt: skip
 
 
 def _grid_values(given: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:

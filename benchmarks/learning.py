@@ -1,45 +1,122 @@
-"""The paper's studies on a simulated copy of its data, with short trainings: which of its claims hold.
+"""The paper's studies on the campaign with hidden effects, and the models beside the vehicle file on its test flights.
 
-Every training is a cell of `alula sweep` in build/learning; interrupted, the script goes on and trains nothing twice.
-First fly the campaign: alula campaign --out build/campaign_learning. Then: python benchmarks/learning.py [STUDY...].
+Needs `alula campaign --out build/campaign_learning` and `alula campaign --no-effects --out build/campaign_nominal`.
+Killed, the same command goes on; `--only-finished` trains nothing and writes what is there.
 """
 
 from __future__ import annotations
 
 import argparse
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
+import msgspec
 from provenance import write_result
 
 from alula.evaluation_run import run as evaluate
-from alula.sweep_run import SweepOptions, make_sweep, table_of
+from alula.study_figures import HEATMAPS
+from alula.sweep_report import draw, require_all_trained, tables_of
+from alula.sweep_run import Sweep, SweepOptions, make_sweep
 from alula.tables import Table, markdown
+from training import checkpoint
 from training.evaluation import PLANT
+from training.recipe import PAPER
+from training.studies import STARRED
+from training.studies.cell import CellResult, Outcome, trained
 
 ROOT = Path(__file__).resolve().parents[1]
-CAMPAIGN, CELLS = ROOT / "build" / "campaign_learning", ROOT / "build" / "learning"
-STEPS, BATCH = 2000, 256
-USUAL = ("kinds", "motors", "history", "ablation")
+CAMPAIGN, SIMULATED = ROOT / "build" / "campaign_learning", ROOT / "build" / "campaign_nominal"
+CELLS, PICTURES = ROOT / "build" / "learning", ROOT / "docs" / "pictures"
+BATCH = 256
 
 
-def study(name: str, *, seeds: int, only: bool) -> Table:
-    """The table of a study. only: of the cells that are finished already."""
-    options = SweepOptions(
-        study=name,
-        logs=(CAMPAIGN,),
-        vehicle="arpl_250g",
-        out=CELLS / name,
-        seeds=seeds,
-        steps=STEPS,
-        batch=BATCH,
-        jobs=1,
-    )
-    sweep = make_sweep(options)
-    results = []
-    for place, result in sweep.finished() if only else sweep.results():
-        results.append(result)
-        print(f"{name} {place + 1}/{sweep.count} {result.cell.name} {result.seconds:.0f} s", flush=True)
-    return table_of(sweep, results)
+@dataclass(frozen=True)
+class Plan:
+    """How long a study's trainings are, and with how many seeds. model: for a grid over something of the recipe's."""
+
+    steps: int
+    seeds: int
+    recipe: str = "fast"
+    grid: tuple[str, ...] = ()
+
+
+# In the order in which they are worth their time. Heatmaps have one seed for fifty trainings each.
+PLANS = {
+    "inertia": Plan(4000, 1),
+    "rotors": Plan(4000, 1),
+    "regimes": Plan(8000, 2),
+    "lambda": Plan(8000, 2),
+    STARRED: Plan(8000, 2),
+    "ablation": Plan(8000, 2),
+    "history": Plan(8000, 2),
+    "motors": Plan(8000, 2),
+    "kinds": Plan(8000, 2),
+    "paper": Plan(12_000, 1, recipe="paper", grid=("history=20",)),
+}
+
+
+def sweep_of(name: str) -> Sweep:
+    """A study that may begin."""
+    plan = PLANS[name]
+    return make_sweep(
+        SweepOptions(
+            study="grid" if plan.grid else name, logs=(CAMPAIGN,), vehicle="arpl_250g", out=CELLS / name,
+            simulated=(SIMULATED,) if name == STARRED else (), seeds=plan.seeds, steps=plan.steps,
+            batch=PAPER.batch if plan.recipe == "paper" else BATCH, recipe=plan.recipe, grid=plan.grid, jobs=1,
+        )
+    )  # fmt: skip
+
+
+def share(sweep: Sweep) -> None:
+    """Take over trainings that another study has done: the same one is a cell of several."""
+    done = {}
+    for path in CELLS.glob("*/*.json"):
+        done[msgspec.json.decode(path.read_bytes(), type=CellResult).fingerprint] = path
+    for work in sweep.works:
+        path = done.get(work.fingerprint)
+        if path is not None and not work.result_file.exists():
+            for source, target in (
+                (path.with_suffix(".pt"), work.model_file),
+                (path, work.result_file),
+            ):
+                if source.exists():
+                    shutil.copyfile(source, target)
+
+
+def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
+    """What became of a study's cells. only: those that are finished already."""
+    share(sweep)
+    found: dict[int, Outcome] = {}
+    for place, outcome in sweep.finished() if only else sweep.outcomes():
+        found[place] = outcome
+        print(f"{name} {len(found)}/{sweep.count} {outcome.cell.name}", flush=True)
+    return tuple(found[place] for place in sorted(found))
+
+
+def times(studies: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> Table:
+    """Seconds of training by study: what a cell took, and all of them one after the other."""
+    rows = []
+    for name, (sweep, outcomes) in studies.items():
+        seconds = [result.seconds for result in trained(outcomes)]
+        rows.append(
+            (name, PLANS[name].steps, len(seconds), sweep.count, sum(seconds) / len(seconds), sum(seconds) / 60)
+        )
+    headings = ("study", "steps", "trainings done", "of", "s a training", "minutes in all")
+    note = "One core each, which other work shared; a training that several studies have in common counts in each."
+    return Table("times", "Time of the studies", headings, tuple(rows), note)
+
+
+def paper_recipe(result: CellResult) -> Table:
+    """How far the paper's recipe got, and what all of it would take. Half of the steps are with lambda, as in all."""
+    rows = checkpoint.load(CELLS / "paper" / f"{result.cell.name}.pt").card.rows
+    steps = -(-rows // PAPER.batch)  # of an epoch
+    epoch = result.seconds / result.steps * steps
+    assert PAPER.epochs is not None
+    headings = ("windows", "steps an epoch", "steps done", "epochs done", "s an epoch", "days of 10,000 epochs")
+    row = (rows, steps, result.steps, result.steps / steps, epoch, epoch * PAPER.epochs / 86400)
+    return Table("paper_recipe", "The paper's recipe: its time on one core", headings, (row,))
 
 
 def shipped() -> list[Table]:
@@ -52,19 +129,44 @@ def shipped() -> list[Table]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("studies", nargs="*", default=USUAL)
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("studies", nargs="*", default=list(PLANS), help="By default all of them.")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, write what is there")
+    parser.add_argument("--no-page", action="store_true", help="train, write nothing")
     given = parser.parse_args()
-    tables = [study(name, seeds=given.seeds, only=given.only_finished) for name in given.studies]
-    tables = [table for table in tables if table.rows] + shipped()
+    found: dict[str, tuple[Sweep, tuple[Outcome, ...]]] = {}
+    for name in given.studies:
+        sweep = sweep_of(name)
+        outcomes = outcomes_of(name, sweep, only=given.only_finished)
+        require_all_trained(outcomes)
+        if outcomes:
+            found[name] = sweep, outcomes
+    if not given.no_page:
+        write(found)
+
+
+def write(found: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
+    """The page of tables, and the pictures of the documentation."""
+    tables: list[Table] = [times(found)]
+    for name, (sweep, outcomes) in found.items():
+        tables += with_title(name, tables_of(sweep, outcomes))
+        if name in (*HEATMAPS, "lambda", "history", STARRED):
+            draw(sweep, outcomes, CELLS / "pictures")
+            for path in (CELLS / "pictures").glob("*.png"):
+                shutil.copyfile(path, PICTURES / f"study_{path.name}")
+    if "paper" in found:
+        tables.append(paper_recipe(trained(found["paper"][1])[0]))
     head = (
-        "Campaign with hidden effects (68 flights), trained on its 60, judged on its 8 test flights. The studies: "
-        f"{STEPS} steps of {BATCH} windows, a fifteenth of the default recipe, so that they compare cells with each "
-        f"other, not with a model that is trained to its end. {PLANT}: the model with the hidden effects themselves, "
-        "moving air left out."
+        "Campaign with hidden effects (68 flights), trained on its 60, judged on its 8 test flights. The studies train "
+        f"4,000 or 8,000 steps of {BATCH} windows, less than a third of the default recipe, so that they compare cells "
+        f"with each other, not with a model that is trained to its end. {PLANT}: the model with the hidden effects "
+        "themselves, moving air left out."
     )
-    write_result("learning", "Learning: the paper's studies", "\n\n".join([head, *map(markdown, tables)]))
+    write_result("learning", "Learning: the paper's studies", "\n\n".join([head, *map(markdown, tables + shipped())]))
+
+
+def with_title(name: str, tables: Sequence[Table]) -> list[Table]:
+    """The tables of a grid under the name that it has here."""
+    return [msgspec.structs.replace(table, title=table.title.replace("grid", f"{name} recipe")) for table in tables]
 
 
 if __name__ == "__main__":

@@ -9,13 +9,13 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from alula.output import write_json
 from alula.workbench import workbench
 
 if TYPE_CHECKING:
-    from training.studies.cell import CellResult
+    from alula.sweep_run import Sweep
+    from training.studies.cell import Outcome
 
-STUDIES = "kinds, ablation, history, inertia, rotors, lambda, motors, regimes; grid and search are your own"
+STUDIES = "kinds, ablation, history, inertia, rotors, lambda, motors, regimes, starred; grid and search are your own"
 
 
 def sweep(
@@ -27,6 +27,10 @@ def sweep(
     out: Annotated[Path, typer.Option(help="Folder for a file each cell; a sweep that was stopped goes on from it.")],
     test: Annotated[
         list[Path] | None, typer.Option(help="Logs or folders to judge on; a campaign's test flights by default.")
+    ] = None,
+    simulated: Annotated[
+        list[Path] | None,
+        typer.Option(help="For starred: logs of a simulation without effects (alula campaign --no-effects)."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.")] = 2,
     steps: Annotated[int | None, typer.Option(min=1, help="Steps of Adam; 30,000 by default.")] = None,
@@ -48,36 +52,35 @@ def sweep(
     ] = None,
     mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write every cell as JSON; - for stdout.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Folder for the table as CSV.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder for one CSV file a table.")] = None,
     pictures: Annotated[Path | None, typer.Option(help="Folder for pictures, PNG and PDF.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write tables and pictures as one page to this file.")] = None,
 ) -> None:
     """Train and judge every cell of a study. Killed, the same command goes on and trains nothing twice."""
     with workbench("alula sweep"):
-        from alula.sweep_run import Answer, SweepOptions, draw, make_sweep, table_of
-        from alula.tables import terminal_table, write_csv
+        from alula.sweep_report import require_all_trained, show
+        from alula.sweep_run import SweepOptions, make_sweep
     options = SweepOptions(
-        study=study, logs=tuple(logs), tests=tuple(test or ()), vehicle=vehicle, out=out, seeds=seeds, steps=steps,
-        batch=batch, recipe=recipe, model=model, grid=tuple(grid or ()), over=tuple(over or ()), trials=trials,
-        jobs=jobs, scheduler=scheduler, mapping=mapping,
+        study=study, logs=tuple(logs), tests=tuple(test or ()), vehicle=vehicle, out=out,
+        simulated=tuple(simulated or ()), seeds=seeds, steps=steps, batch=batch, recipe=recipe, model=model,
+        grid=tuple(grid or ()), over=tuple(over or ()), trials=trials, jobs=jobs, scheduler=scheduler, mapping=mapping,
     )  # fmt: skip
     console = Console(stderr=json_file == Path("-"))
     made = make_sweep(options)
-    results: dict[int, CellResult] = {}
+    outcomes = _outcomes(made, console)
+    show(made, outcomes, console, json_file=json_file, csv=csv, pictures=pictures, html=html)
+    require_all_trained(outcomes)
+
+
+def _outcomes(made: Sweep, console: Console) -> tuple[Outcome, ...]:
+    """Every cell's outcome in the cells' order, under a progress bar."""
+    found: dict[int, Outcome] = {}
     with _bar(console) as bar:
-        task = bar.add_task(study, total=made.count, last="")
-        for place, result in made.results():
-            results[place] = result
-            bar.update(task, completed=len(results), last=result.cell.name)
-    found = tuple(results[place] for place in sorted(results))
-    table = table_of(made, found)
-    console.print(terminal_table(table))
-    written = [] if csv is None else write_csv([table], csv)
-    if json_file is not None:
-        write_json(Answer(study, found), json_file)
-    if pictures is not None:
-        written += draw(made, found, pictures)
-    for path in written:
-        console.print(f"written: {path}", highlight=False)
+        task = bar.add_task(made.study, total=made.count, last="")
+        for place, outcome in made.outcomes():
+            found[place] = outcome
+            bar.update(task, completed=len(found), last=outcome.cell.name)
+    return tuple(found[place] for place in sorted(found))
 
 
 def _bar(console: Console) -> Progress:

@@ -14,16 +14,20 @@ import msgspec
 import pytest
 from dask import distributed
 
-from alula.sweep_cells import CellWork, finished, run_cell, run_cells
-from alula.sweep_run import SweepOptions, draw, make_sweep, table_of
+from alula.study_figures import heatmaps
+from alula.sweep_cells import run_cell, run_cells
+from alula.sweep_report import draw, tables_of
+from alula.sweep_run import Sweep, SweepOptions, make_sweep
 from alula.sweep_search import Range
+from alula.sweep_work import CellWork, failure, finished
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
 from tests.support.command_line import Run, command_line
 from tests.support.small_campaign import fly_campaign
+from training.card import FlightError
 from training.studies import FACTORS, STUDIES
-from training.studies.cell import Cell, CellResult, StudyOptions, with_factors
+from training.studies.cell import Cell, CellResult, FailedCell, Outcome, StudyOptions, with_factors
 
 EFFECTS = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
 FLIGHTS = {
@@ -81,6 +85,79 @@ def test_a_folder_of_another_sweep_is_refused(work: MakeWork) -> None:
     work("a").result_file.write_text("{")
     with pytest.raises(RequestError, match=r"a\.json is no cell of a sweep"):
         finished(work("a"))
+
+
+def test_one_training_under_two_names_is_one(work: MakeWork) -> None:
+    first, second = work("a"), work("b", at={"other": 1.0})
+    assert first.fingerprint == second.fingerprint
+    run_cell(first)
+    second.result_file.write_bytes(first.result_file.read_bytes())
+    found = finished(second)
+    assert found is not None
+    assert found.cell == second.cell
+    for other in (work("a", seed=1), work("a", steps=21), work("a", hide_motors=True), work("a", prior={"Jxx": 1.2})):
+        assert other.fingerprint != first.fingerprint
+
+
+def test_flights_that_were_flown_anew_are_another_sweep(work: MakeWork, tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    log.write_text("before")
+    changed = msgspec.structs.replace(work("a"), logs=(log,))
+    before = changed.fingerprint
+    log.write_text("after it")
+    assert changed.fingerprint != before
+    log.unlink()
+    with pytest.raises(RequestError, match=r"cannot read .*log\.csv"):
+        changed.fingerprint  # noqa: B018
+
+
+def test_a_cell_that_cannot_be_trained_says_why_and_the_others_go_on(work: MakeWork) -> None:
+    recipe = {"steps": 20, "batch": 32, "physics_weight": 0.0}
+    works = [work("diverges", recipe={**recipe, "learning_rate": 1e30}), work("other"), work("none", flights="none*")]
+    found = dict(run_cells(works, jobs=1, scheduler=None))
+    diverged, other, none = (found[place] for place in range(3))
+    assert isinstance(diverged, FailedCell)
+    assert "is no number" in diverged.message
+    assert isinstance(other, CellResult)
+    assert isinstance(none, FailedCell)
+    assert "no training flight is called 'none*'" in none.message
+    assert failure(works[0]) == diverged
+    assert not works[0].state_file.exists()
+    told = [outcome for outcome in found.values() if isinstance(outcome, FailedCell)]
+    (table,) = tables_of(bare_sweep("grid", ("name",)), [diverged, other, none])
+    assert [row[table.headings.index("failed")] for row in table.rows] == [1, 0, 1]
+    assert "2 of 3 trainings failed" in table.note
+    assert all(not failed.traceback for failed in told)
+
+
+def test_a_failed_cell_is_tried_again(work: MakeWork, monkeypatch: pytest.MonkeyPatch) -> None:
+    def out_of_memory(_: CellWork) -> CellResult:
+        raise RuntimeError("not enough memory")
+
+    with monkeypatch.context() as patched:
+        patched.setattr("alula.sweep_cells.train_cell", out_of_memory)
+        first = dict(run_cells([work("a")], jobs=1, scheduler=None))[0]
+    assert isinstance(first, FailedCell)
+    assert first.message == "RuntimeError: not enough memory"
+    assert "out_of_memory" in first.traceback
+    assert isinstance(dict(run_cells([work("a")], jobs=1, scheduler=None))[0], CellResult)
+    assert failure(work("a")) is None
+
+
+def test_a_starred_cell_learns_from_the_simulation_alone(work: MakeWork, campaign: Path) -> None:
+    real = work("real")
+    starred = msgspec.structs.replace(work("starred", simulated=True), simulated=real.logs[:1])
+    assert starred.learned == real.logs[:1]
+    first, second = run_cell(real), run_cell(starred)
+    assert isinstance(first, CellResult)
+    assert isinstance(second, CellResult)
+    assert first.label[0].nominal == second.label[0].nominal  # judged on the same flights
+    assert first.label[0].combined != second.label[0].combined
+    options = SweepOptions(study="starred", logs=(campaign,), vehicle="arpl_250g", out=real.folder / "s")
+    with pytest.raises(RequestError, match="it needs it: give the folder"):
+        make_sweep(options)
+    made = make_sweep(msgspec.structs.replace(options, simulated=(campaign / "train",), seeds=1))
+    assert [work.cell.at["model"] for work in made.works] == ["pi_mlp*", "pi_mlp", "pi_tcn*", "pi_tcn"]
 
 
 def test_a_network_without_motors_and_a_wrong_prior_are_other_cells(work: MakeWork, arpl_250g: Vehicle) -> None:
@@ -152,14 +229,14 @@ def test_a_search_goes_on_with_what_it_has_tried(campaign: Path, tmp_path: Path)
             model="mse_tcn", over=("learning_rate=1e-4:1e-2",), trials=trials, jobs=1,
         )  # fmt: skip
 
-    early = dict(make_sweep(options(2)).results())
+    early = dict(make_sweep(options(2)).outcomes())
     sweep = make_sweep(options(4))
-    late = dict(sweep.results())
+    late = dict(sweep.outcomes())
     assert {place: late[place] for place in early} == early
     rates = [late[place].cell.recipe["learning_rate"] for place in range(4)]
     assert len(set(rates)) == 4
     assert all(1e-4 <= rate <= 1e-2 for rate in rates)
-    table = table_of(sweep, [late[place] for place in range(4)])
+    (table,) = tables_of(sweep, [late[place] for place in range(4)])
     assert [row[2] for row in table.rows] == sorted(result.validation for result in late.values())
 
 
@@ -167,7 +244,7 @@ def test_studies_vary_what_they_say() -> None:
     cells = {name: study.cells(StudyOptions((0, 1), {"steps": 10})) for name, study in STUDIES.items()}
     assert {name: len(found) for name, found in cells.items()} == {
         "kinds": 10, "ablation": 8, "history": 10, "inertia": 100, "rotors": 100, "lambda": 18, "motors": 8,
-        "regimes": 12,
+        "regimes": 12, "starred": 8,
     }  # fmt: skip
     for name, found in cells.items():
         assert len({cell.name for cell in found}) == len(found)
@@ -175,32 +252,44 @@ def test_studies_vary_what_they_say() -> None:
         assert all(set(STUDIES[name].along) <= set(cell.at) for cell in found)
 
 
-def heatmap_result(cell: Cell) -> CellResult:
-    """What a cell would be whose errors are its factors."""
-    from training.card import FlightError
-
-    value = float(cell.at["Jxx"]) + 10 * float(cell.at["Jzz"])
+def planted(cell: Cell, value: float) -> CellResult:
+    """What a cell would be with this error."""
     error = FlightError("Lemniscate.parquet", 10, value, value, value, 2 * value)
     return CellResult(cell, "", (error,), (), 0.1, 10, 1.0, 1e-4, "here")
 
 
-def test_heatmaps_put_cells_where_they_belong(tmp_path: Path) -> None:
-    from alula.study_tables import heatmaps
+def bare_sweep(study: str, along: tuple[str, ...] | None = None) -> Sweep:
+    """A sweep whose outcomes come from elsewhere."""
+    return Sweep(study, along or STUDIES[study].along, 0, lambda: iter(()), lambda: iter(()), {})
 
+
+def test_heatmaps_put_cells_where_they_belong(tmp_path: Path) -> None:
     cells = STUDIES["inertia"].cells(StudyOptions((0,)))[:-1]
-    results = [heatmap_result(cell) for cell in cells]
+    results = [planted(cell, float(cell.at["Jxx"]) + 10 * float(cell.at["Jzz"])) for cell in cells]
     grids = heatmaps("inertia", results)
     assert grids["RES-TCN"][1, 0] == pytest.approx(FACTORS[0] + 10 * FACTORS[1])
     assert grids["NOM"][0, 4] == pytest.approx(2 * (FACTORS[4] + 10 * FACTORS[0]))
     assert grids["PI-TCN"][4, 4] != grids["PI-TCN"][4, 4]  # not finished
-    sweep = make_sweep_of("inertia")
-    assert {path.suffix for path in draw(sweep, results, tmp_path)} == {".png", ".pdf"}
+    assert {path.suffix for path in draw(bare_sweep("inertia"), results, tmp_path)} == {".png", ".pdf"}
 
 
-def make_sweep_of(study: str) -> object:
-    from alula.sweep_run import Sweep
+@pytest.mark.parametrize("study", ["lambda", "history"])
+def test_studies_along_a_number_are_curves(study: str, tmp_path: Path) -> None:
+    cells = STUDIES[study].cells(StudyOptions((0, 1)))
+    results: list[Outcome] = [planted(cell, 1.0 + 0.1 * cell.seed) for cell in cells]
+    drawn = draw(bare_sweep(study), results, tmp_path)
+    assert {path.name for path in drawn} >= {f"{study}.png", f"{study}.pdf", f"{study}_flights.png"}
+    (table,) = tables_of(bare_sweep(study), results)
+    assert [row[table.headings.index("RMSE")] for row in table.rows] == pytest.approx([1.05] * len(table.rows))
+    assert draw(bare_sweep(study), [FailedCell(cells[0], "none", "here")], tmp_path) == []
 
-    return Sweep(study, STUDIES[study].along, 0, lambda: iter(()), lambda: iter(()))
+
+def test_models_of_table_one_stand_beside_the_papers_by_flight() -> None:
+    cells = STUDIES["starred"].cells(StudyOptions((0,)))
+    table = tables_of(bare_sweep("starred"), [planted(cell, 1.0) for cell in cells])[1]
+    assert table.headings == ("flight", "pi_mlp* / NOM", "paper's", "pi_mlp / NOM", "paper's", "pi_tcn* / NOM",
+                              "paper's", "pi_tcn / NOM", "paper's")  # fmt: skip
+    assert table.rows[0][:3] == ("Lemniscate", 0.5, pytest.approx(9.19 / 9.16))
 
 
 def test_a_grid_from_the_command_line(run: Run, campaign: Path, tmp_path: Path) -> None:
@@ -214,6 +303,23 @@ def test_a_grid_from_the_command_line(run: Run, campaign: Path, tmp_path: Path) 
     assert (tmp_path / "p" / "grid.png").stat().st_size > 1000
 
 
+def test_a_failed_training_shows_in_table_page_and_exit_code(run: Run, campaign: Path, tmp_path: Path) -> None:
+    words = ("sweep", "grid", campaign, "--vehicle", "arpl_250g", "--out", tmp_path / "out", "--model", "window_mlp",
+             "--grid", "learning_rate=1e-3,1e30", "--steps", 20, "--batch", 32, "--seeds", 1, "--jobs", 1)  # fmt: skip
+    page, answer = tmp_path / "page.html", tmp_path / "answer.json"
+    code, out, wrong = run(*words, "--html", page, "--json", answer)
+    assert code == 3
+    assert "1 of 2 trainings failed" in wrong
+    assert "1 of 2 trainings are done." in out
+    assert "failed: window_mlp_learning_rate_1e+30_seed0: the loss of batch" in out
+    told = json.loads(answer.read_text())
+    assert [len(told["cells"]), len(told["failed"])] == [1, 1]
+    text = page.read_text()
+    assert "1 of 2 trainings failed" in text
+    assert "data:image/png;base64," in text
+    assert "train/circle_xy_60.parquet" in text
+
+
 def test_what_cannot_be_swept_is_told(run: Run, campaign: Path, tmp_path: Path) -> None:
     common = ("--vehicle", "arpl_250g", "--out", tmp_path / "out")
     test, train = campaign / "test" / "Lemniscate.parquet", campaign / "train"
@@ -221,7 +327,9 @@ def test_what_cannot_be_swept_is_told(run: Run, campaign: Path, tmp_path: Path) 
         (("planets", campaign), "unknown study 'planets'"),
         (("grid", campaign), "a grid needs something to vary"),
         (("grid", campaign, "--grid", "colour=1,2"), "a recipe has no 'colour'"),
+        (("grid", campaign, "--grid", "learning_rate=1e-3,-1"), "Expected `float` > 0"),
         (("search", campaign, "--over", "physics_weight=1:0"), "is no range"),
+        (("kinds", campaign, "--simulated", train), "--simulated is for the study 'starred'"),
         (("kinds", train), "no flight to judge on was given"),
         (("kinds", train, "--test", train), "is among both training and test flights"),
         (("kinds", test, "--test", test), "is among both training and test flights"),

@@ -12,6 +12,7 @@ from training.studies.cell import Cell, StudyOptions, repeated
 FACTORS = (0.6, 0.8, 1.0, 1.2, 1.4)
 HISTORIES = (20, 10, 4, 1, 0)
 WEIGHTS = (0.0, 0.001, 0.01, 0.1, 1.0)
+STARRED = "starred"  # the study that needs flights of a simulation without effects as well
 SLOW = "*_60.*"  # training flights at six tenths of their speed
 
 
@@ -106,6 +107,18 @@ def _regimes(options: StudyOptions) -> tuple[Cell, ...]:
     )
 
 
+def _starred(options: StudyOptions) -> tuple[Cell, ...]:
+    """PI-TCN and PI-MLP of Table I, and with a star those that have seen nothing but a simulation without effects."""
+    return tuple(
+        cell
+        for model in ("pi_mlp", "pi_tcn")
+        for name, simulated in ((f"{model}*", True), (model, False))
+        for cell in repeated(
+            options, f"{model}_{'simulation' if simulated else 'flights'}", {"model": name}, model, simulated=simulated
+        )
+    )
+
+
 STUDIES: Mapping[str, Study] = {
     study.name: study
     for study in (
@@ -117,6 +130,7 @@ STUDIES: Mapping[str, Study] = {
         Study("lambda", "weights of the physics-inspired loss", ("lambda", "points"), _weight),
         Study("motors", "networks that never see the motors", ("inputs", "motors"), _motors),
         Study("regimes", "trained slow, flown fast", ("model", "trained on"), _regimes),
+        Study(STARRED, "trained in a simulation without effects", ("model",), _starred),
     )
 }  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -18,7 +18,8 @@ class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """name: of its files. at: its place in the study. model: a kind. config, recipe: what differs from the kind's own.
 
     prior: factors on the vehicle file's constants (`with_factors`). flights: pattern of the training flights that are
-    used. hide_motors: rotor speeds are kept from the network.
+    used. simulated: learns from the flights of a simulation without effects instead. hide_motors: rotor speeds are kept
+    from the network.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recipe: dict[str, Any] = {}
     prior: dict[str, float] = {}
     flights: str = "*"
+    simulated: bool = False
     hide_motors: bool = False
 
 
@@ -53,6 +55,19 @@ class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def best_known(self) -> tuple[FlightError, ...]:
         """Errors against the truth, or against labels where that is all there is."""
         return self.true or self.label
+
+
+class FailedCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A training that came to nothing. message: why. traceback: where, of an error that no user can cause."""
+
+    cell: Cell
+    message: str
+    worker: str
+    traceback: str = ""
+
+
+Outcome = CellResult | FailedCell
+Placed = TypeVar("Placed", CellResult, Outcome)
 
 
 class StudyOptions(msgspec.Struct, frozen=True):
@@ -98,9 +113,14 @@ def with_factors(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
 INERTIA = ("Jxx", "Jyy", "Jzz")
 
 
-def grouped(results: Sequence[CellResult], *keys: str) -> dict[tuple[float | str, ...], list[CellResult]]:
+def trained(outcomes: Sequence[Outcome]) -> tuple[CellResult, ...]:
+    """Those of which there is a model."""
+    return tuple(outcome for outcome in outcomes if isinstance(outcome, CellResult))
+
+
+def grouped(results: Sequence[Placed], *keys: str) -> dict[tuple[float | str, ...], list[Placed]]:
     """Results by their places along some of the study's quantities, in the order in which they come."""
-    found: dict[tuple[float | str, ...], list[CellResult]] = {}
+    found: dict[tuple[float | str, ...], list[Placed]] = {}
     for result in results:
         found.setdefault(tuple(result.cell.at[key] for key in keys), []).append(result)
     return found
