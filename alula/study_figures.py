@@ -17,6 +17,7 @@ from training.studies.curves import Curve, history_figure, lambda_figure, search
 
 Floats = NDArray[np.float64]
 HEATMAPS = {"inertia": ("Jxx", "Jzz"), "rotors": ("k_f", "k_tau")}
+SYMBOLS = {"Jxx": "$J_{xx}$", "Jzz": "$J_{zz}$", "k_f": "$k_f$", "k_tau": "$k_\\tau$"}
 MODELS = {"res_tcn": "RES-TCN", "pi_tcn": "PI-TCN"}
 
 
@@ -51,8 +52,8 @@ def heatmaps(study: str, results: Sequence[CellResult]) -> dict[str, Floats]:
 
 
 def _heatmap(study: str, results: Sequence[CellResult]) -> Figure:
-    first, second = HEATMAPS[study]
-    return figures.heatmap_figure(heatmaps(study, results), (first, FACTORS), (second, FACTORS), "RMSE")
+    along, up = ((SYMBOLS[name], FACTORS) for name in HEATMAPS[study])
+    return figures.heatmap_figure(heatmaps(study, results), along, up, "RMSE")
 
 
 def _bars(study: str, along: Sequence[str], results: Sequence[CellResult]) -> Figure:

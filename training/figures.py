@@ -8,6 +8,7 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -17,6 +18,7 @@ from training.features import world_accelerations
 
 Floats = NDArray[np.float64]
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#666666")  # Okabe and Ito
+LETTERS, LEGEND_MARK = 16.0, 8  # of a legend: letters to an inch, and what an entry needs besides its name
 SLICE = 3.0  # s of flight, as long as the paper's
 AXES = (
     ("acceleration x, m/s²", 0), ("acceleration y, m/s²", 1), ("acceleration z, m/s²", 2),
@@ -59,17 +61,19 @@ def bars_figure(ratios: Mapping[str, Sequence[float | None]], flights: Sequence[
         for place, (name, values) in enumerate(ratios.items()):
             across = np.arange(len(flights)) + (place - 0.5 * (len(ratios) - 1)) * width
             heights = [np.nan if value is None else value for value in values]
-            axes.bar(across, heights, width, label=name, color=COLOURS[place % len(COLOURS)])
+            turn, colour = divmod(place, len(COLOURS))
+            axes.bar(across, heights, width, label=name, color=COLOURS[colour], hatch="///" if turn else None)
         axes.set_xticks(range(len(flights)), flights, rotation=20, ha="right")
         axes.set(title=title, ylim=(0, None))
-        figure.legend(loc="outside lower center", frameon=False, ncols=4)
+        columns = LETTERS * figure.get_figwidth() / max(LEGEND_MARK + len(name) for name in [*ratios, ""])
+        figure.legend(loc="outside lower center", frameon=False, ncols=max(1, min(4, int(columns))))
     return figure
 
 
 def heatmap_figure(
     grids: Mapping[str, Floats], along: tuple[str, Sequence[float]], up: tuple[str, Sequence[float]], unit: str
 ) -> Figure:
-    """One heatmap a model on one scale of colours, as the paper's Figure 4.
+    """One heatmap a model on one scale of colours, as the paper's Figure 4; logarithmic, for NOM errs by far the most.
 
     grids: (len(up), len(along)) by model's name, NaN where a cell is missing. along, up: the quantity and its factors.
     """
@@ -80,16 +84,18 @@ def heatmap_figure(
         figure = Figure(figsize=(3.4 * len(grids) + 0.8, 4.0), layout="constrained")
         row = figure.subplots(1, len(grids), sharey=True, squeeze=False)[0]
         for axes, (name, grid) in zip(row, grids.items(), strict=True):
-            drawn = axes.imshow(grid, origin="lower", cmap="viridis_r", vmin=known.min(), vmax=known.max())
+            drawn = axes.imshow(grid, origin="lower", cmap="viridis_r", norm=LogNorm(known.min(), known.max()))
             for (y, x), value in np.ndenumerate(grid):
                 if np.isfinite(value):
-                    dark = value > 0.5 * (known.min() + known.max())
-                    axes.text(x, y, f"{value:.2g}", ha="center", va="center", color="white" if dark else "black")
+                    dark = value > np.sqrt(known.min() * known.max())
+                    axes.text(x, y, f"{value:.2f}", ha="center", va="center", color="white" if dark else "black")
             axes.set_xticks(range(len(along[1])), [f"{factor:g}" for factor in along[1]])
             axes.set_yticks(range(len(up[1])), [f"{factor:g}" for factor in up[1]])
             axes.set(title=name, xlabel=f"{along[0]} over the file's")
         row[0].set_ylabel(f"{up[0]} over the file's")
-        figure.colorbar(drawn, ax=list(row), label=unit)
+        bar = figure.colorbar(drawn, ax=list(row), label=unit)
+        for axis_format in (bar.ax.yaxis.set_major_formatter, bar.ax.yaxis.set_minor_formatter):
+            axis_format("{x:.2g}")
     return figure
 
 
