@@ -7,18 +7,21 @@ Killed, the same command goes on; `--only-finished` trains nothing and writes wh
 from __future__ import annotations
 
 import argparse
+import itertools
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 from provenance import write_result
 
 from alula.evaluation_run import run as evaluate
 from alula.study_figures import HEATMAPS
 from alula.sweep_report import draw, require_all_trained, tables_of
 from alula.sweep_run import Sweep, SweepOptions, make_sweep
+from alula.sweep_work import finished
 from alula.tables import Table, markdown
 from training import checkpoint
 from training.evaluation import PLANT
@@ -34,7 +37,7 @@ BATCH = 256
 
 @dataclass(frozen=True)
 class Plan:
-    """How long a study's trainings are, and with how many seeds. model: for a grid over something of the recipe's."""
+    """How long a study's trainings are, and with how many seeds. grid: what is trained where it is no named study."""
 
     steps: int
     seeds: int
@@ -96,16 +99,28 @@ def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
 
 
 def times(studies: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> Table:
-    """Seconds of training by study: what a cell took, and all of them one after the other."""
+    """Seconds by study: of training, of what is around it, and of all cells one after the other."""
     rows = []
     for name, (sweep, outcomes) in studies.items():
         seconds = [result.seconds for result in trained(outcomes)]
-        rows.append(
-            (name, PLANS[name].steps, len(seconds), sweep.count, sum(seconds) / len(seconds), sum(seconds) / 60)
-        )
-    headings = ("study", "steps", "trainings done", "of", "s a training", "minutes in all")
-    note = "One core each, which other work shared; a training that several studies have in common counts in each."
+        around = _around(sweep)
+        one = float(np.mean(seconds)) + around
+        rows.append((name, PLANS[name].steps, len(seconds), sweep.count, one - around, around, one * sweep.count / 60))
+    headings = ("study", "steps", "trainings done", "of", "s of training", "s around it", "minutes for all, one core")
+    note = "On one core, which other work shared. Around it: reading, labels, points, errors on the test flights. A "
+    note += "training that several studies have in common counts in each, and is done once."
     return Table("times", "Time of the studies", headings, tuple(rows), note)
+
+
+def _around(sweep: Sweep) -> float:
+    """Median seconds between two results, less those of the later one's training; taken over results do not count."""
+    written = sorted(
+        (work.result_file.stat().st_mtime, result.seconds)
+        for work in sweep.works
+        if (result := finished(work)) is not None
+    )
+    gaps = [later - before - taken for (before, _), (later, taken) in itertools.pairwise(written)]
+    return float(np.median([gap for gap in gaps if gap > 0] or [np.nan]))
 
 
 def paper_recipe(result: CellResult) -> Table:
