@@ -129,4 +129,5 @@ class Search:
         """Whether a cell could be a trial of this search."""
         values = {item.name: float(cell.at.get(item.name, math.nan)) for item in self.ranges}
         wanted = self._cell(0, values)
-        return msgspec.structs.replace(cell, name=wanted.name) == wanted
+        inside = all(item.low <= values[item.name] <= item.high for item in self.ranges)
+        return inside and msgspec.structs.replace(cell, name=wanted.name) == wanted

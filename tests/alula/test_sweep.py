@@ -240,6 +240,27 @@ def test_a_search_goes_on_with_what_it_has_tried(campaign: Path, tmp_path: Path)
     assert [row[2] for row in table.rows] == sorted(result.validation for result in late.values())
 
 
+def test_a_search_tries_failed_trials_again_as_they_were(campaign: Path, tmp_path: Path) -> None:
+    options = SweepOptions(
+        study="search", logs=(campaign,), vehicle="arpl_250g", out=tmp_path, steps=5, batch=32, model="mse_tcn",
+        over=("learning_rate=1e29:1e30",), trials=2, jobs=1,
+    )  # fmt: skip
+    first = dict(make_sweep(options).outcomes())
+    assert all(isinstance(outcome, FailedCell) for outcome in first.values())
+    sweep = make_sweep(options)
+    again = dict(sweep.outcomes())
+    assert {place: outcome.cell for place, outcome in again.items()} == {
+        place: outcome.cell for place, outcome in first.items()
+    }
+    (table,) = tables_of(sweep, list(again.values()))
+    assert [row[-2:] for row in table.rows] == [(None, None)] * 2
+    ours = make_sweep(msgspec.structs.replace(options, over=("learning_rate=1e-4:1e-2",), trials=1))
+    assert isinstance(dict(ours.outcomes())[0], CellResult)
+    other = make_sweep(msgspec.structs.replace(options, over=("learning_rate=1e-4:1e-2",), trials=1, steps=6))
+    with pytest.raises(RequestError, match="is of another search"):
+        dict(other.outcomes())
+
+
 def test_studies_vary_what_they_say() -> None:
     cells = {name: study.cells(StudyOptions((0, 1), {"steps": 10})) for name, study in STUDIES.items()}
     assert {name: len(found) for name, found in cells.items()} == {
