@@ -7,10 +7,12 @@ Killed, the same command goes on; `--only-finished` trains nothing and writes wh
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import itertools
 import shutil
 from collections.abc import Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
 
 import msgspec
@@ -19,9 +21,10 @@ from provenance import write_result
 
 from alula.evaluation_run import run as evaluate
 from alula.study_figures import HEATMAPS
+from alula.sweep_cells import run_cells
 from alula.sweep_report import draw, require_all_trained, tables_of
 from alula.sweep_run import Sweep, SweepOptions, make_sweep
-from alula.sweep_work import finished
+from alula.sweep_work import finished, finished_cells
 from alula.tables import Table, markdown
 from training import checkpoint
 from training.evaluation import PLANT
@@ -37,10 +40,15 @@ BATCH = 256
 
 @dataclass(frozen=True)
 class Plan:
-    """How long a study's trainings are, and with how many seeds. grid: what is trained where it is no named study."""
+    """How long a study's trainings are, and with how many seeds.
+
+    study: where it is not the plan's own name. only: patterns of the cells that are trained. grid: for that study.
+    """
 
     steps: int
     seeds: int
+    study: str = ""
+    only: tuple[str, ...] = ("*",)
     recipe: str = "fast"
     grid: tuple[str, ...] = ()
 
@@ -56,20 +64,23 @@ PLANS = {
     "history": Plan(8000, 2),
     "motors": Plan(8000, 2),
     "kinds": Plan(8000, 2),
-    "paper": Plan(12_000, 1, recipe="paper", grid=("history=20",)),
+    "paper": Plan(12_000, 1, study="grid", recipe="paper", grid=("history=20",)),
+    "inertia_longer": Plan(16_000, 1, study="inertia", only=("*_Jxx_0.6_Jzz_0.6_*", "*_Jxx_1_Jzz_1_*")),
 }
 
 
 def sweep_of(name: str) -> Sweep:
-    """A study that may begin."""
+    """A study that may begin, with the cells that the plan wants of it."""
     plan = PLANS[name]
-    return make_sweep(
+    sweep = make_sweep(
         SweepOptions(
-            study="grid" if plan.grid else name, logs=(CAMPAIGN,), vehicle="arpl_250g", out=CELLS / name,
+            study=plan.study or name, logs=(CAMPAIGN,), vehicle="arpl_250g", out=CELLS / name,
             simulated=(SIMULATED,) if name == STARRED else (), seeds=plan.seeds, steps=plan.steps,
             batch=PAPER.batch if plan.recipe == "paper" else BATCH, recipe=plan.recipe, grid=plan.grid, jobs=1,
         )
     )  # fmt: skip
+    works = tuple(work for work in sweep.works if any(fnmatchcase(work.cell.name, pattern) for pattern in plan.only))
+    return dataclasses.replace(sweep, count=len(works), works=works)
 
 
 def share(sweep: Sweep) -> None:
@@ -92,7 +103,7 @@ def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
     """What became of a study's cells. only: those that are finished already."""
     share(sweep)
     found: dict[int, Outcome] = {}
-    for place, outcome in sweep.finished() if only else sweep.outcomes():
+    for place, outcome in finished_cells(sweep.works) if only else run_cells(sweep.works, jobs=1, scheduler=None):
         found[place] = outcome
         print(f"{name} {len(found)}/{sweep.count} {outcome.cell.name}", flush=True)
     return tuple(found[place] for place in sorted(found))
@@ -180,8 +191,12 @@ def write(found: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
 
 
 def with_title(name: str, tables: Sequence[Table]) -> list[Table]:
-    """The tables of a grid under the name that it has here."""
-    return [msgspec.structs.replace(table, title=table.title.replace("grid", f"{name} recipe")) for table in tables]
+    """The tables under the name that the study has here, and how long it trains."""
+    study, steps = PLANS[name].study or name, PLANS[name].steps
+    return [
+        msgspec.structs.replace(table, title=table.title.replace(study, f"{name}, {steps:,} steps", 1))
+        for table in tables
+    ]
 
 
 if __name__ == "__main__":
