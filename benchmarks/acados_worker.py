@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import pickle
 import sys
 from pathlib import Path
 
@@ -15,26 +16,41 @@ import casadi as ca
 import numpy as np
 from acados.acados_template import AcadosModel, AcadosOcp, AcadosOcpSolver
 
-from dynamics.integrators import rk4
+from dynamics import quaternion
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
+from dynamics.vehicle import GRAVITY, Vehicle
 from dynamics.vehicle_file import read_vehicle
+from export.network import Network
+from export.symbolic import network_says
+
+
+def nominal(vehicle: Vehicle, scale: float) -> tuple[ca.SX, ca.SX, ca.SX]:
+    """State, scaled inputs and the state's derivative by the physical model."""
+    model = build_model(vehicle)
+    x, u = ca.SX.sym("x", model.state_count), ca.SX.sym("u", model.input_count)
+    quiet = ca.SX.zeros(model.hidden_count)
+    return x, u, model.derivative(x, scale * u, model.parameter_values, ENVIRONMENT_DEFAULT, quiet)
+
+
+def learned(network: Network, scale: float) -> tuple[ca.MX, ca.MX, ca.MX]:
+    """The same by a network of one column, T = 1; unrolled as SX it is several times slower."""
+    x, u = ca.MX.sym("x", 13), ca.MX.sym("u", network.rotors)
+    found = network_says(network, ca.vertcat(x, scale * u))
+    force = quaternion.rotate(x[6:10], found[0:3])  # specific force in body axes
+    linear = force - ca.DM([0, 0, GRAVITY])
+    return x, u, ca.vertcat(x[3:6], linear, quaternion.derivative(x[6:10], x[10:13]), found[3:6])
 
 
 def build(vehicle_file: str, problem: dict, condensing: str) -> tuple[AcadosOcpSolver, float]:
     vehicle = read_vehicle(vehicle_file)
-    flight_model = build_model(vehicle)
-    nx, nu, nodes = flight_model.state_count, flight_model.input_count, problem["nodes"]
     scale = 0.1 * vehicle.hover_speed
-    x, u = ca.SX.sym("x", nx), ca.SX.sym("u", nu)
-    quiet = ca.SX.zeros(flight_model.hidden_count)
-    slope = flight_model.derivative(x, scale * u, flight_model.parameter_values, ENVIRONMENT_DEFAULT, quiet)
+    if network_file := problem.get("network"):
+        x, u, slope = learned(pickle.loads(Path(network_file).read_bytes()), scale)
+    else:
+        x, u, slope = nominal(vehicle, scale)
+    nx, nu, nodes = x.shape[0], u.shape[0], problem["nodes"]
     model = AcadosModel()
     model.name, model.x, model.u, model.f_expl_expr = f"alula_{condensing.lower()}", x, u, slope
-    model.disc_dyn_expr = rk4(
-        lambda s: flight_model.derivative(s, scale * u, flight_model.parameter_values, ENVIRONMENT_DEFAULT, quiet),
-        x,
-        problem["horizon"] / nodes,
-    )
     ocp = AcadosOcp()
     ocp.model = model
     ocp.dims.N = nodes
@@ -66,6 +82,7 @@ def build(vehicle_file: str, problem: dict, condensing: str) -> tuple[AcadosOcpS
         setattr(options, f"qp_solver_tol_{name}", problem["tolerance"])
     options.hpipm_mode = "SPEED"
     options.print_level = 0
+    options.ext_fun_compile_flags = "-O3 -march=native"  # several times faster than its default for a network as MX
     return AcadosOcpSolver(ocp, json_file=f"{condensing.lower()}.json", verbose=False), scale
 
 

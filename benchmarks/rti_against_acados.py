@@ -20,8 +20,16 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
+from dynamics.model import build_model
+from dynamics.references import named_reference
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from runtime.rti.problem import Problem, fill_options
+from runtime.rti.solver import RtiSolver
+
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv-acados"
+CONDENSING = ("PARTIAL_CONDENSING_HPIPM", "FULL_CONDENSING_HPIPM")
 CHUNK = 50
 TICKS = 600
 
@@ -40,13 +48,6 @@ def acados_environment() -> Path:
 
 def record_cases(folder: Path) -> tuple[Path, Path]:
     """Fly the manoeuvre in a plain simulation and keep what the solver was asked at every tick."""
-    from dynamics.model import build_model
-    from dynamics.references import named_reference
-    from dynamics.vehicle import EffectUse
-    from dynamics.vehicle_file import read_vehicle
-    from runtime.rti.problem import Problem, fill_options
-    from runtime.rti.solver import RtiSolver
-
     vehicle = read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")
     model = build_model(vehicle)
     problem = Problem()
@@ -67,15 +68,19 @@ def record_cases(folder: Path) -> tuple[Path, Path]:
         solver.prepare(truth[:13])
         solver.feedback(truth[:13])
         truth = plant.propagate(truth, solver.inputs[0], 0.01).copy()
-    options = fill_options(problem, model)
-    numbers = {name: list(getattr(options, name)) for name in ("Q", "P", "R", "u_lower", "u_upper")}
-    numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt", "iterations")}
-    numbers |= {"tolerance": problem.tolerance, "soft_penalty": problem.soft_penalty, "integrator": "ERK"}
-    numbers["rate_limits"] = list(vehicle.limits.rate)
+    numbers = problem_numbers(solver) | {"rate_limits": list(vehicle.limits.rate)}
     folder.mkdir(parents=True, exist_ok=True)
     np.savez(folder / "cases.npz", hover_speed=vehicle.hover_speed, **cases)
     (folder / "problem.json").write_text(json.dumps(numbers))
     return folder / "cases.npz", folder / "problem.json"
+
+
+def problem_numbers(solver: RtiSolver) -> dict[str, object]:
+    """What acados is told of a solver's problem."""
+    problem, options = solver.problem, fill_options(solver.problem, solver.model)
+    numbers: dict[str, object] = {n: list(getattr(options, n)) for n in ("Q", "P", "R", "u_lower", "u_upper")}
+    numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt", "iterations")}
+    return numbers | {"tolerance": problem.tolerance, "soft_penalty": problem.soft_penalty, "integrator": "ERK"}
 
 
 class Worker:
@@ -101,15 +106,8 @@ class Worker:
         self._process.wait()
 
 
-def own_worker() -> None:
+def answer(solver: RtiSolver) -> None:
     """Our solver behind the same two-line protocol as acados'."""
-    from dynamics.model import build_model
-    from dynamics.vehicle_file import read_vehicle
-    from runtime.rti.problem import Problem
-    from runtime.rti.solver import RtiSolver
-
-    vehicle = read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")
-    solver = RtiSolver(build_model(vehicle), Problem())
     print(json.dumps({"ready": True}), flush=True)
     cases = None
     for line in sys.stdin:
@@ -121,12 +119,33 @@ def own_worker() -> None:
         for tick in range(request["first"], request["last"]):
             solver.state_reference[:] = cases["state_reference"][tick]
             solver.input_reference[:] = cases["input_reference"][tick]
+            if columns := len(solver.history):
+                solver.history[:] = cases["history"][tick, -columns:]
             solver.prepare(cases["state"][tick])
             answers["status"].append(solver.feedback(cases["state"][tick]))
             answers["prepare"].append(solver.report.prepare_seconds)
             answers["feedback"].append(solver.report.feedback_seconds)
             answers["inputs"].append(solver.inputs[0].tolist())
         print(json.dumps(answers), flush=True)
+
+
+def acados_worker(name: str, install: Path, problem: Path, condensing: str, folder: Path) -> Worker:
+    """acados' solver of a problem, generated and built in a folder."""
+    python, script = str(ENVIRONMENT / "bin" / "python"), str(Path(__file__).with_name("acados_worker.py"))
+    vehicle = str(ROOT / "vehicles" / "arpl_250g.toml")
+    paths = {"PYTHONPATH": str(ROOT), "ACADOS_SOURCE_DIR": str(install)}
+    paths["ACADOS_PYTHON_INTERFACE_PATH"] = str(install.parent / "acados_template")
+    paths |= {"LD_LIBRARY_PATH": str(install / "lib"), "TERA_PATH": str(install / "bin" / "t_renderer")}
+    return Worker(name, [python, script, vehicle, str(problem), condensing, str(folder)], **paths)
+
+
+def take_turns(workers: list[Worker], cases: Path, ticks: int) -> None:
+    """Let every worker answer all ticks, fifty at a time in turns."""
+    for first in range(0, ticks, CHUNK):
+        for worker in workers:
+            worker.ask(cases, first, min(first + CHUNK, ticks))
+    for worker in workers:
+        worker.close()
 
 
 def table(workers: list[Worker]) -> str:
@@ -155,29 +174,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--own-worker", action="store_true", help=argparse.SUPPRESS)
     if parser.parse_args().own_worker:
-        own_worker()
+        answer(RtiSolver(build_model(read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")), Problem()))
         return
     install = acados_environment()
     folder = ROOT / "build" / "rti_against_acados"
     cases, problem = record_cases(folder)
     own = [sys.executable, __file__, "--own-worker"]
-    worker_file = str(Path(__file__).with_name("acados_worker.py"))
-    acados = [str(ENVIRONMENT / "bin" / "python"), worker_file, str(ROOT / "vehicles" / "arpl_250g.toml"), str(problem)]
-    paths = {"PYTHONPATH": str(ROOT), "ACADOS_SOURCE_DIR": str(install)}
-    paths["ACADOS_PYTHON_INTERFACE_PATH"] = str(install.parent / "acados_template")
-    paths |= {"LD_LIBRARY_PATH": str(install / "lib"), "TERA_PATH": str(install / "bin" / "t_renderer")}
     workers = [
         Worker("Alula, CasADi wheel's BLASFEO (generic)", own),
         Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)),
+        *(
+            acados_worker(f"acados SQP_RTI, {condensing}", install, problem, condensing, folder / condensing.lower())
+            for condensing in CONDENSING
+        ),
     ]
-    for condensing in ("PARTIAL_CONDENSING_HPIPM", "FULL_CONDENSING_HPIPM"):
-        command = [*acados, condensing, str(folder / condensing.lower())]
-        workers.append(Worker(f"acados SQP_RTI, {condensing}", command, **paths))
-    for first in range(0, TICKS, CHUNK):
-        for worker in workers:
-            worker.ask(cases, first, first + CHUNK)
-    for worker in workers:
-        worker.close()
+    take_turns(workers, cases, TICKS)
     write_result("rti_against_acados", "Nominal RTI step against acados, one core", table(workers))
 
 

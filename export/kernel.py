@@ -13,13 +13,14 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from export.kernel_source import network_header
 from export.network import Network
 from export.physics import NAME, depends_on_position, physics_function
+from export.sweep import Sweep, cheapest_sweep
 from runtime.rti.hpipm import find_hpipm
 from runtime.rti.problem import Problem
 from runtime.rti.processor import Processor
 from runtime.rti.solver import RtiSolver
 
 Precision = Literal["float", "double"]
-SOURCES = ("network.c", "tangents.h", "layers.h", "motion.h", "condensed.h", "dense_qp.h")
+SOURCES = ("network.c", "reverse.h", "tangents.h", "layers.h", "motion.h", "condensed.h", "dense_qp.h")
 ENTRY = "network.c"
 
 
@@ -41,11 +42,13 @@ def kernel_recipe(
     *,
     mean: bool = True,
     extrapolated: bool = False,
+    sweep: Sweep | None = None,
 ) -> KernelRecipe:
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
     extrapolated: accelerations are carried on by half a step along their slope, else held over it.
+    sweep: the layers whose tangents are streamed, by default as many as is cheapest.
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
@@ -57,7 +60,9 @@ def kernel_recipe(
         )
     folder = resources.files("runtime.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES}
-    sources["network.h"] = network_header(network, extrapolated=extrapolated)
+    sources["network.h"] = network_header(
+        network, sweep or cheapest_sweep(network, problem.nodes), extrapolated=extrapolated
+    )
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,

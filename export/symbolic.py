@@ -6,6 +6,8 @@ attitude, rate_body, then rotor speeds in rad/s, all raw; standardising and turn
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import casadi as ca
 
 from dynamics import quaternion
@@ -13,7 +15,9 @@ from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
 from dynamics.vehicle import GRAVITY
 from export.network import Convolution, Network
 from export.physics import physics_function
-from export.trained import ExportedModel
+
+if TYPE_CHECKING:
+    from export.trained import ExportedModel  # brings torch, which acados' environment has not
 
 FORWARD, JACOBIAN = "alula_model", "alula_model_jacobian"
 COLUMN_NAMES = (
@@ -78,7 +82,7 @@ def model_function(model: ExportedModel) -> ca.Function:
     """(history (13 + rotors, T) oldest column first, hidden) -> acceleration (6), hidden_rate."""
     rows = RIGID_BODY_STATES + model.vehicle.rotors.count
     history, hidden = ca.MX.sym("history", rows, model.history), ca.MX.sym("hidden", model.hidden_count)
-    said = ca.MX(0, 1) if model.network is None else _said(model.network, history)
+    said = ca.MX(0, 1) if model.network is None else network_says(model.network, history)
     outputs = assembly_function(model)(said, history[:, -1], hidden)
     names = ["history", "hidden"], ["acceleration", "hidden_rate"]
     return ca.Function(FORWARD, [history, hidden], list(outputs), *names)
@@ -94,8 +98,8 @@ def jacobian_function(model: ExportedModel) -> ca.Function:
     return ca.Function(JACOBIAN, [history, hidden], [found], ["history", "hidden"], ["by_history"])
 
 
-def _said(network: Network, history: ca.MX) -> ca.MX:
-    """The network over the receptive cone of the newest column."""
+def network_says(network: Network, history: ca.MX) -> ca.MX:
+    """What the network says (6,) of raw columns (13 + rotors, T): it over the receptive cone of the newest one."""
     newest = history.shape[1] - 1
     needed = [{newest}]
     for layer in reversed(network.convolutions):

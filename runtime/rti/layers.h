@@ -120,7 +120,7 @@ INLINE void pack(const int entries, const real *w, const active_set *set, real *
 }
 
 /* out (rows, inputs) = J (rows, outputs) D W, D the ReLU's mask and W (outputs, inputs): one layer of a reverse sweep. */
-INLINE void reverse(const int rows, const int inputs, const int stride, int active, const unsigned char *index,
+INLINE void reverse(const int rows, const int inputs, const int outputs, int active, const unsigned char *index,
                     const real *J, const real *W, real *out) {
     const int vectors = inputs / LANES % 4 == 0 && BLOCK_ROWS == 12 ? 4 : inputs / LANES % 2 == 0 ? 2 : 1;
     for (int c = 0; c < inputs; c += vectors * LANES) {
@@ -130,10 +130,10 @@ INLINE void reverse(const int rows, const int inputs, const int stride, int acti
             const int o = index[q];
             const vector *w = (const vector *)(W + o * inputs + c);
             UNROLL for (int v = 0; v < vectors; v++)
-                UNROLL for (int r = 0; r < rows; r++) sums[v][r] += J[r * stride + o] * w[v];
+                UNROLL for (int r = 0; r < rows; r++) sums[v][r] += J[r * outputs + o] * w[v];
         }
         UNROLL for (int v = 0; v < vectors; v++)
-            UNROLL for (int r = 0; r < rows; r++) ((vector *)(out + r * stride + c))[v] = sums[v][r];
+            UNROLL for (int r = 0; r < rows; r++) ((vector *)(out + r * inputs + c))[v] = sums[v][r];
     }
 }
 

@@ -25,6 +25,7 @@ typedef NETWORK_REAL real;
 #define STATE_FEATURES (FEATURES - NU)
 #define HIDDEN_STATES (NX - 13)
 #define RATES (6 + HIDDEN_STATES)
+#define SAID 8 /* six accelerations, padded */
 #define COLUMN_ENTRIES (13 + NU) /* of a measured column: the rigid body, then the rotors' commanded speeds */
 
 #if RESIDUAL
@@ -35,9 +36,12 @@ typedef NETWORK_REAL real;
 #define PHYSICS_RATES RATES
 #endif
 
-/* Rows of the tangents of each layer's input, for as many substeps as its taps reach back. */
+/* Rows of the tangents of each streamed layer's input, for as many substeps as its taps reach back. */
 #define RING_OF(l, inputs, outputs, taps, dilation) real ring_##l[(taps - 1) * dilation + 1][inputs][STREAMED];
 #define HIDDEN_OF(l, inputs, outputs) real hidden_##l[STEPS][outputs];
+/* How what the network says depends on each swept layer's input at the columns that are seen, and by which way. */
+#define BACK_OF(l, inputs, outputs, taps, above, below) \
+    real back_##l[below][6 * (inputs)], part_##l[above][taps][6 * (inputs)];
 
 typedef struct {
     condensed c;
@@ -58,10 +62,17 @@ typedef struct {
     struct {
         real column[LAYERS + 1][COLUMNS][WIDTH]; /* features, then what each convolution makes of them */
         EACH_HIDDEN(HIDDEN_OF)
-        EACH_CONVOLUTION(RING_OF)
-        real code[CODE][STREAMED]; /* tangents of what the perceptron is given */
+        EACH_STREAMED(RING_OF)
+        real code[CODE_SPAN][CODE][STREAMED]; /* tangents of what the last streamed layer gives */
+        real perceptron[6 * LAST_CODE]; /* how what the network says depends on what the perceptron is given */
+        EACH_SWEPT(BACK_OF)
+        real by_code[CODE_SEEN][CODE][SAID]; /* the same by what the last streamed layer gives, outputs side by side */
         real moving[NX][STREAMED]; /* tangents of the state */
+        real said[6][STREAMED];    /* tangents of what the network says */
         real rates[6][STREAMED];   /* tangents of the accelerations, world and body axes */
+#if RESIDUAL
+        real physical[6][STREAMED]; /* what the physical model has in them */
+#endif
         real other[HIDDEN_STATES + 1][STREAMED];
 #if EXTRAPOLATED
         real rates_before[6][STREAMED], other_before[HIDDEN_STATES + 1][STREAMED];
@@ -71,6 +82,7 @@ typedef struct {
     } a __attribute__((aligned(64)));
     real by_own_input[MOST_TAPS][WIDEST][NU]; /* the first layer's weights of the inputs, per scaled input */
     active_set active[LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
+    bool turned[LAYERS + 1][COLUMNS];       /* whether the active ones are others than a column before */
 } network;
 
 /* ---- forward ---- */
@@ -198,6 +210,7 @@ static void roll_out(network *r) {
     for (int k = 1; k <= N; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
 }
 
+#include "reverse.h"
 #include "tangents.h"
 
 /* ---- what the runtime calls ---- */

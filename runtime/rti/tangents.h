@@ -72,83 +72,82 @@ static void stream_features(const network *r, int s, int columns, real (*out)[ST
 #endif
 }
 
-#define UNTHINK(l, inputs, outputs) \
-    active = list_active(outputs, r->a.hidden_##l[s], index); \
-    reverse(6, inputs, WIDEST, active, index, J[at], &perceptron_back_##l[0][0], J[1 - at]); \
-    at = 1 - at;
-
-/* The perceptron's Jacobian (6, CODE) at substep s by a reverse sweep; six rows are fewer than the tangents' columns. */
-static const real *perceptron_jacobian(const network *r, int s, real J[2][6 * WIDEST]) {
-    unsigned char index[WIDEST + 1];
-    int at = 0, active;
-    memcpy(J[0], output_back, sizeof output_back);
-    EACH_HIDDEN_BACK(UNTHINK)
-    (void)index, (void)active;
-    return J[at];
-}
-
-/* Derivatives of the accelerations by the state that do not go through the network, by states from `first` on. */
-static void direct_derivatives(const network *r, int s, int first, real (*A)[8]) {
-#if RESIDUAL
-    for (int i = first; i < NX; i++)
-        for (int o = 0; o < 6; o++) A[i - first][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
-#endif
-#if BODY_OUTPUTS
-    double P[3][4];
-    rotation_by_attitude(r->state[s] + 6, r->said[s], 0, P);
-    for (int j = 0; j < 4; j++)
-        for (int o = 0; o < 6; o++) {
-            real *entry = &A[6 - first + j][o];
-            *entry = (RESIDUAL ? *entry : 0) + (o < 3 ? (real)P[o][j] : 0);
-        }
-#endif
-    (void)r, (void)s, (void)first, (void)A;
-}
-
-/* Column i of the perceptron's Jacobian (6, CODE) with its forces turned to world axes by R. */
-INLINE void turned_column(const real *J, int i, const real R[3][3], real *w) {
-    const real *j = J + i;
-    for (int o = 0; o < 3; o++) {
-        w[o] = BODY_OUTPUTS ? R[o][0] * j[0] + R[o][1] * j[WIDEST] + R[o][2] * j[2 * WIDEST] : j[o * WIDEST];
-        w[3 + o] = j[(3 + o) * WIDEST];
-    }
-}
-
-static void rotation_of(const double *q, real R[3][3]) {
-    double exact[3][3];
-    rotation(q, exact);
-    for (int i = 0; i < 9; i++) R[i / 3][i % 3] = (real)exact[i / 3][i % 3];
-}
-
-/* Tangents of the accelerations, world and body axes: through the perceptron, and directly. */
-static void stream_rates(network *r, int s, int columns) {
-    const int first = BY_INPUT + NU * (s / SUBSTEPS), states = RESIDUAL ? FREE : 6, states_end = RESIDUAL ? NX : 10;
-    const active_set *code = &r->active[LAYERS][HISTORY + s];
-    real buffer[2][6 * WIDEST] __attribute__((aligned(64))), weights[CODE + NX][8], *out[6], R[3][3] = {{0}};
-    const real *J = perceptron_jacobian(r, s, buffer), *rows[CODE + NX];
+/* Tangents of what the network says, from those of what its last streamed layer gave at the columns that are seen. */
+static void stream_said(network *r, int s, int columns) {
+    real weights[CODE_SEEN * CODE][SAID] __attribute__((aligned(64))), *out[6];
+    const real *rows[CODE_SEEN * CODE];
     int count = 0;
-    if (BODY_OUTPUTS) rotation_of(r->state[s] + 6, R);
-    for (int q = 0; q < code->count; q++, count++) {
-        turned_column(J, code->index[q], R, weights[count]);
-        rows[count] = r->a.code[code->index[q]];
+    sweep(r, s);
+    for (int b = 0; b < CODE_SEEN && seen_code[b] <= s; b++) { /* measured columns do not move */
+        const int from = s - seen_code[b];
+        const active_set *theirs = &r->active[STREAMED_LAYERS][HISTORY + from];
+        for (int q = 0; q < theirs->count; q++) {
+            rows[count] = r->a.code[from % CODE_SPAN][theirs->index[q]];
+            memcpy(weights[count++], r->a.by_code[b][theirs->index[q]], sizeof weights[0]);
+        }
     }
-    if (RESIDUAL || BODY_OUTPUTS) direct_derivatives(r, s, states, weights + count);
-    for (int i = states; (RESIDUAL || BODY_OUTPUTS) && i < states_end; i++) rows[count++] = r->a.moving[i];
-    for (int o = 0; o < 6; o++) out[o] = r->a.rates[o];
-    multiply(6, count, rows, weights[0], 8, columns, out);
-#if LAYERS == 0
-    for (int i = 0; i < NU; i++) {
-        turned_column(J, STATE_FEATURES + i, R, weights[0]);
-        for (int o = 0; o < 6; o++)
-            out[o][first + i] += (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]) * weights[0][o];
+    for (int o = 0; o < 6; o++) out[o] = r->a.said[o];
+    multiply(6, count, rows, weights[0], SAID, columns, out);
+#if STREAMED_LAYERS == 0
+    for (int b = 0; b < CODE_SEEN && seen_code[b] <= s; b++) {
+        const int first = BY_INPUT + NU * ((s - seen_code[b]) / SUBSTEPS);
+        for (int i = 0; i < NU; i++)
+            for (int o = 0; o < 6; o++)
+                out[o][first + i] += (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]) *
+                                     r->a.by_code[b][STATE_FEATURES + i][o];
     }
 #endif
+}
+
+/* Tangents of the physical model's accelerations. */
+static void stream_physics(network *r, int s, int columns) {
 #if RESIDUAL
+    const int first = BY_INPUT + NU * (s / SUBSTEPS);
+    const real *rows[NX];
+    real weights[NX][SAID], *out[6];
+    for (int i = FREE; i < NX; i++) {
+        rows[i - FREE] = r->a.moving[i];
+        for (int o = 0; o < 6; o++) weights[i - FREE][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
+    }
+    for (int o = 0; o < 6; o++) out[o] = r->a.physical[o];
+    multiply(6, NX - FREE, rows, weights[0], SAID, columns, out);
     for (int o = 0; o < 6; o++)
         for (int i = 0; i < NU; i++)
             out[o][first + i] += (real)(r->c.o.scale * r->by_input[s][i * PHYSICS_RATES + o]);
+#else
+    (void)r, (void)s, (void)columns;
 #endif
-    (void)first;
+}
+
+/* Tangents of the accelerations, world and body axes: what the network says, turned to world axes if it speaks of body
+ * axes, d(R f) = R df + d(R f)/dq dq, and what the physical model adds. */
+static void stream_rates(network *r, int s, int columns) {
+    stream_said(r, s, columns);
+    stream_physics(r, s, columns);
+    double exact[3][3], exact_by_attitude[3][4];
+    real R[3][3], by_attitude[3][4];
+    rotation(r->state[s] + 6, exact);
+    rotation_by_attitude(r->state[s] + 6, r->said[s], 0, exact_by_attitude);
+    for (int i = 0; i < 3; i++) {
+        for (int j = 0; j < 3; j++) R[i][j] = BODY_OUTPUTS ? (real)exact[i][j] : (real)(i == j);
+        for (int j = 0; j < 4; j++) by_attitude[i][j] = BODY_OUTPUTS ? (real)exact_by_attitude[i][j] : 0;
+    }
+    for (int c = 0; c < columns; c += LANES) {
+        vector said[3], q[4], sum;
+        for (int j = 0; j < 3; j++) said[j] = *(const vector *)&r->a.said[j][c];
+        for (int j = 0; j < 4; j++) q[j] = *(const vector *)&r->a.moving[6 + j][c];
+        UNROLL for (int o = 0; o < 6; o++) {
+            if (o < 3) {
+                sum = R[o][0] * said[0] + R[o][1] * said[1] + R[o][2] * said[2];
+                UNROLL for (int j = 0; j < 4; j++) sum += by_attitude[o][j] * q[j];
+            } else
+                sum = *(const vector *)&r->a.said[o][c];
+#if RESIDUAL
+            sum += *(const vector *)&r->a.physical[o][c];
+#endif
+            *(vector *)&r->a.rates[o][c] = sum;
+        }
+    }
 }
 
 /* Tangents of the hidden states' rates. */
@@ -215,7 +214,6 @@ INLINE void extrapolate_rows(const int rows, int columns, real (*now)[STREAMED],
 }
 
 #define CLEAR(l, inputs, outputs, taps, dilation) memset(r->a.ring_##l, 0, sizeof r->a.ring_##l);
-#define FIND(l, inputs, outputs, taps, dilation) find_active(&r->active[l + 1][t], outputs, r->a.column[l + 1][t]);
 #define PLACE(l, inputs, outputs, taps, dilation) into[l] = r->a.ring_##l[s % ((taps - 1) * dilation + 1)];
 #define STREAM_LAYER(l, inputs, outputs, taps, dilation) \
     stream_layer(r, s, columns, l, inputs, outputs, taps, dilation, &convolution_##l[0][0][0], r->a.ring_##l, \
@@ -223,8 +221,8 @@ INLINE void extrapolate_rows(const int rows, int columns, real (*now)[STREAMED],
 
 /* Derivatives S of the states at the nodes by all free directions. */
 static void stream_tangents(network *r) {
-    for (int t = HISTORY; t < COLUMNS; t++) { EACH_CONVOLUTION(FIND) }
-    EACH_CONVOLUTION(CLEAR)
+    find_masks(r);
+    EACH_STREAMED(CLEAR)
     memset(r->a.code, 0, sizeof r->a.code);
     memset(r->a.moving, 0, sizeof r->a.moving);
     memset(r->a.rates, 0, sizeof r->a.rates);
@@ -236,11 +234,11 @@ static void stream_tangents(network *r) {
     for (int i = FREE; i < NX; i++) r->a.moving[i][i - FREE] = 1;
     for (int s = 0; s < STEPS; s++) {
         const int node = s / SUBSTEPS, columns = columns_at(node);
-        real(*into[LAYERS + 1])[STREAMED];
-        EACH_CONVOLUTION(PLACE)
-        into[LAYERS] = r->a.code;
+        real(*into[STREAMED_LAYERS + 1])[STREAMED];
+        EACH_STREAMED(PLACE)
+        into[STREAMED_LAYERS] = r->a.code[s % CODE_SPAN];
         stream_features(r, s, columns, into[0]);
-        EACH_CONVOLUTION(STREAM_LAYER)
+        EACH_STREAMED(STREAM_LAYER)
         stream_rates(r, s, columns);
         stream_hidden(r, s, columns);
 #if EXTRAPOLATED

@@ -12,8 +12,9 @@ from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import EffectUse, Limits
 from dynamics.vehicle_file import read_vehicle
-from export.kernel import Precision, kernel_solver
+from export.kernel import Precision, build_kernel, kernel_recipe, kernel_solver
 from export.network import Network
+from export.sweep import sweep_of
 from runtime.rti.problem import Problem, fill_options
 from runtime.rti.processor import PROCESSORS, native_processor
 from runtime.rti.solver import RtiSolver
@@ -75,6 +76,13 @@ def solver_of(case: str, precision: Precision, problem: Problem = SHORT) -> tupl
     solver.state_reference[:, 0] += 0.1
     solver.input_reference[:] = VEHICLE.hover_speed
     return solver, state
+
+
+def copied(solver: RtiSolver, other: RtiSolver) -> RtiSolver:
+    """The other one, given the same history, inputs and references."""
+    other.history[:], other.inputs[:] = solver.history, solver.inputs
+    other.state_reference[:], other.input_reference[:] = solver.state_reference, solver.input_reference
+    return other
 
 
 def rolled_out(solver: RtiSolver, state: np.ndarray) -> np.ndarray:
@@ -173,6 +181,31 @@ def test_hessian_and_gradient_are_gauss_newtons_of_the_roll_out(
     np.testing.assert_allclose(solver.gradient, gradient, rtol=0, atol=tolerance * np.abs(gradient).max())
 
 
+@pytest.mark.parametrize("streamed", range(5))
+def test_tangents_are_the_same_wherever_streaming_ends_and_sweeping_begins(streamed: int) -> None:
+    solver, state = solver_of("body", "double")
+    solver.prepare(state)
+    network, _ = CASES["body"]
+    sweep = sweep_of(network, streamed)
+    recipe = kernel_recipe(network, solver.model, SHORT, native_processor(), "double", sweep=sweep)
+    other = copied(solver, RtiSolver(solver.model, SHORT, build_kernel(recipe)))
+    other.prepare(state)
+    np.testing.assert_allclose(other.hessian, solver.hessian, rtol=1e-10, atol=1e-12 * np.abs(solver.hessian).max())
+
+
+def test_what_a_sweep_keeps_between_preparations_changes_nothing() -> None:
+    used, state = solver_of("body", "float")
+    used.history[:] = window(CASES["body"][0], 5)[:-1]
+    used.inputs[:] *= 0.9
+    used.prepare(state + 0.1)
+    fresh, state = solver_of("body", "float")
+    copied(fresh, used)
+    for solver in (fresh, used):
+        assert solver.prepare(state) == 0
+    np.testing.assert_array_equal(used.hessian, fresh.hessian)
+    np.testing.assert_array_equal(used.gradient, fresh.gradient)
+
+
 @pytest.mark.parametrize("case", ["body", "residual on lag and drag", "residual near the ground"])
 def test_feedback_answers_a_state_that_differs_from_the_expected_one(case: str) -> None:
     solver, state = solver_of(case, "double")
@@ -227,8 +260,6 @@ def test_every_vector_width_gives_the_same(name: str) -> None:
     network, _ = CASES["odd widths"]
     solver, state = solver_of("odd widths", "double")
     solver.prepare(state)
-    other = kernel_solver(network, build_model(VEHICLE, effects=[]), SHORT, PROCESSORS[name], "double")
-    other.history[:], other.inputs[:] = solver.history, solver.inputs
-    other.state_reference[:], other.input_reference[:] = solver.state_reference, solver.input_reference
+    other = copied(solver, kernel_solver(network, build_model(VEHICLE, effects=[]), SHORT, PROCESSORS[name], "double"))
     other.prepare(state)
     np.testing.assert_allclose(other.hessian, solver.hessian, rtol=1e-10, atol=1e-12 * np.abs(solver.hessian).max())
