@@ -10,10 +10,10 @@ from typing import Any
 import msgspec
 import torch
 from torch import nn
-from torch.optim import Adam
 
 from dynamics.errors import RequestError
 from training.checkpoint import read_content, write_atomically
+from training.optimiser import StepRule
 
 
 class Report(msgspec.Struct, frozen=True):
@@ -34,7 +34,7 @@ class Run:
     """Everything that decides how training goes on. generator: draws batches and noise; dropout takes torch's own."""
 
     network: nn.Module
-    optimizer: Adam
+    rule: StepRule
     generator: torch.Generator
     fingerprint: str
     step: int = 0
@@ -62,7 +62,7 @@ class Run:
         content = {name: getattr(self, name) for name in PLAIN}
         content |= {
             "network": self.network.state_dict(),
-            "optimizer": self.optimizer.state_dict(),
+            "optimiser": self.rule.state(),
             "generator": self.generator.get_state(),
             "random": torch.get_rng_state(),
             "cuda_random": torch.cuda.get_rng_state() if on_gpu else None,
@@ -80,7 +80,7 @@ class Run:
         for name in PLAIN:
             setattr(self, name, content[name])
         self.network.load_state_dict(content["network"])
-        self.optimizer.load_state_dict(content["optimizer"])
+        self.rule.restore(content["optimiser"])
         self.generator.set_state(content["generator"])
         torch.set_rng_state(content["random"])
         if content["cuda_random"] is not None:

@@ -19,6 +19,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     steps: of Adam, or epochs over the training windows instead. learning_rate: the highest; it begins at a tenth of
     it, rises over `warm_up` (share of a stage) and falls to a thousandth along a cosine, unless it is constant.
+    optimiser: Adam, or Muon for weight matrices (`training.optimiser`), with learning_rate times matrix_rate.
     standardise: inputs and outputs to mean 0 and deviation 1.
 
     physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage of physics_start (share of the steps); then optimiser and
@@ -36,7 +37,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     steps: Count = 30_000
     epochs: Count | None = None
     batch: Count = 256
+    optimiser: Literal["adam", "muon"] = "muon"
     learning_rate: Positive = 3e-3
+    matrix_rate: Positive = 2.0
     constant_rate: bool = False
     warm_up: Share = 0.1
     standardise: bool = True
@@ -53,8 +56,9 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 PAPER = Recipe(
-    name="paper", epochs=10_000, batch=1024, learning_rate=1e-4, constant_rate=True, standardise=False,
-    physics_weight=1.0, physics_points="space", physics_batch=1024, physics_pool=1024, evaluate_every=5000,
+    name="paper", epochs=10_000, batch=1024, optimiser="adam", learning_rate=1e-4, constant_rate=True,
+    standardise=False, physics_weight=1.0, physics_points="space", physics_batch=1024, physics_pool=1024,
+    evaluate_every=5000,
 )  # fmt: skip
 FAST = Recipe()
 RECIPES = {"paper": PAPER, "fast": FAST}

@@ -14,12 +14,12 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
-from torch.optim import Adam
 
 from training.blame import blame
 from training.config import ModelConfig
 from training.dataset import RowNames
 from training.networks import build_network
+from training.optimiser import StepRule
 from training.parallel import join_group, shared, wait_for_all
 from training.progress import Report, Run
 from training.recipe import Recipe
@@ -73,7 +73,7 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
     network = build_network(task.config).to(device)
     schedule = Schedule.of(recipe, len(task.training.ends))
     generator = torch.Generator().manual_seed(task.seed)
-    run = Run(network, _adam(network), generator, f"{task.fingerprint} {task.seed}")
+    run = Run(network, StepRule(network, recipe), generator, f"{task.fingerprint} {task.seed}")
     if task.state_file is not None and task.state_file.exists():
         run.resume(task.state_file)
     elif task.config.base != "none":
@@ -82,19 +82,18 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
     stopped = run.is_exhausted(recipe.patience) and not run.step < schedule.restart < schedule.steps
     while run.step < schedule.steps and not stopped:
         if schedule.starts_anew(run.step):
-            run.optimizer = _adam(network)
+            run.rule = StepRule(network, recipe)
             if run.step:  # a stage with another loss: its own best
                 run.best, run.without_better = float("inf"), 0
-        for group in run.optimizer.param_groups:
-            group["lr"] = schedule.learning_rate(run.step)
         network.train()
         chosen = torch.randint(len(task.training.ends), (recipe.batch,), generator=generator)[rank::size]
         loss, physics = _losses(task, learner, chosen.to(device), run, schedule.physics_weight(run.step), (rank, size))
         if not torch.isfinite(loss):
             raise blame(task.rows, task.training, chosen, step=run.step, batch=recipe.batch)
-        run.optimizer.zero_grad()
+        run.rule.clear_gradients()
         loss.backward()  # type: ignore[no-untyped-call]
-        run.optimizer.step()
+        rate = schedule.learning_rate(run.step)
+        run.rule.step(rate)
         run.step += 1
         if run.step % recipe.evaluate_every and run.step < schedule.steps:
             continue
@@ -105,7 +104,6 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
             if task.state_file is not None:
                 run.save(task.state_file)
             told = None if physics is None else physics.item()
-            rate = run.optimizer.param_groups[0]["lr"]
             report(
                 Report(task.member, run.step, schedule.steps, loss.item(), told, validation, run.best, rate)
             )  # fmt: skip
@@ -143,7 +141,3 @@ def _losses(
     outputs = learner(torch.cat([windows, task.points.windows[rows]]))
     physics = (outputs[len(windows) :] - task.points.targets[rows]).square().mean()
     return (outputs[: len(windows)] - targets).square().mean() + weight * physics, physics
-
-
-def _adam(network: nn.Module) -> Adam:
-    return Adam(network.parameters(), fused=True)

@@ -61,8 +61,9 @@ def train(
         bool | None, typer.Option("--filtered-inputs", help="The paper's filter on the inputs, which sees the future.")
     ] = None,
     history: Annotated[int | None, typer.Option(min=1, help="Columns that the network sees.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps of Adam; 30,000 by default.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 30,000 by default.")] = None,
     batch: Annotated[int | None, typer.Option(min=1, help="Windows a step; 256 by default.")] = None,
+    optimiser: Annotated[str | None, typer.Option(help="muon or adam; muon by default.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="The highest one; 3e-3 by default.")] = None,
     patience: Annotated[
         int | None, typer.Option(min=0, help="Evaluations without a better one that end a member; 0 for never.")
@@ -87,7 +88,8 @@ def train(
         jobs=jobs, device=device, resume=resume, overwrite=overwrite, mapping=mapping,
         config=_given(inputs=inputs, motors=motors, label=label, filtered_inputs=filtered_inputs, history=history),
         recipe_changes=_given(
-            steps=steps, batch=batch, learning_rate=learning_rate, patience=patience, physics_weight=physics_weight,
+            steps=steps, batch=batch, optimiser=optimiser, learning_rate=learning_rate, patience=patience,
+            physics_weight=physics_weight,
             physics_points=physics_points, annealed=annealed, rollout=rollout, input_noise=input_noise,
         ),
     )  # fmt: skip

@@ -210,7 +210,7 @@ from vehicles import vehicle_path
 import msgspec
 torch.set_num_threads(1)
 split = split_recordings(read_recordings(sorted(Path(sys.argv[1]).iterdir()), dt=0.01), validation="flight_3*")
-recipe = msgspec.structs.replace(FAST, steps=60, batch=64, evaluate_every=10)
+recipe = msgspec.structs.replace(FAST, steps=60, batch=64, evaluate_every=10, optimiser="adam")
 plan = make_plan(named_kind("pi_mlp").config, recipe, read_vehicle(vehicle_path("arpl_250g")), split, seed=0)
 member = train(plan.task(0, 0, device=torch.device("cpu"), state_file=None), lambda _: None)
 if torch.distributed.get_rank() == 0:
@@ -228,6 +228,7 @@ def test_two_processes_learn_what_one_does(plan_for: MakePlan, folder: Path, tmp
         [*command, str(folder), str(out)], env=environment, capture_output=True, text=True, check=False, timeout=100
     )
     assert done.returncode == 0, done.stderr[:2000]
-    alone = train(task_of(plan_for("pi_mlp", **SHORT)), quietly)
+    # Muon makes rounding grow: a gradient that is nearly nothing is a whole step as well
+    alone = train(task_of(plan_for("pi_mlp", **SHORT, optimiser="adam")), quietly)
     for name, weight in torch.load(out, weights_only=True).items():
         torch.testing.assert_close(weight, alone.weights[name], rtol=1e-3, atol=1e-4)
