@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from alula import paper
 from training import figures
 from training.prediction import pooled
-from training.studies import FACTORS
 from training.studies.cell import CellResult, grouped
 from training.studies.curves import Curve, history_figure, lambda_figure, search_figure
 
@@ -40,19 +39,25 @@ def study_figures(study: str, along: Sequence[str], results: Sequence[CellResult
 
 
 def heatmaps(study: str, results: Sequence[CellResult]) -> dict[str, Floats]:
-    """(5, 5) RMSE of NOM, RES-TCN and PI-TCN over the factors of the second quantity (rows) and the first."""
+    """RMSE of each model over the factors of the second quantity (rows) and the first, NaN where there is none."""
     first, second = HEATMAPS[study]
-    grids = {name: np.full((len(FACTORS), len(FACTORS)), np.nan) for name in ("NOM", *MODELS.values())}
+    along, up = (factors_of(name, results) for name in (first, second))
+    grids = {name: np.full((len(up), len(along)), np.nan) for name in ("NOM", *MODELS.values())}
     for (model, x, y), members in grouped(results, "model", first, second).items():
-        at = FACTORS.index(float(y)), FACTORS.index(float(x))
+        at = up.index(float(y)), along.index(float(x))
         errors = [pooled(result.best_known) for result in members]
         grids[MODELS[str(model)]][at] = np.mean([error.combined for error in errors])
         grids["NOM"][at] = np.mean([error.nominal for error in errors])
     return grids
 
 
+def factors_of(name: str, results: Sequence[CellResult]) -> list[float]:
+    """The factors on a quantity that there are results for, ascending."""
+    return sorted({float(result.cell.at[name]) for result in results})
+
+
 def _heatmap(study: str, results: Sequence[CellResult]) -> Figure:
-    along, up = ((SYMBOLS[name], FACTORS) for name in HEATMAPS[study])
+    along, up = ((SYMBOLS[name], factors_of(name, results)) for name in HEATMAPS[study])
     return figures.heatmap_figure(heatmaps(study, results), along, up, "RMSE")
 
 
