@@ -8,21 +8,27 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
+from pyarrow import ArrowException
+from pyarrow import parquet as pa_parquet
+
 from dynamics.errors import DataError, RequestError
 from flights.aligned import read_aligned
 from flights.campaign import paper_campaign
 from flights.exclusion import free_flight
 from flights.flight import Flight
+from flights.source import sha256
+from flights.tables import decode_notes
 
 CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
 VALIDATION_SHARE = 0.1
 SHORTEST = 1.0  # s of a segment worth learning from
+SIMULATED = "alula.lockstep"  # what wrote a campaign's flights, as they say themselves
 TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One flight's stretches of free flight without a gap, all at one rate. name: of its file."""
+    """One flight's stretches of free flight without a gap, all at one rate. name: of its file (`names_of`)."""
 
     name: str
     sha256: str
@@ -71,13 +77,10 @@ def read_recordings(
     may_be_tests: whether the campaign's test flights may be among them, which no training may see. Raises
     RequestError for test flights and for what cannot be found, DataError for logs without free flight.
     """
-    tests = [path.name for path in paths if path.stem in TEST_FLIGHTS]
-    if tests and not may_be_tests:
-        raise RequestError(
-            f"{', '.join(tests)}: test flights of the campaign, on which models are compared. Leave them out of "
-            "training (give the campaign's folder or its train/); a flight of yours with such a name: rename it."
-        )
-    recordings = [_read(path, 1 / dt, mapping) for path in paths]
+    if not may_be_tests:
+        _require_no_tests(paths)
+    found = zip(names_of(paths), paths, strict=True)
+    recordings = [_read(name, path, 1 / dt, mapping) for name, path in found]
     flown = [recording for recording in recordings if recording.segments]
     if not flown:
         raise DataError(
@@ -92,6 +95,51 @@ def read_recordings(
     return tuple(flown)
 
 
+def names_of(paths: Sequence[Path]) -> tuple[str, ...]:
+    """What flights are called: their files' names, or with folders as well where several have the same name."""
+    names = [path.name for path in paths]
+    return tuple(name if names.count(name) == 1 else str(path) for name, path in zip(names, paths, strict=True))
+
+
+def left_out(paths: Sequence[Path], recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What to tell of the logs that `read_recordings` could learn nothing from."""
+    kept = {recording.name for recording in recordings}
+    missing = [name for name in names_of(paths) if name not in kept]
+    if not missing:
+        return ()
+    return (f"left out, nowhere {SHORTEST:g} s of free flight without a gap: {', '.join(missing)}",)
+
+
+def _require_no_tests(paths: Sequence[Path]) -> None:
+    """Refuse the campaign's test flights by name, and copies of them by what they say of themselves or hold."""
+    tests = [path.name for path in paths if path.stem in TEST_FLIGHTS]
+    if tests:
+        raise RequestError(
+            f"{', '.join(tests)}: test flights of the campaign, on which models are compared. Leave them out of "
+            "training (give the campaign's folder or its train/); a flight of yours with such a name: rename it."
+        )
+    campaigns = {folder for path in paths if (folder := path.resolve().parent.parent / CAMPAIGN).exists()}
+    known = {sha256(test): test for file in campaigns for test in sorted((file.parent / "test").glob("*.*"))}
+    for path in paths:
+        original = _recorded_as(path)
+        if original is None and known and path.is_file() and (same := known.get(sha256(path))) is not None:
+            original = same.stem
+        if original in TEST_FLIGHTS:
+            raise RequestError(
+                f"{path} is a copy of the campaign's test flight {original}, on which models are compared. Leave it "
+                "out of training."
+            )
+
+
+def _recorded_as(path: Path) -> str | None:
+    """The name under which a campaign flew a Parquet table, None for any other file."""
+    try:
+        notes = decode_notes(pa_parquet.read_schema(path).metadata) if path.suffix == ".parquet" else None
+    except (OSError, ArrowException):
+        return None  # reading it will say what is wrong
+    return Path(notes.provenance.path).name if notes is not None and notes.provenance.reader == SIMULATED else None
+
+
 def split_recordings(
     recordings: Sequence[Recording], *, validation: str | None = None, hold_out: str | None = None
 ) -> Split:
@@ -103,12 +151,12 @@ def split_recordings(
     notes: list[str] = []
     kept = list(recordings)
     if hold_out is not None:
-        out = [r for r in kept if fnmatchcase(r.name, hold_out)]
+        out = [r for r in kept if _is_called(r, hold_out)]
         kept = [r for r in kept if r not in out]
         _require_some(hold_out, "--hold-out", out, kept, recordings)
         notes.append(f"held out, not looked at: {', '.join(r.name for r in out)}")
     if validation is not None:
-        judges = [r for r in kept if fnmatchcase(r.name, validation)]
+        judges = [r for r in kept if _is_called(r, validation)]
         learned = [r for r in kept if r not in judges]
         _require_some(validation, "--validation", judges, learned, kept)
         return Split(tuple(learned), tuple(judges), tuple(notes))
@@ -125,7 +173,7 @@ def split_recordings(
     return Split(tuple(r for r in kept if r not in judges), tuple(judges), tuple(notes))
 
 
-def _read(path: Path, rate: float, mapping: Path | None) -> Recording:
+def _read(name: str, path: Path, rate: float, mapping: Path | None) -> Recording:
     if (path.parent.parent / CAMPAIGN).exists():
         flight = Flight.read(path, mapping=mapping, rate=rate)
         segments = free_flight(flight, shortest=SHORTEST)
@@ -133,7 +181,12 @@ def _read(path: Path, rate: float, mapping: Path | None) -> Recording:
         aligned = read_aligned(path, mapping=mapping, rate=rate)
         flight = aligned.flight
         segments = tuple(part for part in aligned.segments() if part.duration >= SHORTEST)
-    return Recording(path.name, flight.provenance.sha256, segments)
+    return Recording(name, flight.provenance.sha256, segments)
+
+
+def _is_called(recording: Recording, pattern: str) -> bool:
+    """Whether a pattern is for this flight, with folders or without."""
+    return fnmatchcase(recording.name, pattern) or fnmatchcase(Path(recording.name).name, pattern)
 
 
 def _cut(recording: Recording) -> tuple[Recording, Recording]:

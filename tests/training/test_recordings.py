@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ import pytest
 
 from dynamics.errors import DataError, RequestError
 from flights import Flight
-from training.recordings import Recording, find_logs, read_recordings, split_recordings
+from training.recordings import Recording, find_logs, left_out, read_recordings, split_recordings
 
 
 def test_a_campaigns_folder_stands_for_its_training_flights(tmp_path: Path) -> None:
@@ -31,6 +32,39 @@ def test_test_flights_among_the_training_files_are_refused(folder: Path, tmp_pat
         read_recordings([folder / "flight_1.parquet", tmp_path / "TransposedParabola.parquet"], dt=0.01)
     (again,) = read_recordings([tmp_path / "TransposedParabola.parquet"], dt=0.01, may_be_tests=True)
     assert again.rows > 500
+
+
+def test_a_renamed_copy_of_a_test_flight_is_refused_as_it_says_itself_what_it_is(
+    flights: Sequence[Flight], folder: Path, tmp_path: Path
+) -> None:
+    flight = flights[0]
+    flown = dataclasses.replace(flight.provenance, path="test/Lemniscate", reader="alula.lockstep")
+    Flight(flight.time, flight.columns, flown).to_parquet(tmp_path / "flight_7.parquet")
+    with pytest.raises(RequestError, match=r"flight_7.parquet is a copy of the campaign's test flight Lemniscate"):
+        read_recordings([folder / "flight_1.parquet", tmp_path / "flight_7.parquet"], dt=0.01)
+
+
+def test_a_renamed_copy_of_a_test_flight_is_refused_by_what_it_holds(flights: Sequence[Flight], tmp_path: Path) -> None:
+    for name in ("train", "test"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "campaign.json").write_text("{}")
+    flights[0].to_csv(tmp_path / "test" / "Lemniscate.csv")
+    flights[1].to_csv(tmp_path / "train" / "circle_xy_60.csv")
+    shutil.copy(tmp_path / "test" / "Lemniscate.csv", tmp_path / "train" / "extra.csv")
+    with pytest.raises(RequestError, match=r"extra.csv is a copy of the campaign's test flight Lemniscate"):
+        read_recordings(find_logs([tmp_path]), dt=0.01)
+
+
+def test_flights_of_the_same_name_in_two_folders_stay_two_flights(folder: Path, tmp_path: Path) -> None:
+    """A card holds flights by name, and whoever evaluates is refused all of them."""
+    paths = []
+    for place, name in enumerate(("one", "two")):
+        (tmp_path / name).mkdir()
+        paths.append(Path(shutil.copy(folder / f"flight_{place}.parquet", tmp_path / name / "log.parquet")))
+    found = read_recordings([*paths, folder / "flight_3.parquet"], dt=0.01)
+    assert [r.name for r in found] == [str(paths[0]), str(paths[1]), "flight_3.parquet"]
+    assert [r.name for r in split_recordings(found, validation="*two/*").validation] == [str(paths[1])]
+    assert len(split_recordings(found, validation="log*").validation) == 2
 
 
 def test_a_flight_given_twice_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -72,3 +106,14 @@ def test_a_log_without_free_flight_is_named(flights: Sequence[Flight], tmp_path:
     path = Flight(flight.time, disarmed, flight.provenance).to_parquet(tmp_path / "still.parquet")
     with pytest.raises(DataError, match=r"still.parquet: nowhere 1 s of free flight"):
         read_recordings([path], dt=0.01)
+
+
+def test_a_log_that_nothing_is_learned_from_is_told(flights: Sequence[Flight], folder: Path, tmp_path: Path) -> None:
+    flight = flights[0]
+    holes = flight["rate_x"].copy()
+    holes[::15] = np.nan
+    torn = Flight(flight.time, {**flight.columns, "rate_x": holes}, flight.provenance)
+    paths = [torn.to_parquet(tmp_path / "torn.parquet"), folder / "flight_1.parquet"]
+    found = read_recordings(paths, dt=0.01)
+    assert left_out(paths, found) == ("left out, nowhere 1 s of free flight without a gap: torn.parquet",)
+    assert left_out(paths[1:], found) == ()
