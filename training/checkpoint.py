@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import os
 import pickle
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,6 +36,7 @@ from training.config import ModelConfig
 from training.networks import build_network
 
 FORMAT, VERSION = "alula model", 1
+MAKE_ANEW = "Copy it again from where it is whole, or train it again."
 Floats = NDArray[np.float64]
 
 
@@ -136,11 +138,22 @@ def write_atomically(content: dict[str, Any], path: Path) -> None:
 def read_content(path: Path) -> dict[str, Any]:
     """What `torch.save` wrote. Raises RequestError when the file is missing or no such thing."""
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)  # of pickles that are refused in the same breath
+            content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise RequestError(f"there is no {path}. Give a model that `alula train` wrote.") from error
-    except (OSError, RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
-        raise RequestError(f"{path} is no checkpoint, or a damaged one: {_first_line(error)}") from error
+    except OSError as error:
+        raise RequestError(
+            f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {MAKE_ANEW}"
+        ) from error
+    except (
+        RuntimeError,
+        EOFError,
+        ValueError,
+        pickle.UnpicklingError,
+    ) as error:  # torch's words advise to run its code
+        raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {MAKE_ANEW}") from error
     if not isinstance(content, dict):
         raise RequestError(f"{path} is no checkpoint of alula: it holds a {type(content).__name__}.")
     return content
@@ -162,42 +175,57 @@ def load(path: str | Path) -> TrainedModel:
             "read it with the alula that wrote it."
         )
     try:
-        config = msgspec.convert(content["config"], ModelConfig)
-        card = msgspec.json.decode(content["card"], type=Card)
-        scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
-        ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
-        told = content["reliability"]
-        reliability = told and Reliability(
-            told["disagreement"], told["error_floor"].double().numpy(), told["error_scale"].double().numpy()
-        )
-        text, members = content["vehicle"], content["members"]
-        _require_widths(path, config, scaling, ranges)
-    except (KeyError, TypeError, AttributeError, msgspec.MsgspecError) as error:
-        raise RequestError(f"{path} is a damaged model: {type(error).__name__}: {error}. Train it again.") from error
-    networks = _networks(path, config, members)
-    return TrainedModel(config, networks, scaling, ranges, parse_vehicle(text), text, card, reliability)
+        return _model(content)
+    except (KeyError, TypeError, AttributeError, ValueError, msgspec.MsgspecError) as error:
+        raise RequestError(
+            f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {MAKE_ANEW}"
+        ) from error
+    except RequestError as error:
+        raise RequestError(f"{path} is a damaged model: {error} {MAKE_ANEW}") from error
 
 
-def _require_widths(path: Path, config: ModelConfig, scaling: Scaling, ranges: Ranges) -> None:
+def _model(content: dict[str, Any]) -> TrainedModel:
+    """Raises RequestError, and what conversions raise, for entries that make no model."""
+    config = msgspec.convert(content["config"], ModelConfig)
+    card = msgspec.json.decode(content["card"], type=Card)
+    scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
+    ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
+    told = content["reliability"]
+    reliability = told and Reliability(
+        told["disagreement"], told["error_floor"].double().numpy(), told["error_scale"].double().numpy()
+    )
+    vehicle = parse_vehicle(content["vehicle"])
+    _require_widths(config, scaling, ranges, reliability)
+    if vehicle.rotors.count != config.rotors:
+        raise RequestError(f"its vehicle has {vehicle.rotors.count} rotors, its config {config.rotors}.")
+    networks = _networks(config, content["members"])
+    return TrainedModel(config, networks, scaling, ranges, vehicle, content["vehicle"], card, reliability)
+
+
+def _require_widths(config: ModelConfig, scaling: Scaling, ranges: Ranges, reliability: Reliability | None) -> None:
     inputs = len(config.input_names)
     found = [len(scaling.input_mean), len(scaling.input_std), len(ranges.lowest), len(ranges.highest)]
-    if found != [inputs] * 4 or len(scaling.output_mean) != 6 or len(scaling.output_std) != 6:
+    said = [len(scaling.output_mean), len(scaling.output_std)]
+    if reliability is not None:
+        said += [len(reliability.error_floor), len(reliability.error_scale)]
+    if found != [inputs] * 4 or said != [6] * len(said):
         raise RequestError(
-            f"{path}: scaling and ranges are for {found[0]} inputs and {len(scaling.output_mean)} outputs, its config "
-            f"has {inputs} and 6. Train it again."
+            f"scaling and ranges are for {found[0]} inputs and {said[0]} outputs, its config has {inputs} and 6."
         )
 
 
-def _networks(path: Path, config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tuple[nn.Module, ...]:
+def _networks(config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tuple[nn.Module, ...]:
+    if bool(members) != (config.network != "none"):
+        raise RequestError(f"it has {len(members)} networks and is a {config.kind} model.")
     networks = []
     for weights in members:
         network = build_network(config)
         try:
             network.load_state_dict(weights)
         except RuntimeError as error:
-            raise RequestError(
-                f"{path} has weights of another shape than its config says: {_first_line(error)} Train it again."
-            ) from error
+            raise RequestError(f"weights of another shape than its config says: {_first_line(error)}.") from error
+        if not all(torch.isfinite(weight).all() for weight in network.state_dict().values()):
+            raise RequestError("weights that are not finite.")
         networks.append(network.eval().requires_grad_(requires_grad=False))
     return tuple(networks)
 

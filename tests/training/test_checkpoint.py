@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import numpy as np
@@ -75,10 +76,40 @@ def test_a_checkpoint_of_another_version_or_shape_is_refused(model: TrainedModel
         load(changed(path, config={**config, "colour": "blue"}))
 
 
+def test_a_checkpoint_whose_parts_do_not_fit_is_refused(model: TrainedModel, tmp_path: Path) -> None:
+    path, whole = tmp_path / "m.pt", tmp_path / "whole.pt"
+    save(model, whole)
+    content = torch.load(whole, weights_only=True)
+    (first, *_) = content["members"]
+    six = model.vehicle_text.replace(
+        "spin = [1, -1, 1, -1]", "spin = [1, -1, 1, -1, 1, -1]"
+    ).replace("[0.076, -0.076, 0.0]]", "[0.076, -0.076, 0.0], [0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]")  # fmt: skip
+    for entry, value, words in (
+        ("members", [], "it has 0 networks and is a pi_tcn model"),
+        ("members", None, "TypeError"),
+        ("members", [3], "TypeError"),
+        ("members", [{name: weight * torch.nan for name, weight in first.items()}], "weights that are not finite"),
+        ("reliability", {"disagreement": 0.1}, "KeyError: 'error_floor'"),
+        ("reliability", {**content["reliability"], "error_floor": torch.zeros(3)}, "are for 13 inputs and 6 outputs"),
+        ("vehicle", "no file", "not valid TOML"),
+        ("vehicle", six, "its vehicle has 6 rotors, its config 4"),
+        ("config", {**content["config"], "history": 5}, "look back 19 columns, the history has 5"),
+        ("card", "{}", "missing required field `kind`"),
+    ):
+        torch.save({**content, entry: value}, path)
+        with pytest.raises(RequestError, match=rf"m.pt is a damaged model: .*{words}.* Copy it again") as caught:
+            load(path)
+        assert "\n" not in str(caught.value)
+
+
 def test_files_that_are_no_checkpoint_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="there is no"):
         load(tmp_path / "missing.pt")
     (tmp_path / "text.pt").write_text("no checkpoint")
+    (tmp_path / "code.pt").write_bytes(pickle.dumps({"members": print}))
+    with pytest.raises(RequestError, match="torch cannot read it") as caught:
+        load(tmp_path / "code.pt")
+    assert "weights_only" not in str(caught.value)  # torch's advice is to run the file's code
     with pytest.raises(RequestError, match="no checkpoint"):
         load(tmp_path / "text.pt")
     torch.save({"weights": torch.zeros(3)}, tmp_path / "other.pt")
