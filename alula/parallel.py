@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -44,13 +45,25 @@ def _in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], count: int
 ) -> Iterator[tuple[int, Result]]:
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
-    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"))
+    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
     try:
         places = {pool.submit(function, item): index for index, item in enumerate(items)}
         for done in as_completed(places):
             yield places[done], _result(done)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _end_with_parent() -> None:
+    """A process whose parent was killed ends: it would write on to files that a resumed run takes over."""
+    parent = multiprocessing.parent_process()
+    assert parent is not None
+
+    def wait() -> None:
+        parent.join()
+        os._exit(1)
+
+    threading.Thread(target=wait, name="end with parent", daemon=True).start()
 
 
 def _result(done: Future[Result]) -> Result:

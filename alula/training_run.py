@@ -5,9 +5,9 @@ While it runs, `MODEL.pt.run` holds what every member goes on from after it was 
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shlex
-import shutil
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
@@ -20,10 +20,12 @@ import msgspec
 import torch
 
 from alula.parallel import parallel_map
+from alula.training_folder import CARD_SUFFIX, PROGRESS, STATE, claimed, require_free
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from training import checkpoint, parallel
+from training.changes import changed
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig, convolutions_for
 from training.effects_fit import named_effects
@@ -31,13 +33,13 @@ from training.models import named_kind
 from training.plan import Plan, make_plan
 from training.progress import Report
 from training.recipe import Recipe, named_recipe
-from training.recordings import find_logs, read_recordings, split_recordings
+from training.recordings import find_logs, left_out, read_recordings, split_recordings
 from training.trainer import Member, Task, train
 from vehicles import vehicle_path
 
 FAST_PHYSICS_WEIGHT = 0.01  # lambda on plausible points; 1 is the paper's
-STATE, PROGRESS = "member_{}.state", "member_{}.json"
 POLL = 0.5  # s
+LARGEST_SEED = 2**31
 Progress = Callable[[Report], None]
 
 
@@ -86,26 +88,39 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
     device = parallel.find_device(options.device)
     rank, size = parallel.join_group(device)
     try:
-        _claim(options, rank)
-        plan = plan_of(options)
-        members = _train_members(options, plan, device, size, progress) if plan.config.network != "none" else ()
-        model = plan.assemble(members, options.seeds, command=_command())
-        if rank == 0:
+        if rank:
+            require_free(options.out, overwrite=options.overwrite)
+            return _train(options, device, size, progress)
+        with claimed(options.out, options.folder, overwrite=options.overwrite, resume=options.resume):
+            model = _train(options, device, size, progress)
             checkpoint.save(model, options.out)
             write_card(model, options.out)
-            shutil.rmtree(options.folder, ignore_errors=True)
-        parallel.wait_for_all()
+            return model
+    except (MemoryError, RuntimeError) as error:
+        if not isinstance(error, (MemoryError, torch.OutOfMemoryError)) and "allocate memory" not in str(error):
+            raise
+        raise RequestError(
+            "there is not enough memory for this training. Give a smaller --batch, a shorter --history, fewer --jobs, "
+            "or fewer flights."
+        ) from error
     finally:
         parallel.leave_group()
-    return model
+
+
+def _train(options: TrainOptions, device: torch.device, size: int, progress: Progress) -> TrainedModel:
+    plan = plan_of(options)
+    members = _train_members(options, plan, device, size, progress) if plan.config.network != "none" else ()
+    return plan.assemble(members, options.seeds, command=_command())
 
 
 def plan_of(options: TrainOptions) -> Plan:
     """Read vehicle and flights, and settle what is learned. Raises RequestError, DataError."""
     vehicle = _vehicle(options)
     config, recipe = settled(options)
-    recordings = read_recordings(find_logs(options.logs), dt=config.dt, mapping=options.mapping)
+    logs = find_logs(options.logs)
+    recordings = read_recordings(logs, dt=config.dt, mapping=options.mapping)
     split = split_recordings(recordings, validation=options.validation, hold_out=options.hold_out)
+    split = dataclasses.replace(split, notes=(*left_out(logs, recordings), *split.notes))
     return make_plan(config, recipe, vehicle, split, seed=options.seed, fit=not options.keep_effects)
 
 
@@ -113,6 +128,8 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
     """Definition and recipe with the options' changes. Raises RequestError for values that make no sense."""
     if options.ensemble < 1:
         raise RequestError(f"an ensemble of {options.ensemble} members: wanted 1 or more.")
+    if not 0 <= options.seed <= LARGEST_SEED:
+        raise RequestError(f"seed {options.seed}: wanted 0 to {LARGEST_SEED}.")
     kind, recipe = named_kind(options.model), named_recipe(options.recipe)
     config = kind.config_for(recipe)
     changes = dict(options.config)
@@ -123,13 +140,12 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
     recipe = kind.recipe_for(recipe, fast_weight=FAST_PHYSICS_WEIGHT)
     if "steps" in options.recipe_changes:
         recipe = msgspec.structs.replace(recipe, epochs=None)
-    config = _changed(config, changes)
-    return config, _changed(recipe, options.recipe_changes)
+    return changed(config, changes), changed(recipe, options.recipe_changes)
 
 
 def write_card(model: TrainedModel, out: Path) -> Path:
     """The card as JSON beside the model. Raises RequestError when it cannot be written."""
-    path, text = out.with_suffix(".json"), msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
+    path, text = out.with_suffix(CARD_SUFFIX), msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
     part = path.with_name(f"{path.name}.part")
     try:
         part.write_bytes(text)
@@ -139,36 +155,10 @@ def write_card(model: TrainedModel, out: Path) -> Path:
     return path
 
 
-def _changed(struct: Any, changes: dict[str, Any]) -> Any:
-    """A struct with other values, checked. Raises RequestError for one that its type does not allow."""
-    try:
-        return msgspec.convert({**msgspec.to_builtins(struct), **changes}, type(struct))
-    except msgspec.ValidationError as error:
-        raise RequestError(f"{error}. Look at `alula train --help` for what is allowed.") from error
-
-
 def _vehicle(options: TrainOptions) -> Vehicle:
     vehicle = read_vehicle(vehicle_path(options.vehicle))
     uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects]
     return named_effects(vehicle, uses)
-
-
-def _claim(options: TrainOptions, rank: int) -> None:
-    """Refuse what would be overwritten, and make the folder for the members."""
-    out, folder = options.out, options.folder
-    if out.exists() and not options.overwrite:
-        raise RequestError(f"{out} exists. Give another --out, or --overwrite.")
-    if rank != 0:
-        return
-    if folder.exists() and not options.resume and any(folder.glob(STATE.format("*"))):
-        raise RequestError(
-            f"{folder} holds a training that did not end. Go on with --resume and otherwise the same command, or "
-            "delete the folder."
-        )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RequestError(f"cannot write to {out.parent}: {error}. Give another --out.") from error
 
 
 @dataclass(frozen=True, eq=False)

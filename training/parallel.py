@@ -46,8 +46,12 @@ def find_device(name: str) -> torch.device:
         device = torch.device(name)
     except RuntimeError as error:
         raise RequestError(f"unknown device {name!r}. Give cpu, cuda or cuda:0.") from error
+    if device.type not in ("cpu", "cuda"):
+        raise RequestError(f"--device {name}: networks train on a CPU or a CUDA GPU. Give cpu, cuda or cuda:0.")
     if device.type == "cuda" and not torch.cuda.is_available():
         raise RequestError(f"--device {name}: this torch sees no GPU. Give --device cpu, or install torch with CUDA.")
+    if device.index is not None and device.type == "cuda" and device.index >= torch.cuda.device_count():
+        raise RequestError(f"--device {name}: this machine has {torch.cuda.device_count()} GPUs, numbered from 0.")
     if name == "cuda":
         device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0")))
     return device

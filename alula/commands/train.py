@@ -14,6 +14,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 from alula.workbench import workbench
+from dynamics.errors import RequestError
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -44,7 +45,7 @@ def train(
     keep_effects: Annotated[
         bool, typer.Option("--keep-effects", help="Do not fit a grey box's effects to these flights.")
     ] = False,
-    seed: Annotated[int, typer.Option(help="Seed of the first member; the others count on from it.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the first member; the others count on from it.")] = 0,
     ensemble: Annotated[int, typer.Option(min=1, help="Members; their disagreement flags what is uncertain.")] = 4,
     jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for every core by default.")] = None,
     device: Annotated[str, typer.Option(help="cpu, cuda, cuda:1; for several GPUs start with torchrun -m alula.")] = (
@@ -95,9 +96,15 @@ def train(
     )  # fmt: skip
     console = Console(stderr=as_json, quiet=os.environ.get("RANK", "0") != "0")
     bars = _Bars(console, tensorboard)
-    with bars.progress:
-        trained = run(options, bars.show)
-    bars.close()
+    try:
+        with bars.progress:
+            trained = run(options, bars.show)
+    except KeyboardInterrupt:
+        if options.folder.exists():
+            console.print(f"stopped; {options.folder} holds what is done: the same command with --resume goes on.")
+        raise
+    finally:
+        bars.close()
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(trained.card)) + b"\n")
     else:
@@ -121,7 +128,12 @@ class _Bars:
         if tensorboard is not None:
             from torch.utils.tensorboard import SummaryWriter  # a second to import, for those who want it
 
-            self._writer = SummaryWriter(str(tensorboard))
+            try:
+                self._writer = SummaryWriter(str(tensorboard))
+            except OSError as error:
+                raise RequestError(
+                    f"cannot write to {tensorboard}: {error.strerror or error}. Give another --tensorboard."
+                ) from error
 
     def show(self, report: Report) -> None:
         """Where a member stands."""

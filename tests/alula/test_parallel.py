@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
 import pytest
 
@@ -38,6 +42,38 @@ def test_what_the_function_raises_is_raised(jobs: int) -> None:
 def test_a_killed_process_is_named() -> None:
     with pytest.raises(VehicleError, match="a working process ended by itself"):
         list(parallel_map(die, [1, 2], jobs=2))
+
+
+ORPHANS = """
+import os, sys, time
+from pathlib import Path
+from alula.parallel import parallel_map
+
+def work(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    list(parallel_map(work, [sys.argv[1]] * 2, jobs=2))
+"""
+
+
+def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
+    """A training that was killed is resumed at once, and nobody else may write its files."""
+    script, told = tmp_path / "orphans.py", tmp_path / "told"
+    script.write_text(ORPHANS)
+    told.mkdir()
+    deadline = time.monotonic() + 60
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    with subprocess.Popen([sys.executable, str(script), str(told)], env=environment) as parent:
+        while len(list(told.iterdir())) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        parent.kill()
+    workers = [Path("/proc", file.name, "cmdline") for file in told.iterdir()]
+    while any(worker.exists() and worker.read_bytes() for worker in workers):  # empty once it has ended
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
 
 
 def test_no_jobs_at_all_are_refused() -> None:

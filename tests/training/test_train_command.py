@@ -16,6 +16,7 @@ import torch
 from typer.testing import CliRunner, Result
 
 from alula.cli import app
+from alula.training_folder import claimed
 from alula.training_run import TrainOptions, settled
 from dynamics.errors import DataError, RequestError
 from training import checkpoint
@@ -94,8 +95,15 @@ def test_the_frame_of_the_inputs_is_that_of_the_outputs_unless_they_are_a_wrench
     [
         (("--model", "lstm"), RequestError, "unknown model 'lstm'. Known: nominal, pi_tcn"),
         (("--model", "pi_tcn", "--recipe", "slow"), RequestError, "unknown recipe 'slow'. Known: paper, fast"),
-        (("--model", "pi_tcn", "--label", "guess"), RequestError, "Invalid enum value 'guess'"),
-        (("--model", "pi_tcn", "--learning-rate", "-1"), RequestError, "Expected `float` > 0"),
+        (("--model", "pi_tcn", "--label", "guess"), RequestError, "label = guess: wanted one of instantaneous, mean"),
+        (("--model", "pi_tcn", "--learning-rate", "-1"), RequestError, "learning_rate = -1.0: expected `float` > 0"),
+        (("--model", "pi_tcn", "--learning-rate", "inf"), RequestError, "learning_rate = inf: wanted a finite number"),
+        (("--model", "pi_tcn", "--physics-weight", "inf"), RequestError, "physics_weight = inf: wanted a finite"),
+        (("--model", "pi_tcn", "--seed", "99999999999999"), RequestError, "seed 99999999999999: wanted 0 to"),
+        (("--model", "grey_box", "--effect", "warp_drive"), RequestError, "unknown effect 'warp_drive'"),
+        (("--model", "pi_tcn", "--tensorboard", "/proc/no"), RequestError, "cannot write to /proc/no"),
+        (("--model", "pi_tcn", "--device", "mps"), RequestError, "networks train on a CPU or a CUDA GPU"),
+        (("--model", "mse_tcn", "--batch", "1000000000000"), RequestError, "not enough memory for this training"),
         (("--model", "res_tcn", "--physics-weight", "1"), RequestError, "for models without a base"),
         (("--model", "pi_tcn", "--validation", "x*"), RequestError, "matches none"),
         (("--model", "pi_tcn", "--device", "abacus"), RequestError, "unknown device 'abacus'"),
@@ -107,8 +115,56 @@ def test_what_makes_no_sense_is_refused(
 ) -> None:
     given = arguments if "--vehicle" in arguments else ("--vehicle", "arpl_250g", *arguments)
     with pytest.raises(error, match=message):
-        train(folder, *given, "--out", tmp_path / "m.pt")
-    assert not (tmp_path / "m.pt").exists()
+        train(folder, *given, "--ensemble", 1, "--out", tmp_path / "m.pt")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_gpu_that_is_not_there_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(RequestError, match="--device cuda: this torch sees no GPU"):
+        train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--device", "cuda", "--out", tmp_path / "m.pt")
+
+
+def test_nothing_is_overwritten_and_no_model_gets_a_name_that_other_commands_do_not_know(
+    folder: Path, tmp_path: Path
+) -> None:
+    given = (folder, "--vehicle", "arpl_250g", "--model", "nominal")
+    with pytest.raises(RequestError, match=r"m.json: wanted a name that ends in .pt"):
+        train(*given, "--out", tmp_path / "m.json")  # where its own card would have overwritten it
+    (tmp_path / "m.json").write_text("mine")
+    with pytest.raises(RequestError, match=r"m.json exists. Give another --out, or --overwrite"):
+        train(*given, "--out", tmp_path / "m.pt")
+    assert (tmp_path / "m.json").read_text() == "mine"
+    train(*given, "--out", tmp_path / "m.pt", "--overwrite")
+    assert json.loads((tmp_path / "m.json").read_text())["kind"] == "nominal"
+
+
+def test_only_one_training_at_a_time_writes_a_model(tmp_path: Path) -> None:
+    out, run = tmp_path / "m.pt", tmp_path / "m.pt.run"
+    with (
+        claimed(out, run, overwrite=False, resume=False),
+        pytest.raises(RequestError, match=r"another training is writing .*m.pt now"),
+        claimed(out, run, overwrite=False, resume=False),
+    ):
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_members_can_go_on_from_outlives_a_failure_and_nothing_else_does(tmp_path: Path) -> None:
+    out, run = tmp_path / "m.pt", tmp_path / "m.pt.run"
+
+    def fail(*files: Path) -> None:
+        with claimed(out, run, overwrite=True, resume=False):
+            for file in files:
+                file.touch()
+            raise DataError("the loss of batch 3 is no number")
+
+    with pytest.raises(DataError):
+        fail()
+    assert not run.exists()
+    with pytest.raises(DataError):
+        fail(run / "member_0.state", out)  # the latter of an earlier training
+    assert (run / "member_0.state").exists()
 
 
 def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_path: Path) -> None:
