@@ -12,12 +12,15 @@ from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
 
+import casadi as ca
 import msgspec
 
 from dynamics.errors import RequestError
-from dynamics.model import RIGID_BODY_STATES, build_model
+from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from export.c_files import c_files, compiled
-from export.kernel import KernelRecipe, build_kernel, kernel_recipe
+from export.field import field_function
+from export.integrator import cautions
+from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
 from export.network import Floats
 from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
@@ -79,7 +82,8 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     try:
         _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
         if model.network is not None:
-            shutil.copyfile(build_kernel(_physics_recipe(model, options)), part / PHYSICS)
+            physics = _physics_recipe(build_model(model.vehicle), options)
+            shutil.copyfile(build_kernel(physics), part / PHYSICS)
         manifest = _manifest(model, options, part, proto)
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
         part.chmod(0o755)
@@ -92,19 +96,20 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     return Exported(folder, manifest, parity)
 
 
-def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: str) -> KernelRecipe:
+def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: Precision) -> KernelRecipe:
     if model.network is None:
-        sources, flags = solver_recipe(model.flight_model, options.problem, options.processor)
-        return KernelRecipe(sources, flags, "rti.c")
+        return _physics_recipe(model.flight_model, options)
+    if model.integrator == "rk4":
+        return _physics_recipe(model.flight_model, options, field_function(model))
     return kernel_recipe(
-        model.network, model.flight_model, options.problem, options.processor,
-        "float" if precision == "float" else "double", mean=model.mean,
+        model.network, model.flight_model, options.problem, options.processor, precision, mean=model.mean,
+        extrapolated=model.extrapolated,
     )  # fmt: skip
 
 
-def _physics_recipe(model: ExportedModel, options: ExportOptions) -> KernelRecipe:
-    """The solver of the vehicle file's model with its effects."""
-    sources, flags = solver_recipe(build_model(model.vehicle), options.problem, options.processor)
+def _physics_recipe(model: Model, options: ExportOptions, field: ca.Function | None = None) -> KernelRecipe:
+    """The solver of a model that RK4 integrates. field: instead of the model's own."""
+    sources, flags = solver_recipe(model, options.problem, options.processor, field)
     return KernelRecipe(sources, flags, "rti.c")
 
 
@@ -158,13 +163,15 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path, proto: b
     return Manifest(
         kind=config.kind, learned=model.network is not None,
         physics={"none": "none", "nominal": "nominal", "grey_box": "vehicle"}[config.base],  # type: ignore[arg-type]
-        motors=config.motors, label=config.label, rotors=config.rotors, history=model.history, dt=config.dt,
+        motors=config.motors, label=config.label, filtered_inputs=config.filtered_inputs,
+        integrator=model.integrator, rotors=config.rotors, history=model.history, dt=config.dt,
         frame=config.inputs, ranges=_ranges(model), errors=_errors(model), shapes=shapes,
         units=dict(zip(column_names(config.rotors), column_units(config.rotors), strict=True)),
-        problem=options.problem, processor=options.processor.name, precision="float", files=files,
+        problem=options.problem, processor=options.processor.name,
+        precision="double" if model.integrator == "rk4" else "float", files=files,
         command=options.command, date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         versions={name: metadata.version(name) for name in LIBRARIES},
-        provenance=_provenance(model, options, proto),
+        provenance=_provenance(model, options, proto), notes=cautions(config, model.integrator),
     )  # fmt: skip
 
 
@@ -235,9 +242,10 @@ def _onnx_metadata(model: ExportedModel, options: ExportOptions) -> dict[str, st
 
 def summary(exported: Exported) -> Sequence[str]:
     """Lines for the terminal: what was compared and how well it agrees."""
-    head = f"{exported.folder}: {exported.manifest.kind}, kernel for {exported.manifest.processor}"
+    manifest = exported.manifest
+    head = f"{exported.folder}: {manifest.kind}, {manifest.integrator}, kernel for {manifest.processor}"
     compared = (
         f"  {c.backend} against {c.against}, {c.count} {c.windows} windows: {c.error:.1e} (<= {c.tolerance:g})"
         for c in exported.parity.comparisons
     )
-    return [head, *compared]
+    return [head, *compared, *(f"note: {note}" for note in exported.manifest.notes)]

@@ -14,6 +14,7 @@ from dynamics.codegen import CompiledFunction
 from dynamics.errors import DataError
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
+from export.motion import roll_out
 from export.network import Floats
 from export.trained import SPEED_UNIT, ExportedModel, said_by_torch
 from runtime.rti.problem import fill_options
@@ -23,6 +24,8 @@ from training.features import body_accelerations as to_body
 
 SINGLE, DOUBLE = 1e-5, 1e-12
 DERIVATIVE, SINGLE_DERIVATIVE = 1e-5, 1e-3
+ROLL_OUTS = 20
+INPUT_SPREAD = 0.02  # of hover speed
 PUSH = 1e-7  # of the scaled inputs: central differences must not step over a ReLU's kink
 Backend = Callable[[Floats, Floats], Floats]
 
@@ -63,7 +66,8 @@ class Parity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Backends:
     """What an export made. onnx: serialised. forward, jacobian: interpreted; compiled_*: model.c as machine code.
 
-    single, double: kernels; double is compiled from the same source for comparison alone.
+    single, double: kernels; double is compiled from the same source for comparison alone. Both are the same where RK4
+    integrates, for that one computes in doubles.
     """
 
     model: ExportedModel
@@ -74,32 +78,48 @@ class Backends:
     single: RtiSolver
     double: RtiSolver
 
+    @property
+    def kernels(self) -> dict[str, RtiSolver]:
+        """By precision."""
+        if self.model.integrator == "rk4":
+            return {"double": self.double}
+        return {"double": self.double, "float": self.single}
+
 
 def prove(backends: Backends, windows: Mapping[str, Floats], seed: int = 0) -> Parity:
-    """Compare all backends on windows (n, 13 + rotors, T) by name, and derivatives with central differences."""
+    """Compare all backends on windows (n, 13 + rotors, `model.window`) by name.
+
+    Derivatives are held against central differences, roll-outs of the kernels against plain NumPy on the first windows;
+    from random ones a vehicle spins faster than the kernels' series for a step's turn reach.
+    """
     model = backends.model
     rng = np.random.default_rng(seed)
     found: list[Comparison] = []
     for name, given in windows.items():
-        hidden = model.flight_model.hidden_initial * (1 + 0.05 * rng.normal(size=(len(given), model.hidden_count)))
+        hidden = _some_hidden(model, len(given), rng)
         exact = _interpreted(backends)(given, hidden)
         for backend, tolerance in _tolerances(model).items():
             said = _named(backends)[backend](given, hidden)
             found.append(_compare(backend, "CasADi interpreted, double", name, said, exact, tolerance))
         found.append(_jacobian(backends, name, given[:5], hidden[:5]))
-    if model.network is not None:
-        window = next(iter(windows.values()))[0]
-        found.append(_kernel_gradient(backends, backends.double, window, "kernel, double: gradient", DERIVATIVE))
-        found.append(_kernel_gradient(backends, backends.single, window, "kernel, float: gradient", SINGLE_DERIVATIVE))
+    name, given = next(iter(windows.items()))
+    found += _roll_outs(backends, name, given[:ROLL_OUTS], rng)
+    for precision, solver in backends.kernels.items():
+        found.append(_kernel_gradient(backends, solver, given[0], precision))
     return Parity(tuple(found))
+
+
+def _some_hidden(model: ExportedModel, count: int, rng: np.random.Generator) -> Floats:
+    """(count, hidden) hidden states about those of hover."""
+    return np.asarray(model.flight_model.hidden_initial * (1 + 0.05 * rng.normal(size=(count, model.hidden_count))))
 
 
 def _tolerances(model: ExportedModel) -> dict[str, float]:
     found = {"ONNX Runtime, float": SINGLE, "CasADi C, double": DOUBLE}
-    if model.network is None:
-        return found  # the physical model's kernel is held against `dynamics` by its own tests
-    if model.trained is not None:
+    if model.network is not None and model.trained is not None:
         found |= {"torch, double": DOUBLE, "torch, float": SINGLE}
+    if model.integrator == "rk4":
+        return found  # its kernel has no accelerations to show, only roll-outs
     return found | {"kernel, double": DOUBLE, "kernel, float": SINGLE}
 
 
@@ -122,16 +142,22 @@ def _compare(backend: str, against: str, windows: str, said: Floats, exact: Floa
 
 def _interpreted(backends: Backends) -> Backend:
     def run(windows: Floats, hidden: Floats) -> Floats:
-        return np.array([np.array(backends.forward(*row)[0]).ravel() for row in zip(windows, hidden, strict=True)])
+        rows = zip(_newest(backends, windows), hidden, strict=True)
+        return np.array([np.array(backends.forward(*row)[0]).ravel() for row in rows])
 
     return run
+
+
+def _newest(backends: Backends, windows: Floats) -> Floats:
+    """The columns that the model itself looks at."""
+    return windows[..., -backends.model.history :]
 
 
 def _compiled(backends: Backends) -> Backend:
     code = backends.compiled[backends.forward.name()]
 
     def run(windows: Floats, hidden: Floats) -> Floats:
-        rows = zip(windows, hidden, strict=True)
+        rows = zip(_newest(backends, windows), hidden, strict=True)
         return np.array([code(history=w.ravel(order="F"), hidden=h)["acceleration"].copy() for w, h in rows])
 
     return run
@@ -143,7 +169,7 @@ def _onnx(backends: Backends) -> Backend:
     session = onnxruntime.InferenceSession(backends.onnx, options, providers=["CPUExecutionProvider"])
 
     def run(windows: Floats, hidden: Floats) -> Floats:
-        given = {"history": windows.astype(np.float32)}
+        given = {"history": _newest(backends, windows).astype(np.float32)}
         if hidden.shape[1]:
             given["hidden"] = hidden.astype(np.float32)
         alone = session.run(["acceleration"], {name: values[:1] for name, values in given.items()})[0]
@@ -177,7 +203,7 @@ def _torch(backends: Backends, *, double: bool) -> Backend:
     config, vehicle = model.config, model.vehicle
 
     def run(windows: Floats, hidden: Floats) -> Floats:
-        rows = windows.transpose(0, 2, 1)
+        rows = _newest(backends, windows).transpose(0, 2, 1)
         inputs = columns(config, rows[..., 3:13], rows[..., 13:] / SPEED_UNIT)
         said = said_by_torch(model, inputs, double=double)
         attitude = windows[:, 6:10, -1]
@@ -207,6 +233,7 @@ def _physics(model: ExportedModel, windows: Floats, hidden: Floats) -> Floats:
 def _jacobian(backends: Backends, name: str, windows: Floats, hidden: Floats) -> Comparison:
     """CasADi C's Jacobian against central differences of its forward function."""
     code, forward = backends.compiled[backends.jacobian.name()], _compiled(backends)
+    windows = _newest(backends, windows)
     steps = 1e-8 * np.maximum(np.abs(windows).max(axis=(0, 2)), 1)
     exact, said = [], []
     for window, carried in zip(windows, hidden, strict=True):
@@ -226,13 +253,40 @@ def _jacobian(backends: Backends, name: str, windows: Floats, hidden: Floats) ->
     )
 
 
-def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, name: str, tolerance: float) -> Comparison:
+def _roll_outs(backends: Backends, name: str, windows: Floats, rng: np.random.Generator) -> list[Comparison]:
+    """The kernels' predictions along random inputs against plain NumPy's, each number in units of its RMS."""
+    model, problem = backends.model, backends.double.problem
+    hover = model.vehicle.hover_speed
+    inputs = hover * (1 + INPUT_SPREAD * rng.normal(size=(len(windows), *backends.double.inputs.shape)))
+    hidden = _some_hidden(model, len(windows), rng)
+    rows = list(zip(windows, hidden, inputs, strict=True))
+    exact = np.array([roll_out(model, backends.forward, problem, *row)[1:] for row in rows])
+    scale = np.sqrt(np.mean(exact**2, axis=(0, 1)))
+    found = []
+    for precision, solver in backends.kernels.items():
+        said = np.array([_predicted(solver, *row)[1:] for row in rows])
+        tolerance = DOUBLE if precision == "double" else SINGLE
+        label = f"kernel, {precision}: roll-out"
+        found.append(_compare(label, "plain NumPy, double", name, said / scale, exact / scale, tolerance))
+    return found
+
+
+def _predicted(solver: RtiSolver, window: Floats, hidden: Floats, inputs: Floats) -> Floats:
+    """(N + 1, nx) states that a kernel predicts."""
+    look_back(solver, window)
+    state = np.concatenate([window[:RIGID_BODY_STATES, -1], hidden])
+    solver.state_reference[:], solver.input_reference[:], solver.inputs[:] = state, inputs, inputs
+    solver.prepare(state)
+    return solver.states.copy()
+
+
+def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, precision: str) -> Comparison:
     """A kernel's condensed gradient along random directions against central differences of the double's roll-out."""
     rng = np.random.default_rng(1)
     exact, model = backends.double, backends.model.flight_model
     state = model.initial_state(window[:RIGID_BODY_STATES, -1])
     hover = np.full_like(exact.inputs, model.vehicle.hover_speed)
-    inputs = hover * (1 + 0.02 * rng.normal(size=hover.shape))
+    inputs = hover * (1 + INPUT_SPREAD * rng.normal(size=hover.shape))
     for each in (exact, solver):
         look_back(each, window)
         each.state_reference[:], each.input_reference[:], each.inputs[:] = state, hover, inputs
@@ -249,7 +303,10 @@ def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, name
         wanted.append((costs[0] - costs[1]) / (2 * PUSH))
         said.append(float(gradient @ direction.ravel()))
     found = np.array(said)[:, None], np.array(wanted)[:, None]
-    return _compare(name, "central differences of the roll-out", "roll-out", *found, tolerance)
+    tolerance = DERIVATIVE if precision == "double" else SINGLE_DERIVATIVE
+    return _compare(
+        f"kernel, {precision}: gradient", "central differences of the roll-out", "roll-out", *found, tolerance
+    )
 
 
 def _cost(solver: RtiSolver) -> float:

@@ -14,7 +14,9 @@ from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
+from export.integrator import settled_integrator
 from export.network import Convolution, Dense, Floats, Network
+from runtime.bundle import Integrator
 from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig
 from training.features import body_inertia
@@ -26,7 +28,7 @@ SPEED_UNIT = 1000 * 2 * np.pi / 60  # rad/s of training's unit of rotor speed, 1
 class ExportedModel:
     """What goes into a bundle. network: None for a physical model. physics: None for a network that replaces it.
 
-    member: of the trained ensemble. mean: accelerations are means over the next dt, else those at the newest column.
+    integrator: of its kernel. member: of the trained ensemble.
     """
 
     config: ModelConfig
@@ -34,18 +36,29 @@ class ExportedModel:
     physics: Model | None
     vehicle: Vehicle
     vehicle_text: str
+    integrator: Integrator
     trained: TrainedModel | None = None
     member: int = 0
 
     @property
     def mean(self) -> bool:
-        """Whether accelerations are means over the time to the next column."""
+        """Whether accelerations are means over the time to the next column, else those at the newest one."""
         return self.config.label == "mean_increment"
 
     @property
     def history(self) -> int:
         """Columns of a window."""
         return 1 if self.network is None else self.network.history
+
+    @property
+    def extrapolated(self) -> bool:
+        """Whether the kernel carries accelerations on along their slope."""
+        return self.integrator == "adams_bashforth"
+
+    @property
+    def window(self) -> int:
+        """Columns that a prediction begins from: a window, and the one before it where there is a slope to know."""
+        return self.history + self.extrapolated
 
     @property
     def flight_model(self) -> Model:
@@ -58,10 +71,13 @@ class ExportedModel:
         return 0 if self.physics is None else self.physics.hidden_count
 
 
-def read_model(path: Path, *, member: int = 0) -> ExportedModel:
+def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:
     """A vehicle file (TOML) as a physical model with its effects, or a checkpoint of training.
 
-    Raises RequestError when it cannot be read, has no such member, or cannot be evaluated column by column.
+    integrator: None for the one that fits the model.
+
+    Raises RequestError when it cannot be read, has no such member, or cannot be evaluated column by column or
+    integrated so.
     """
     if path.suffix == ".toml":
         try:
@@ -72,19 +88,21 @@ def read_model(path: Path, *, member: int = 0) -> ExportedModel:
             ) from error
         vehicle = parse_vehicle(text)
         config = ModelConfig("physics", "none", base="grey_box", history=1, rotors=vehicle.rotors.count)
-        return ExportedModel(config, None, build_model(vehicle), vehicle, text)
+        settled = settled_integrator(config, integrator)
+        return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled)
     trained = load(path)
     if trained.networks and not 0 <= member < len(trained.networks):
         raise RequestError(f"{path} has {len(trained.networks)} members, numbered from 0; there is no {member}.")
-    return exported(trained, member=member)
+    return exported(trained, member=member, integrator=integrator)
 
 
-def exported(trained: TrainedModel, *, member: int = 0) -> ExportedModel:
-    """What a trained model exports. Raises RequestError for weights that are not finite."""
+def exported(trained: TrainedModel, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:
+    """What a trained model exports. Raises RequestError for weights that are not finite, or a scheme that fits not."""
     config = trained.config
+    settled = settled_integrator(config, integrator)
     physics = None if config.base == "none" else build_model(trained.vehicle, effects=_effects(trained))
     network = network_of(trained, trained.networks[member]) if trained.networks else None
-    return ExportedModel(config, network, physics, trained.vehicle, trained.vehicle_text, trained, member)
+    return ExportedModel(config, network, physics, trained.vehicle, trained.vehicle_text, settled, trained, member)
 
 
 def _effects(trained: TrainedModel) -> list[EffectUse]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from dynamics import quaternion
@@ -21,38 +22,39 @@ SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than an
 
 
 def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, seed: int) -> Floats:
-    """(count or fewer, 13 + rotors, T) windows of logs, in the order of a column. Raises DataError without any."""
+    """(count or fewer, 13 + rotors, `model.window`) windows of logs. Raises DataError without any."""
     vehicle = model.vehicle
     recordings = read_recordings(find_logs(logs), dt=model.config.dt, may_be_tests=True)
-    data = make_dataset(settled_motors(model.config, recordings, vehicle), vehicle, recordings, fewest=1)
+    config = msgspec.structs.replace(settled_motors(model.config, recordings, vehicle), history=model.window)
+    data = make_dataset(config, vehicle, recordings, fewest=1)
     columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
     chosen = np.random.default_rng(seed).permutation(data.ends)[:count]
-    return np.asarray(columns[chosen[:, None] + np.arange(1 - model.history, 1)].transpose(0, 2, 1))
+    return np.asarray(columns[chosen[:, None] + np.arange(1 - model.window, 1)].transpose(0, 2, 1))
 
 
 def reference_windows(model: ExportedModel, count: int, seed: int) -> Floats:
-    """(count, 13 + rotors, T) windows along the paper's manoeuvres, with noise on the rotor speeds."""
+    """(count, 13 + rotors, `model.window`) windows along the paper's manoeuvres, with noise on the rotor speeds."""
     rng = np.random.default_rng(seed)
     parts = []
     for place, name in enumerate(REFERENCES):
         reference = named_reference(name, model.vehicle)
         number = count // len(REFERENCES) + (place < count % len(REFERENCES))
-        starts = rng.uniform(0, reference.duration - model.history * model.config.dt, number)
-        times = (starts[:, None] + model.config.dt * np.arange(model.history)).ravel()
+        starts = rng.uniform(0, reference.duration - model.window * model.config.dt, number)
+        times = (starts[:, None] + model.config.dt * np.arange(model.window)).ravel()
         speeds = reference.inputs(times) + SPEED_NOISE * model.vehicle.hover_speed * rng.normal(
             size=(times.size, model.vehicle.rotors.count)
         )
         columns = np.hstack([reference.states(times), _within(speeds, model.vehicle)])
-        parts.append(columns.reshape(number, model.history, -1).transpose(0, 2, 1))
+        parts.append(columns.reshape(number, model.window, -1).transpose(0, 2, 1))
     return np.concatenate(parts)
 
 
 def random_windows(model: ExportedModel, count: int, seed: int) -> Floats:
-    """(count, 13 + rotors, T) windows whose columns have nothing to do with each other."""
+    """(count, 13 + rotors, `model.window`) windows whose columns have nothing to do with each other."""
     rng = np.random.default_rng(seed)
     rotors = model.vehicle.rotors.count
     scale = np.array([1.0] * 3 + [4.0] * 3 + [0.5] * 4 + [4.0] * 3 + [0.2 * model.vehicle.hover_speed] * rotors)
-    windows = rng.normal(size=(count, model.history, RIGID_BODY_STATES + rotors)) * scale
+    windows = rng.normal(size=(count, model.window, RIGID_BODY_STATES + rotors)) * scale
     windows[..., 2] += 3
     windows[..., 6] += 1
     windows[..., 6:10] = quaternion.normalise(windows[..., 6:10])

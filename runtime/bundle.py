@@ -25,6 +25,7 @@ from runtime.rti.processor import PROCESSORS
 
 FORMAT, VERSION = "alula bundle", 1
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
+Integrator = Literal["hold", "adams_bashforth", "rk4"]
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, which a learned one falls back to
 
 
@@ -43,15 +44,19 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     kind: the model's. learned: whether there is a network. physics: "none" for a network that replaces it, "nominal"
     for the textbook model, "vehicle" for that of the vehicle file with its effects. motors: whether rotor speeds are
     commanded or measured ones. history: columns of a window, dt seconds apart. inputs: frame and ranges of training's
-    inputs. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX inputs and
-    outputs. files: sha256 by name. provenance: of the model, as training tells it.
+    inputs. filtered_inputs: training filtered them both ways, which no flight can. integrator: how the kernel makes
+    motion of accelerations. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX
+    inputs and outputs. precision: of the kernel's network. files: sha256 by name. provenance: of the model, as training
+    tells it. notes: what whoever flies it should know.
     """
 
     kind: str
     learned: bool
     physics: Literal["none", "nominal", "vehicle"]
     motors: Literal["command", "measured"]
-    label: str
+    label: Literal["instantaneous", "mean_increment"]
+    filtered_inputs: bool
+    integrator: Integrator
     rotors: int
     history: int
     dt: float
@@ -62,12 +67,13 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     units: dict[str, str]
     problem: Problem
     processor: str
-    precision: str
+    precision: Literal["float", "double"]
     files: dict[str, str]
     command: str
     date: str
     versions: dict[str, str]
     provenance: dict[str, str]
+    notes: tuple[str, ...]
     format: str = FORMAT
     version: int = VERSION
 
@@ -100,7 +106,7 @@ class Bundle:
 
 
 def read_bundle(folder: Path) -> Bundle:
-    """Read and check a bundle. Raises RequestError when it is incomplete, edited, or made for another machine."""
+    """Read and check a bundle. Raises RequestError for one that is damaged, edited, for another machine or the desk."""
     manifest = _read_manifest(folder / MANIFEST)
     for name, wanted in manifest.files.items():
         if _digest(folder / name) != wanted:
@@ -111,6 +117,11 @@ def read_bundle(folder: Path) -> Bundle:
     for needed in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
         if needed not in manifest.files:
             raise RequestError(f"{folder / MANIFEST} lists no {needed}: it was edited. Export the model again.")
+    if manifest.filtered_inputs:
+        raise RequestError(
+            f"{folder} cannot fly: its model was trained on inputs filtered with their future, which no flight has. "
+            "Train it with --causal-inputs; its model.onnx and model.c serve at the desk."
+        )
     _require_machine(folder, manifest)
     text = (folder / VEHICLE).read_text(encoding="utf-8")
     vehicle = parse_vehicle(text)

@@ -11,6 +11,7 @@ import msgspec
 import typer
 
 from alula.workbench import workbench
+from runtime.bundle import Integrator
 from vehicles import vehicle_path
 
 
@@ -23,6 +24,10 @@ def export(
     ] = None,
     member: Annotated[int, typer.Option(min=0, help="Member of an ensemble that flies.")] = 0,
     processor: Annotated[str, typer.Option(help="native, avx512, avx2 or sse2.")] = "native",
+    integrator: Annotated[
+        Integrator | None,
+        typer.Option(help="How the kernel makes motion of accelerations; what fits the model's labels if left out."),
+    ] = None,
     nodes: Annotated[int, typer.Option(min=2, help="Nodes of the horizon.")] = 20,
     horizon: Annotated[float, typer.Option(min=0.1, help="Length of the horizon, s.")] = 1.0,
     windows: Annotated[int, typer.Option(min=10, help="Windows of each kind to compare on.")] = 1000,
@@ -42,7 +47,7 @@ def export(
         shlex.join(["alula", *sys.argv[1:]]),
     )  # fmt: skip
     path = Path(model) if Path(model).suffix == ".pt" else vehicle_path(model)
-    exported = export_bundle(read_model(path, member=member), out, options)
+    exported = export_bundle(read_model(path, member=member, integrator=integrator), out, options)
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(exported.parity)) + b"\n")
     else:

@@ -59,7 +59,11 @@ def train(
     motors: Annotated[str | None, typer.Option(help="command or measured rotor speeds.")] = None,
     label: Annotated[str | None, typer.Option(help="mean_increment over 10 ms, or instantaneous.")] = None,
     filtered_inputs: Annotated[
-        bool | None, typer.Option("--filtered-inputs", help="The paper's filter on the inputs, which sees the future.")
+        bool | None,
+        typer.Option(
+            "--filtered-inputs/--causal-inputs",
+            help="The paper's filter on the inputs, which sees the future; causal ones can fly.",
+        ),
     ] = None,
     history: Annotated[int | None, typer.Option(min=1, help="Columns that the network sees.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 30,000 by default.")] = None,

@@ -20,10 +20,12 @@
 #define X0 ROUND_TO(NX, LANES_OF(double)) /* columns of dx_0, padded */
 #include "condensed.h"
 
-/* CasADi's code: NODE(x, u, p, e, dt) -> next, A, B and STEP(x, u, p, e, dt) -> next. It is thousands of scalar lines
- * in which -O3 finds nothing but takes many times as long to say so. */
+/* CasADi's code: NODE(x, u, p, e, dt) -> next, A, B and STEP(x, u, p, e, dt) -> next. Without LOOPS it is thousands of
+ * scalar lines in which -O3 finds nothing but takes many times as long to say so. */
 #pragma GCC push_options
+#if !LOOPS
 #pragma GCC optimize("O1")
+#endif
 #include "model.c"
 #pragma GCC pop_options
 

@@ -6,12 +6,14 @@ import ctypes
 import math
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.effect import Expression
 from dynamics.errors import RequestError
 from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
@@ -115,6 +117,16 @@ class RtiSolver:
         self._code.rti_accelerations(self._handle, self._state_at, self._input_at, self._found_at)
         return self._found.copy()
 
+    def stream(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Accelerations (n, 6) at columns (n, 13 + nu) that follow the history one by one; needs a kernel.
+
+        The network alone, or on physics whose hidden states stand still.
+        """
+        given, found = np.ascontiguousarray(columns, dtype=float), np.empty((len(columns), 6))
+        at = ctypes.c_void_p
+        self._code.rti_stream(self._handle, at(given.ctypes.data), len(given), at(found.ctypes.data))
+        return found
+
     def feedback(self, state: NDArray[np.float64]) -> int:
         """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
         self._state[:] = state
@@ -127,6 +139,7 @@ class RtiSolver:
         code.rti_propagate.argtypes = (pointer, pointer, pointer, ctypes.c_double, pointer)
         if hasattr(code, "rti_accelerations"):
             code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
+            code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)
@@ -173,14 +186,19 @@ def build_solver(model: Model, problem: Problem) -> Path:
 
 
 def solver_recipe(
-    model: Model, problem: Problem, processor: Processor | None
+    model: Model, problem: Problem, processor: Processor | None, field: ca.Function | None = None
 ) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Sources by file name and compiler flags of a physical model's solver. processor: None for this machine's own."""
-    node, step = _functions(model)
+    """Sources by file name and compiler flags of the solver of a model that RK4 integrates.
+
+    processor: None for this machine's own. field: (x, u, p, e) -> xdot and its derivatives by x and by u, of MX
+    expressions (CasADi's C then has loops), instead of the model's own.
+    """
+    node, step = _functions(model, field or _field(model))
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": _substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
+        "SUBSTEPS": substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
+        "LOOPS": int(node.is_a("MXFunction")),
     }  # fmt: skip
     for name, function in (("NODE", node), ("STEP", step)):
         defines |= {
@@ -194,23 +212,26 @@ def solver_recipe(
     return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))
 
 
-def _functions(model: Model) -> tuple[ca.Function, ca.Function]:
-    """One RK4 step with its Jacobians, carried through the stages as AD of the whole would not, and one without."""
-    x = ca.SX.sym("x", model.state_count)
-    u = ca.SX.sym("u", model.input_count)
-    p = ca.SX.sym("p", model.parameter_values.size)
-    e = ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
-    dt = ca.SX.sym("dt")
+def _field(model: Model) -> ca.Function:
+    x, u = ca.SX.sym("x", model.state_count), ca.SX.sym("u", model.input_count)
+    p, e = ca.SX.sym("p", model.parameter_values.size), ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
     rate = model.derivative(x, u, p, e, ca.SX.zeros(model.hidden_count))
-    field = ca.Function("field", [x, u, p, e], [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)])
+    return ca.Function("field", [x, u, p, e], [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)])
 
-    def with_sensitivity(state: ca.SX) -> ca.SX:
+
+def _functions(model: Model, field: ca.Function) -> tuple[ca.Function, ca.Function]:
+    """One RK4 step with its Jacobians, carried through the stages as AD of the whole would not, and one without."""
+    kind: Any = ca.MX if field.is_a("MXFunction") else ca.SX
+    x, u, p, e = (kind.sym(field.name_in(i), field.size1_in(i)) for i in range(4))
+    dt = kind.sym("dt")
+
+    def with_sensitivity(state: Expression) -> Expression:
         """d/dt of [x, dx/dx0, dx/du] laid side by side."""
         slope, by_state, by_input = field(state[:, 0], u, p, e)
-        forced = ca.horzcat(ca.SX(model.state_count, model.state_count), by_input)
+        forced = ca.horzcat(kind(model.state_count, model.state_count), by_input)
         return ca.horzcat(slope, by_state @ state[:, 1:] + forced)
 
-    start = ca.horzcat(x, ca.SX.eye(model.state_count), ca.SX(model.state_count, model.input_count))
+    start = ca.horzcat(x, kind.eye(model.state_count), kind(model.state_count, model.input_count))
     after = ca.cse(ca.densify(rk4(with_sensitivity, start, dt)))
     parts = ca.horzsplit(after, [0, 1, 1 + model.state_count, 1 + model.state_count + model.input_count])
     node = ca.Function("alula_node", [x, u, p, e, dt], parts)
@@ -219,7 +240,7 @@ def _functions(model: Model) -> tuple[ca.Function, ca.Function]:
     return node, step
 
 
-def _substeps(model: Model, node: float) -> int:
+def substeps(model: Model, node: float) -> int:
     """RK4 steps a node, so that none is longer than the fastest lag in the model allows."""
     lags = [
         item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
