@@ -64,7 +64,8 @@ def run(
         raise RequestError("the models predict over different times dt: evaluate them one at a time.")
     recordings = read_recordings(logs, dt=dt, mapping=mapping, may_be_tests=True)
     evaluated, judged = evaluate(models, recordings, campaign=campaign_of(logs), done=done)
-    timings = time_inference(judged) if timed else ()
+    timings, missing = time_inference(judged) if timed else ((), ())
+    evaluated = msgspec.structs.replace(evaluated, notes=(*evaluated.notes, *missing))
     return Results(evaluated, timings, evaluation_tables(evaluated, timings), judged)
 
 

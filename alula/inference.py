@@ -1,4 +1,7 @@
-"""How long one prediction takes, by engine: torch's window, the streamed network, the ONNX file, the physics in C."""
+"""How long one prediction takes, by engine: torch's window, the streamed network, the ONNX file, C.
+
+The C code of a network is the real-time kernel's, streamed column by column as the controller's roll-out does.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +15,7 @@ import torch
 from numpy.typing import NDArray
 
 from alula.training_run import one_thread
+from dynamics.errors import RequestError
 from export.onnx_file import onnx_model
 from export.trained import SPEED_UNIT, exported
 from training.checkpoint import TrainedModel
@@ -22,6 +26,7 @@ from training.streamed import Stream
 
 Floats = NDArray[np.float64]
 REPEATS, WARM_UP = 300, 20
+COLUMNS = 200  # a call of the kernel, so that entering it does not count
 
 
 class Inference(msgspec.Struct, frozen=True):
@@ -33,15 +38,20 @@ class Inference(msgspec.Struct, frozen=True):
     slowest: float
 
 
-def time_inference(judged: Sequence[Judged]) -> tuple[Inference, ...]:
-    """Every model but the plant, with every engine that it has, on rows of the flights."""
-    found = []
+def time_inference(judged: Sequence[Judged]) -> tuple[tuple[Inference, ...], tuple[str, ...]]:
+    """Every model but the plant, with every engine that it has, on rows of the flights; and why one is missing."""
+    found, notes = [], []
     with one_thread(torch.device("cpu")):
         for one in judged:
             name = one.evaluation.name
             calls = {} if name == PLANT else _engines(one.model, one.data)
+            if one.model.networks:
+                try:
+                    calls["kernel, streamed"] = _kernel_call(one.model, one.data)
+                except RequestError as error:
+                    notes.append(f"the kernel of {name} is not timed: {error}")
             found += [_timed(name, engine, *call) for engine, call in calls.items()]
-    return tuple(found)
+    return tuple(found), tuple(notes)
 
 
 def time_network(model: TrainedModel, data: Dataset) -> float:
@@ -84,6 +94,22 @@ def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
         shape = [size if isinstance(size, int) else 1 for size in needed.shape]
         given[needed.name] = columns[rows].T[None].astype(np.float32) if place == 0 else np.zeros(shape, np.float32)
     return lambda: session.run(None, given)
+
+
+def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], object], int]:
+    """The compiled kernel along a flight's columns. Raises RequestError without a compiler or for other models."""
+    from export.kernel import kernel_solver  # with HPIPM and the runtime, which nothing else here needs
+    from runtime.rti.problem import Problem
+    from runtime.rti.processor import native_processor
+
+    given = exported(model)
+    assert given.network is not None
+    solver = kernel_solver(given.network, given.flight_model, Problem(), native_processor(), mean=given.mean)
+    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    first, back = int(data.ends[0]), len(solver.history)
+    solver.history[:] = columns[first + 1 - back : first + 1]
+    rows = np.resize(columns[first + 1 : first + 1 + COLUMNS], (COLUMNS, columns.shape[1]))
+    return lambda: solver.stream(rows), COLUMNS
 
 
 def _physics_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:

@@ -12,6 +12,7 @@ import pytest
 
 from alula import paper
 from alula.tables import Table, markdown, shown
+from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from tests.support.command_line import Run, command_line
 from tests.support.small_campaign import fly_campaign
@@ -54,8 +55,9 @@ def test_tables_pictures_and_page_are_written(run: Run, campaign: Path, model: P
     assert [m["name"] for m in answer["evaluated"]["models"]] == ["NOM", "vehicle file", "pi_tcn", "plant"]
     assert list(answer["evaluated"]["flights"]) == ["Lemniscate.parquet"]
     assert {t["engine"] for t in answer["inference"] if t["model"] == "pi_tcn"} == {
-        "torch, window", "torch, streamed", "onnxruntime",
+        "torch, window", "torch, streamed", "onnxruntime", "kernel, streamed",
     }  # fmt: skip
+    assert all(0 < t["median"] <= t["slowest"] < 1 for t in answer["inference"])
     with (tmp_path / "csv" / "ratio_to_nominal.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert float(row["paper's pi_tcn / NOM"]) == pytest.approx(0.39 / 9.16)
@@ -65,6 +67,19 @@ def test_tables_pictures_and_page_are_written(run: Run, campaign: Path, model: P
     page = (tmp_path / "page.html").read_text()
     assert page.count("<img") == 2
     assert "alula evaluate" in page
+
+
+def test_without_a_compiler_the_kernel_is_not_timed_and_it_is_said(
+    run: Run, campaign: Path, model: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> None:
+        raise RequestError("no C compiler was found. Install gcc.")
+
+    monkeypatch.setattr("export.kernel.build_kernel", refuse)
+    code, out, _ = run("evaluate", model, campaign)
+    assert code == 0
+    assert "note: the kernel of pi_tcn is not timed: no C compiler was found. Install gcc." in out
+    assert "onnxruntime" in out
 
 
 def test_what_cannot_be_judged_is_told(run: Run, campaign: Path, model: Path, tmp_path: Path) -> None:

@@ -91,6 +91,18 @@ def rolled_out(solver: RtiSolver, state: np.ndarray) -> np.ndarray:
     return solver.states.copy()
 
 
+@pytest.mark.parametrize("case", ["body", "world", "one column", "window of four"])
+def test_columns_that_are_streamed_give_what_their_windows_do(case: str) -> None:
+    """More of them than the horizon has steps, where memory moves on."""
+    network, _ = CASES[case]
+    solver, _ = solver_of(case, "double")
+    columns = window(network, seed=3, more=40)
+    before = len(solver.history)
+    solver.history[:] = columns[:before]
+    wanted = [accelerations(network, columns[: row + 1]) for row in range(before, len(columns))]
+    np.testing.assert_allclose(solver.stream(columns[before:]), wanted, rtol=0, atol=1e-10)
+
+
 def by_input_and_state(solver: RtiSolver, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Derivatives of the nodes' states (N, nx) by all inputs and by the first state, by central differences."""
     inputs = solver.inputs.copy()
