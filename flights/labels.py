@@ -69,6 +69,16 @@ def increment_label(
     return mean_increment(np.hstack([velocity, rate]), segment.rate, horizon)
 
 
+def as_labelled(world: Floats, rate: float, *, paper: bool = False) -> Floats:
+    """Accelerations (n, 6) of a model, without what the filters leave out of the labels of the same rows.
+
+    world: linear acceleration (world, m/s^2), angular acceleration (body, rad/s^2). rate: Hz. paper: `paper_label`'s
+    cutoff instead of `increment_label`'s.
+    """
+    linear, angular = (filters.PAPER_CUTOFF,) * 2 if paper else (VELOCITY_CUTOFF, RATE_CUTOFF)
+    return np.hstack([filters.lowpass(world[:, :3], rate, linear), filters.lowpass(world[:, 3:], rate, angular)])
+
+
 def mean_increment(values: Floats, rate: float, horizon: float = HORIZON) -> Floats:
     """(x(t + horizon) - x(t)) / horizon, linear between samples; NaN at the end. values: (n, k). rate: Hz."""
     ahead = horizon * rate

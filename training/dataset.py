@@ -13,11 +13,11 @@ from dynamics import quaternion
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights.flight import Flight
-from flights.labels import Samples, paper_table, samples, scaled_motors
+from flights.labels import Samples, as_labelled, paper_table, samples, scaled_motors
 from flights.rotors import rotor_speeds
 from flights.windows import windows
 from training.config import ModelConfig, Motors
-from training.features import body_accelerations, columns, outputs_from
+from training.features import body_accelerations, columns, outputs_from, world_accelerations
 from training.physics import RowModel, textbook
 from training.recordings import Recording
 
@@ -47,8 +47,9 @@ class Dataset:
 
     time: (n,) s of the flight's own clock. flight_of: (n,) place in `flights`. state: (n, 10) velocity_world,
     attitude, rate_body. motors: (n, rotors) 1000 rpm. label, nominal: (n, 6) bodies, what the flight shows and what the
-    textbook model says. base: the same of what the network adds to, None for none. inputs: (n, k) columns. targets:
-    (n, 6) what the network has to say. ends: (m,) rows with T columns before them and a label.
+    textbook model says. base: the same of what the network adds to, None for none; base_labelled: the part of it that
+    labels show. inputs: (n, k) columns. targets: (n, 6) what the network has to say, so that base_labelled and it are
+    the label. ends: (m,) rows with T columns before them and a label.
     """
 
     flights: tuple[str, ...]
@@ -60,6 +61,7 @@ class Dataset:
     label: Floats
     nominal: Floats
     base: Floats | None
+    base_labelled: Floats | None
     inputs: Floats
     targets: Floats
     ends: NDArray[np.intp]
@@ -115,8 +117,9 @@ def make_dataset(
     dataset = Dataset(
         flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp), position=table["position"],
         state=table["state"], motors=table["motors"], label=table["label"], nominal=table["nominal"],
-        base=None if config.base == "none" else table["base"], inputs=table["inputs"], targets=table["targets"],
-        ends=ends,
+        base=None if config.base == "none" else table["base"],
+        base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
+        targets=table["targets"], ends=ends,
     )  # fmt: skip
     _require_fit(dataset, vehicle)
     return dataset
@@ -135,13 +138,26 @@ def _segment(
     driven = seen.motors / scaled_motors(np.ones(1))
     textbook_says = nominal(whole, driven).body
     base_says = textbook_says if base is nominal else base(whole, driven).body
+    base_labelled = labelled(config, base_says, attitude)
     label = body_accelerations(seen.label, attitude)
-    targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_says, attitude)
+    targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
     return {
         "time": seen.time, "flight_of": np.full(len(segment), float(place)), "position": position, "state": seen.state,
         "motors": seen.motors, "label": label, "nominal": textbook_says, "base": base_says,
-        "inputs": columns(config, seen.state, seen.motors), "targets": targets,
+        "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.motors), "targets": targets,
     }  # fmt: skip
+
+
+def labelled(config: ModelConfig, body: Floats, attitude: Floats) -> Floats:
+    """The part of a base's body accelerations (n, 6) that the labels of these rows show; their filters take the rest.
+
+    A residual of smooth labels on named effects as they are would take back how fast these answer the rotors. The
+    textbook model's answer lacks the rotors' lag and better is taken back. attitude: (n, 4).
+    """
+    if config.filtered_inputs or config.base != "grey_box":  # smooth inputs are answered smoothly
+        return body
+    world = as_labelled(world_accelerations(body, attitude), 1 / config.dt, paper=config.label == "instantaneous")
+    return body_accelerations(world, attitude)
 
 
 def _samples(config: ModelConfig, segment: Flight) -> Samples:

@@ -19,14 +19,14 @@ from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
 from flights.labels import scaled_motors
 from training.config import ModelConfig
-from training.dataset import Dataset
+from training.dataset import Dataset, labelled
 from training.physics import RowModel
 
 Floats = NDArray[np.float64]
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences
 SETTLED = 1e-3  # relative change that ends the rounds
-ROWS = 60_000  # at most, whole flights spread over all
+ROWS = 400_000  # at most, whole flights spread over all; a few brisk flights settle inertia, and none may be missed
 NEGLIGIBLE = 1e-8  # singular values below this share of the largest say nothing
 
 
@@ -34,6 +34,7 @@ NEGLIGIBLE = 1e-8  # singular values below this share of the largest say nothing
 class _Problem:
     """bounds, neutral: of each parameter. flights: (first row, end) of every piece that is used."""
 
+    config: ModelConfig
     model: RowModel
     data: Dataset
     pieces: tuple[tuple[int, int], ...]
@@ -82,8 +83,8 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
     ]
     scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in found]
     return _Problem(
-        model, data, _pieces(data), tuple(name for name, _, _ in found), np.array([p.lower for _, p, _ in found]),
-        np.array([p.upper for _, p, _ in found]), np.array(scale),
+        config, model, data, _pieces(data), tuple(name for name, _, _ in found),
+        np.array([p.lower for _, p, _ in found]), np.array([p.upper for _, p, _ in found]), np.array(scale),
     )  # fmt: skip
 
 
@@ -114,7 +115,8 @@ def _residual(problem: _Problem, values: Floats) -> Floats:
     for start, stop in problem.pieces:
         state = np.hstack([data.position[start:stop], data.state[start:stop]])
         speed = data.motors[start:stop] / scaled_motors(np.ones(1))
-        left.append(data.label[start:stop] - problem.model(state, speed, parameters=p).body)
+        said = problem.model(state, speed, parameters=p).body
+        left.append(data.label[start:stop] - labelled(problem.config, said, state[:, 6:10]))
     rows = np.vstack(left)
     return rows[np.isfinite(rows).all(axis=1)]
 

@@ -55,7 +55,7 @@ class Rollout:
         if not len(starts):
             raise DataError(f"no stretch of the flights has {steps} rows with labels after a whole history.")
         world = world_accelerations(data.label, data.state[:, 3:7])
-        base = np.zeros_like(data.label) if data.base is None else data.base
+        base = np.zeros_like(data.label) if data.base_labelled is None else data.base_labelled
 
         def tensor(values: np.ndarray) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values)).to(device, torch.float32)
