@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import socket
+import time
 from fnmatch import fnmatchcase
 from functools import lru_cache
 from pathlib import Path
@@ -35,6 +36,7 @@ def train_cell(work: CellWork) -> CellResult:
 
     Raises DataError and RequestError for what cannot be trained.
     """
+    began = time.process_time()
     cell, plan = work.cell, _plan(work)
     if cell.hide_motors:
         plan = _without_motors(plan)
@@ -51,6 +53,7 @@ def train_cell(work: CellWork) -> CellResult:
         cell, work.fingerprint, flight_errors(data, body),
         () if truth is None else flight_errors(data, body, truth), member.validation, member.steps,
         round(member.seconds, 2), time_network(model, data), this_worker(),
+        round(time.process_time() - began, 2),
     )  # fmt: skip
 
 

@@ -11,6 +11,7 @@ import msgspec
 
 from alula.training_run import TrainOptions, settled
 from dynamics.errors import RequestError
+from flights.source import sha256
 from training.config import ModelConfig
 from training.recipe import Recipe
 from training.studies.cell import Cell, CellResult, FailedCell
@@ -91,7 +92,7 @@ def file_hash(path: Path) -> str:
 @lru_cache(maxsize=4096)
 def _hash_of(path: Path, _changed: int, _size: int) -> str:
     """A hundred cells share their files: each is read once while it stays as it is."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return sha256(path)
 
 
 def finished(work: CellWork) -> CellResult | None:

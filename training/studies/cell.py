@@ -38,7 +38,8 @@ class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """fingerprint: of everything that decided it. label, true: errors on the test flights.
 
     validation: mean squared standardised error on the validation flights. seconds: of training. inference: s, of one
-    prediction by torch. worker: process that made it.
+    prediction by torch. worker: process that made it. processor: s of processor time of all of the cell, which other
+    work on the machine does not lengthen.
     """
 
     cell: Cell
@@ -50,6 +51,7 @@ class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seconds: float
     inference: float
     worker: str
+    processor: float = 0.0
 
     @property
     def best_known(self) -> tuple[FlightError, ...]:
