@@ -17,6 +17,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
 from runtime.controller import Controller
 from runtime.estimate import Estimate
+from runtime.events import Fallback
 from runtime.flyer import Decision, Flyer, FlyerSettings
 from runtime.mission import Mission, Phase, Plan
 from runtime.records import Array, ObservationRecord
@@ -34,22 +35,31 @@ TAKE_OVER_PATIENCE = 20.0  # s
 
 @dataclass
 class Rows:
-    """What a flight left behind, row by row. Stamps are s since the reference's start."""
+    """What a flight left behind, row by row. Stamps are s since the reference's start.
+
+    away: whether something else flew than the controller's own model.
+    """
 
     estimate: list[tuple[float, Array]] = field(default_factory=list)
     imu: list[tuple[float, Array]] = field(default_factory=list)
     motors: list[tuple[float, Array]] = field(default_factory=list)
     setpoint: list[tuple[float, Array]] = field(default_factory=list)
     truth: list[tuple[float, Array]] = field(default_factory=list)
+    away: list[bool] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
 class FlownReference:
-    """A tracked reference: what the vehicle's log would hold, and what was true. aborted: why it ended early."""
+    """A tracked reference: what the vehicle's log would hold, and what was true. aborted: why it ended early.
+
+    fallbacks: how often the controller's own model was left, for fallback_seconds in all.
+    """
 
     log: Log
     truth: Log
     aborted: str
+    fallbacks: int = 0
+    fallback_seconds: float = 0.0
 
 
 def fly_reference(
@@ -73,7 +83,8 @@ def fly_reference(
     settings = FlyerSettings(period=PERIOD, engagement=Settings(resume=True))
     flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
-    return FlownReference(_log(rows, name), _truth(rows, name), aborted)
+    left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
+    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away))
 
 
 def _climb(plant: SimulatedVehicle, place: Array, yaw: float) -> None:
@@ -106,6 +117,7 @@ def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tupl
         since = now - flyer.mission.time_in_phase_began
         if tracking:
             _keep(rows, plant, since, following, flyer.reference_now(now))
+            rows.away.append(decision.fallback is not Fallback.NONE)
         reason = flyer.mission.landing_reason or (flyer.engagement.refusal if flyer.over else "")
         if reason or phase is Phase.RETURN:
             return rows, reason

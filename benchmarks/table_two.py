@@ -1,0 +1,139 @@
+"""The paper's Table II on the mock: eight manoeuvres, each with four models in the controller, several runs of each.
+
+The mock hides what the campaign's vehicle hides (`flights.campaign.REAL_WORLD`: drags, flapping, inflow, motor lag, a
+thrust and an inertia that are a little off, moving air); sensor noise, estimation errors, delays and PX4's rate loop
+are always on. Models: the textbook's (nominal); the same with what a diagnosis finds on nine training flights of the
+campaign (effects); one member of the networks beside the vehicle file (pi_mlp, pi_tcn), exported. 15 s of each
+reference over UDP MAVLink in real time, of which the first 3 s, the ramp, do not count.
+
+Every flight is kept as a file, so that a run which was cut short goes on; files of models that have changed since are
+left out. Draws docs/pictures/table_two.png.
+
+    python benchmarks/table_two.py [--runs 5] [--models nominal,effects] [--jobs 2] [--lockstep] [--only-finished]
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import hashlib
+from pathlib import Path
+
+import msgspec
+from provenance import write_result
+from table_two_page import PICTURE, body, draw
+from table_two_worker import VEHICLE, Flown, Run, fly
+
+from alula.paper import TRACKING_NOMINAL
+from alula.parallel import parallel_map
+from diagnosis.addition import write_next_version
+from diagnosis.completion import complete
+from diagnosis.dataset import read_dataset
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle_file import read_vehicle
+from export.bundle import ExportOptions, export_bundle
+from export.trained import read_model
+from runtime.rti.problem import Problem
+from runtime.rti.processor import native_processor
+from vehicles import vehicle_path
+
+BUILD = Path(__file__).parent.parent / "build"
+MODELS = ("nominal", "effects", "pi_mlp", "pi_tcn")
+FIRST_SEED = 9001  # the campaign's flights were flown with others
+DIAGNOSED = (
+    "circle_xy_wide", "line_x_wide", "line_z_wide", "yaw_spin_130", "TransposedParabola_wide", "WarpedEllipse_1_xz",
+    "Lemniscate_xz_60", "ExtendedLemniscate_xy_60", "WarpedEllipse_2_yz_60",
+)  # fmt: skip
+
+
+def main() -> None:
+    given = _arguments()
+    models = given.models.split(",")
+    runs = [
+        Run("lockstep" if given.lockstep else "link", model, str(path), key, manoeuvre, FIRST_SEED + number)
+        for model in models
+        for path, key in [_model(model, given.keep, given.campaign)]
+        for number in range(given.runs)
+        for manoeuvre in TRACKING_NOMINAL
+    ]
+    missing = [] if given.only_finished else [run for run in runs if not _file(given.keep, run).exists()]
+    for number, (_, flown) in enumerate(parallel_map(fly, missing, jobs=given.jobs), start=1):
+        _write(_file(given.keep, flown.run), flown)
+        told = flown.ended or f"{100 * flown.position_rmse:.1f} cm"
+        print(f"{number}/{len(missing)} {flown.run.model} {flown.run.manoeuvre} {flown.run.seed}: {told}", flush=True)
+    found = [_read(_file(given.keep, run)) for run in runs if _file(given.keep, run).exists()]
+    if given.lockstep:
+        print(body(found, [], _effects_file(given.keep)))
+        return
+    quick = [msgspec.structs.replace(run, pace="lockstep") for run in runs]
+    beside = [_read(_file(given.keep, run)) for run in quick if _file(given.keep, run).exists()]
+    draw(found, PICTURE)
+    write_result(
+        "table_two", "Tracking with four models, hidden effects", body(found, beside, _effects_file(given.keep))
+    )
+
+
+def _arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--runs", type=int, default=5)
+    parser.add_argument("--models", default=",".join(MODELS))
+    parser.add_argument("--jobs", type=int, choices=(1, 2), default=2, help="flights at the same time")
+    parser.add_argument("--lockstep", action="store_true", help="simulated time, no link; prints, writes nothing")
+    parser.add_argument("--only-finished", action="store_true", help="fly nothing, write from what is there")
+    parser.add_argument("--keep", type=Path, default=BUILD / "table_two")
+    parser.add_argument("--campaign", type=Path, default=BUILD / "campaign_learning", help="of `alula campaign`")
+    return parser.parse_args()
+
+
+def _model(name: str, keep: Path, campaign: Path) -> tuple[Path, str]:
+    """A model's vehicle file or bundle, made unless it is there, and the key of what it came from."""
+    if name == "nominal":
+        path = vehicle_path(VEHICLE)
+        return path, _key(path)
+    if name == "effects":
+        path = _effects_file(keep)
+        if not path.exists():
+            _diagnose(keep, campaign)
+        return path, _key(path)
+    checkpoint = vehicle_path(VEHICLE).with_suffix(f".{name}.pt")
+    key = _key(checkpoint)
+    folder = keep / f"{name}-{key}"
+    if not folder.exists():
+        export_bundle(read_model(checkpoint), folder, ExportOptions(Problem(), native_processor()))
+    return folder, key
+
+
+def _effects_file(keep: Path) -> Path:
+    return keep / f"{VEHICLE}.v2.toml"
+
+
+def _diagnose(keep: Path, campaign: Path) -> None:
+    """Write the vehicle file with what training flights show to be missing."""
+    vehicle = read_vehicle(vehicle_path(VEHICLE))
+    dataset = read_dataset([campaign / "train" / f"{name}.parquet" for name in DIAGNOSED], vehicle)
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    found = complete(dataset, vehicle, CATALOGUE, date=today, command="python benchmarks/table_two.py")
+    keep.mkdir(parents=True, exist_ok=True)
+    write_next_version(found.vehicle, keep / f"{VEHICLE}.toml")
+
+
+def _key(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()[:10]
+
+
+def _file(keep: Path, run: Run) -> Path:
+    return keep / f"{run.pace}_{run.model}_{run.key}_{run.manoeuvre}_{run.seed}.json"
+
+
+def _write(path: Path, flown: Flown) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.with_suffix(".part").write_bytes(msgspec.json.encode(flown))
+    path.with_suffix(".part").replace(path)
+
+
+def _read(path: Path) -> Flown:
+    return msgspec.json.decode(path.read_bytes(), type=Flown)
+
+
+if __name__ == "__main__":
+    main()
