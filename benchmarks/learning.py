@@ -1,4 +1,4 @@
-"""The paper's studies on the campaign with hidden effects, and the models beside the vehicle file on its test flights.
+"""The paper's studies on the campaign with hidden effects: many short trainings.
 
 Needs `alula campaign --out build/campaign_learning` and `alula campaign --no-effects --out build/campaign_nominal`.
 Killed, the same command goes on; `--only-finished` trains nothing and writes what is there.
@@ -18,7 +18,6 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.evaluation_run import run as evaluate
 from alula.study_figures import HEATMAPS
 from alula.sweep_cells import run_cells
 from alula.sweep_report import draw, require_all_trained, tables_of
@@ -26,7 +25,6 @@ from alula.sweep_run import Sweep, SweepOptions, make_sweep
 from alula.sweep_work import finished_cells
 from alula.tables import Table, markdown
 from training import checkpoint
-from training.evaluation import PLANT
 from training.recipe import PAPER
 from training.studies import STARRED
 from training.studies.cell import CellResult, Outcome, trained
@@ -97,12 +95,9 @@ def share(sweep: Sweep) -> None:
     for work in sweep.works:
         path = done.get(work.fingerprint)
         if path is not None and not work.result_file.exists():
-            for source, target in (
-                (path.with_suffix(".pt"), work.model_file),
-                (path, work.result_file),
-            ):
-                if source.exists():
-                    shutil.copyfile(source, target)
+            if (model := path.with_suffix(".pt")).exists():
+                shutil.copyfile(model, work.model_file)
+            shutil.copyfile(path, work.result_file)
 
 
 def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
@@ -134,23 +129,10 @@ def paper_recipe(result: CellResult) -> Table:
     epoch = result.processor / result.steps * steps
     assert PAPER.epochs is not None
     headings = (
-        "windows",
-        "steps an epoch",
-        "steps done",
-        "epochs done",
-        "processor s an epoch",
-        "days of 10,000 epochs",
-    )
+        "windows", "steps an epoch", "steps done", "epochs done", "processor s an epoch", "days of 10,000 epochs",
+    )  # fmt: skip
     row = (rows, steps, result.steps, result.steps / steps, epoch, epoch * PAPER.epochs / 86400)
     return Table("paper_recipe", "The paper's recipe: its time on one core", headings, (row,))
-
-
-def shipped() -> list[Table]:
-    """The models beside the vehicle files, if there are any, against NOM and the plant."""
-    models = sorted((ROOT / "vehicles").glob("*.pt"))
-    if not models:
-        return []
-    return list(evaluate([*models, CAMPAIGN], None, mapping=None, timed=True, done=print).tables)
 
 
 def main() -> None:
@@ -177,17 +159,15 @@ def write(found: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
         tables += with_title(name, tables_of(sweep, outcomes))
         if name in (*HEATMAPS, "lambda", "history", STARRED):
             draw(sweep, outcomes, CELLS / "pictures")
-            for path in (CELLS / "pictures").glob("*.png"):
-                shutil.copyfile(path, PICTURES / f"study_{path.name}")
+            shutil.copyfile(CELLS / "pictures" / f"{name}.png", PICTURES / f"study_{name}.png")
     if "paper" in found:
         tables.append(paper_recipe(trained(found["paper"][1])[0]))
     head = (
         "Campaign with hidden effects (68 flights), trained on its 60, judged on its 8 test flights. The studies train "
         f"1,000 or 4,000 steps of {BATCH} windows, the default recipe 30,000, so that they compare cells "
-        f"with each other, not with a model that is trained to its end. {PLANT}: the model with the hidden effects "
-        "themselves, moving air left out."
+        "with each other, not with a model that is trained to its end."
     )
-    write_result("learning", "Learning: the paper's studies", "\n\n".join([head, *map(markdown, tables + shipped())]))
+    write_result("learning", "Learning: the paper's studies", "\n\n".join([head, *map(markdown, tables)]))
 
 
 def with_title(name: str, tables: Sequence[Table]) -> list[Table]:
