@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from dynamics.errors import RequestError
+from dynamics.files import write_whole
 
 
 def write_json(value: msgspec.Struct, path: Path) -> None:
@@ -17,7 +17,4 @@ def write_json(value: msgspec.Struct, path: Path) -> None:
         sys.stdout.buffer.write(text)
         sys.stdout.buffer.flush()
         return
-    try:
-        path.write_bytes(text)
-    except OSError as error:
-        raise RequestError(f"cannot write {path}: {error}. Give a folder that can be written.") from error
+    write_whole(path, lambda part: part.write_bytes(text), advice="Give a folder that can be written.")

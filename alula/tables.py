@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import msgspec
 from rich.table import Table as RichTable
 
-from dynamics.errors import RequestError
+from dynamics.files import write_whole
 
 Cell = str | int | float | None
 
@@ -59,16 +60,13 @@ def markdown(table: Table) -> str:
 
 def write_csv(tables: Sequence[Table], folder: Path) -> list[Path]:
     """One file a table, NAME.csv. Raises RequestError when the folder cannot be written to."""
-    written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for table in tables:
-            path = folder / f"{table.name}.csv"
-            part = path.with_name(f"{path.name}.part")
-            with part.open("w", newline="", encoding="utf-8") as file:
-                csv.writer(file).writerows([table.headings, *table.rows])
-            part.replace(path)
-            written.append(path)
-    except OSError as error:
-        raise RequestError(f"cannot write {folder}: {error.strerror or error}. Give another --csv.") from error
-    return written
+    return [
+        write_whole(folder / f"{table.name}.csv", partial(_write_rows, table), advice="Give another --csv.")
+        for table in tables
+    ]
+
+
+def _write_rows(table: Table, path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        csv.writer(file).writerows([table.headings, *table.rows])

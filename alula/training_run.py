@@ -22,6 +22,7 @@ import torch
 from alula.parallel import parallel_map
 from alula.training_folder import CARD_SUFFIX, PROGRESS, STATE, claimed, require_free
 from dynamics.errors import RequestError
+from dynamics.files import write_whole
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from training import checkpoint, parallel
@@ -145,14 +146,9 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
 
 def write_card(model: TrainedModel, out: Path) -> Path:
     """The card as JSON beside the model. Raises RequestError when it cannot be written."""
-    path, text = out.with_suffix(CARD_SUFFIX), msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
-    part = path.with_name(f"{path.name}.part")
-    try:
-        part.write_bytes(text)
-        part.replace(path)
-    except OSError as error:
-        raise RequestError(f"cannot write {path}: {error}. The model itself is in {out}.") from error
-    return path
+    text = msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
+    advice = f"The model itself is in {out}."
+    return write_whole(out.with_suffix(CARD_SUFFIX), lambda part: part.write_bytes(text), advice=advice)
 
 
 def _vehicle(options: TrainOptions) -> Vehicle:

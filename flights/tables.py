@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -10,11 +10,12 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
-from dynamics.errors import RequestError
+from dynamics.files import write_whole
 from flights.log import Floats, Origin, Provenance
 from flights.quantities import quantity_of
 
 TIME = "t"
+ADVICE = "Give a folder that can be written."
 _KEY = b"alula.flight"
 
 
@@ -38,7 +39,7 @@ def write_csv(time: Floats, columns: Mapping[str, Floats], path: Path) -> Path:
             stream.write(header)
             pa_csv.write_csv(table, stream, pa_csv.WriteOptions(include_header=False))
 
-    return _in_full(path, write)
+    return write_whole(path, write, advice=ADVICE)
 
 
 def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, path: Path) -> Path:
@@ -50,24 +51,10 @@ def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, pat
         fields.append(pa.field(name, pa.float64(), metadata=details))
     schema = pa.schema(fields, metadata={_KEY: msgspec.json.encode(notes)})
     table = pa.table([pa.array(time), *(pa.array(values) for values in columns.values())], schema=schema)
-    return _in_full(path, lambda file: pa_parquet.write_table(table, file, compression="zstd"))
+    return write_whole(path, lambda file: pa_parquet.write_table(table, file, compression="zstd"), advice=ADVICE)
 
 
 def decode_notes(metadata: Mapping[bytes, bytes] | None) -> Notes | None:
     """The notes in a Parquet schema, None for a file that was not written here."""
     text = (metadata or {}).get(_KEY)
     return None if text is None else msgspec.json.decode(text, type=Notes)
-
-
-def _in_full(path: Path, write: Callable[[Path], None]) -> Path:
-    """Write beside the path and move there, so that no torn file ever bears the name."""
-    part = path.with_name(path.name + ".part")
-    try:
-        write(part)
-        part.replace(path)
-    except OSError as error:
-        part.unlink(missing_ok=True)
-        raise RequestError(
-            f"cannot write {path}: {error.strerror or error}. Give a folder that can be written."
-        ) from None
-    return path

@@ -15,7 +15,7 @@ from typing import Any
 import jinja2
 from plotly import offline
 
-from dynamics.errors import RequestError
+from dynamics.files import write_whole
 from studio.numbers import quantity_shown, shown, unit_shown
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -48,12 +48,7 @@ def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:
 
 def write_page(text: str, path: Path) -> None:
     """Write a page under a temporary name, then rename it. Raises RequestError when it cannot be written."""
-    part = path.with_name(path.name + ".part")
-    try:
-        part.write_text(text, encoding="utf-8")
-        part.replace(path)
-    except OSError as error:
-        raise RequestError(f"cannot write {path}: {error.strerror or error}. Give another file to --html.") from error
+    write_whole(path, lambda part: part.write_text(text, encoding="utf-8"), advice="Give another file to --html.")
 
 
 def embedded(value: Any) -> str:

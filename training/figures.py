@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from dynamics.errors import RequestError
+from dynamics.files import write_whole
 from training.evaluation import BASE, NOMINAL, PLANT, Judged
 from training.features import world_accelerations
 
@@ -101,18 +103,15 @@ def heatmap_figure(
 
 def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     """Write NAME.png and NAME.pdf. Raises RequestError when the folder cannot be written to."""
-    written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for kind in FORMATS:
-            path = folder / f"{name}.{kind}"
-            part = path.with_name(f"{path.name}.part")
-            figure.savefig(part, format=kind, dpi=130, metadata={"CreationDate": None} if kind == "pdf" else None)
-            part.replace(path)
-            written.append(path)
-    except OSError as error:
-        raise RequestError(f"cannot write {folder}: {error.strerror or error}. Give another --pictures.") from error
-    return written
+
+    def write(kind: str, part: Path) -> None:
+        part.parent.mkdir(parents=True, exist_ok=True)
+        figure.savefig(part, format=kind, dpi=130, metadata={"CreationDate": None} if kind == "pdf" else None)
+
+    return [
+        write_whole(folder / f"{name}.{kind}", partial(write, kind), advice="Give another --pictures.")
+        for kind in FORMATS
+    ]
 
 
 def nominal_ratios(judged: Sequence[Judged]) -> tuple[dict[str, list[float | None]], list[str]]:
