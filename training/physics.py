@@ -42,8 +42,7 @@ class RowModel:
     def __init__(
         self, vehicle: Vehicle, effects: Sequence[EffectUse], *, dt: float, label: Label, motors: Motors
     ) -> None:
-        used = [use for use in effects if motors == "command" or CATALOGUE[use.name].rotor_speed is None]
-        self.model = build_model(vehicle, effects=used)
+        self.model = build_model(vehicle, effects=_driven(effects, motors))
         function = row_function(self.model, dt, label)
         # the carried state is only handed from row to row within one call
         self._code = compile_functions([function.mapaccum("rows", BLOCK)])["rows"]
@@ -67,6 +66,42 @@ class RowModel:
             following[start:stop] = outputs["following"].reshape(BLOCK, -1)[: stop - start]
             inputs["carried"][:] = outputs["carried_on"].reshape(BLOCK, -1)[-1]
         return Rows(body, following)
+
+
+class BatchModel:
+    """A vehicle with effects, one row of m flights at a time; hidden states run along from call to call."""
+
+    def __init__(
+        self, vehicle: Vehicle, effects: Sequence[EffectUse], rotor_speed: Floats, *, dt: float, label: Label,
+        motors: Motors,
+    ) -> None:  # fmt: skip
+        """rotor_speed: (m, rotors) rad/s at the first row, which the rotors turn at."""
+        model = build_model(vehicle, effects=_driven(effects, motors))
+        batched = row_function(model, dt, label).map(BLOCK)
+        self._code = compile_functions([batched])[batched.name()]
+        self._parameters = np.tile(model.parameter_values, BLOCK)
+        self._carried = initial_hidden(model, rotor_speed)
+
+    def __call__(self, state: Floats, rotor_speed: Floats) -> Rows:
+        """state: (m, 13). rotor_speed: (m, rotors) rad/s, held until the next row."""
+        inputs, outputs = self._code.inputs, self._code.outputs
+        inputs["p"][:] = self._parameters
+        body, following = np.empty((len(state), 6)), np.empty((len(state), RIGID_BODY_STATES))
+        for start in range(0, len(state), BLOCK):
+            rows = slice(start, min(start + BLOCK, len(state)))
+            count = rows.stop - start
+            for name, values in (("carried", self._carried), ("x", state), ("u", rotor_speed)):
+                inputs[name].reshape(BLOCK, -1)[:count] = values[rows]
+            self._code.run()
+            body[rows] = outputs["body"].reshape(BLOCK, 6)[:count]
+            following[rows] = outputs["following"].reshape(BLOCK, -1)[:count]
+            self._carried[rows] = outputs["carried_on"].reshape(BLOCK, -1)[:count]
+        return Rows(body, following)
+
+
+def _driven(effects: Sequence[EffectUse], motors: Motors) -> list[EffectUse]:
+    """The effects that there are between these motors and the motion: measured rotor speeds have no lag any more."""
+    return [use for use in effects if motors == "command" or CATALOGUE[use.name].rotor_speed is None]
 
 
 def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:

@@ -139,10 +139,12 @@ def make_plan(
 
 
 def _require_sense(config: ModelConfig, recipe: Recipe) -> None:
-    if recipe.physics_weight > 0 and config.base != "none":
+    named = config.base == "grey_box"
+    if recipe.physics_weight > 0 and (config.base == "nominal" or named != (recipe.physics_points == "pulses")):
         raise RequestError(
-            f"the physics-inspired loss is for models without a base; {config.kind} contains the physics already. "
-            "Give --physics-weight 0."
+            f"the physics-inspired loss on {recipe.physics_points} is for models "
+            f"{'with named effects' if recipe.physics_points == 'pulses' else 'without a base'}, {config.kind} is "
+            f"none. Give --physics-weight 0{' or --physics-points pulses' if named else ''}."
         )
     if recipe.rollout > 1 and (recipe.physics_weight > 0 or config.batch_norm or config.filtered_inputs):
         raise RequestError(

@@ -1,4 +1,8 @@
-"""The points of the physics-inspired loss: histories, and what the textbook model says at their ends (eq. 4)."""
+"""The points of the physics-inspired loss: histories, and what physics says at their ends (PI-TCN eq. 4).
+
+For a network by itself this is the textbook model's accelerations. For a residual on named effects it is that a pulse
+on the rotors changes nothing in the residual: these effects alone answer it.
+"""
 
 from __future__ import annotations
 
@@ -7,29 +11,38 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import quaternion
 from dynamics.vehicle import Vehicle
 from flights.labels import scaled_motors
 from training.config import ModelConfig
 from training.dataset import Dataset
 from training.features import columns, outputs_from
-from training.physics import textbook
+from training.physics import BatchModel, textbook
 from training.recipe import Recipe
 
 Floats = NDArray[np.float64]
+PULSE = 60.0  # rad/s, deviation of pulses on the rotors, of 10 ms and more
+SINGLE = 0.5  # share of pulses that are on one rotor alone
 MOST_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
 
 @dataclass(frozen=True, eq=False)
 class Points:
-    """windows: (p, T, inputs), oldest column first. targets: (p, 6) outputs of the textbook model at their ends."""
+    """windows: (p, T, inputs), oldest column first. targets: (p, 6) what a network should say of them.
+
+    alike: (p, T, inputs) windows of which it should say the same, whatever that is, instead of targets.
+    """
 
     windows: Floats
-    targets: Floats
+    targets: Floats | None
+    alike: Floats | None = None
 
 
 def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset, *, seed: int) -> Points:
     """The recipe's pool of points, drawn once before training."""
     random = np.random.default_rng([seed, 4])
+    if recipe.physics_points == "pulses":
+        return _pulsed(config, recipe.physics_pool, vehicle, data, random)
     draw = _of_space if recipe.physics_points == "space" else _plausible
     states, speeds = draw(config, recipe.physics_pool, vehicle, data, random)
     last = textbook(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
@@ -58,6 +71,41 @@ def _of_space(
     for _ in range(config.history - 1):
         states.append(back(states[-1], speed).following)
     return np.stack(states[::-1]), np.stack([speed] * config.history)
+
+
+def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator) -> Points:
+    """Recorded histories with a pulse on the rotors and with what the named effects answer to it, and without.
+
+    What else moved the vehicle, air above all, knows nothing of the pulse.
+    """
+    ends = random.choice(data.ends, count)
+    rows = ends[:, None] + np.arange(1 - config.history, 1)
+    recorded, speed = data.state[rows], data.motors[rows] / scaled_motors(np.ones(1))
+    size = random.normal(0, PULSE, (count, vehicle.rotors.count))
+    alone = np.eye(vehicle.rotors.count)[random.integers(vehicle.rotors.count, size=count)]
+    size = np.where(random.random((count, 1)) < SINGLE, size * alone, size)
+    begin = random.integers(0, config.history, (count, 1))
+    until = begin + random.integers(1, config.history, (count, 1))
+    column = np.arange(config.history)
+    during = (begin <= column) & (column < until)
+    pulsed = np.clip(
+        speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
+    )  # fmt: skip
+    first = np.hstack([data.position[rows[:, 0]], recorded[:, 0]])
+    still, moved = (_driven_states(config, vehicle, first, driven) for driven in (speed, pulsed))
+    state = recorded + moved[:, :, 3:] - still[:, :, 3:]
+    turned = quaternion.multiply(quaternion.conjugate(still[:, :, 6:10]), moved[:, :, 6:10])
+    state[:, :, 3:7] = quaternion.multiply(recorded[:, :, 3:7], turned)
+    return Points(columns(config, state, scaled_motors(pulsed)), None, columns(config, recorded, data.motors[rows]))
+
+
+def _driven_states(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> Floats:
+    """(m, T, 13) states of the named effects' model from first (m, 13) on. speed: (m, T, rotors) rad/s."""
+    model = BatchModel(vehicle, vehicle.effects, speed[:, 0], dt=config.dt, label=config.label, motors=config.motors)
+    states = [first]
+    for step in range(config.history - 1):
+        states.append(model(states[-1], speed[:, step]).following)
+    return np.stack(states, axis=1)
 
 
 def _plausible(

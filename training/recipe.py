@@ -25,7 +25,8 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage of physics_start (share of the steps); then optimiser and
     schedule start anew with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
     whole state-input space, as the paper has it, or "plausible", recorded motion scaled by 1 to 1.6 under recorded
-    commands, simulated with the nominal model. physics_batch: points a step. physics_pool: points drawn beforehand, in
+    commands, simulated with the nominal model, or "pulses" on the rotors of recorded motion, which a residual on
+    named effects leaves to them. physics_batch: points a step. physics_pool: points drawn beforehand, in
     batches taken in turn; the paper draws one batch.
 
     rollout: steps of dt that the network is streamed over with its own predictions as inputs, 1 for none.
@@ -46,7 +47,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     physics_weight: Annotated[float, Meta(ge=0)] = 0.0
     physics_start: Share = 0.5
     annealed: bool = False
-    physics_points: Literal["space", "plausible"] = "plausible"
+    physics_points: Literal["space", "plausible", "pulses"] = "plausible"
     physics_batch: Count = 64
     physics_pool: Count = 16_384
     rollout: Count = 1

@@ -2,59 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from dynamics.codegen import compile_functions
-from dynamics.effects import CATALOGUE
-from dynamics.model import build_model
-from dynamics.vehicle import EffectUse, Vehicle
 from flights.labels import scaled_motors
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig
 from training.features import accelerations_from, columns, world_accelerations
-from training.physics import BLOCK, initial_hidden, row_function
+from training.physics import BatchModel
 from training.prediction import gate_of
 from training.rollout import advanced
 from training.streamed import Stream
 
 Floats = NDArray[np.float64]
 WARM_UP = 40  # columns of recorded history that hidden states settle in: 0.4 s, eleven lags of 35 ms
-
-
-class BatchModel:
-    """A vehicle with effects, one row of m flights at a time; hidden states run along from call to call."""
-
-    def __init__(
-        self, vehicle: Vehicle, effects: Sequence[EffectUse], config: ModelConfig, rotor_speed: Floats
-    ) -> None:
-        """rotor_speed: (m, rotors) rad/s at the first row, which the rotors turn at."""
-        used = [use for use in effects if config.motors == "command" or CATALOGUE[use.name].rotor_speed is None]
-        model = build_model(vehicle, effects=used)
-        function = row_function(model, config.dt, config.label)
-        batched = function.map(BLOCK)
-        self._code = compile_functions([batched])[batched.name()]
-        self._parameters = np.tile(model.parameter_values, BLOCK)
-        self._carried = initial_hidden(model, rotor_speed)
-
-    def __call__(self, state: Floats, rotor_speed: Floats) -> Floats:
-        """(m, 6) body accelerations. state: (m, 13). rotor_speed: (m, rotors) rad/s, held until the next row."""
-        inputs, outputs = self._code.inputs, self._code.outputs
-        inputs["p"][:] = self._parameters
-        body = np.empty((len(state), 6))
-        for start in range(0, len(state), BLOCK):
-            rows = slice(start, min(start + BLOCK, len(state)))
-            count = rows.stop - start
-            for name, values in (("carried", self._carried), ("x", state), ("u", rotor_speed)):
-                inputs[name].reshape(BLOCK, -1)[:count] = values[rows]
-            self._code.run()
-            body[rows] = outputs["body"].reshape(BLOCK, 6)[:count]
-            self._carried[rows] = outputs["carried_on"].reshape(BLOCK, -1)[:count]
-        return body
 
 
 class Simulation:
@@ -71,7 +34,14 @@ class Simulation:
         self._base: BatchModel | None = None
         if config.base != "none":
             effects = model.vehicle.effects if config.base == "grey_box" else ()
-            self._base = BatchModel(model.vehicle, effects, config, _rotor_speed(motors[:, 0]))
+            self._base = BatchModel(
+                model.vehicle,
+                effects,
+                _rotor_speed(motors[:, 0]),
+                dt=config.dt,
+                label=config.label,
+                motors=config.motors,
+            )
         for column in range(motors.shape[1]):
             self._accelerations(states[:, column], motors[:, column])
         self.state = states[:, -1].copy()
@@ -89,7 +59,7 @@ class Simulation:
     def _accelerations(self, state: Floats, motors: Floats) -> Floats:
         """(m, 6) body accelerations; zeros in the warm-up of a network that has not seen enough columns yet."""
         model, config = self._model, self._model.config
-        base = None if self._base is None else self._base(state, _rotor_speed(motors))
+        base = None if self._base is None else self._base(state, _rotor_speed(motors)).body
         if not self._streams:
             assert base is not None
             return base

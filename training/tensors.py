@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from dynamics.vehicle import Vehicle
 from training.checkpoint import Scaling
@@ -41,17 +41,31 @@ class Tensors:
 
 @dataclass(frozen=True, eq=False)
 class PointTensors:
-    """The points of the physics-inspired loss, standardised. windows: (p, T, k). targets: (p, 6)."""
+    """The points of the physics-inspired loss, standardised. windows, alike: (p, T, k). targets: (p, 6)."""
 
     windows: Tensor
-    targets: Tensor
+    targets: Tensor | None
+    alike: Tensor | None
 
     @classmethod
     def of(cls, points: Points, scaling: Scaling, device: torch.device) -> PointTensors:
         """Points, standardised as the flights are."""
-        windows = torch.from_numpy((points.windows - scaling.input_mean) / scaling.input_std).float()
-        targets = torch.from_numpy((points.targets - scaling.output_mean) / scaling.output_std).float()
-        return cls(windows.to(device), targets.to(device))
+
+        def standardised(values: np.ndarray | None, mean: np.ndarray, deviation: np.ndarray) -> Tensor | None:
+            return None if values is None else torch.from_numpy((values - mean) / deviation).float().to(device)
+
+        inputs, outputs = (scaling.input_mean, scaling.input_std), (scaling.output_mean, scaling.output_std)
+        windows = standardised(points.windows, *inputs)
+        assert windows is not None
+        return cls(windows, standardised(points.targets, *outputs), standardised(points.alike, *inputs))
+
+    def loss(self, learner: nn.Module, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """(what the learner says of windows, mean squared standardised error on these points), in one call."""
+        parts = [windows, self.windows[rows]] + ([] if self.alike is None else [self.alike[rows]])
+        outputs = learner(torch.cat(parts))
+        said = outputs[len(windows) : len(windows) + len(rows)]
+        wanted = outputs[len(windows) + len(rows) :] if self.targets is None else self.targets[rows]
+        return outputs[: len(windows)], (said - wanted).square().mean()
 
 
 def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:

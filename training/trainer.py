@@ -138,6 +138,5 @@ def _losses(
         return (learner(windows) - targets).square().mean(), None
     count, pool = recipe.physics_batch, len(task.points.windows)
     rows = (torch.arange(count) + run.step * count)[share[0] :: share[1]] % pool
-    outputs = learner(torch.cat([windows, task.points.windows[rows]]))
-    physics = (outputs[len(windows) :] - task.points.targets[rows]).square().mean()
-    return (outputs[: len(windows)] - targets).square().mean() + weight * physics, physics
+    outputs, physics = task.points.loss(learner, windows, rows)
+    return (outputs - targets).square().mean() + weight * physics, physics

@@ -76,7 +76,7 @@ def train(
     physics_weight: Annotated[
         float | None, typer.Option(min=0, help="lambda of the physics-inspired loss; 0.01 for pi_tcn and pi_mlp.")
     ] = None,
-    physics_points: Annotated[str | None, typer.Option(help="plausible histories, or the whole space.")] = None,
+    physics_points: Annotated[str | None, typer.Option(help="plausible histories, the whole space, or pulses.")] = None,
     annealed: Annotated[bool | None, typer.Option("--annealed", help="Let lambda fall to 0 towards the end.")] = None,
     rollout: Annotated[int | None, typer.Option(min=1, help="Steps that are predicted from predictions.")] = None,
     input_noise: Annotated[

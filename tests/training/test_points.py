@@ -9,8 +9,10 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_effect
 from flights.labels import scaled_motors
 from tests.training.conftest import MakePlan
+from training.effects_fit import named_effects
 from training.features import columns, outputs_from
 from training.physics import textbook
 from training.plan import Plan
@@ -86,3 +88,42 @@ def test_the_same_seed_draws_the_same_points(plan_for: MakePlan) -> None:
     assert other is not None
     np.testing.assert_array_equal(one.windows, same.windows)
     assert not np.array_equal(one.windows, other.windows)
+
+
+def with_effect(vehicle: Vehicle, name: str) -> Vehicle:
+    return named_effects(vehicle, [parse_effect(name, 4)])
+
+
+def test_a_pulse_changes_motors_while_it_lasts_and_motion_from_then_on(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
+    plan = plan_for(
+        "grey_box",
+        vehicle=with_effect(arpl_250g, "motor_lag"),
+        physics_weight=1.0,
+        physics_points="pulses",
+        physics_pool=64,
+    )
+    assert plan.points is not None
+    assert plan.points.alike is not None
+    assert plan.points.targets is None
+    changed = plan.points.windows - plan.points.alike
+    pulsed = np.abs(changed[:, :, -4:]).max(axis=2) > 1e-9
+    begin = pulsed.argmax(axis=1)
+    for window, first in zip(changed, begin, strict=True):
+        np.testing.assert_allclose(window[: first + 1, :9], 0, atol=1e-9)
+    early = begin < 10
+    assert early.any()
+    assert (np.abs(changed[early, -1, 6:9]).max(axis=1) > 1e-6).all()
+
+
+def test_a_pulse_turns_the_vehicle_as_its_rotors_stand(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
+    plan = plan_for(
+        "grey_box", vehicle=with_effect(arpl_250g, "rotor_drag"), physics_weight=1.0, physics_points="pulses",
+        physics_pool=256,
+    )  # fmt: skip
+    assert plan.points is not None
+    assert plan.points.alike is not None
+    changed, alike = plan.points.windows - plan.points.alike, plan.points.alike
+    late = np.abs(changed[:, :16, -4:]).max(axis=(1, 2)) < 1e-9  # no time for anything else to follow
+    thrust = ((2 * alike + changed) * changed)[late, :-1, -4:].sum(axis=1)
+    leverage = np.array(arpl_250g.rotors.position)[:, 1]
+    assert np.corrcoef(thrust @ leverage, changed[late, -1, 6])[0, 1] > 0.98

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import msgspec
 
@@ -12,12 +14,16 @@ from training.recipe import Recipe
 
 @dataclass(frozen=True)
 class Kind:
-    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: trained with lambda > 0."""
+    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: trained with lambda > 0.
+
+    recipe: what it changes in recipes other than the paper's.
+    """
 
     name: str
     summary: str
     config: ModelConfig
     has_physics_loss: bool = False
+    recipe: Mapping[str, Any] = field(default_factory=dict)
 
     def config_for(self, recipe: Recipe) -> ModelConfig:
         """The definition under a recipe: the paper's own has world-frame inputs, batch norm and dropout.
@@ -38,5 +44,7 @@ class Kind:
 
         fast_weight: lambda for recipes other than the paper's.
         """
-        weight = recipe.physics_weight if recipe.name == "paper" else fast_weight
-        return msgspec.structs.replace(recipe, physics_weight=weight if self.has_physics_loss else 0.0)
+        paper = recipe.name == "paper"
+        weight = recipe.physics_weight if paper else fast_weight
+        taken = msgspec.structs.replace(recipe, physics_weight=weight if self.has_physics_loss else 0.0)
+        return taken if paper else msgspec.structs.replace(taken, **self.recipe)
