@@ -20,12 +20,10 @@ from training.config import ModelConfig, Motors
 from training.features import body_accelerations, columns, outputs_from, world_accelerations
 from training.physics import RowModel, textbook
 from training.recordings import Recording
+from training.vehicle_fit import require_fit
 
 Floats = NDArray[np.float64]
 FEWEST_WINDOWS = 500
-MOST_OFF = 2.5  # factor of specific force, or of roll and pitch, by which a vehicle file may err and not be another's
-LEAST_AGREEMENT = 0.2  # correlation of modelled with measured roll and pitch acceleration
-EXCITED = 0.5  # rad/s^2 of angular acceleration from which on that can be judged
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,7 +119,9 @@ def make_dataset(
         base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
         targets=table["targets"], ends=ends,
     )  # fmt: skip
-    _require_fit(dataset, vehicle)
+    for place, name in enumerate(names):
+        rows = ends[dataset.flight_of[ends] == place]
+        require_fit(vehicle, name, dataset.label[rows], dataset.nominal[rows])
     return dataset
 
 
@@ -176,32 +176,3 @@ def _samples(config: ModelConfig, segment: Flight) -> Samples:
     attitude = quaternion.normalise(quaternion.continuous(state[:, 3:7]))
     state[:, 3:7] = attitude if not attitude[0, 0] < 0 else -attitude
     return Samples(inputs.time, state, inputs.motors, labels.label)
-
-
-def _require_fit(dataset: Dataset, vehicle: Vehicle) -> None:
-    """Refuse a vehicle file whose textbook model has nothing to do with the flights. Raises DataError."""
-    label, nominal = dataset.label[dataset.ends], dataset.nominal[dataset.ends]
-    ratio = float(np.sum(label[:, 2] * nominal[:, 2]) / np.sum(nominal[:, 2] ** 2))
-    if not 1 / MOST_OFF < ratio < MOST_OFF:
-        raise DataError(
-            f"the vehicle file {vehicle.name} does not fit these flights: they show {ratio:.2f} times the specific "
-            "force that its rotors give. Check mass, thrust_constant (N s^2/rad^2) and speed_max (rad/s), or give the "
-            "file of the vehicle that flew."
-        )
-    seen, said = label[:, 3:5].std(axis=0), nominal[:, 3:5].std(axis=0)
-    if np.any(seen < EXCITED) or np.any(said == 0):
-        return
-    turning = seen / said
-    if np.all(turning > MOST_OFF) or np.all(turning < 1 / MOST_OFF):
-        raise DataError(
-            f"the vehicle file {vehicle.name} does not fit these flights: roll and pitch accelerate "
-            f"{turning[0]:.2g} and {turning[1]:.2g} times as much as it says. Check inertia (kg m^2) and rotor "
-            "positions (m), or give the file of the vehicle that flew."
-        )
-    for axis, name in ((3, "roll"), (4, "pitch")):
-        agreement = float(np.corrcoef(label[:, axis], nominal[:, axis])[0, 1])
-        if agreement < LEAST_AGREEMENT:
-            raise DataError(
-                f"the vehicle file {vehicle.name} does not fit these flights: its {name} acceleration correlates with "
-                f"theirs by {agreement:.2f}. Check the order and the positions of its rotors."
-            )

@@ -112,14 +112,36 @@ def test_measured_rotor_speeds_stand_in_for_commands_when_all_flights_lack_them(
 
 def test_a_vehicle_file_that_does_not_fit_is_refused(arpl_250g: Vehicle, recordings: Sequence[Recording]) -> None:
     heavy = msgspec.structs.replace(arpl_250g, body=msgspec.structs.replace(arpl_250g.body, mass=0.05))
-    with pytest.raises(DataError, match=r"does not fit these flights: they show 0.2\d times the specific force"):
+    with pytest.raises(DataError, match=r"does not fit flight_0.parquet, which shows 0.2\d times the specific force"):
         make_dataset(BODY, heavy, recordings)
     order = arpl_250g.rotors.position[1:] + arpl_250g.rotors.position[:1]
     turned = msgspec.structs.replace(
         arpl_250g, rotors=msgspec.structs.replace(arpl_250g.rotors, position=order, spin=(-1, 1, -1, 1))
     )
-    with pytest.raises(DataError, match="acceleration correlates with theirs by"):
+    with pytest.raises(DataError, match="roll acceleration correlates with the flight's by"):
         make_dataset(BODY, turned, recordings)
+
+
+def test_a_vehicle_file_whose_rotors_spin_the_other_way_is_refused(
+    arpl_250g: Vehicle, recordings: Sequence[Recording]
+) -> None:
+    backwards = msgspec.structs.replace(
+        arpl_250g, rotors=msgspec.structs.replace(arpl_250g.rotors, spin=tuple(-s for s in arpl_250g.rotors.spin))
+    )
+    with pytest.raises(DataError, match="yaw acceleration correlates with the flight's by -0"):
+        make_dataset(BODY, backwards, recordings)
+
+
+def test_a_flight_of_another_vehicle_among_those_of_the_right_one_is_named(
+    arpl_250g: Vehicle, recordings: Sequence[Recording]
+) -> None:
+    def swapped(flight: Flight) -> dict[str, Floats | None]:
+        names = [f"rotor_command_{place}" for place in range(4)]
+        return dict(zip(names, (flight[name] for name in [*names[1:], names[0]]), strict=True))
+
+    among = [*recordings[:2], changed(recordings[2], swapped), recordings[3]]
+    with pytest.raises(DataError, match=r"does not fit flight_2.parquet: its roll acceleration"):
+        make_dataset(BODY, arpl_250g, among)
 
 
 def test_another_number_of_rotors_is_refused(recordings: Sequence[Recording]) -> None:
