@@ -164,7 +164,7 @@ def write(found: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
         tables.append(paper_recipe(trained(found["paper"][1])[0]))
     head = (
         "Campaign with hidden effects (68 flights), trained on its 60, judged on its 8 test flights. The studies train "
-        f"1,000 or 4,000 steps of {BATCH} windows, the default recipe 30,000, so that they compare cells "
+        f"1,000 or 4,000 steps of {BATCH} windows, the default recipe 10,000, so that they compare cells "
         "with each other, not with a model that is trained to its end."
     )
     write_result("learning", "Learning: the paper's studies", "\n\n".join([head, *map(markdown, tables)]))

@@ -35,7 +35,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     name: str = "fast"
-    steps: Count = 30_000
+    steps: Count = 10_000
     epochs: Count | None = None
     batch: Count = 256
     optimiser: Literal["adam", "muon"] = "muon"

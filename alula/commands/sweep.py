@@ -33,7 +33,7 @@ def sweep(
         typer.Option(help="For starred: logs of a simulation without effects (alula campaign --no-effects)."),
     ] = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.")] = 2,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps of Adam; 30,000 by default.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 10,000 by default.")] = None,
     batch: Annotated[int | None, typer.Option(min=1, help="Windows a step; 256 by default.")] = None,
     recipe: Annotated[str, typer.Option(help="fast, or paper.")] = "fast",
     model: Annotated[str, typer.Option(help="For grid and search: what to train.")] = "pi_tcn",

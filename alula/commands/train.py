@@ -66,7 +66,7 @@ def train(
         ),
     ] = None,
     history: Annotated[int | None, typer.Option(min=1, help="Columns that the network sees.")] = None,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 30,000 by default.")] = None,
+    steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 10,000 by default.")] = None,
     batch: Annotated[int | None, typer.Option(min=1, help="Windows a step; 256 by default.")] = None,
     optimiser: Annotated[str | None, typer.Option(help="muon or adam; muon by default.")] = None,
     learning_rate: Annotated[float | None, typer.Option(help="The highest one; 3e-3 by default.")] = None,
