@@ -108,6 +108,8 @@ def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
+        if bundle is not None:
+            raise RequestError(f"{bundle} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
         raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from None
 
 

@@ -27,7 +27,7 @@ from export.parity import Backends, Parity, prove
 from export.symbolic import column_names, column_units, jacobian_function, model_function
 from export.trained import SPEED_UNIT, ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest
+from runtime.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, sealed
 from runtime.rti.problem import Problem
 from runtime.rti.processor import Processor
 from runtime.rti.solver import RtiSolver, solver_recipe
@@ -84,7 +84,7 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
         if model.network is not None:
             physics = _physics_recipe(build_model(model.vehicle), options)
             shutil.copyfile(build_kernel(physics), part / PHYSICS)
-        manifest = _manifest(model, options, part, proto)
+        manifest = sealed(_manifest(model, options, part, proto))
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
         part.chmod(0o755)
         if folder.exists():

@@ -47,7 +47,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     inputs. filtered_inputs: training filtered them both ways, which no flight can. integrator: how the kernel makes
     motion of accelerations. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX
     inputs and outputs. precision: of the kernel's network. files: sha256 by name. provenance: of the model, as training
-    tells it. notes: what whoever flies it should know.
+    tells it. notes: what whoever flies it should know. digest: sha256 of all the rest.
     """
 
     kind: str
@@ -74,8 +74,15 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     versions: dict[str, str]
     provenance: dict[str, str]
     notes: tuple[str, ...]
+    digest: str = ""
     format: str = FORMAT
     version: int = VERSION
+
+
+def sealed(manifest: Manifest) -> Manifest:
+    """The manifest with its digest, from which an edit shows."""
+    rest = msgspec.json.encode(msgspec.structs.replace(manifest, digest=""))
+    return msgspec.structs.replace(manifest, digest=hashlib.sha256(rest).hexdigest())
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +130,11 @@ def read_bundle(folder: Path) -> Bundle:
             "Train it with --causal-inputs; its model.onnx and model.c serve at the desk."
         )
     _require_machine(folder, manifest)
+    if sealed(manifest) != manifest:
+        raise RequestError(
+            f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
+            "flight may have changed; export the model again."
+        )
     text = (folder / VEHICLE).read_text(encoding="utf-8")
     vehicle = parse_vehicle(text)
     return Bundle(folder, manifest, vehicle, text, physics_of(vehicle, manifest))

@@ -147,7 +147,7 @@ def read_content(path: Path) -> dict[str, Any]:
         raise RequestError(
             f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {MAKE_ANEW}"
         ) from error
-    except (RuntimeError, EOFError, ValueError, pickle.UnpicklingError) as error:
+    except (RuntimeError, EOFError, ValueError, LookupError, TypeError, pickle.UnpicklingError) as error:
         # torch's own words advise to run the file's code
         raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {MAKE_ANEW}") from error
     if not isinstance(content, dict):

@@ -128,6 +128,7 @@ def test_an_edited_file_is_refused(bundle_folder: Path, tmp_path: Path) -> None:
         ({"nonsense": 1}, "Export the model again"),
         ({"processor": "neon"}, "built for neon.*--processor"),
         ({"files": {}}, "lists no vehicle.toml"),
+        ({"errors": {"linear": 99.0}}, "its digest does not fit"),
     ],
 )
 def test_an_edited_manifest_is_refused(
@@ -170,6 +171,12 @@ def test_weights_that_are_not_finite_are_refused(lagging: Vehicle, tmp_path: Pat
         trained.networks[0].decoder[2].weight[3, 4] = torch.nan
     save(trained, tmp_path / "model.pt")
     with pytest.raises(RequestError, match=r"not finite in dense 1.*Train again"):
+        read_model(tmp_path / "model.pt")
+
+
+def test_a_text_that_calls_itself_a_model_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "model.pt").write_text("hello")
+    with pytest.raises(RequestError, match="no checkpoint, or a damaged one"):
         read_model(tmp_path / "model.pt")
 
 
