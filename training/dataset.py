@@ -119,9 +119,10 @@ def make_dataset(
         base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
         targets=table["targets"], ends=ends,
     )  # fmt: skip
-    for place, name in enumerate(names):
-        rows = ends[dataset.flight_of[ends] == place]
-        require_fit(vehicle, name, dataset.label[rows], dataset.nominal[rows])
+    of_flight = [ends[dataset.flight_of[ends] == place] for place in range(len(names))]
+    require_fit(
+        vehicle, [(name, dataset.label[at], dataset.nominal[at]) for name, at in zip(names, of_flight, strict=True)]
+    )
     return dataset
 
 

@@ -348,7 +348,7 @@ def test_what_cannot_be_swept_is_told(run: Run, campaign: Path, tmp_path: Path) 
         (("planets", campaign), "unknown study 'planets'"),
         (("grid", campaign), "a grid needs something to vary"),
         (("grid", campaign, "--grid", "colour=1,2"), "a recipe has no 'colour'"),
-        (("grid", campaign, "--grid", "learning_rate=1e-3,-1"), "Expected `float` > 0"),
+        (("grid", campaign, "--grid", "learning_rate=1e-3,-1"), "learning_rate = -1: expected `float` > 0"),
         (("search", campaign, "--over", "physics_weight=1:0"), "is no range"),
         (("kinds", campaign, "--simulated", train), "--simulated is for the study 'starred'"),
         (("kinds", train), "no flight to judge on was given"),

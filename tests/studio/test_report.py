@@ -145,15 +145,20 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
     assert BROWSER is not None, "CI must have Chromium"
     write_page(pages[name], tmp_path / "page.html")
     (tmp_path / "phone.html").write_text(NARROW)
-    command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader", "--enable-unsafe-swiftshader",
-        "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}", "--allow-file-access-from-files",
-        "--virtual-time-budget=30000", "--dump-dom", (tmp_path / "phone.html").as_uri(),
-    ]  # fmt: skip
-    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
-    title = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
-    assert title is not None, done.stderr[-2000:]
-    drawn, pictures, wide, failed = map(int, title.groups())
+    found = None
+    for budget in (30_000, 120_000, 480_000):  # ms of the browser's own clock, which a busy machine cannot keep up with
+        command = [
+            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader",
+            "--enable-unsafe-swiftshader", "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}",
+            "--allow-file-access-from-files", f"--virtual-time-budget={budget}", "--dump-dom",
+            (tmp_path / "phone.html").as_uri(),
+        ]  # fmt: skip
+        done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
+        found = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
+        if found is not None:
+            break
+    assert found is not None, done.stderr[-2000:]
+    drawn, pictures, wide, failed = map(int, found.groups())
     assert drawn == pictures > 5
     assert wide <= 390
     assert failed == 0

@@ -107,7 +107,7 @@ def test_the_frame_of_the_inputs_is_that_of_the_outputs_unless_they_are_a_wrench
         (("--model", "res_tcn", "--physics-weight", "1"), RequestError, "for models without a base"),
         (("--model", "pi_tcn", "--validation", "x*"), RequestError, "matches none"),
         (("--model", "pi_tcn", "--device", "abacus"), RequestError, "unknown device 'abacus'"),
-        (("--model", "pi_tcn", "--vehicle", "px4_sih"), DataError, "px4_sih does not fit flight_0.parquet"),
+        (("--model", "pi_tcn", "--vehicle", "px4_sih"), DataError, "px4_sih does not fit these flights"),
     ],
 )
 def test_what_makes_no_sense_is_refused(
