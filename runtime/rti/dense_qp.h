@@ -62,7 +62,7 @@ static dense_qp *dense_qp_create(int variables, int rows, double tolerance, int 
     d_dense_qp_create(&q->dim, &q->qp, q->memory[1] = aligned_zeros(d_dense_qp_memsize(&q->dim)));
     d_dense_qp_sol_create(&q->dim, &q->sol, q->memory[2] = aligned_zeros(d_dense_qp_sol_memsize(&q->dim)));
     d_dense_qp_ipm_arg_create(&q->dim, &q->arg, q->memory[3] = aligned_zeros(d_dense_qp_ipm_arg_memsize(&q->dim)));
-    d_dense_qp_ipm_arg_set_default(SPEED, &q->arg);
+    d_dense_qp_ipm_arg_set_default(SPEED_ABS, &q->arg); /* SPEED runs out of steps where soft rows are broken */
     d_dense_qp_ipm_arg_set("tol_stat", &tolerance, &q->arg), d_dense_qp_ipm_arg_set("tol_eq", &tolerance, &q->arg);
     d_dense_qp_ipm_arg_set("tol_ineq", &tolerance, &q->arg), d_dense_qp_ipm_arg_set("tol_comp", &tolerance, &q->arg);
     d_dense_qp_ipm_arg_set("iter_max", &iterations, &q->arg);
