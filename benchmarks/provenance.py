@@ -10,6 +10,7 @@ from importlib import metadata
 from pathlib import Path
 
 RESULTS = Path(__file__).parent / "results"
+LOAD = os.getloadavg()[0]  # before the measurement itself
 
 
 def provenance() -> str:
@@ -22,8 +23,8 @@ def provenance() -> str:
     versions = ", ".join(f"{package} {metadata.version(package)}" for package in ("numpy", "casadi", "pymavlink"))
     command = " ".join(["python", *sys.orig_argv[1:]])
     return (
-        f"{datetime.date.today().isoformat()}, {name}, {os.cpu_count()} cores, {platform.system()} "
-        f"{platform.release()}, Python {platform.python_version()}, {versions}. Command: `{command}`"
+        f"{datetime.date.today().isoformat()}, {name}, {os.cpu_count()} cores, load {LOAD:.1f} before, "
+        f"{platform.system()} {platform.release()}, Python {platform.python_version()}, {versions}. Command: `{command}`"
     )
 
 

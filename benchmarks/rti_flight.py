@@ -7,12 +7,14 @@ hold them yet (three minutes).
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -28,6 +30,7 @@ from runtime.rti.solver import RtiSolver
 
 ROOT = Path(__file__).resolve().parent.parent
 NETWORKS = ROOT / "build" / "rti_network"
+ACADOS = ROOT / ".venv-acados" / "lib"
 STEPS = 8000
 SECONDS = 9.0
 PERIODS = {"3.6": 5.0, "5.1": 3.5}  # m/s at most: s of a lemniscate's lap
@@ -43,6 +46,19 @@ def networks(folder: Path = NETWORKS, steps: int = STEPS) -> Path:
             worker = [sys.executable, str(Path(__file__).with_name("network_worker.py")), kind]
             subprocess.run([*worker, str(folder / f"{kind}.pt"), "--steps", str(steps)], check=True)
     return folder
+
+
+def with_each_blasfeo(script: str, folder: Path) -> dict[str, Any]:
+    """What `script --measure FOLDER` prints last, as JSON, by the BLASFEO that it runs with."""
+    builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
+    if faster := list(ACADOS.glob("*/*/acados/install")):
+        builds["acados' (Haswell)"] = {"ALULA_HPIPM": str(faster[0])}
+    found = {}
+    for name, environment in builds.items():
+        command = [sys.executable, script, "--measure", str(folder)]
+        done = subprocess.run(command, env=os.environ | environment, stdout=subprocess.PIPE, text=True, check=True)
+        found[name] = json.loads(done.stdout.splitlines()[-1])
+    return found
 
 
 def unlimited(model: ExportedModel) -> ExportedModel:

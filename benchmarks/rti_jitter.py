@@ -97,7 +97,7 @@ def main() -> None:
         prepare_interpreter()
         refused = [text for text in (lock_memory(), *schedule_thread(50, 0)) if text]
         found = fly(controller, reference, period, int(arguments.seconds * arguments.rate))
-    body = [*table(found, period), "", f"Real time: {'; '.join(refused) or 'granted'}. Other work on the machine."]
+    body = [*table(found, period), "", f"Real time: {'; '.join(refused) or 'granted'}."]
     name, kind = ("rti_jitter_network", "PI-TCN's") if arguments.learned else ("rti_jitter", "Nominal")
     write_result(name, f"{kind} RTI step under SCHED_FIFO", "\n".join(body))
 

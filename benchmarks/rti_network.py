@@ -3,7 +3,7 @@
 Trains PI-TCN and PI-MLP on a simulated quadrotor with motor lag (40 ms) and drag (`network_worker.py`), flies them and
 the nominal model along a lemniscate in lockstep, and times every iteration of these flights on one core.
 
-    python benchmarks/rti_network.py [--networks FOLDER] [--steps 8000]
+    python benchmarks/rti_network.py [--networks FOLDER]      three minutes, six where it has to train
 """
 
 from __future__ import annotations
@@ -12,9 +12,6 @@ import argparse
 import ctypes
 import dataclasses
 import json
-import os
-import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -24,11 +21,11 @@ import numpy as np
 import onnxruntime
 import torch
 from provenance import RESULTS, write_result
-from rti_flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited
+from rti_flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited, with_each_blasfeo
 
 from dynamics.codegen import build_library
 from dynamics.model import build_model
-from export.network import Network
+from export.kernel import build_kernel, kernel_recipe
 from export.onnx_file import onnx_model
 from export.trained import ExportedModel, exported, read_model
 from runtime.rti.problem import Problem
@@ -38,23 +35,23 @@ from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig
 from training.networks import build_network
 
-ROOT = Path(__file__).parents[1]
-ACADOS = ROOT / ".venv-acados" / "lib"
-
 
 def measure(folder: Path) -> dict[str, object]:
-    """Everything that depends on the BLASFEO in use: iterations by instruction set, calm and saturated."""
+    """Everything that may depend on the BLASFEO in use: iterations by instruction set, in turns, calm and saturated."""
     model, found = read_model(folder / "pi_tcn.pt"), {}
-    for processor in [known for known in PROCESSORS.values() if known.runs_here]:
-        solver = solver_for(model, processor)
-        calm = [fly(solver, period)[1] for period in PERIODS.values() for _ in range(2)]
-        runs = [fly(solver, 3.5, jumps=0.6) for _ in range(3)]
-        hard, iterations = np.min([times for _, times, _ in runs], axis=0), runs[0][2]  # same ticks, least disturbed
-        busy = hard[iterations > 0]
-        found[processor.name] = {
-            "median": np.median(np.concatenate(calm), axis=0).tolist(),
-            "tenth": np.percentile(np.concatenate(calm), 10, axis=0).tolist(),
-            "saturated": np.sum(busy[:, 3:5], axis=1).tolist(),
+    solvers = {name: solver_for(model, processor) for name, processor in PROCESSORS.items() if processor.runs_here}
+    calm: dict[str, list] = {name: [] for name in solvers}
+    hard: dict[str, list] = {name: [] for name in solvers}
+    for _ in range(3):
+        for name, solver in solvers.items():
+            calm[name] += [fly(solver, period)[1] for period in PERIODS.values()]
+            hard[name].append(fly(solver, PERIODS["5.1"], jumps=0.6))
+    for name in solvers:
+        least, iterations = np.min([times for _, times, _ in hard[name]], axis=0), hard[name][0][2]  # of the same ticks
+        found[name] = {
+            "median": np.median(np.concatenate(calm[name]), axis=0).tolist(),
+            "tenth": np.percentile(np.concatenate(calm[name]), 10, axis=0).tolist(),
+            "saturated": np.sum(least[iterations > 0, 3:5], axis=1).tolist(),
             "iterations": int(iterations.max()),
         }
     return found
@@ -87,59 +84,18 @@ def peak(processor: Processor) -> float:
     return 300_000 * 12 * 2 * processor.vector / 4 / best
 
 
-def operations(network: Network, solver: RtiSolver, lanes: int) -> float:
-    """Float operations of the iteration that was prepared last; tangents count with the columns that fill vectors."""
-    columns = [*solver.history]
-    state = solver.states[0].copy()
-    substeps = round(solver.problem.node / network.dt)
-    steps = solver.problem.nodes * substeps
-    for s in range(steps):
-        speed = solver.inputs[s // substeps]
-        columns.append(np.concatenate([state, speed]))
-        solver.history[:] = columns[-1 - len(solver.history) : -1]
-        state = solver.propagate(state, speed, network.dt).copy()
-    solver.history[:] = columns[: len(solver.history)]
-    active, hidden = _active(network, np.array(columns))
-    features = network.features - 4
-    total = 0.0
-    for s in range(steps):
-        width = -(-(10 + 4 * (s // substeps + 1)) // lanes) * lanes
-        t = s + network.receptive_field - 1
-        for layer, convolution in enumerate(network.convolutions):
-            out = active[layer][t]
-            for tap in range(convolution.weight.shape[2]):
-                if s >= tap * convolution.dilation:
-                    given = features if layer == 0 else active[layer - 1][t - tap * convolution.dilation]
-                    total += out * given * width
-        total += (6 * active[-1][t] + (24 if network.outputs == "body" else 0) + 41 + 33) * width
-        total += sum(6 * hidden[i][s] * dense.weight.shape[1] for i, dense in enumerate(network.perceptron[:-1]))
-        total += sum(layer.weight.size for _, layer in network.layers)
-    for j in range(solver.problem.nodes):
-        width = -(-(10 + 4 * (j + 1)) // lanes) * lanes
-        total += (solver.problem.nodes - j) * 13 * 4 * width
-    return 2 * total
-
-
-def _active(network: Network, columns: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Numbers of active entries: of each convolution at every column, of each hidden layer at every substep."""
-    from export.symbolic import features_function
-
-    function = features_function(network)
-    values = np.array([np.array(function(column)).ravel() for column in columns])
-    counts, first = [], 0
-    for layer in network.convolutions:
-        first += layer.reach
-        taps, rows = layer.weight.shape[2], np.zeros((len(values), len(layer.bias)))
-        for t in range(first, len(values)):
-            seen = [layer.weight[:, :, k] @ values[t - (taps - 1 - k) * layer.dilation] for k in range(taps)]
-            rows[t] = np.maximum(0, sum(seen) + layer.bias)
-        values = rows
-        counts.append((values > 0).sum(axis=1))
-    hidden, value = [], values[network.receptive_field - 1 :]
-    for dense in network.perceptron[:-1]:
-        value = np.maximum(0, value @ dense.weight.T + dense.bias)
-        hidden.append((value > 0).sum(axis=1))
-    return counts, hidden
+def operations(model: ExportedModel, processor: Processor) -> float:
+    """Mean float operations of an iteration, as a kernel counts them along a lemniscate; tangents in whole vectors."""
+    assert model.network is not None
+    flight_model = unlimited(model).flight_model
+    recipe = kernel_recipe(model.network, flight_model, Problem(), processor)
+    counting = dataclasses.replace(recipe, flags=(*recipe.flags, "-DCOUNT_OPERATIONS"))
+    library = build_kernel(counting)
+    solver = RtiSolver(flight_model, Problem(), library)
+    count = ctypes.CDLL(str(library)).rti_operations
+    count.restype = ctypes.c_double
+    ticks = sum(len(fly(solver, period)[1]) for period in PERIODS.values())
+    return count() / ticks
 
 
 def inference(model: ExportedModel) -> tuple[float, float]:
@@ -168,12 +124,10 @@ def inference(model: ExportedModel) -> tuple[float, float]:
 
 
 def growth(trained: TrainedModel) -> dict[str, list[tuple[int, float]]]:
-    """Median seconds of an iteration against N, T and width, with random weights."""
+    """Median seconds of a preparation against N, T and width, with random weights, all in turns."""
     torch.manual_seed(0)
     config = trained.config
-    found: dict[str, list[tuple[int, float]]] = {"N": [], "T": [], "channels": []}
-    for nodes in (10, 20, 30, 40):
-        found["N"].append((nodes, _step(trained, config, Problem(nodes=nodes, horizon=0.05 * nodes))))
+    cases = [("N", nodes, config, Problem(nodes=nodes, horizon=0.05 * nodes)) for nodes in (10, 20, 30, 40)]
     for history, kernel, dilations in (
         (4, 2, (1, 1, 1)),
         (10, 3, (1, 1, 1, 1)),
@@ -181,25 +135,31 @@ def growth(trained: TrainedModel) -> dict[str, list[tuple[int, float]]]:
         (40, 3, (1, 2, 4, 8)),
     ):
         changed = msgspec.structs.replace(config, history=history, kernel=kernel, dilations=dilations)
-        found["T"].append((history, _step(trained, changed, Problem())))
-    for channels in (8, 16, 32, 64):
-        changed = msgspec.structs.replace(config, channels=channels)
-        found["channels"].append((channels, _step(trained, changed, Problem())))
+        cases.append(("T", history, changed, Problem()))
+    wider = ((channels, msgspec.structs.replace(config, channels=channels)) for channels in (8, 16, 32, 64))
+    cases += [("channels", channels, changed, Problem()) for channels, changed in wider]
+    solvers = [_hovering(trained, changed, problem) for _, _, changed, problem in cases]
+    times: list[list[float]] = [[] for _ in cases]
+    for _ in range(10):
+        for solver, taken in zip(solvers, times, strict=True):
+            for _ in range(30):
+                solver.prepare(solver.state_reference[0])
+                taken.append(solver.report.prepare_seconds)
+    found: dict[str, list[tuple[int, float]]] = {}
+    for (name, size, _, _), taken in zip(cases, times, strict=True):
+        found.setdefault(name, []).append((size, float(np.median(taken))))
     return found
 
 
-def _step(trained: TrainedModel, config: ModelConfig, problem: Problem) -> float:
+def _hovering(trained: TrainedModel, config: ModelConfig, problem: Problem) -> RtiSolver:
+    """A solver with hover in its history and as its reference."""
     model = exported(dataclasses.replace(trained, config=config, networks=(build_network(config).eval(),)))
     solver = solver_for(model, native_processor(), problem)
     hover = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
     solver.reset(hover)
     solver.state_reference[:], solver.input_reference[:] = hover, model.vehicle.hover_speed
     solver.history[:] = [*hover, *[model.vehicle.hover_speed] * 4]
-    times = []
-    for _ in range(300):
-        solver.prepare(hover)
-        times.append(solver.report.prepare_seconds)
-    return float(np.median(times))
+    return solver
 
 
 def plot(found: dict[str, list[tuple[int, float]]]) -> None:
@@ -262,37 +222,27 @@ def main() -> None:
         print(json.dumps(measure(arguments.measure)))
         return
     folder = networks(arguments.networks, arguments.steps)
-    measured = {}
-    builds: dict[str, Path | None] = {"CasADi's (generic)": None}
-    if faster := list(ACADOS.glob("*/*/acados/install")):
-        builds["acados' (Haswell)"] = faster[0]
-    for name, install in builds.items():
-        environment = {**os.environ, **({"ALULA_HPIPM": str(install)} if install else {})}
-        command = [sys.executable, __file__, "--measure", str(folder)]
-        done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        measured[name] = json.loads(done.stdout.splitlines()[-1])
+    measured = with_each_blasfeo(__file__, folder)
     model, processor = read_model(folder / "pi_tcn.pt"), native_processor()
-    assert model.network is not None
-    solver = solver_for(model, processor)
-    fly(solver, 3.5)
-    work, best = operations(model.network, solver, processor.vector // 4), peak(processor)
+    work, best = operations(model, processor), peak(processor)
     fastest = min(sum(found[processor.name]["median"][3:5]) for found in measured.values())
     streamed, windowed = inference(model)
     found = growth(load(folder / "pi_tcn.pt"))
     plot(found)
     lines = [
         "PI-TCN (T = 20, receptive field 19, 16 channels, body frame), N = 20 nodes of 50 ms, exact history "
-        "derivatives, floats; microseconds, medians over flights along a lemniscate, other work on the machine. "
+        "derivatives, floats; microseconds, medians over flights along a lemniscate. "
         "Saturated: ticks whose QP had active bounds while the reference leapt by 0.6 m every 0.3 s, under SCHED_FIFO, "
         "each the least of three equal flights.", "",
         *timing(measured), "",
         f"An iteration takes {work / 1e6:.1f} MFLOP; this core's peak with {processor.name}, measured in the same run, "
-        f"is {best / 1e9:.0f} GFLOP/s: the median step runs at {100 * work / best / fastest:.0f} % of it.", "",
+        f"is {best / 1e9:.0f} GFLOP/s: the median step runs at {100 * work / best / fastest:.0f} % of it. The kernel "
+        "counted its operations along the same flights: the network's, the tangents' and the Hessian's.", "",
         f"One streamed column: {1e6 * streamed:.2f} us; the same window in ONNX Runtime: {1e6 * windowed:.1f} us, "
         f"{windowed / streamed:.0f} times as long.", "",
         "Closed loop in lockstep, rotor speeds given at 100 Hz to a plant with 40 ms of motor lag and drag:", "",
         *closed_loop(folder), "",
-        "Growth of the preparation: " + "; ".join(
+        "Growth of the preparation, in turns, random weights: " + "; ".join(
             f"{name} " + ", ".join(f"{size}: {1e6 * seconds:.0f} us" for size, seconds in points)
             for name, points in found.items()
         ) + ".", "", "![growth](rti_network.png)",

@@ -20,7 +20,7 @@ from runtime.rti.processor import Processor
 from runtime.rti.solver import RtiSolver
 
 Precision = Literal["float", "double"]
-SOURCES = ("network.c", "reverse.h", "tangents.h", "layers.h", "motion.h", "condensed.h", "dense_qp.h")
+SOURCES = ("network.c", "reverse.h", "tangents.h", "layers.h", "motion.h", "condensed.h", "box_qp.h", "dense_qp.h")
 ENTRY = "network.c"
 
 

@@ -4,16 +4,14 @@
  * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, how g moves with
  * dx_0. rti_feedback takes the state that was really measured and solves a dense QP in the inputs alone.
  *
- * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone; where its
- * solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again: the
- * optimum of a relaxation that is feasible is the optimum. */
+ * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone (box_qp.h);
+ * where its solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again
+ * by HPIPM: the optimum of a relaxation that is feasible is the optimum. */
 #ifndef ALULA_CONDENSED_H
 #define ALULA_CONDENSED_H
 
 #include <math.h>
 #include <time.h>
-
-#include "dense_qp.h"
 
 /* Wanted from the includer: NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, the columns that it looks back;
  * SENSITIVITY, the type of S; START, the column of dx_0's first entry; X0, the first column of v_0. */
@@ -22,6 +20,11 @@
 #define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
 #define L ROUND_TO(X0 + V, LANES_OF(SENSITIVITY))
 #define SOLVES 3
+#define SUMS 16
+
+#include "box_qp.h"
+#include "dense_qp.h"
+
 #define FAR 1e8 /* stands for no bound: the interior-point method wants finite numbers */
 
 typedef struct {
@@ -50,7 +53,8 @@ typedef struct {
     rti_report report;
     bool prepared;
     bool bounded[NX + 1]; /* quantities whose rows are in the QP: the states, then collective thrust */
-    dense_qp *qp, *rows[NX + 2]; /* without rows, and with the rows of so many quantities */
+    box_qp box;
+    dense_qp *rows[NX + 2]; /* HPIPM's, with the rows of so many quantities; without any for what box_qp leaves */
 } condensed;
 
 static double now(void) {
@@ -65,7 +69,7 @@ static bool is_bounded(const condensed *r, int i) { return lower_bound(r, i) > -
 
 static void condensed_create(condensed *r, const rti_options *options) {
     r->o = *options;
-    r->qp = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
+    r->rows[0] = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
     for (int i = 0, quantities = 0; i <= NX; i++)
         if (is_bounded(r, i)) {
             quantities++;
@@ -75,7 +79,6 @@ static void condensed_create(condensed *r, const rti_options *options) {
 }
 
 void rti_free(condensed *r) {
-    dense_qp_free(r->qp);
     for (int i = 0; i < NX + 2; i++) dense_qp_free(r->rows[i]);
     free(r);
 }
@@ -109,17 +112,14 @@ static bool condensed_begin(condensed *r, const double *x, const double *x_refer
     return true;
 }
 
-/* Hand the finished Hessian and the box around the inputs to the QP. */
+/* Factor the finished Hessian, and put the box around the inputs. */
 static void condensed_finish(condensed *r) {
-    d_dense_qp_set_H(r->H, &r->qp->qp);
-    dense_qp_factor(r->qp);
+    box_qp_factor(&r->box, r->H);
     for (int k = 0; k < N; k++)
         for (int j = 0; j < NU; j++) {
             r->lower[k * NU + j] = (r->o.u_lower[j] - r->u[k][j]) / r->o.scale;
             r->upper[k * NU + j] = (r->o.u_upper[j] - r->u[k][j]) / r->o.scale;
         }
-    d_dense_qp_set_lb(r->lower, &r->qp->qp);
-    d_dense_qp_set_ub(r->upper, &r->qp->qp);
 }
 
 /* Move the inputs by a part of a node towards the horizon's end, as time does between two ticks. */
@@ -128,11 +128,15 @@ void rti_shift(condensed *r, double part) {
         for (int j = 0; j < NU; j++) r->u[k][j] += part * (r->u[k + 1][j] - r->u[k][j]);
 }
 
-/* Change of state i at node k under the step z. */
+/* Change of state i at node k under the step z; sums side by side, so that additions do not wait. */
 static double move(const condensed *r, int k, int i, const double *z) {
-    double sum = 0;
-    int columns = X0 + k * NU;
-    for (int c = 0; c < columns; c++) sum += r->S[k][i][c] * z[c];
+    const SENSITIVITY *row = r->S[k][i];
+    double sums[SUMS] = {0}, sum = 0;
+    int c = 0, columns = X0 + k * NU;
+    for (; c + SUMS <= columns; c += SUMS)
+        for (int part = 0; part < SUMS; part++) sums[part] += row[c + part] * z[c + part];
+    for (; c < columns; c++) sum += row[c] * z[c];
+    for (int part = 0; part < SUMS; part++) sum += sums[part];
     return sum;
 }
 
@@ -191,6 +195,22 @@ static int solve_with_rows(condensed *r) {
     return status;
 }
 
+/* Solve with the input box alone, and by HPIPM where that fails. Returns the status. */
+static int solve_in_box(condensed *r) {
+    double *v = r->z + X0;
+    int *iterations = &r->report.iterations, more;
+    if (box_qp_free_optimum(&r->box, r->g_measured, r->lower, r->upper, v)) return 0;
+    int status = box_qp_solve(&r->box, r->H, r->g_measured, r->lower, r->upper, r->o.tolerance, r->o.iterations, v,
+                              iterations);
+    if (status == 0) return 0;
+    dense_qp *q = r->rows[0];
+    d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
+    d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
+    status = dense_qp_solve(q, v, &more);
+    *iterations += more;
+    return status;
+}
+
 /* Add the step to the trajectory. */
 static void apply(condensed *r) {
     for (int k = 0; k <= N; k++)
@@ -216,11 +236,7 @@ int rti_feedback(condensed *r, const double *x) {
             r->g_measured[v] = r->g[v];
             for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[START + i];
         }
-        report->status = 0;
-        if (!dense_qp_free_optimum(r->qp, r->g_measured, r->lower, r->upper, r->z + X0)) {
-            d_dense_qp_set_g(r->g_measured, &r->qp->qp);
-            report->status = dense_qp_solve(r->qp, r->z + X0, &report->iterations);
-        }
+        report->status = solve_in_box(r);
         memset(r->bounded, 0, sizeof r->bounded);
         for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + V); report->solves++) {
             if (!take_violated(r)) break;

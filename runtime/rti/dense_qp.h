@@ -2,9 +2,8 @@
  *
  *   minimise 1/2 v'Hv + g'v   subject to  lower <= v <= upper  and  row_lower <= C v <= row_upper (each row soft)
  *
- * Where no bound acts the optimum is -H^-1 g: dense_qp_factor prepares it, dense_qp_free_optimum gives it for two
- * triangular solves, and only where it leaves the box the interior-point method is asked. All memory is taken at
- * creation; a solve allocates nothing. */
+ * box_qp.h is faster where there are no rows; this is for problems with some, and for what that cannot solve. All memory
+ * is taken at creation; a solve allocates nothing. */
 #ifndef ALULA_DENSE_QP_H
 #define ALULA_DENSE_QP_H
 
@@ -26,9 +25,7 @@ typedef struct {
     struct d_dense_qp_sol sol;
     struct d_dense_qp_ipm_arg arg;
     struct d_dense_qp_ipm_ws ws;
-    struct blasfeo_dmat factor;
-    struct blasfeo_dvec right;
-    void *memory[7];
+    void *memory[5];
 } dense_qp;
 
 static void *aligned_zeros(size_t bytes) {
@@ -68,10 +65,6 @@ static dense_qp *dense_qp_create(int variables, int rows, double tolerance, int 
     d_dense_qp_ipm_arg_set("iter_max", &iterations, &q->arg);
     q->memory[4] = aligned_zeros(d_dense_qp_ipm_ws_memsize(&q->dim, &q->arg));
     d_dense_qp_ipm_ws_create(&q->dim, &q->arg, &q->ws, q->memory[4]);
-    q->memory[5] = aligned_zeros(blasfeo_memsize_dmat(variables, variables));
-    q->memory[6] = aligned_zeros(blasfeo_memsize_dvec(variables));
-    blasfeo_create_dmat(variables, variables, &q->factor, q->memory[5]);
-    blasfeo_create_dvec(variables, &q->right, q->memory[6]);
     int *index = malloc(sizeof(int) * (size_t)variables);
     for (int i = 0; i < variables; i++) index[i] = i;
     d_dense_qp_set_idxb(index, &q->qp);
@@ -82,25 +75,8 @@ static dense_qp *dense_qp_create(int variables, int rows, double tolerance, int 
 
 static void dense_qp_free(dense_qp *q) {
     if (!q) return;
-    for (int i = 0; i < 7; i++) free(q->memory[i]);
+    for (int i = 0; i < 5; i++) free(q->memory[i]);
     free(q);
-}
-
-/* Cholesky factor of the Hessian that was set last. */
-static void dense_qp_factor(dense_qp *q) { blasfeo_dpotrf_l(q->variables, q->qp.Hv, 0, 0, &q->factor, 0, 0); }
-
-/* v = -H^-1 g; returns whether it is finite and inside the box. */
-static bool dense_qp_free_optimum(dense_qp *q, double *g, const double *lower, const double *upper, double *v) {
-    blasfeo_pack_dvec(q->variables, g, 1, &q->right, 0);
-    blasfeo_dtrsv_lnn(q->variables, &q->factor, 0, 0, &q->right, 0, &q->right, 0);
-    blasfeo_dtrsv_ltn(q->variables, &q->factor, 0, 0, &q->right, 0, &q->right, 0);
-    blasfeo_unpack_dvec(q->variables, &q->right, 0, v, 1);
-    bool inside = true;
-    for (int i = 0; i < q->variables; i++) {
-        v[i] = -v[i];
-        inside &= v[i] >= lower[i] && v[i] <= upper[i]; /* false for what is not a number */
-    }
-    return inside;
 }
 
 /* Returns HPIPM's status (0: solved) and the number of iterations. */

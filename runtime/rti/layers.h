@@ -16,6 +16,13 @@ typedef real vector __attribute__((vector_size(VECTOR_BYTES)));
 typedef NETWORK_INTEGER lane_numbers __attribute__((vector_size(VECTOR_BYTES))); /* as wide as real */
 typedef unsigned char lane_bytes __attribute__((vector_size(LANES)));
 
+#ifdef COUNT_OPERATIONS
+static double operations; /* multiplications and additions of floats so far */
+#define COUNT(products) (operations += 2.0 * (products))
+#else
+#define COUNT(products) ((void)0)
+#endif
+
 /* Rows of a block's output and vectors along its columns that fit the registers: 32 of them, or 16. */
 #if VECTOR_BYTES == 64 || defined(__aarch64__)
 #define BLOCK_ROWS 12
@@ -90,6 +97,7 @@ INLINE void finish(const int outputs, const int partial, const vector *sums, con
 
 INLINE void dense(const int inputs, const int outputs, const int rectify, const real *W, const real *b, const real *x,
                   real *y) {
+    COUNT(inputs * outputs);
     vector sums[PARTIAL(outputs) * outputs / LANES];
     memset(sums, 0, sizeof sums);
     accumulate(inputs, outputs, PARTIAL(outputs), W, x, sums);
@@ -99,6 +107,7 @@ INLINE void dense(const int inputs, const int outputs, const int rectify, const 
 /* y = ReLU(b + sum over taps of x[-tap * dilation]' W[tap]); tap 0 is the newest column, columns lie `width` apart. */
 INLINE void convolve(const int inputs, const int outputs, const int taps, const int dilation, const int width,
                      const real *W, const real *b, const real *x, real *y) {
+    COUNT(taps * inputs * outputs);
     vector sums[PARTIAL(outputs) * outputs / LANES];
     memset(sums, 0, sizeof sums);
     UNROLL for (int tap = 0; tap < taps; tap++)
@@ -122,6 +131,7 @@ INLINE void pack(const int entries, const real *w, const active_set *set, real *
 /* out (rows, inputs) = J (rows, outputs) D W, D the ReLU's mask and W (outputs, inputs): one layer of a reverse sweep. */
 INLINE void reverse(const int rows, const int inputs, const int outputs, int active, const unsigned char *index,
                     const real *J, const real *W, real *out) {
+    COUNT(rows * inputs * active);
     const int vectors = inputs / LANES % 4 == 0 && BLOCK_ROWS == 12 ? 4 : inputs / LANES % 2 == 0 ? 2 : 1;
     for (int c = 0; c < inputs; c += vectors * LANES) {
         vector sums[4][6];
@@ -137,35 +147,39 @@ INLINE void reverse(const int rows, const int inputs, const int outputs, int act
     }
 }
 
-INLINE void block(const int outs, const int vectors, int count, const real *const *rows, const real *weights,
-                  int stride, int c, real *const *out) {
+INLINE void block(const int outs, const int vectors, int count, const real *const *rows, const real *const *weights,
+                  const int spread, int first, int c, real *const *out) {
     vector sums[BLOCK_ROWS][BLOCK_VECTORS];
     UNROLL for (int o = 0; o < outs; o++) UNROLL for (int v = 0; v < vectors; v++) sums[o][v] = (vector){0};
     for (int i = 0; i < count; i++) {
         const vector *x = (const vector *)(rows[i] + c);
-        const real *w = weights + i * stride;
-        UNROLL for (int o = 0; o < outs; o++) UNROLL for (int v = 0; v < vectors; v++) sums[o][v] += w[o] * x[v];
+        const real *w = weights[i] + first * spread;
+        UNROLL for (int o = 0; o < outs; o++)
+            UNROLL for (int v = 0; v < vectors; v++) sums[o][v] += w[o * spread] * x[v];
     }
     UNROLL for (int o = 0; o < outs; o++)
-        UNROLL for (int v = 0; v < vectors; v++) ((vector *)(out[o] + c))[v] = sums[o][v];
+        UNROLL for (int v = 0; v < vectors; v++) ((vector *)(out[first + o] + c))[v] = sums[o][v];
 }
 
-INLINE void block_row(const int outs, int count, const real *const *rows, const real *weights, int stride, int columns,
-                      real *const *out) {
+/* out[first + o][c] = sum over i < count of weights[i][(first + o) spread] rows[i][c], for c < columns, a multiple of
+ * LANES. */
+INLINE void block_row(const int outs, int count, const real *const *rows, const real *const *weights, const int spread,
+                      int first, int columns, real *const *out) {
+    COUNT(outs * count * columns);
     int c = 0;
     for (; c + BLOCK_VECTORS * LANES <= columns; c += BLOCK_VECTORS * LANES)
-        block(outs, BLOCK_VECTORS, count, rows, weights, stride, c, out);
-    if (c < columns) block(outs, 1, count, rows, weights, stride, c, out);
+        block(outs, BLOCK_VECTORS, count, rows, weights, spread, first, c, out);
+    if (c < columns) block(outs, 1, count, rows, weights, spread, first, c, out);
 }
 
-/* out[o][c] = sum over i < count of weights[i][o] rows[i][c], for c < columns, a multiple of LANES. */
-static void multiply(int outs, int count, const real *const *rows, const real *weights, int stride, int columns,
+/* out[o][c] = sum over i < count of weights[i][o] rows[i][c], for o < outs. */
+static void multiply(int outs, int count, const real *const *rows, const real *const *weights, int columns,
                      real *const *out) {
     int blocks = (outs + BLOCK_ROWS - 1) / BLOCK_ROWS;
     for (int b = 0, first = 0; b < blocks; b++) {
         int size = (outs - first) / (blocks - b); /* as even as can be: a block of one row waits for itself */
 #define BLOCK_OF(n) \
-    case n: block_row(n, count, rows, weights + first, stride, columns, out + first); break;
+    case n: block_row(n, count, rows, weights, 1, first, columns, out); break;
         switch (size) {
             BLOCK_OF(1) BLOCK_OF(2) BLOCK_OF(3) BLOCK_OF(4) BLOCK_OF(5) BLOCK_OF(6)
 #if BLOCK_ROWS == 12

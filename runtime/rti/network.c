@@ -25,7 +25,6 @@ typedef NETWORK_REAL real;
 #define STATE_FEATURES (FEATURES - NU)
 #define HIDDEN_STATES (NX - 13)
 #define RATES (6 + HIDDEN_STATES)
-#define SAID 8 /* six accelerations, padded */
 #define COLUMN_ENTRIES (13 + NU) /* of a measured column: the rigid body, then the rotors' commanded speeds */
 
 #if RESIDUAL
@@ -66,7 +65,6 @@ typedef struct {
         real code[CODE_SPAN][CODE][STREAMED]; /* tangents of what the last streamed layer gives */
         real perceptron[6 * LAST_CODE]; /* how what the network says depends on what the perceptron is given */
         EACH_SWEPT(BACK_OF)
-        real by_code[CODE_SEEN][CODE][SAID]; /* the same by what the last streamed layer gives, outputs side by side */
         real moving[NX][STREAMED]; /* tangents of the state */
         real said[6][STREAMED];    /* tangents of what the network says */
         real rates[6][STREAMED];   /* tangents of the accelerations, world and body axes */
@@ -81,8 +79,8 @@ typedef struct {
         real H[V][STREAMED];
     } a __attribute__((aligned(64)));
     real by_own_input[MOST_TAPS][WIDEST][NU]; /* the first layer's weights of the inputs, per scaled input */
-    active_set active[LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
-    bool turned[LAYERS + 1][COLUMNS];       /* whether the active ones are others than a column before */
+    active_set active[STREAMED_LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
+    bool turned[LAYERS + 1][COLUMNS]; /* whether others are active than a column before; of what swept layers give */
 } network;
 
 /* ---- forward ---- */
@@ -239,6 +237,10 @@ network *rti_create(const rti_options *options) {
 double *rti_parameters(network *r) { return r->p; }
 double *rti_environment(network *r) { return r->e; }
 double *rti_history(network *r) { return &r->history[0][0]; }
+
+#ifdef COUNT_OPERATIONS
+double rti_operations(void) { return operations; }
+#endif
 
 /* The model over dt seconds, at most STEPS substeps, from x with the history before it and inputs u. */
 void rti_propagate(network *r, const double *x, const double *u, double dt, double *next) {

@@ -10,18 +10,20 @@ INLINE bool same_signs(const int entries, const real *x, const real *y) {
     lane_numbers other = {0};
     UNROLL for (int v = 0; v < entries / LANES; v++)
         other |= (((const vector *)x)[v] > 0) ^ (((const vector *)y)[v] > 0);
-    for (int i = 0; i < LANES; i++)
-        if (other[i]) return false;
-    return true;
+    unsigned long long parts[VECTOR_BYTES / 8], any = 0;
+    memcpy(parts, &other, sizeof parts);
+    for (int i = 0; i < VECTOR_BYTES / 8; i++) any |= parts[i];
+    return !any;
 }
 
-#define FIND(l, inputs, outputs, taps, dilation) \
-    find_active(&r->active[l + 1][t], outputs, r->a.column[l + 1][t]); \
-    r->turned[l + 1][t] = !t || !same_signs(outputs, r->a.column[l + 1][t], r->a.column[l + 1][t - 1]);
+#define FIND(l, inputs, outputs, taps, dilation) find_active(&r->active[l + 1][t], outputs, r->a.column[l + 1][t]);
+#define TURN(l, inputs, outputs, taps, above, below) \
+    r->turned[l + 1][t] = !same_signs(outputs, r->a.column[l + 1][t], r->a.column[l + 1][t - 1]);
 
-/* Masks of all columns, measured and predicted. */
+/* Masks of what streamed layers give in the horizon; where masks turn of what the others give, measured columns too. */
 static void find_masks(network *r) {
-    for (int t = 0; t < COLUMNS; t++) { EACH_CONVOLUTION(FIND) }
+    for (int t = HISTORY; t < COLUMNS; t++) { EACH_STREAMED(FIND) }
+    for (int t = 1; t < COLUMNS; t++) { EACH_SWEPT(TURN) }
 }
 
 #define UNTHINK(l, inputs, outputs) \
@@ -54,10 +56,11 @@ INLINE void sweep_layer(network *r, int t, const int layer, const int inputs, co
                         real (*sums)[6 * inputs], bool *changed) {
     for (int a = 0; a < above; a++) {
         const int column = t - seen[a];
-        const active_set *mask = &r->active[layer + 1][column];
+        unsigned char index[outputs + 1];
         if (!fresh[a] && !r->turned[layer + 1][column]) continue;
+        const int active = list_active(outputs, r->a.column[layer + 1][column], index);
         for (int tap = 0; tap < taps; tap++) {
-            reverse(6, inputs, outputs, mask->count, mask->index, given + a * 6 * outputs, W + tap * outputs * inputs,
+            reverse(6, inputs, outputs, active, index, given + a * 6 * outputs, W + tap * outputs * inputs,
                     parts[a][tap]);
             changed[reached[a][tap]] = true;
         }
@@ -77,15 +80,13 @@ INLINE void sweep_layer(network *r, int t, const int layer, const int inputs, co
                 &convolution_back_##l[0][0][0], r->a.part_##l, r->a.back_##l, changed_##l); \
     seen = seen_##l, fresh = changed_##l, given = r->a.back_##l[0];
 
-/* Bring by_code up to substep s. */
-static void sweep(network *r, int s) {
+/* How the six that are said at substep s depend on what the last streamed layer gave, (CODE_SEEN, 6, CODE). */
+static const real *sweep(network *r, int s) {
     const bool said_changed[1] = {sweep_perceptron(r, s)};
     const real *given = r->a.perceptron;
     const short *seen = seen_last;
     const bool *fresh = said_changed;
     EACH_SWEPT(SWEEP)
-    for (int b = 0; b < CODE_SEEN; b++)
-        for (int i = 0; fresh[b] && i < CODE; i++)
-            for (int o = 0; o < 6; o++) r->a.by_code[b][i][o] = given[(b * 6 + o) * CODE + i];
-    (void)seen;
+    (void)seen, (void)fresh;
+    return given;
 }

@@ -176,12 +176,14 @@ static void condense(rti *r) {
     gradient(r);
 }
 
-/* x: the state expected at the next tick. reference: N + 1 states, then N inputs. Returns 0, or -1 when a number of them
- * is not finite; no feedback is then given until the next preparation. */
+/* x: the state expected at the next tick. reference: N + 1 states, then N inputs. Returns 0; -1 when a number of them is
+ * not finite, -2 when the prediction is not: no feedback is then given until the next preparation. */
 int rti_prepare(rti *r, const double *x, const double *x_reference, const double *u_reference) {
     double start = now();
     if (!condensed_begin(&r->c, x, x_reference, u_reference)) return -1;
     linearise(r);
+    r->c.prepared = finite_all(r->c.x[N], NX);
+    if (!r->c.prepared) return -2;
     double linearised = now();
     condense(r);
     condensed_finish(&r->c);

@@ -206,7 +206,7 @@ def solver_recipe(
             f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
         }  # fmt: skip
     folder = resources.files("runtime.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "dense_qp.h")}
+    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "box_qp.h", "dense_qp.h")}
     sources["model.c"] = generate_c([node, step])
     flags = FLAGS if processor is None else processor.compiler_flags
     return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))

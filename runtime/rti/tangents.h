@@ -16,8 +16,8 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
                          real (*out)[STREAMED]) {
     const int span = (taps - 1) * dilation + 1;
     const active_set *mine = &r->active[layer + 1][HISTORY + s];
-    const real *rows[taps * inputs];
-    real weights[taps * inputs + 1][outputs] __attribute__((aligned(64))), *active[outputs];
+    const real *rows[taps * inputs], *weights[taps * inputs];
+    real packed[taps * inputs + 1][outputs] __attribute__((aligned(64))), *active[outputs];
     int count = 0;
     for (int tap = 0; tap < taps && s - tap * dilation >= 0; tap++) {
         const int from = s - tap * dilation;
@@ -25,11 +25,12 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
         for (int q = 0; q < theirs->count; q++) {
             const int i = theirs->index[q];
             rows[count] = ring[from % span][i];
-            pack(outputs, W + (tap * inputs + i) * outputs, mine, weights[count++]);
+            pack(outputs, W + (tap * inputs + i) * outputs, mine, packed[count]);
+            weights[count] = packed[count], count++;
         }
     }
     for (int q = 0; q < mine->count; q++) active[q] = out[mine->index[q]];
-    multiply(mine->count, count, rows, weights[0], outputs, columns, active);
+    multiply(mine->count, count, rows, weights, columns, active);
     for (int tap = 0; layer == 0 && tap < taps && s - tap * dilation >= 0; tap++) {
         const int first = BY_INPUT + NU * ((s - tap * dilation) / SUBSTEPS);
         for (int q = 0; q < mine->count; q++) /* a node's own inputs: identities, so their columns are the weights */
@@ -40,6 +41,7 @@ INLINE void stream_layer(network *r, int s, int columns, const int layer, const 
 /* Tangents of the features that depend on the state, from those of the state. */
 static void stream_features(const network *r, int s, int columns, real (*out)[STREAMED]) {
     const real(*moving)[STREAMED] = r->a.moving;
+    COUNT((BODY_INPUTS ? 36 : 10) * columns);
 #if BODY_INPUTS
     double R[3][3], P[3][4], down[3][4];
     const double gravity[3] = {0, 0, -1};
@@ -74,27 +76,26 @@ static void stream_features(const network *r, int s, int columns, real (*out)[ST
 
 /* Tangents of what the network says, from those of what its last streamed layer gave at the columns that are seen. */
 static void stream_said(network *r, int s, int columns) {
-    real weights[CODE_SEEN * CODE][SAID] __attribute__((aligned(64))), *out[6];
-    const real *rows[CODE_SEEN * CODE];
+    const real *rows[CODE_SEEN * CODE], *weights[CODE_SEEN * CODE], *by_code = sweep(r, s);
+    real *out[6];
     int count = 0;
-    sweep(r, s);
     for (int b = 0; b < CODE_SEEN && seen_code[b] <= s; b++) { /* measured columns do not move */
         const int from = s - seen_code[b];
         const active_set *theirs = &r->active[STREAMED_LAYERS][HISTORY + from];
         for (int q = 0; q < theirs->count; q++) {
             rows[count] = r->a.code[from % CODE_SPAN][theirs->index[q]];
-            memcpy(weights[count++], r->a.by_code[b][theirs->index[q]], sizeof weights[0]);
+            weights[count++] = by_code + b * 6 * CODE + theirs->index[q];
         }
     }
     for (int o = 0; o < 6; o++) out[o] = r->a.said[o];
-    multiply(6, count, rows, weights[0], SAID, columns, out);
+    block_row(6, count, rows, weights, CODE, 0, columns, out);
 #if STREAMED_LAYERS == 0
     for (int b = 0; b < CODE_SEEN && seen_code[b] <= s; b++) {
         const int first = BY_INPUT + NU * ((s - seen_code[b]) / SUBSTEPS);
         for (int i = 0; i < NU; i++)
             for (int o = 0; o < 6; o++)
                 out[o][first + i] += (real)(r->c.o.scale * feature_gain[STATE_FEATURES + i]) *
-                                     r->a.by_code[b][STATE_FEATURES + i][o];
+                                     by_code[(b * 6 + o) * CODE + STATE_FEATURES + i];
     }
 #endif
 }
@@ -103,14 +104,14 @@ static void stream_said(network *r, int s, int columns) {
 static void stream_physics(network *r, int s, int columns) {
 #if RESIDUAL
     const int first = BY_INPUT + NU * (s / SUBSTEPS);
-    const real *rows[NX];
-    real weights[NX][SAID], *out[6];
+    const real *rows[NX], *weights[NX];
+    real by_state[NX][6], *out[6];
     for (int i = FREE; i < NX; i++) {
-        rows[i - FREE] = r->a.moving[i];
-        for (int o = 0; o < 6; o++) weights[i - FREE][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
+        rows[i - FREE] = r->a.moving[i], weights[i - FREE] = by_state[i];
+        for (int o = 0; o < 6; o++) by_state[i][o] = (real)r->by_state[s][i * PHYSICS_RATES + o];
     }
     for (int o = 0; o < 6; o++) out[o] = r->a.physical[o];
-    multiply(6, NX - FREE, rows, weights[0], SAID, columns, out);
+    multiply(6, NX - FREE, rows, weights, columns, out);
     for (int o = 0; o < 6; o++)
         for (int i = 0; i < NU; i++)
             out[o][first + i] += (real)(r->c.o.scale * r->by_input[s][i * PHYSICS_RATES + o]);
@@ -124,6 +125,7 @@ static void stream_physics(network *r, int s, int columns) {
 static void stream_rates(network *r, int s, int columns) {
     stream_said(r, s, columns);
     stream_physics(r, s, columns);
+    COUNT(21 * columns);
     double exact[3][3], exact_by_attitude[3][4];
     real R[3][3], by_attitude[3][4];
     rotation(r->state[s] + 6, exact);
@@ -153,15 +155,14 @@ static void stream_rates(network *r, int s, int columns) {
 /* Tangents of the hidden states' rates. */
 static void stream_hidden(network *r, int s, int columns) {
 #if RESIDUAL && NX > 13
-    const real *rows[NX];
-    real weights[NX][HIDDEN_STATES], *out[HIDDEN_STATES];
+    const real *rows[NX], *weights[NX];
+    real by_state[NX][HIDDEN_STATES], *out[HIDDEN_STATES];
     for (int i = FREE; i < NX; i++) {
-        rows[i - FREE] = r->a.moving[i];
-        for (int o = 0; o < HIDDEN_STATES; o++)
-            weights[i - FREE][o] = (real)r->by_state[s][i * PHYSICS_RATES + 6 + o];
+        rows[i - FREE] = r->a.moving[i], weights[i - FREE] = by_state[i];
+        for (int o = 0; o < HIDDEN_STATES; o++) by_state[i][o] = (real)r->by_state[s][i * PHYSICS_RATES + 6 + o];
     }
     for (int o = 0; o < HIDDEN_STATES; o++) out[o] = r->a.other[o];
-    multiply(HIDDEN_STATES, NX - FREE, rows, weights[0], HIDDEN_STATES, columns, out);
+    multiply(HIDDEN_STATES, NX - FREE, rows, weights, columns, out);
     for (int o = 0; o < HIDDEN_STATES; o++)
         for (int i = 0; i < NU; i++)
             out[o][BY_INPUT + NU * (s / SUBSTEPS) + i] +=
@@ -176,6 +177,7 @@ static void stream_motion(network *r, int s, int columns) {
     const real h = (real)STEP_SECONDS, half = (real)0.5 * h;
     double by_attitude[4][4], by_turn[4][3];
     real Q[4][4], M[4][3];
+    COUNT(46 * columns);
     attitude_derivatives(r->state[s], r->angular[s], STEP_SECONDS, by_attitude, by_turn);
     for (int i = 0; i < 4; i++) {
         for (int j = 0; j < 4; j++) Q[i][j] = (real)by_attitude[i][j];
@@ -264,15 +266,16 @@ static void weigh(network *r) {
 
 /* H = sum_k S_k' Q S_k + R SCALE^2 + the damping, two nodes' rows at a time; G is the same for dx_0's columns. */
 static void hessian(network *r) {
-    const real *rows[N * NX];
+    const real *rows[N * NX], *weights[N * NX];
     for (int k = 0; k < N; k++)
         for (int i = 0; i < NX; i++) rows[k * NX + i] = &r->c.S[k + 1][i][LEAD];
     for (int j = 0; j < N; j += 2) {
         const int nodes = j + 1 < N ? 2 : 1;
         real *out[2 * NU];
         for (int v = 0; v < nodes * NU; v++) out[v] = r->a.H[j * NU + v];
-        multiply(nodes * NU, (N - j) * NX, rows + j * NX, &r->a.S_weighed[j][0][X0 + NU * j], L,
-                 columns_at(j + nodes - 1), out);
+        for (int k = j; k < N; k++)
+            for (int i = 0; i < NX; i++) weights[k * NX + i] = &r->a.S_weighed[k][i][X0 + NU * j];
+        multiply(nodes * NU, (N - j) * NX, rows + j * NX, weights + j * NX, columns_at(j + nodes - 1), out);
     }
     for (int v = 0; v < V; v++) {
         for (int w = 0; w <= v; w++) r->c.H[v * V + w] = r->c.H[w * V + v] = r->a.H[v][BY_INPUT + w];

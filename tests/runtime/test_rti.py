@@ -1,6 +1,7 @@
 """The C solver against independent CasADi code: same derivatives, same optimum, bounds that hold."""
 
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import msgspec
@@ -12,6 +13,7 @@ from dynamics.integrators import rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
 from dynamics.vehicle import EffectUse, Limits, Vehicle
 from dynamics.vehicle_file import read_vehicle
+from runtime.rti import solver as rti_solver
 from runtime.rti.problem import Problem, fill_options
 from runtime.rti.solver import RtiSolver
 
@@ -237,6 +239,56 @@ def test_a_state_that_is_not_finite_changes_nothing() -> None:
         assert solver.feedback(broken) == -1
         np.testing.assert_array_equal(solver.inputs, before)
     assert solver.feedback(state) == 0
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_quadratic_program_that_is_not_finite_changes_nothing_and_leaves_nothing_behind(bad: float) -> None:
+    solver, fresh = (RtiSolver(build_model(VEHICLE), Problem()) for _ in range(2))
+    state = excited(solver)
+    excited(fresh)
+    for used in (solver, fresh):
+        used.state_reference[:, 0] += 10  # rotors saturate
+    before = solver.inputs.copy()
+    for broken in (solver.hessian, solver.gradient):
+        assert solver.prepare(state) == 0
+        broken[...] = bad
+        assert solver.feedback(state) > 0
+        np.testing.assert_array_equal(solver.inputs, before)
+    for used in (solver, fresh):
+        assert used.prepare(state) == 0
+        assert used.feedback(state) == 0
+        assert used.report.iterations > 0
+    np.testing.assert_array_equal(solver.inputs, fresh.inputs)
+
+
+def test_a_prediction_that_is_not_finite_is_refused() -> None:
+    solver = RtiSolver(build_model(VEHICLE), Problem())
+    state = excited(solver)
+    solver.parameters[0] = np.nan
+    assert solver.prepare(state) == -2
+    assert solver.feedback(state) == -1
+
+
+def test_what_the_box_solver_refuses_hpipm_solves(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A rotor whose bounds coincide."""
+    speed = VEHICLE.hover_speed
+
+    def one_rotor_fixed(problem: Problem, model: Model) -> Any:
+        options = fill_options(problem, model)
+        options.u_lower[2] = options.u_upper[2] = speed
+        return options
+
+    monkeypatch.setattr(rti_solver, "fill_options", one_rotor_fixed)
+    solver = RtiSolver(build_model(UNLIMITED), Problem(nodes=5, horizon=0.25))
+    state = excited(solver)
+    solver.inputs[:, 2] = speed
+    assert solver.prepare(state) == 0
+    wanted = solver.inputs.ravel().copy()
+    free = np.arange(wanted.size) % 4 != 2
+    scale = fill_options(solver.problem, solver.model).scale
+    wanted[free] -= scale * np.linalg.solve(solver.hessian[np.ix_(free, free)], solver.gradient[free])
+    assert solver.feedback(state) == 0
+    np.testing.assert_allclose(solver.inputs.ravel(), wanted, atol=1e-3 * speed)
 
 
 def test_shifting_by_a_whole_node_moves_every_input_to_the_node_before() -> None:
