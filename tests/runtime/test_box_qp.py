@@ -40,7 +40,7 @@ def test_random_programs_are_solved_as_hpipm_solves_them(size: int, name: str) -
         assert found.iterations <= 15
         assert (found.v >= program.lower).all()
         assert (found.v <= program.upper).all()
-        tolerance = TOLERANCE * float(np.abs(program.gradient).max())
+        tolerance = 1e-3 * TOLERANCE * float(np.abs(program.gradient).max())  # it never solves on the bounds
         wanted = solvers.solve(program, tolerance=tolerance, by="hpipm")
         if wanted.status == 0:
             assert program.cost(found.v) <= program.cost(wanted.v) + 1e-7 * abs(program.cost(wanted.v))
