@@ -192,6 +192,8 @@ def _model(content: dict[str, Any]) -> TrainedModel:
     )
     vehicle = parse_vehicle(content["vehicle"])
     _require_widths(config, scaling, ranges, reliability)
+    if not all(np.isfinite(part).all() for part in (*vars(scaling).values(), *vars(ranges).values())):
+        raise RequestError("scaling or ranges that are not finite.")
     if vehicle.rotors.count != config.rotors:
         raise RequestError(f"its vehicle has {vehicle.rotors.count} rotors, its config {config.rotors}.")
     networks = _networks(config, content["members"])

@@ -28,6 +28,7 @@ from runtime.rti.hpipm import find_hpipm
 from runtime.rti.problem import Problem
 from runtime.rti.processor import PROCESSORS, native_processor
 from runtime.rti.solver import RtiSolver
+from tests.export.conftest import SHORT
 from tests.support.networks import random_network
 from tests.support.trained import replaced, untrained_model
 from training.checkpoint import save
@@ -63,7 +64,7 @@ def test_weights_that_changed_under_the_export_are_found(lagging: Vehicle, tmp_p
     with torch.no_grad():
         trained.networks[0].decoder[0].weight += 0.01
     with pytest.raises(DataError, match="torch, double differs"):
-        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), native_processor(), windows=20))
+        export_bundle(model, tmp_path / "b", ExportOptions(SHORT, native_processor(), windows=20))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -86,7 +87,7 @@ def test_the_c_files_compile_by_themselves_and_their_example_runs(
 ) -> None:
     folder = export_kind(kind).folder
     sources = [str(folder / name) for name in ("example.c", "model.c")]
-    subprocess.run([find_compiler(), "-O1", *sources, "-o", str(tmp_path / "example"), "-lm"], check=True)
+    subprocess.run([find_compiler(), "-O0", *sources, "-o", str(tmp_path / "example"), "-lm"], check=True)
     said = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True).stdout
     bundle = read_bundle(folder)
     solver = RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
@@ -165,13 +166,43 @@ def test_an_existing_folder_is_not_overwritten_unless_told(bundle_folder: Path, 
         export_bundle(model, bundle_folder, ExportOptions(Problem(), native_processor()))
 
 
-def test_weights_that_are_not_finite_are_refused(lagging: Vehicle, tmp_path: Path) -> None:
+def test_weights_that_are_not_finite_are_refused_in_a_file_and_in_memory(lagging: Vehicle, tmp_path: Path) -> None:
     trained = untrained_model(KINDS["pi_tcn"].config, lagging)
     with torch.no_grad():
         trained.networks[0].decoder[2].weight[3, 4] = torch.nan
     save(trained, tmp_path / "model.pt")
-    with pytest.raises(RequestError, match=r"not finite in dense 1.*Train again"):
+    with pytest.raises(RequestError, match=r"model\.pt is a damaged model: weights that are not finite.*train it"):
         read_model(tmp_path / "model.pt")
+    with pytest.raises(RequestError, match=r"not finite in dense 1.*Train again"):
+        exported(trained)
+
+
+@pytest.mark.parametrize("part", ["scaling", "ranges"])
+def test_scaling_and_ranges_that_are_not_finite_are_refused(lagging: Vehicle, tmp_path: Path, part: str) -> None:
+    trained = untrained_model(KINDS["pi_mlp"].config, lagging)
+    (trained.scaling.input_std if part == "scaling" else trained.ranges.lowest)[2] = np.nan
+    save(trained, tmp_path / "model.pt")
+    with pytest.raises(RequestError, match=r"model\.pt is a damaged model: scaling or ranges that are not finite"):
+        read_model(tmp_path / "model.pt")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"channels": 24}, r"model\.pt is a damaged model: weights of another shape than its config says"),
+        ({"dilations": (1, 2, 4, 8)}, r"model\.pt is a damaged model: .*look back 31 columns, the history has 20"),
+    ],
+)
+def test_a_checkpoint_whose_parts_do_not_fit_each_other_is_refused(
+    lagging: Vehicle, tmp_path: Path, changes: dict[str, object], message: str
+) -> None:
+    path = tmp_path / "model.pt"
+    save(untrained_model(KINDS["pi_tcn"].config, lagging), path)
+    content = torch.load(path, weights_only=True)
+    content["config"] |= changes
+    torch.save(content, path)
+    with pytest.raises(RequestError, match=message):
+        read_model(path)
 
 
 def test_a_text_that_calls_itself_a_model_is_refused(tmp_path: Path) -> None:

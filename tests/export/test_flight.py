@@ -1,5 +1,6 @@
 """An exported model flies: through its kernel, back to physics where it does not know, and bit for bit again."""
 
+import dataclasses
 from pathlib import Path
 
 import msgspec
@@ -12,7 +13,7 @@ from dynamics.references import named_reference
 from dynamics.vehicle import Limits, Vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import exported
-from runtime.bundle import Bundle, read_bundle
+from runtime.bundle import Bundle, physics_of, read_bundle
 from runtime.controller import Controller
 from runtime.events import Event
 from runtime.mission import Phase
@@ -65,6 +66,59 @@ def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(
     thrust = np.array([decision.newtons for decision in flight.story.decisions[-210:]])
     assert np.abs(np.diff(sent, axis=0)).max() < 0.2  # rad/s from one tick to the next
     assert np.abs(np.diff(thrust)).max() < 0.05 * bundle.vehicle.weight
+
+
+def limited(bundle: Bundle, limits: Limits) -> Bundle:
+    """The bundle of a vehicle with other limits, which its kernel is told when it starts."""
+    vehicle = msgspec.structs.replace(bundle.vehicle, limits=limits)
+    return dataclasses.replace(bundle, vehicle=vehicle, model=physics_of(vehicle, bundle.manifest))
+
+
+def test_the_network_itself_keeps_a_speed_and_body_rates_that_the_reference_leaves(bundle: Bundle) -> None:
+    limits = Limits(rate=(0.4, 0.4, 6.0), speed=1.5)  # free, it flies up to 1.9 m/s and 0.45 rad/s
+    story = flight_of(limited(bundle, limits)).run(30.0, until=Phase.RETURN)
+    assert story.phases[-1] is Phase.RETURN
+    assert np.abs(np.array(story.states)[:, 3:6]).max() < 1.05 * limits.speed  # soft: a row is paid for, not forbidden
+    asked = np.array([decision.rate_body for decision in story.decisions if decision.rate_body is not None])
+    assert np.abs(asked[:, :2]).max() <= 1.05 * limits.rate[0]
+    assert Event.SOLVER_FAILED not in story.raised
+
+
+def test_the_network_itself_brakes_at_the_box_that_the_reference_leaves_and_lands_there(bundle: Bundle) -> None:
+    edge = 1.0  # m; the circle reaches 1.5 m
+    limits = Limits(rate=(12.0, 12.0, 6.0), box=((-5.0, -5.0, -1.0), (edge, 5.0, 5.0)))
+    story = flight_of(limited(bundle, limits)).run(40.0)
+    assert story.phases[-1] is Phase.SHUTDOWN
+    assert edge - 0.02 < np.array(story.states)[:, 0].max() < edge + 0.02
+    assert Event.GEOFENCE_LEFT not in story.raised
+    assert Event.SOLVER_FAILED not in story.raised
+
+
+def test_estimates_that_are_missing_leave_its_history_on_the_grid_and_the_flight_reproducible(bundle: Bundle) -> None:
+    flight = flight_of(bundle)
+    flight.run(30.0, until=Phase.TRACK)
+    flight.run(0.5)
+    for _ in range(12):
+        flight.frozen = True
+        flight.run(0.03)
+        flight.frozen = False
+        flight.run(0.12)
+    controller = flight.flyer._controller
+    taken = controller._acting + controller.options.period - 0.01 * np.arange(len(controller.solver.history), 0, -1)
+    known = taken <= flight.story.times[-1] - 0.02  # later columns are predictions
+    truth = np.array(
+        [np.interp(taken[known], flight.story.times, np.array(flight.story.states)[:, axis]) for axis in range(6)]
+    ).T
+    assert known.sum() > 10
+    np.testing.assert_allclose(controller.solver.history[known, :3], truth[:, :3], atol=0.005)  # 20 mm are a column
+    np.testing.assert_allclose(controller.solver.history[known, 3:6], truth[:, 3:6], atol=0.05)
+    assert Event.MODEL_WAITING not in {change.event for change in flight.story.changes if change.time > 110.0}
+    again = flight_of(bundle).flyer
+    for (seen, estimate), before in zip(flight.story.observations, flight.story.decisions, strict=True):
+        decision = again.step(seen, estimate)
+        again.prepare(seen.time)
+        np.testing.assert_array_equal(decision.rate_body, before.rate_body)
+        assert (decision.thrust, decision.fallback) == (before.thrust, before.fallback)
 
 
 def test_a_state_outside_of_the_training_range_is_noticed(bundle: Bundle) -> None:
