@@ -102,7 +102,12 @@ def exported_bundle(folder: Path | None) -> Bundle | None:
 
 def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
     """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
-    if (vehicle is None) == (bundle is None):
+    if vehicle is not None and bundle is not None:
+        raise RequestError(
+            f"{bundle} has its own vehicle file, which its model was trained with: leave --vehicle {vehicle} out, or "
+            "train and export the model for that vehicle."
+        )
+    if vehicle is None and bundle is None:
         raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
     path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
     try:

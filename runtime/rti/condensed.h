@@ -101,9 +101,11 @@ static bool finite_all(const double *values, int count) {
     return true;
 }
 
-/* Take in what a preparation is given; returns whether all of it is finite. */
+/* Take in what a preparation is given; returns whether all of it is finite, the inputs so far too: a ReLU makes zero of
+ * what is not a number, so that a network's prediction would not show it. */
 static bool condensed_begin(condensed *r, const double *x, const double *x_reference, const double *u_reference) {
-    r->prepared = finite_all(x, NX) && finite_all(x_reference, (N + 1) * NX) && finite_all(u_reference, V);
+    r->prepared = finite_all(x, NX) && finite_all(&r->u[0][0], V) && finite_all(x_reference, (N + 1) * NX) &&
+                  finite_all(u_reference, V);
     if (!r->prepared) return false;
     memcpy(r->x_prepared, x, sizeof r->x_prepared);
     memcpy(r->x[0], x, sizeof r->x[0]);

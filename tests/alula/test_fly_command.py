@@ -56,6 +56,7 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
     ("arguments", "wanted"),
     [
         (["--reference", "hover"], "--vehicle"),
+        (["--reference", "hover", "--vehicle", "px4_sih", "--bundle", "b"], "its own vehicle file"),
         (["--reference", "lemniskate", "--vehicle", "px4_sih"], "lemniscate"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--link", "carrier_pigeon:1"], "udpin"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--record", "/dev/null/no"], "--record"),

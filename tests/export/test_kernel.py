@@ -23,6 +23,16 @@ from tests.support.networks import HOVER_SPEED, accelerations, random_network
 VEHICLE = msgspec.structs.replace(
     read_vehicle(Path(vehicles.FOLDER) / "arpl_250g.toml"), limits=Limits(rate=(1e3, 1e3, 1e3))
 )
+_ANGLES = np.arange(6) * np.pi / 3
+HEXAROTOR = msgspec.structs.replace(
+    VEHICLE,
+    rotors=msgspec.structs.replace(
+        VEHICLE.rotors,
+        position=tuple((0.1 * float(np.cos(a)), 0.1 * float(np.sin(a)), 0.0) for a in _ANGLES),
+        spin=(1, -1) * 3,
+    ),
+)
+VEHICLES = {vehicle.rotors.count: vehicle for vehicle in (VEHICLE, HEXAROTOR)}
 SHORT = Problem(nodes=5, horizon=0.25)
 LAG_AND_DRAG = [EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("linear_drag", {"coefficient": 0.05})]
 CASES = {
@@ -31,6 +41,7 @@ CASES = {
     "one column": (random_network(channels=(), dilations=(), seed=2), []),
     "window of four": (random_network(channels=(48,), taps=4, dilations=(1,), hidden=(32,), seed=3), []),
     "odd widths": (random_network(channels=(5, 20), taps=2, dilations=(3, 1), hidden=(7, 40), seed=4), []),
+    "six rotors": (random_network(rotors=6, seed=8), []),
     "residual": (random_network(channels=(8,), dilations=(2,), hidden=(16,), residual=True, seed=5), []),
     "residual on lag and drag": (
         random_network(channels=(8,), dilations=(2,), hidden=(16,), outputs="world", residual=True, seed=6),
@@ -46,7 +57,7 @@ INSTANTANEOUS = {
     "instantaneous, one column": CASES["one column"],
     "instantaneous residual on lag and drag": CASES["residual on lag and drag"],
 }
-WITHOUT_PHYSICS = ("body", "world", "one column", "window of four", "odd widths")
+WITHOUT_PHYSICS = ("body", "world", "one column", "window of four", "odd widths", "six rotors")
 
 
 def window(network: Network, seed: int = 0, *, more: int = 0) -> np.ndarray:
@@ -64,7 +75,7 @@ def window(network: Network, seed: int = 0, *, more: int = 0) -> np.ndarray:
 def solver_of(case: str, precision: Precision, problem: Problem = SHORT) -> tuple[RtiSolver, np.ndarray]:
     """A solver with a random history and random inputs along the horizon, and the state that it starts from."""
     network, effects = (CASES | INSTANTANEOUS)[case]
-    model = build_model(VEHICLE, effects=effects)
+    model = build_model(VEHICLES[network.rotors], effects=effects)
     mean = case not in INSTANTANEOUS
     solver = kernel_solver(network, model, problem, native_processor(), precision, mean=mean)
     columns = window(network, more=not mean)
@@ -74,7 +85,7 @@ def solver_of(case: str, precision: Precision, problem: Problem = SHORT) -> tupl
     solver.inputs[:] *= 1 + 0.03 * np.random.default_rng(9).normal(size=solver.inputs.shape)
     solver.state_reference[:] = state
     solver.state_reference[:, 0] += 0.1
-    solver.input_reference[:] = VEHICLE.hover_speed
+    solver.input_reference[:] = model.vehicle.hover_speed
     return solver, state
 
 
@@ -263,6 +274,17 @@ def test_numbers_that_are_not_finite_are_refused_and_change_nothing(where: str) 
     assert solver.prepare(broken) == -1
     assert solver.feedback(state) == -1
     np.testing.assert_array_equal(solver.inputs, before)
+
+
+def test_inputs_and_predictions_that_are_not_finite_are_refused_until_they_are() -> None:
+    solver, state = solver_of("body", "float")
+    before, far = solver.inputs.copy(), state.copy()
+    far[6] = 1e200  # no rotation can be made of it
+    solver.inputs[2, 1] = np.nan
+    for given, wanted in ((state, -1), (far, -2), (state, 0)):
+        assert solver.prepare(given) == wanted
+        assert solver.feedback(state) == (0 if wanted == 0 else -1)
+        solver.inputs[:] = before
 
 
 @pytest.mark.parametrize("name", ["avx512", "avx2", "sse2"])
