@@ -24,7 +24,8 @@ def provenance() -> str:
     command = " ".join(["python", *sys.orig_argv[1:]])
     return (
         f"{datetime.date.today().isoformat()}, {name}, {os.cpu_count()} cores, load {LOAD:.1f} before, "
-        f"{platform.system()} {platform.release()}, Python {platform.python_version()}, {versions}. Command: `{command}`"
+        f"{platform.system()} {platform.release()}, Python {platform.python_version()}, {versions}. "
+        f"Command: `{command}`"
     )
 
 
