@@ -7,7 +7,8 @@ import hashlib
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
@@ -69,31 +70,53 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
             f"this machine cannot run a kernel for {options.processor.name}, so it could not be proven. Export the "
             "model on the vehicle's computer."
         )
-    if folder.exists() and not options.overwrite:
-        raise RequestError(f"{folder} exists already. Give another --out, or --overwrite.")
+    _require_free(folder, options)
     proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()
     texts = c_files(model)
     recipe = _kernel_recipe(model, options, "float")
     kernel = build_kernel(recipe)
     parity = _prove(model, options, proto, texts, kernel)
     parity.require()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
-    try:
+    with _appearing(folder) as part:
         _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
         if model.network is not None:
             physics = _physics_recipe(build_model(model.vehicle), options)
             shutil.copyfile(build_kernel(physics), part / PHYSICS)
-        manifest = sealed(_manifest(model, options, part, proto))
+        manifest = sealed(_manifest(model, options, part))
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
+    return Exported(folder, manifest, parity)
+
+
+def _require_free(folder: Path, options: ExportOptions) -> None:
+    """Raises RequestError for a place that holds something which must not go."""
+    if not folder.exists():
+        return
+    if not options.overwrite:
+        raise RequestError(f"{folder} exists already. Give another --out, or --overwrite.")
+    if not (folder / MANIFEST).is_file():
+        raise RequestError(f"{folder} exists already and is no bundle, so it is not overwritten. Give another --out.")
+
+
+@contextmanager
+def _appearing(folder: Path) -> Iterator[Path]:
+    """A folder under a temporary name that gets its own when the block is through; otherwise nothing of it is left.
+
+    Raises RequestError when it cannot be written.
+    """
+    part: Path | None = None
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", dir=folder.parent))
+        yield part
         part.chmod(0o755)
         if folder.exists():
             shutil.rmtree(folder)
         os.replace(part, folder)
     except OSError as error:
-        shutil.rmtree(part, ignore_errors=True)
         raise RequestError(f"cannot write {folder}: {error}. Free some space or give another --out.") from error
-    return Exported(folder, manifest, parity)
+    finally:
+        if part is not None:
+            shutil.rmtree(part, ignore_errors=True)
 
 
 def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: Precision) -> KernelRecipe:
@@ -146,7 +169,7 @@ def _write_files(
     (part / PARITY).write_bytes(msgspec.json.format(msgspec.json.encode(parity), indent=1) + b"\n")
 
 
-def _manifest(model: ExportedModel, options: ExportOptions, part: Path, proto: bytes) -> Manifest:
+def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manifest:
     config = model.config
     files = {
         str(path.relative_to(part)): hashlib.sha256(path.read_bytes()).hexdigest()
@@ -171,7 +194,7 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path, proto: b
         precision="double" if model.integrator == "rk4" else "float", files=files,
         command=options.command, date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         versions={name: metadata.version(name) for name in LIBRARIES},
-        provenance=_provenance(model, options, proto), notes=cautions(config, model.integrator),
+        provenance=_provenance(model, options), notes=cautions(config, model.integrator),
     )  # fmt: skip
 
 
@@ -202,21 +225,22 @@ def _errors(model: ExportedModel) -> dict[str, float]:
     }
 
 
-def _provenance(model: ExportedModel, options: ExportOptions, proto: bytes) -> dict[str, str]:
+def _provenance(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
     told = {
-        "vehicle": hashlib.sha256(model.vehicle_text.encode()).hexdigest(),
+        "vehicle_sha256": hashlib.sha256(model.vehicle_text.encode()).hexdigest(),
         "windows": ", ".join(map(str, options.logs)) or "the paper's references",
         "seed": str(options.seed),
         "opset": str(OPSET),
-        "onnx_bytes": str(len(proto)),
     }
+    if model.source:
+        told["model_sha256"] = model.source
     if model.trained is not None:
         card = model.trained.card
         told |= {
             "trained": card.date, "training": card.command,
             "member": f"{model.member} of {len(model.trained.networks)}",
             "seeds": ", ".join(map(str, card.seeds)), "recipe": card.recipe.name,
-            "flights": hashlib.sha256(repr(sorted(card.flights.items())).encode()).hexdigest(),
+            "flights_sha256": hashlib.sha256(repr(sorted(card.flights.items())).encode()).hexdigest(),
         }  # fmt: skip
     return told
 
@@ -234,10 +258,9 @@ def _onnx_metadata(model: ExportedModel, options: ExportOptions) -> dict[str, st
         "vehicle": model.vehicle.name,
         "command": options.command,
     }
-    if model.trained is not None:
-        card = model.trained.card
-        told |= {"trained": card.date, "training": card.command}
-    return told
+    if model.hidden_count:
+        told["hidden"] = "of the physics, in hover: " + ", ".join(map(repr, model.flight_model.hidden_initial.tolist()))
+    return told | _provenance(model, options)
 
 
 def summary(exported: Exported) -> Sequence[str]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import hashlib
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ SPEED_UNIT = 1000 * 2 * np.pi / 60  # rad/s of training's unit of rotor speed, 1
 class ExportedModel:
     """What goes into a bundle. network: None for a physical model. physics: None for a network that replaces it.
 
-    integrator: of its kernel. member: of the trained ensemble.
+    integrator: of its kernel. member: of the trained ensemble. source: sha256 of the file that it was read from.
     """
 
     config: ModelConfig
@@ -39,6 +40,7 @@ class ExportedModel:
     integrator: Integrator
     trained: TrainedModel | None = None
     member: int = 0
+    source: str = ""
 
     @property
     def mean(self) -> bool:
@@ -89,11 +91,13 @@ def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = N
         vehicle = parse_vehicle(text)
         config = ModelConfig("physics", "none", base="grey_box", history=1, rotors=vehicle.rotors.count)
         settled = settled_integrator(config, integrator)
-        return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled)
+        source = hashlib.sha256(text.encode()).hexdigest()
+        return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled, source=source)
     trained = load(path)
     if trained.networks and not 0 <= member < len(trained.networks):
         raise RequestError(f"{path} has {len(trained.networks)} members, numbered from 0; there is no {member}.")
-    return exported(trained, member=member, integrator=integrator)
+    model = exported(trained, member=member, integrator=integrator)
+    return replace(model, source=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def exported(trained: TrainedModel, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:

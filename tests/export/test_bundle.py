@@ -1,5 +1,6 @@
 """A bundle holds what it says, agrees with what was trained, and is refused once it does not."""
 
+import hashlib
 import json
 import shutil
 import subprocess
@@ -164,6 +165,52 @@ def test_an_existing_folder_is_not_overwritten_unless_told(bundle_folder: Path, 
     model = exported(untrained_model(KINDS["nominal"].config, lagging))
     with pytest.raises(RequestError, match=r"exists already.*--overwrite"):
         export_bundle(model, bundle_folder, ExportOptions(Problem(), native_processor()))
+
+
+def test_only_a_bundle_is_overwritten(export_kind: EXPORT, lagging: Vehicle, tmp_path: Path) -> None:
+    model = exported(untrained_model(KINDS["nominal"].config, lagging))
+    options = ExportOptions(SHORT, native_processor(), windows=20, overwrite=True)
+    folder = copied(export_kind("nominal").folder, tmp_path)
+    (folder / "kernel.so").write_bytes(b"damaged")
+    export_bundle(model, folder, options)
+    assert read_bundle(folder).vehicle == lagging
+    (tmp_path / "thesis").mkdir()
+    (tmp_path / "thesis" / "chapter.tex").write_text("years of work")
+    with pytest.raises(RequestError, match=r"is no bundle, so it is not overwritten.*another --out"):
+        export_bundle(model, tmp_path / "thesis", options)
+    assert (tmp_path / "thesis" / "chapter.tex").read_text() == "years of work"
+
+
+def test_a_place_that_cannot_be_written_is_refused_and_nothing_is_left_of_it(lagging: Vehicle, tmp_path: Path) -> None:
+    model = exported(untrained_model(KINDS["nominal"].config, lagging))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RequestError, match=r"cannot write .*file/b.*another --out"):
+        export_bundle(model, tmp_path / "file" / "b", ExportOptions(SHORT, native_processor(), windows=20))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_an_export_that_ends_half_way_leaves_nothing(
+    lagging: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("export.bundle.sealed", interrupted)
+    model = exported(untrained_model(KINDS["nominal"].config, lagging))
+    with pytest.raises(KeyboardInterrupt):
+        export_bundle(model, tmp_path / "b", ExportOptions(SHORT, native_processor(), windows=20))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_bundle_says_what_it_was_made_from(lagging: Vehicle, tmp_path: Path) -> None:
+    save(untrained_model(KINDS["nominal"].config, lagging), tmp_path / "model.pt")
+    options = ExportOptions(SHORT, native_processor(), windows=20, command="alula export model.pt")
+    made = export_bundle(read_model(tmp_path / "model.pt"), tmp_path / "b", options)
+    told = made.manifest.provenance
+    assert told["model_sha256"] == hashlib.sha256((tmp_path / "model.pt").read_bytes()).hexdigest()
+    assert told["vehicle_sha256"] == made.manifest.files["vehicle.toml"]
+    proto = onnx.load(tmp_path / "b" / "model.onnx")
+    assert told.items() <= {entry.key: entry.value for entry in proto.metadata_props}.items()
 
 
 def test_weights_that_are_not_finite_are_refused_in_a_file_and_in_memory(lagging: Vehicle, tmp_path: Path) -> None:
