@@ -231,7 +231,8 @@ class Controller:
         """
         if self._columns is None:
             return "", "", ""
-        waiting = "" if self._columns.reaches(time) else f"{1e3 * self._columns.columns * self._columns.dt:.0f} ms"
+        columns = max(1, self._columns.columns)
+        waiting = "" if self._columns.reaches(time) else f"{1e3 * columns * self._columns.dt:.0f} ms"
         last, fit = self._columns.last_measured, self.options.fit
         speed = self._inputs[(self._ticks - 1) % HISTORY]
         outside = "" if last is None else self._range.outside(last[1], speed, fit.margin)
