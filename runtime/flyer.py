@@ -221,7 +221,7 @@ class Flyer:
         now, before = self._estimate, self._before
         if now is None or now is before:
             return
-        self._found |= self._health.flight(now.state, time)
+        self._found |= self._health.flight(now.state, time, learned=self._flies.is_learned)
         if self.mission.phase is Phase.TOUCHDOWN:
             return  # the ground carries a part of the weight
         force = self._force

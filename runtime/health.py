@@ -20,6 +20,10 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     unfollowed: rad/s by which body rates may miss their setpoints on average over `following_time` s. rate_delay: s by
     which rates follow their setpoints.
+
+    A learned model that makes the vehicle oscillate is left earlier: swing: rad/s by which body rates may miss its
+    setpoints on average over `swing_time` s, chatter: rad/s by which those may turn back and forth from tick to tick
+    (the norm of their second difference).
     """
 
     stale: float = 0.06
@@ -28,6 +32,21 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     unfollowed: float = 3.0
     following_time: float = 1.0
     rate_delay: float = 0.06
+    swing: float = 2.0
+    chatter: float = 1.25
+    swing_time: float = 0.5
+
+
+class RunningMean:
+    """The mean of a quantity over about the last `averaging` s."""
+
+    def __init__(self, averaging: float) -> None:
+        self._averaging = averaging
+        self.value = 0.0
+
+    def add(self, sample: float, elapsed: float) -> None:
+        """A value that held for `elapsed` s."""
+        self.value += min(elapsed / self._averaging, 1.0) * (sample - self.value)
 
 
 class FlightHealth:
@@ -39,18 +58,27 @@ class FlightHealth:
         self._thrust_max = vehicle.thrust_limits[1]
         self._thrust = 0.0
         self._sent: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=64)
-        self._miss = 0.0
+        self._forget()
+
+    def _forget(self) -> None:
+        limits = self.limits
+        self._miss, self._swing = RunningMean(limits.following_time), RunningMean(limits.swing_time)
+        self._chatter = RunningMean(limits.swing_time)
         self._miss_time: float | None = None
 
     def sent(self, rate_body: NDArray[np.float64], collective_thrust: float, time: float) -> None:
         """A setpoint went out. rate_body: (3,) rad/s. collective_thrust: N."""
         self._thrust = collective_thrust
+        if len(self._sent) > 1:
+            (_, oldest), (before, last) = self._sent[-2], self._sent[-1]
+            self._chatter.add(float(np.linalg.norm(rate_body - 2 * last + oldest)), time - before)
         self._sent.append((time, rate_body))
 
     def rest(self) -> None:
         """Nothing is flown: forget what was sent."""
         self._sent.clear()
-        self._miss, self._miss_time, self._thrust = 0.0, None, 0.0
+        self._forget()
+        self._thrust = 0.0
 
     def is_current(self, estimate: Estimate, time: float) -> bool:
         """Whether what an estimate says can be carried to now by the model."""
@@ -67,14 +95,19 @@ class FlightHealth:
             return {Event.ESTIMATE_STALE: f"none for {1e3 * silence:.0f} ms"}
         return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
 
-    def flight(self, state: NDArray[np.float64], time: float) -> dict[Event, str]:
-        """What a fresh state (13,) of a vehicle in the air shows."""
+    def flight(self, state: NDArray[np.float64], time: float, *, learned: bool = False) -> dict[Event, str]:
+        """What a fresh state (13,) of a vehicle in the air shows. learned: a learned model flies it."""
         found = self._position(state[0:3])
         if self._thrust > 0.99 * self._thrust_max:
             found[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
         self._compare(state[10:13], time)
-        if self._miss > self.limits.unfollowed:
-            found[Event.SETPOINT_REFUSED] = f"body rates miss their setpoints by {self._miss:.1f} rad/s on average"
+        if self._miss.value > self.limits.unfollowed:
+            missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
+            found[Event.SETPOINT_REFUSED] = missed
+        if learned and self._chatter.value > self.limits.chatter:
+            found[Event.MODEL_OSCILLATES] = f"setpoints turn back by {self._chatter.value:.1f} rad/s from tick to tick"
+        elif learned and self._swing.value > self.limits.swing:
+            found[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {self._swing.value:.1f} rad/s"
         return found
 
     def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
@@ -91,7 +124,8 @@ class FlightHealth:
         asked = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
         if asked is None:
             return
-        elapsed = 0.0 if self._miss_time is None else min(time - self._miss_time, self.limits.following_time)
+        elapsed = 0.0 if self._miss_time is None else time - self._miss_time
         self._miss_time = time
-        share = elapsed / self.limits.following_time
-        self._miss += share * (float(np.linalg.norm(rate_body - asked)) - self._miss)
+        miss = float(np.linalg.norm(rate_body - asked))
+        self._miss.add(miss, elapsed)
+        self._swing.add(miss, elapsed)

@@ -47,6 +47,20 @@ def test_a_latched_event_clears_only_by_engaging_anew() -> None:
     assert monitor.fallback is Fallback.NONE
 
 
+def test_a_model_that_oscillates_may_come_back_once_and_again_after_engaging_anew() -> None:
+    monitor, policy, now = EventMonitor(), POLICIES[Event.MODEL_OSCILLATES], 0.0
+    for _ in range(2):
+        monitor.update({Event.MODEL_OSCILLATES: ""}, now)
+        assert monitor.update({}, now + 0.9 * policy.clear_after) == ()
+        assert [change.active for change in monitor.update({}, now + policy.clear_after)] == [False]
+        now += 100.0
+        monitor.update({Event.MODEL_OSCILLATES: ""}, now)
+        assert monitor.update({}, now + 1e6) == ()
+        assert monitor.fallback is Fallback.NOMINAL_MODEL
+        now += 2e6
+        assert [change.active for change in monitor.rearm(now)] == [False]
+
+
 def test_the_strongest_fallback_wins_and_gives_the_reason() -> None:
     monitor = EventMonitor()
     monitor.update({Event.ESTIMATE_STALE: "60 ms old", Event.LINK_LOST: "2 s of silence"}, 0.0)

@@ -36,9 +36,9 @@ def controller(vehicle: Vehicle) -> Controller:
     return Controller.build(vehicle)
 
 
-def prepare(vehicle: Vehicle, controller: Controller, **options: object) -> Flight:
+def prepare(vehicle: Vehicle, controller: Controller, *, seconds: float = 3.0, **options: object) -> Flight:
     controller.reset(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]), 0.0)
-    reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), 3.0)
+    reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), seconds)
     return Flight(vehicle, controller, reference, **{"plan": PLAN, **options})  # type: ignore[arg-type]
 
 
@@ -303,6 +303,55 @@ def test_a_model_that_stopped_fitting_is_replaced_by_the_nominal_one(vehicle: Ve
     assert nominal.solutions > 500
     assert story.phases == WHOLE
     assert max(story.errors) < 0.3
+
+
+class Swinging:
+    """A learned model's controller whose body rates turn back and forth from tick to tick while it is told so."""
+
+    is_learned = True
+
+    def __init__(self, real: Controller, swing: float) -> None:
+        self._real, self.swing = real, swing
+
+    def __getattr__(self, name: str) -> object:
+        return getattr(self._real, name)
+
+    def feedback(self, state: np.ndarray, time: float) -> Command:
+        command, self.swing = self._real.feedback(state, time), -self.swing
+        return replace(command, rate_body=command.rate_body + np.array([self.swing, 0.0, 0.0]))
+
+
+def swinging(vehicle: Vehicle, swing: float) -> Flight:
+    learned = Swinging(Controller.build(vehicle), swing)
+    return prepare(vehicle, learned, seconds=15.0, nominal=Controller.build(vehicle))  # type: ignore[arg-type]
+
+
+def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_comes_back_once_and_is_left_for_good(
+    vehicle: Vehicle,
+) -> None:
+    flight = swinging(vehicle, 0.4)
+    story = flight.run(60.0)
+    assert story.phases == WHOLE
+    told = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
+    assert [change.active for change in told] == [True, False, True]
+    assert "from tick to tick" in told[0].text
+    assert 10.0 <= told[1].time - told[0].time < 10.1
+    assert told[2].time - told[1].time < 1.0
+    later = [d for d, time in zip(story.decisions, story.times, strict=True) if time > told[2].time]
+    assert {decision.fallback for decision in later if decision.rate_body is not None} == {Fallback.NOMINAL_MODEL}
+    assert max(story.errors) < 0.3
+    again = swinging(vehicle, 0.4).flyer
+    for (seen, estimate), before in zip(story.observations, story.decisions, strict=True):
+        decision = again.step(seen, estimate)
+        again.prepare(seen.time)
+        np.testing.assert_array_equal(decision.rate_body, before.rate_body)
+        assert (decision.thrust, decision.fallback) == (before.thrust, before.fallback)
+
+
+def test_a_learned_model_flies_on_with_setpoints_as_rough_as_healthy_ones_become(vehicle: Vehicle) -> None:
+    story = swinging(vehicle, 0.15).run(60.0)  # turns back by 0.6 rad/s, as the roughest brisk flight measured
+    assert story.phases == WHOLE
+    assert Event.MODEL_OSCILLATES not in story.raised
 
 
 def test_a_solver_that_fails_for_a_moment_is_bridged_and_one_that_stays_so_is_left(
