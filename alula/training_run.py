@@ -38,7 +38,6 @@ from training.recordings import find_logs, left_out, read_recordings, split_reco
 from training.trainer import Member, Task, train
 from vehicles import vehicle_path
 
-FAST_PHYSICS_WEIGHT = 0.01  # lambda on plausible points; 1 is the paper's
 POLL = 0.5  # s
 LARGEST_SEED = 2**31
 Progress = Callable[[Report], None]
@@ -138,7 +137,7 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
         changes.setdefault("outputs", changes["inputs"])
     if "history" in changes and config.network == "tcn":
         changes["kernel"], changes["dilations"] = convolutions_for(changes["history"])
-    recipe = kind.recipe_for(recipe, fast_weight=FAST_PHYSICS_WEIGHT)
+    recipe = kind.recipe_for(recipe)
     if "steps" in options.recipe_changes:
         recipe = msgspec.structs.replace(recipe, epochs=None)
     return changed(config, changes), changed(recipe, options.recipe_changes)

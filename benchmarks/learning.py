@@ -53,16 +53,16 @@ class Plan:
 # In the order in which they are worth their time. Heatmaps have one seed: all their cells begin with the same weights
 # and see the same batches, so that what differs is the prior.
 PLANS = {
-    "kinds": Plan(10_000, 2),
-    "ablation": Plan(10_000, 2),
-    "history": Plan(10_000, 2),
-    "regimes": Plan(10_000, 2),
-    "inertia": Plan(2000, 1),
-    "rotors": Plan(2000, 1),
-    "lambda": Plan(4000, 2),
+    "kinds": Plan(6000, 2),
+    "ablation": Plan(6000, 2),
+    "history": Plan(6000, 2),
+    "regimes": Plan(6000, 2),
+    "lambda": Plan(3000, 2),
     "motors": Plan(4000, 2),
     STARRED: Plan(4000, 2),
-    "inertia_longer": Plan(10_000, 1, study="inertia", only=("*_Jxx_0.6_Jzz_0.6_*", "*_Jxx_1_Jzz_1_*")),
+    "inertia": Plan(2000, 1),
+    "rotors": Plan(2000, 1),
+    "inertia_longer": Plan(6000, 1, study="inertia", only=("*_Jxx_0.6_Jzz_0.6_*", "*_Jxx_1_Jzz_1_*")),
     "paper": Plan(1000, 1, study="grid", recipe="paper", grid=("history=20",)),
 }
 

@@ -92,6 +92,11 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (*STATE_INPUTS[self.inputs], *(f"motor_{rotor}" for rotor in range(self.rotors)))
 
     @property
+    def state_inputs(self) -> int:
+        """How many entries of a column, the first ones, are of the measured state; the others are rotor speeds."""
+        return len(STATE_INPUTS[self.inputs])
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the six outputs: m/s^2 and rad/s^2, or N and N m."""
         return (*OUTPUTS[self.outputs], *(TORQUE if self.outputs == "wrench" else ANGULAR))

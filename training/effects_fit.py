@@ -23,6 +23,7 @@ from training.dataset import Dataset, labelled
 from training.physics import RowModel
 
 Floats = NDArray[np.float64]
+ROTOR_LAG = "motor_lag"  # of the catalogue
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences
 SETTLED = 1e-3  # relative change that ends the rounds
@@ -54,7 +55,7 @@ def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle
             f"{vehicle.name} names no effect, so a grey box would be the textbook model. Let `alula diagnose` and "
             "`alula add` find some, or give --effect NAME; res_tcn is the residual on the textbook model."
         )
-    problem = _problem(config, vehicle, data)
+    problem = _problem(msgspec.structs.replace(config, base="grey_box"), vehicle, data)
     model = problem.model.model
     values = np.array([model.parameter_values[model.parameter_index(name)] for name in problem.names])
     for _ in range(ROUNDS):
@@ -71,6 +72,14 @@ def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle
         if np.all(np.abs(values - before) <= SETTLED * problem.scale):
             break
     return _with_values(vehicle, dict(zip(problem.names, values.tolist(), strict=True)))
+
+
+def with_rotor_lag(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle:
+    """The vehicle as it answers commands: where its file names no lag of the rotors, with one fitted to the flights."""
+    named = any(CATALOGUE[use.name].rotor_speed is not None for use in vehicle.effects)
+    if named or config.motors == "measured":
+        return vehicle
+    return fit_effects(config, named_effects(vehicle, [EffectUse(ROTOR_LAG)]), data)
 
 
 def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:

@@ -21,7 +21,7 @@ from training.card import Card
 from training.checkpoint import Ranges, Scaling, TrainedModel
 from training.config import ModelConfig
 from training.dataset import Dataset, make_dataset, settled_motors
-from training.effects_fit import fit_effects
+from training.effects_fit import fit_effects, with_rotor_lag
 from training.networks import build_network
 from training.points import Points, physics_points
 from training.prediction import flight_errors, judge_reliability, member_outputs, predict
@@ -37,7 +37,7 @@ LIBRARIES = ("torch", "numpy", "casadi", "scipy")
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Everything that the members of an ensemble share. vehicle: with its effects fitted, for a grey box."""
+    """Everything that the members of an ensemble share. vehicle: with its effects fitted, where they are of use."""
 
     config: ModelConfig
     recipe: Recipe
@@ -117,34 +117,37 @@ def make_plan(
 ) -> Plan:
     """Read nothing, train nothing: labels, models and points for every member.
 
-    seed: of the physics-inspired loss's points. fit: whether a grey box's effects are fitted to the training flights.
+    seed: of the physics-inspired loss's points. fit: whether a vehicle file's effects are fitted to the training
+    flights, for a model that makes use of them: a grey box, and one that is taught how the vehicle answers pulses.
     Raises RequestError for options that contradict each other, DataError for flights that cannot be learned from.
     """
     _require_sense(config, recipe)
     everything = (*split.training, *split.validation)
     config = settled_motors(msgspec.structs.replace(config, rotors=vehicle.rotors.count), everything, vehicle)
     training = make_dataset(config, vehicle, split.training)
-    if config.base == "grey_box" and fit:
+    pulses = recipe.physics_weight > 0 and recipe.physics_points == "pulses"
+    if fit and (config.base == "grey_box" or (pulses and vehicle.effects)):
         vehicle = fit_effects(config, vehicle, training)
-        training = make_dataset(config, vehicle, split.training)
+        if config.base == "grey_box":
+            training = make_dataset(config, vehicle, split.training)
     validation = make_dataset(config, vehicle, split.validation, fewest=FEWEST_VALIDATION)
     scaling = make_scaling(config, recipe, vehicle, training)
     points = None
     if recipe.physics_weight > 0:
-        points = physics_points(config, recipe, vehicle, training, seed=seed)
+        answering = with_rotor_lag(config, vehicle, training) if pulses and config.base != "grey_box" else vehicle
+        points = physics_points(config, recipe, answering, training, seed=seed)
     digest = hashlib.sha256(msgspec.json.encode([config, recipe, str(torch.__version__)]))
-    for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends):
+    taught = () if points is None else (points.windows, points.targets)
+    for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends, *taught):
         digest.update(np.ascontiguousarray(values).tobytes())
     return Plan(config, recipe, vehicle, split, training, validation, scaling, points, digest.hexdigest())
 
 
 def _require_sense(config: ModelConfig, recipe: Recipe) -> None:
-    named = config.base == "grey_box"
-    if recipe.physics_weight > 0 and (config.base == "nominal" or named != (recipe.physics_points == "pulses")):
+    if recipe.physics_weight > 0 and config.base != "none" and recipe.physics_points != "pulses":
         raise RequestError(
-            f"the physics-inspired loss on {recipe.physics_points} is for models "
-            f"{'with named effects' if recipe.physics_points == 'pulses' else 'without a base'}, {config.kind} is "
-            f"none. Give --physics-weight 0{' or --physics-points pulses' if named else ''}."
+            f"the physics-inspired loss on {recipe.physics_points} is for models without a base, {config.kind} is "
+            "none. Give --physics-weight 0 or --physics-points pulses."
         )
     if recipe.rollout > 1 and (recipe.physics_weight > 0 or config.batch_norm or config.filtered_inputs):
         raise RequestError(

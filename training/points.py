@@ -1,7 +1,7 @@
 """The points of the physics-inspired loss: histories, and what physics says at their ends (PI-TCN eq. 4).
 
-For a network by itself this is the textbook model's accelerations. For a residual on named effects it is that a pulse
-on the rotors changes nothing in the residual: these effects alone answer it.
+Anywhere in the space, or on plausible histories, this is the textbook model's accelerations. For a pulse on the rotors
+it is how much more physics answers than without the pulse; a residual on named effects leaves all of that to them.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ MOST_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 class Points:
     """windows: (p, T, inputs), oldest column first. targets: (p, 6) what a network should say of them.
 
-    alike: (p, T, inputs) windows of which it should say the same, whatever that is, instead of targets.
+    beside: (p, T, inputs) windows, of which a network may say anything: targets are then what it should say more.
     """
 
     windows: Floats
-    targets: Floats | None
-    alike: Floats | None = None
+    targets: Floats
+    beside: Floats | None = None
 
 
 def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset, *, seed: int) -> Points:
@@ -74,7 +74,7 @@ def _of_space(
 
 
 def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator) -> Points:
-    """Recorded histories with a pulse on the rotors and with what the named effects answer to it, and without.
+    """Recorded histories with a pulse on the rotors and with what the vehicle file's model answers to it, and without.
 
     What else moved the vehicle, air above all, knows nothing of the pulse.
     """
@@ -85,27 +85,44 @@ def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, ra
     alone = np.eye(vehicle.rotors.count)[random.integers(vehicle.rotors.count, size=count)]
     size = np.where(random.random((count, 1)) < SINGLE, size * alone, size)
     begin = random.integers(0, config.history, (count, 1))
-    until = begin + random.integers(1, config.history, (count, 1))
+    until = begin + random.integers(1, max(config.history, 2), (count, 1))
     column = np.arange(config.history)
     during = (begin <= column) & (column < until)
     pulsed = np.clip(
         speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
     )  # fmt: skip
     first = np.hstack([data.position[rows[:, 0]], recorded[:, 0]])
-    still, moved = (_driven_states(config, vehicle, first, driven) for driven in (speed, pulsed))
+    (still, still_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
     state = recorded + moved[:, :, 3:] - still[:, :, 3:]
     turned = quaternion.multiply(quaternion.conjugate(still[:, :, 6:10]), moved[:, :, 6:10])
     state[:, :, 3:7] = quaternion.multiply(recorded[:, :, 3:7], turned)
-    return Points(columns(config, state, scaled_motors(pulsed)), None, columns(config, recorded, data.motors[rows]))
+    answers = [
+        outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, 6:10])
+        for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
+    ]
+    windows = columns(config, state, scaled_motors(pulsed))
+    return Points(windows, answers[0] - answers[1], columns(config, recorded, data.motors[rows]))
 
 
-def _driven_states(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> Floats:
-    """(m, T, 13) states of the named effects' model from first (m, 13) on. speed: (m, T, rotors) rad/s."""
+def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
+    """(m, T, 13) states of the vehicle file's model from first (m, 13) on; its body accelerations (m, 6) at the last.
+
+    speed: (m, T, rotors) rad/s.
+    """
     model = BatchModel(vehicle, vehicle.effects, speed[:, 0], dt=config.dt, label=config.label, motors=config.motors)
-    states = [first]
-    for step in range(config.history - 1):
-        states.append(model(states[-1], speed[:, step]).following)
-    return np.stack(states, axis=1)
+    states, body = [first], np.empty((len(first), 6))
+    for step in range(config.history):
+        rows = model(states[-1], speed[:, step])
+        states.append(rows.following)
+        body = rows.body
+    return np.stack(states[:-1], axis=1), body
+
+
+def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, speed: Floats) -> Floats | None:
+    """What a network's outputs are added to: nothing, the textbook model's accelerations, or all that is named."""
+    if config.base == "nominal":
+        return textbook(vehicle, dt=config.dt, label=config.label)(state, speed).body
+    return None if config.base == "none" else body
 
 
 def _plausible(

@@ -20,7 +20,7 @@ from training.config import ModelConfig
 from training.dataset import Dataset
 from training.features import body_inertia, world_accelerations
 from training.streamed import Stream
-from training.tensors import Tensors
+from training.tensors import Tensors, with_noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Rollout:
     """Recorded flights as roll-outs need them. state: (n, 10). base, label: (n, 6), world accelerations the latter.
 
     starts: (m,) rows at which a roll-out of `steps` steps may begin. spoken: (6,) outputs over
-    accelerations. error_std: (6,) what their error is counted in. noise: deviation added to standardised inputs.
+    accelerations. error_std: (6,) what their error is counted in. noise: deviation added to the standardised state.
     """
 
     config: ModelConfig
@@ -77,9 +77,7 @@ class Rollout:
         """
         rows = self.starts[chosen % len(self.starts)]
         stream = Stream(network, self.config)
-        windows = self.tensors.windows(rows)
-        noise = torch.randn(windows.shape, generator=generator).to(windows.device)
-        windows = windows + self.noise * noise
+        windows = with_noise(self.tensors.windows(rows), self.config.state_inputs, self.noise, generator)
         for column in windows[:, :-1].unbind(1):
             stream.push(column)
         column, state = windows[:, -1], self.state[rows]

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from dynamics.vehicle import Vehicle
@@ -15,6 +16,8 @@ from training.dataset import Dataset
 from training.features import body_inertia
 from training.points import Points
 from training.recipe import Recipe
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,31 +44,43 @@ class Tensors:
 
 @dataclass(frozen=True, eq=False)
 class PointTensors:
-    """The points of the physics-inspired loss, standardised. windows, alike: (p, T, k). targets: (p, 6)."""
+    """The points of the physics-inspired loss, standardised. windows, beside: (p, T, k). targets: (p, 6)."""
 
     windows: Tensor
-    targets: Tensor | None
-    alike: Tensor | None
+    targets: Tensor
+    beside: Tensor | None
 
     @classmethod
     def of(cls, points: Points, scaling: Scaling, device: torch.device) -> PointTensors:
         """Points, standardised as the flights are."""
 
-        def standardised(values: np.ndarray | None, mean: np.ndarray, deviation: np.ndarray) -> Tensor | None:
-            return None if values is None else torch.from_numpy((values - mean) / deviation).float().to(device)
+        def columns(values: Floats) -> Tensor:
+            return torch.from_numpy((values - scaling.input_mean) / scaling.input_std).float().to(device)
 
-        inputs, outputs = (scaling.input_mean, scaling.input_std), (scaling.output_mean, scaling.output_std)
-        windows = standardised(points.windows, *inputs)
-        assert windows is not None
-        return cls(windows, standardised(points.targets, *outputs), standardised(points.alike, *inputs))
+        mean = scaling.output_mean if points.beside is None else 0  # of differences none is left
+        targets = torch.from_numpy((points.targets - mean) / scaling.output_std).float().to(device)
+        return cls(columns(points.windows), targets, None if points.beside is None else columns(points.beside))
 
     def loss(self, learner: nn.Module, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """(what the learner says of windows, mean squared standardised error on these points), in one call."""
-        parts = [windows, self.windows[rows]] + ([] if self.alike is None else [self.alike[rows]])
+        parts = [windows, self.windows[rows]] + ([] if self.beside is None else [self.beside[rows]])
         outputs = learner(torch.cat(parts))
         said = outputs[len(windows) : len(windows) + len(rows)]
-        wanted = outputs[len(windows) + len(rows) :] if self.targets is None else self.targets[rows]
-        return outputs[: len(windows)], (said - wanted).square().mean()
+        if self.beside is not None:
+            said = said - outputs[len(windows) + len(rows) :]
+        return outputs[: len(windows)], (said - self.targets[rows]).square().mean()
+
+
+def with_noise(windows: Tensor, measured: int, deviation: float, generator: torch.Generator) -> Tensor:
+    """Windows (m, T, k) whose first `measured` entries of every column carry noise; rotor speeds are known exactly.
+
+    A network that looks back learns from precise recordings to differentiate them. In flight columns are partly
+    predicted, the controller makes use of such slopes, and the loop swings up.
+    """
+    if deviation == 0:
+        return windows
+    noise = torch.randn((*windows.shape[:2], measured), generator=generator).to(windows.device)
+    return windows + deviation * torch.nn.functional.pad(noise, (0, windows.shape[2] - measured))
 
 
 def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:

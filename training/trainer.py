@@ -25,7 +25,7 @@ from training.progress import Report, Run
 from training.recipe import Recipe
 from training.rollout import Rollout
 from training.schedule import Schedule
-from training.tensors import PointTensors, Tensors
+from training.tensors import PointTensors, Tensors, with_noise
 
 EVALUATED = 8192  # windows at once
 
@@ -131,9 +131,7 @@ def _losses(
         return task.rollout.loss(run.network, chosen, run.generator), None
     ends = data.ends[chosen]
     windows, targets = data.windows(ends), data.targets[ends]
-    if recipe.input_noise > 0:
-        noise = torch.randn(windows.shape, generator=run.generator).to(windows.device)
-        windows = windows + recipe.input_noise * noise
+    windows = with_noise(windows, task.config.state_inputs, recipe.input_noise, run.generator)
     if task.points is None or weight == 0:
         return (learner(windows) - targets).square().mean(), None
     count, pool = recipe.physics_batch, len(task.points.windows)

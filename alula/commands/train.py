@@ -74,13 +74,13 @@ def train(
         int | None, typer.Option(min=0, help="Evaluations without a better one that end a member; 0 for never.")
     ] = None,
     physics_weight: Annotated[
-        float | None, typer.Option(min=0, help="lambda of the physics-inspired loss; 0.01 for pi_tcn and pi_mlp.")
+        float | None, typer.Option(min=0, help="lambda of the physics-inspired loss; 1 for pi_tcn and pi_mlp.")
     ] = None,
     physics_points: Annotated[str | None, typer.Option(help="plausible histories, the whole space, or pulses.")] = None,
     annealed: Annotated[bool | None, typer.Option("--annealed", help="Let lambda fall to 0 towards the end.")] = None,
     rollout: Annotated[int | None, typer.Option(min=1, help="Steps that are predicted from predictions.")] = None,
     input_noise: Annotated[
-        float | None, typer.Option(min=0, help="Noise on the inputs, in standard deviations of theirs.")
+        float | None, typer.Option(min=0, help="Noise on the measured state, in its standard deviations.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the card as JSON, progress on stderr.")] = False,
 ) -> None:

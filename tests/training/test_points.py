@@ -103,9 +103,9 @@ def test_a_pulse_changes_motors_while_it_lasts_and_motion_from_then_on(plan_for:
         physics_pool=64,
     )
     assert plan.points is not None
-    assert plan.points.alike is not None
-    assert plan.points.targets is None
-    changed = plan.points.windows - plan.points.alike
+    assert plan.points.beside is not None
+    np.testing.assert_allclose(plan.points.targets, 0, atol=1e-9)  # of a residual on what has answered
+    changed = plan.points.windows - plan.points.beside
     pulsed = np.abs(changed[:, :, -4:]).max(axis=2) > 1e-9
     begin = pulsed.argmax(axis=1)
     for window, first in zip(changed, begin, strict=True):
@@ -121,9 +121,26 @@ def test_a_pulse_turns_the_vehicle_as_its_rotors_stand(plan_for: MakePlan, arpl_
         physics_pool=256,
     )  # fmt: skip
     assert plan.points is not None
-    assert plan.points.alike is not None
-    changed, alike = plan.points.windows - plan.points.alike, plan.points.alike
+    assert plan.points.beside is not None
+    changed, beside = plan.points.windows - plan.points.beside, plan.points.beside
     late = np.abs(changed[:, :16, -4:]).max(axis=(1, 2)) < 1e-9  # no time for anything else to follow
-    thrust = ((2 * alike + changed) * changed)[late, :-1, -4:].sum(axis=1)
+    thrust = ((2 * beside + changed) * changed)[late, :-1, -4:].sum(axis=1)
     leverage = np.array(arpl_250g.rotors.position)[:, 1]
     assert np.corrcoef(thrust @ leverage, changed[late, -1, 6])[0, 1] > 0.98
+
+
+def test_a_network_by_itself_is_taught_what_physics_answers_to_a_pulse(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
+    plan = plan_for("pi_tcn", vehicle=arpl_250g, physics_weight=1.0, physics_points="pulses", physics_pool=256)
+    textbook_points = physics_points(plan.config, plan.recipe, arpl_250g, plan.training, seed=0)
+    assert plan.points is not None
+    for points in (textbook_points, plan.points):
+        assert points.beside is not None
+        changed, beside = points.windows - points.beside, points.beside
+        squares = ((2 * beside + changed) * changed)[:, :, -4:] / scaled_motors(np.ones(1)) ** 2
+        lift = arpl_250g.rotors.thrust_constant * squares.sum(axis=2) / arpl_250g.body.mass
+        if points is textbook_points:  # at once, and what is past is past
+            np.testing.assert_allclose(points.targets[:, 2], lift[:, -1], atol=0.02 * np.abs(lift).max())
+        else:  # with the lag that these flights show
+            late = np.abs(lift[:, -2:]).max(axis=1) > 0.5 * np.abs(lift).max(axis=1)
+            share = np.abs(points.targets[late, 2]).mean() / np.abs(lift[late, -1]).mean()
+            assert 0.1 < share < 0.9

@@ -42,7 +42,7 @@ def test_a_folder_of_flights_becomes_a_checkpoint_with_its_card(folder: Path, tm
     assert len(model.networks) == 2
     assert model.reliability is not None
     assert card["kind"] == "pi_tcn"
-    assert card["recipe"]["physics_weight"] == 0.01
+    assert (card["recipe"]["physics_weight"], card["recipe"]["physics_points"]) == (1.0, "pulses")
     assert set(card["flights"]) | set(card["validation"]) == {f"flight_{place}.parquet" for place in range(4)}
     assert [error["flight"] for error in card["errors"]] == ["flight_2.parquet"]
     assert card["seeds"] == [0, 1]

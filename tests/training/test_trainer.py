@@ -28,6 +28,7 @@ from training.prediction import flight_errors, pooled, predict
 from training.progress import Report
 from training.recipe import FAST
 from training.recordings import Split, read_recordings
+from training.tensors import with_noise
 from training.trainer import Member, Task, train
 
 CPU = torch.device("cpu")
@@ -232,3 +233,11 @@ def test_two_processes_learn_what_one_does(plan_for: MakePlan, folder: Path, tmp
     alone = train(task_of(plan_for("pi_mlp", **SHORT, optimiser="adam")), quietly)
     for name, weight in torch.load(out, weights_only=True).items():
         torch.testing.assert_close(weight, alone.weights[name], rtol=1e-3, atol=1e-4)
+
+
+def test_noise_falls_on_the_measured_state_and_never_on_the_rotors() -> None:
+    windows = torch.zeros(500, 20, 13)
+    noisy = with_noise(windows, 9, 0.3, torch.Generator().manual_seed(0))
+    assert torch.equal(noisy[:, :, 9:], windows[:, :, 9:])
+    assert float(noisy[:, :, :9].std()) == pytest.approx(0.3, rel=0.01)
+    assert torch.equal(with_noise(windows, 9, 0.0, torch.Generator()), windows)

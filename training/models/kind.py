@@ -14,7 +14,7 @@ from training.recipe import Recipe
 
 @dataclass(frozen=True)
 class Kind:
-    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: trained with lambda > 0.
+    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: in the paper.
 
     recipe: what it changes in recipes other than the paper's.
     """
@@ -39,12 +39,8 @@ class Kind:
             dropout=0.1 if convolutional else 0.0,
         )  # fmt: skip
 
-    def recipe_for(self, recipe: Recipe, *, fast_weight: float) -> Recipe:
-        """The recipe as this model takes it: without the physics-inspired loss where the model has none.
-
-        fast_weight: lambda for recipes other than the paper's.
-        """
-        paper = recipe.name == "paper"
-        weight = recipe.physics_weight if paper else fast_weight
-        taken = msgspec.structs.replace(recipe, physics_weight=weight if self.has_physics_loss else 0.0)
-        return taken if paper else msgspec.structs.replace(taken, **self.recipe)
+    def recipe_for(self, recipe: Recipe) -> Recipe:
+        """The recipe as this model takes it: the paper's without the physics-inspired loss where the model has none."""
+        if recipe.name != "paper":
+            return msgspec.structs.replace(recipe, **self.recipe)
+        return recipe if self.has_physics_loss else msgspec.structs.replace(recipe, physics_weight=0.0)

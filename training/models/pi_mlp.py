@@ -6,4 +6,5 @@ from training.models.kind import Kind
 MODEL = Kind(
     "pi_mlp", "a perceptron on the newest column with the physics-inspired loss",
     ModelConfig("pi_mlp", "mlp", history=1), has_physics_loss=True,
+    recipe={"physics_points": "space", "physics_weight": 1.0},
 )  # fmt: skip

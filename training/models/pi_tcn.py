@@ -6,4 +6,5 @@ from training.models.kind import Kind
 MODEL = Kind(
     "pi_tcn", "temporal convolutions with the physics-inspired loss", ModelConfig("pi_tcn", "tcn"),
     has_physics_loss=True,
+    recipe={"physics_points": "pulses", "physics_weight": 1.0, "input_noise": 0.3},
 )  # fmt: skip
