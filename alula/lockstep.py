@@ -6,7 +6,7 @@ tracks the reference. Same inputs, same bits.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -52,7 +52,8 @@ class Rows:
 class FlownReference:
     """A tracked reference: what the vehicle's log would hold, and what was true. aborted: why it ended early.
 
-    fallbacks: how often the controller's own model was left, for fallback_seconds in all.
+    fallbacks: how often the controller's own model was left, for fallback_seconds in all. events: how often each was
+    raised in the whole flight.
     """
 
     log: Log
@@ -60,6 +61,20 @@ class FlownReference:
     aborted: str
     fallbacks: int = 0
     fallback_seconds: float = 0.0
+    events: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """How long the reference was tracked, s."""
+        return float(self.truth.streams[0].time[-1]) if self.truth.streams else 0.0
+
+    @property
+    def position_rmse(self) -> float:
+        """Of the true position while the reference was tracked, m; NaN without any."""
+        true, asked = self.truth.stream("position"), self.log.stream("position_setpoint")
+        if true is None or asked is None:
+            return float("nan")
+        return float(np.sqrt(np.mean(np.sum((true.values - asked.values) ** 2, axis=1))))
 
 
 def fly_reference(
@@ -84,7 +99,8 @@ def fly_reference(
     flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
-    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away))
+    events = {event.value: count for event, count in flyer.events.counts.items() if count}
+    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away), events)
 
 
 def _climb(plant: SimulatedVehicle, place: Array, yaw: float) -> None:

@@ -33,10 +33,15 @@ def export(
     windows: Annotated[int, typer.Option(min=10, help="Windows of each kind to compare on.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of the random windows.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing bundle.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the comparisons as JSON.")] = False,
+    flight_check: Annotated[
+        bool,
+        typer.Option("--flight-check/--no-flight-check", help="Fly a learned model for some seconds in simulation."),
+    ] = True,
+    as_json: Annotated[bool, typer.Option("--json", help="Print comparisons and flight check as JSON.")] = False,
 ) -> None:
     """Write ONNX, C and the real-time kernel of a model, and prove that they compute what was trained."""
     with workbench("alula export"):
+        from alula.flight_check import check_bundle
         from export.bundle import ExportOptions, export_bundle, summary
         from export.trained import read_model
         from runtime.rti.problem import Problem
@@ -48,7 +53,11 @@ def export(
     )  # fmt: skip
     path = Path(model) if Path(model).suffix == ".pt" else vehicle_path(model)
     exported = export_bundle(read_model(path, member=member, integrator=integrator), out, options)
+    check = check_bundle(out, exported.manifest) if flight_check else None
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(exported.parity)) + b"\n")
-    else:
-        print("\n".join(summary(exported)))
+        told = {**msgspec.to_builtins(exported.parity), "flight_check": check and check.told}
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(told)) + b"\n")
+        return
+    print("\n".join(summary(exported)))
+    if check is not None:
+        print(f"warning: {check.warning}" if check.warning else f"flight check: {check.text}")

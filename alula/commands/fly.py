@@ -16,6 +16,7 @@ from rich.console import Console
 from rich.table import Table
 
 from alula.flight_setup import FlightSetup, prepare_flight
+from alula.flight_verdict import read_check
 from dynamics.errors import VehicleError
 from runtime.daemon import Daemon, FlightReport
 
@@ -59,6 +60,8 @@ def fly(
     )  # fmt: skip
     console = Console(stderr=as_json)
     flight = prepare_flight(setup)
+    if flight.bundle is not None and (check := read_check(flight.bundle.folder)) is not None and check.warning:
+        console.print(f"warning: {check.warning}", style="yellow", markup=False)
     daemon = Daemon(
         flight.request, flight.vehicle, flight.reference, lambda text: console.print(text, markup=False),
         bundle=flight.bundle,
