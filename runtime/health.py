@@ -74,6 +74,11 @@ class FlightHealth:
             self._chatter.add(float(np.linalg.norm(rate_body - 2 * last + oldest)), time - before)
         self._sent.append((time, rate_body))
 
+    @property
+    def oscillation(self) -> tuple[float, float]:
+        """By how much setpoints turn back from tick to tick, and by how much rates miss them; running means, rad/s."""
+        return self._chatter.value, self._swing.value
+
     def rest(self) -> None:
         """Nothing is flown: forget what was sent."""
         self._sent.clear()
@@ -104,10 +109,11 @@ class FlightHealth:
         if self._miss.value > self.limits.unfollowed:
             missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
             found[Event.SETPOINT_REFUSED] = missed
-        if learned and self._chatter.value > self.limits.chatter:
-            found[Event.MODEL_OSCILLATES] = f"setpoints turn back by {self._chatter.value:.1f} rad/s from tick to tick"
-        elif learned and self._swing.value > self.limits.swing:
-            found[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {self._swing.value:.1f} rad/s"
+        chatter, swing = self.oscillation
+        if learned and chatter > self.limits.chatter:
+            found[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"
+        elif learned and swing > self.limits.swing:
+            found[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
         return found
 
     def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
