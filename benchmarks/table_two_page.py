@@ -14,8 +14,13 @@ from dynamics.vehicle_file import read_vehicle
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "table_two.png"
 SHOWN = "Lemniscate"  # as in the paper's first figure
-NAMES = {"nominal": "nominal", "effects": "nominal + effects", "pi_mlp": "PI-MLP, T = 1", "pi_tcn": "PI-TCN"}
-COLOURS = {"nominal": "#d55e00", "effects": "#009e73", "pi_mlp": "#cc79a7", "pi_tcn": "#0072b2"}  # Okabe and Ito
+NAMES = {
+    "nominal": "nominal", "effects": "nominal + effects", "pi_mlp": "PI-MLP, T = 1", "pi_tcn": "PI-TCN",
+    "grey_box": "grey box + residual",
+}  # fmt: skip
+COLOURS = {  # Okabe and Ito
+    "nominal": "#d55e00", "effects": "#009e73", "pi_mlp": "#cc79a7", "pi_tcn": "#0072b2", "grey_box": "#e69f00",
+}  # fmt: skip
 INK, SOFT = "#1a1a1a", "#9a9a9a"
 
 
