@@ -33,7 +33,7 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     following_time: float = 1.0
     rate_delay: float = 0.06
     swing: float = 2.0
-    chatter: float = 1.25
+    chatter: float = 1.5
     swing_time: float = 0.5
 
 

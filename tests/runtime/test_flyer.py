@@ -329,7 +329,7 @@ def swinging(vehicle: Vehicle, swing: float) -> Flight:
 def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_comes_back_once_and_is_left_for_good(
     vehicle: Vehicle,
 ) -> None:
-    flight = swinging(vehicle, 0.4)
+    flight = swinging(vehicle, 0.6)
     story = flight.run(60.0)
     assert story.phases == WHOLE
     told = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
@@ -340,7 +340,7 @@ def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_comes_back_onc
     later = [d for d, time in zip(story.decisions, story.times, strict=True) if time > told[2].time]
     assert {decision.fallback for decision in later if decision.rate_body is not None} == {Fallback.NOMINAL_MODEL}
     assert max(story.errors) < 0.3
-    again = swinging(vehicle, 0.4).flyer
+    again = swinging(vehicle, 0.6).flyer
     for (seen, estimate), before in zip(story.observations, story.decisions, strict=True):
         decision = again.step(seen, estimate)
         again.prepare(seen.time)
