@@ -169,9 +169,11 @@ class Flyer:
         if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
             return
-        if not self._nominal_ready and self._state is not None:
+        # what a model asked for that goes astray says nothing of what the vehicle did: physics begins without it
+        astray = Event.MODEL_OSCILLATES in self._found
+        if (astray or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
-        if self._estimate is not None and self._flies is not self._nominal:
+        if not astray and self._estimate is not None and self._flies is not self._nominal:
             self._nominal.follow(self._controller, self._estimate.state, self._estimate.time, time)
         self._nominal.prepare(*window)
         self._nominal_ready = True
