@@ -318,7 +318,7 @@ class Swinging:
 
     def feedback(self, state: np.ndarray, time: float) -> Command:
         command, self.swing = self._real.feedback(state, time), -self.swing
-        self._real.solver.inputs[:, ::2] *= 1 + np.sign(self.swing) * 0.3  # its plan goes astray with its commands
+        self._real.solver.inputs[:, ::2] *= 1 + 0.5 * self.swing  # its plan goes astray with its commands
         return replace(command, rate_body=command.rate_body + np.array([self.swing, 0.0, 0.0]))
 
 
