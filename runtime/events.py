@@ -68,9 +68,8 @@ class Policy:
     """What an event leads to.
 
     fallback: the mildest that may be flown while it is active. onset: s it must be present before it is raised.
-    clear_after: s of absence before it clears, infinite: only engaging anew clears it. latches_at: raised so often
-    since engaging, only engaging anew clears it, too. refuses: engaging is refused while it is active. lands: the
-    mission is cut short by a landing.
+    clear_after: s of absence before it clears, infinite: only engaging anew clears it. refuses: engaging is refused
+    while it is active. lands: the mission is cut short by a landing.
     """
 
     text: str
@@ -78,7 +77,6 @@ class Policy:
     fallback: Fallback = Fallback.NONE
     onset: float = 0.0
     clear_after: float = 1.0
-    latches_at: float = math.inf
     refuses: bool = False
     lands: bool = False
 
@@ -122,11 +120,7 @@ POLICIES: Mapping[Event, Policy] = {
         "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
     ),
     Event.MODEL_OSCILLATES: Policy(
-        "the learned model makes the vehicle oscillate",
-        Severity.ERROR,
-        Fallback.NOMINAL_MODEL,
-        clear_after=10.0,
-        latches_at=2,
+        "the learned model makes the vehicle oscillate", Severity.ERROR, Fallback.NOMINAL_MODEL, clear_after=NEVER
     ),
     Event.MODEL_OUTSIDE: Policy(
         "outside of what the learned model was trained on", Severity.WARNING, Fallback.NOMINAL_MODEL, clear_after=0.5
@@ -169,7 +163,6 @@ class EventMonitor:
         self._last_present: dict[Event, float] = {}
         self._active: dict[Event, str] = {}
         self.counts: dict[Event, int] = dict.fromkeys(Event, 0)
-        self._counts_at_rearm = dict(self.counts)
 
     @property
     def active(self) -> Mapping[Event, str]:
@@ -215,20 +208,14 @@ class EventMonitor:
         return (*changes, *self._clear(present, time))
 
     def _clear(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
-        absent = [event for event in self._active if event not in present and not self._latched(event)]
+        absent = [event for event in self._active if event not in present]
         over = [event for event in absent if time - self._last_present[event] >= POLICIES[event].clear_after]
         return tuple(Change(time, event, False, self._active.pop(event)) for event in over)
 
     def rearm(self, time: float) -> tuple[Change, ...]:
         """Clear what only engaging anew may clear; what is still present comes back with the next update."""
-        latched = [event for event in self._active if self._latched(event)]
-        self._counts_at_rearm = dict(self.counts)
+        latched = [event for event in self._active if POLICIES[event].clear_after == NEVER]
         return tuple(Change(time, event, False, self._active.pop(event)) for event in latched)
-
-    def _latched(self, event: Event) -> bool:
-        """Whether only engaging anew clears it."""
-        policy = POLICIES[event]
-        return policy.clear_after == NEVER or self.counts[event] - self._counts_at_rearm[event] >= policy.latches_at
 
     def _text_of(self, concerned: Callable[[Policy], bool]) -> str:
         for event, detail in self._active.items():

@@ -170,7 +170,7 @@ class Flyer:
             self._nominal_ready = False
             return
         # what a model asked for that goes astray says nothing of what the vehicle did: physics begins without it
-        astray = Event.MODEL_OSCILLATES in self._found
+        astray = Event.MODEL_OSCILLATES in self._found and Event.MODEL_OSCILLATES not in self.events.active
         if (astray or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
         if not astray and self._estimate is not None and self._flies is not self._nominal:
@@ -223,7 +223,7 @@ class Flyer:
         now, before = self._estimate, self._before
         if now is None or now is before:
             return
-        self._found |= self._health.flight(now.state, time, learned=self._flies.is_learned)
+        self._found |= self._health.flight(now.state, time, learned=self._controller.is_learned)
         if self.mission.phase is Phase.TOUCHDOWN:
             return  # the ground carries a part of the weight
         force = self._force

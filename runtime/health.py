@@ -101,7 +101,7 @@ class FlightHealth:
         return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
 
     def flight(self, state: NDArray[np.float64], time: float, *, learned: bool = False) -> dict[Event, str]:
-        """What a fresh state (13,) of a vehicle in the air shows. learned: a learned model flies it."""
+        """What a fresh state (13,) of a vehicle in the air shows. learned: its controller has a learned model."""
         found = self._position(state[0:3])
         if self._thrust > 0.99 * self._thrust_max:
             found[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"

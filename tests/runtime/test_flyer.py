@@ -36,9 +36,9 @@ def controller(vehicle: Vehicle) -> Controller:
     return Controller.build(vehicle)
 
 
-def prepare(vehicle: Vehicle, controller: Controller, *, seconds: float = 3.0, **options: object) -> Flight:
+def prepare(vehicle: Vehicle, controller: Controller, **options: object) -> Flight:
     controller.reset(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]), 0.0)
-    reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), seconds)
+    reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), 3.0)
     return Flight(vehicle, controller, reference, **{"plan": PLAN, **options})  # type: ignore[arg-type]
 
 
@@ -324,25 +324,23 @@ class Swinging:
 
 def swinging(vehicle: Vehicle, swing: float) -> Flight:
     learned = Swinging(Controller.build(vehicle), swing)
-    return prepare(vehicle, learned, seconds=15.0, nominal=Controller.build(vehicle))  # type: ignore[arg-type]
+    return prepare(vehicle, learned, nominal=Controller.build(vehicle))  # type: ignore[arg-type]
 
 
-def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_comes_back_once_and_is_left_for_good(
+def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_to_physics_for_the_rest_of_the_flight(
     vehicle: Vehicle,
 ) -> None:
     flight = swinging(vehicle, 0.6)
     story = flight.run(60.0)
     assert story.phases == WHOLE
     told = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
-    assert [change.active for change in told] == [True, False, True]
+    assert [change.active for change in told] == [True]
     assert "from tick to tick" in told[0].text
-    assert 10.0 <= told[1].time - told[0].time < 10.1
-    assert told[2].time - told[1].time < 1.0
     first = story.times.index(told[0].time)
-    asked = np.array([decision.rate_body for decision in story.decisions[first : first + 50]])
-    assert np.abs(np.diff(asked, axis=0)).max() < 0.4  # 0.5 where physics takes that plan over
-    later = [d for d, time in zip(story.decisions, story.times, strict=True) if time > told[2].time]
-    assert {decision.fallback for decision in later if decision.rate_body is not None} == {Fallback.NOMINAL_MODEL}
+    later = [decision for decision in story.decisions[first:] if decision.rate_body is not None]
+    assert {decision.fallback for decision in later} == {Fallback.NOMINAL_MODEL}
+    asked = np.array([decision.rate_body for decision in later[:50]])
+    assert np.abs(np.diff(asked, axis=0)).max() < 0.4  # 0.5 where physics takes the other's plan over
     assert max(story.errors) < 0.3
     again = swinging(vehicle, 0.6).flyer
     for (seen, estimate), before in zip(story.observations, story.decisions, strict=True):
