@@ -1,0 +1,120 @@
+"""How far from the limits at which an oscillating model is left do healthy models fly, and what becomes of sick ones?
+
+Three brisk manoeuvres in lockstep on the vehicle that hides what the campaign's hides: the textbook model and every
+trained model that comes along, with a vehicle's noise on gyro and estimate and with multiples of it. Of every flight:
+the greatest running means of what setpoints turn back from tick to tick, and of what body rates miss them, while the
+reference was tracked; how often and how long physics flew; the error.
+
+    python benchmarks/oscillation.py [--noise 1,2]
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from provenance import write_result
+
+from alula.flight_setup import exported_bundle
+from alula.lockstep import FlownReference, fly_reference
+from dynamics.references import named_reference
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from export.bundle import ExportOptions, export_bundle
+from export.trained import read_model
+from flights.campaign import REAL_WORLD
+from runtime.controller import Controller
+from runtime.events import Event
+from runtime.health import FlightHealth, HealthLimits
+from runtime.rti.problem import Problem
+from runtime.rti.processor import native_processor
+from sitl_mock.sensors import SensorErrors
+from sitl_mock.vehicle import VehicleOptions
+from vehicles import vehicle_path
+
+VEHICLE = "arpl_250g"
+MODELS = ("nominal", "grey_box", "pi_tcn", "pi_mlp", "res_tcn", "mse_tcn")
+MANOEUVRES = ("Lemniscate", "TransposedParabola", "ExtendedLemniscate")
+DURATION = 15.0  # s
+SHAKEN = ("gyro", "position", "velocity", "tilt", "yaw")  # what a controller sees of a vehicle's errors
+AGE = SensorErrors().delay  # s
+WINDOWS = 20  # of the parity proof, which is not what is measured here
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--noise", default="1,2", help="factors on the usual noise of gyro and estimate")
+    factors = [float(text) for text in parser.parse_args().noise.split(",")]
+    body = read_vehicle(vehicle_path(VEHICLE))
+    with tempfile.TemporaryDirectory() as folder:
+        lines = [
+            _row(body, model, manoeuvre, noise, Path(folder))
+            for model in MODELS
+            for noise in factors
+            for manoeuvre in MANOEUVRES
+        ]
+    write_result("oscillation", "How far from oscillating models fly", "\n".join([*_head(), *lines]))
+
+
+def _head() -> list[str]:
+    limits = HealthLimits()
+    return [
+        f"{DURATION:g} s of each in lockstep. Greatest running mean over {limits.swing_time:g} s, rad/s; a learned "
+        f"model is left beyond {limits.chatter:g} of turning back, or {limits.swing:g} of missed body rates.",
+        "",
+        "| model | sensor noise | manoeuvre | turns back | missed | left | physics flew | error | ended |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+
+
+def _controllers(model: str, folder: Path) -> tuple[Controller, Controller | None]:
+    path = vehicle_path(VEHICLE)
+    if model == "nominal":
+        return Controller.build(read_vehicle(path)), None
+    if not (folder / model).exists():
+        options = ExportOptions(Problem(), native_processor(), windows=WINDOWS)
+        export_bundle(read_model(path.with_suffix(f".{model}.pt")), folder / model, options)
+    bundle = exported_bundle(folder / model)
+    assert bundle is not None
+    return Controller.of_bundle(bundle), Controller.beside(bundle)
+
+
+def _row(body: Vehicle, model: str, manoeuvre: str, noise: float, folder: Path) -> str:
+    controller, nominal = _controllers(model, folder)
+    usual = SensorErrors()
+    sensors = dataclasses.replace(usual, **{name: noise * getattr(usual, name) for name in SHAKEN})
+    flown = fly_reference(
+        body, named_reference(manoeuvre, controller.trim, duration=DURATION), options=VehicleOptions(sensors=sensors),
+        effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD], controller=controller, nominal=nominal,
+    )  # fmt: skip
+    chatter, swing = _greatest(body, flown)
+    left = flown.events.get(Event.MODEL_OSCILLATES.value, 0)
+    share = flown.fallback_seconds / flown.seconds if flown.seconds else 1.0
+    row = (
+        f"| {model} | {noise:g} | {manoeuvre} | {chatter:.2f} | {swing:.2f} | {left} | {share:.0%} | "
+        f"{100 * flown.position_rmse:.1f} cm | {flown.aborted} |"
+    )
+    print(row, flush=True)
+    return row
+
+
+def _greatest(body: Vehicle, flown: FlownReference) -> tuple[float, float]:
+    """Greatest running means, from the log's setpoints and gyro, the latter as old as an estimate is."""
+    asked, gyro = flown.log.stream("rate_setpoint"), flown.log.stream("rate")
+    if asked is None or gyro is None:
+        return float("nan"), float("nan")
+    health, state, found = FlightHealth(body), np.zeros(13), [(0.0, 0.0)]
+    for time, setpoint in zip(asked.time, asked.values, strict=True):
+        health.sent(setpoint, 0.0, float(time))
+        state[10:13] = gyro.values[min(int(np.searchsorted(gyro.time, time - AGE)), len(gyro.time) - 1)]
+        health.flight(state, float(time))
+        found.append(health.oscillation)
+    chatter, swing = np.max(found, axis=0)
+    return float(chatter), float(swing)
+
+
+if __name__ == "__main__":
+    main()
