@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import struct
 
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from sitl_mock.dialect import mavlink
@@ -121,6 +122,7 @@ def test_any_numbers_in_a_command_are_survived(number: int, parameters: list[flo
 
 @settings(max_examples=25)
 @given(st.integers(0, 255), st.lists(st.floats(width=32), min_size=8, max_size=8))
+@example(236, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0])
 def test_any_numbers_in_a_setpoint_are_survived_in_flight(mask: int, numbers: list[float]) -> None:
     bench = Bench(rule="measured")
     bench.fly(height=0.1)

@@ -74,7 +74,7 @@ class KinematicVehicle:
 
     def _fly(self, setpoint: ControlSetpoint, duration: float) -> None:
         if setpoint.kind == "rates":
-            self.rate = np.nan_to_num(setpoint.rate_body)
+            self.rate = np.where(np.isfinite(setpoint.rate_body), setpoint.rate_body, 0.0)  # as PX4 leaves such alone
             self.attitude = normalise(multiply(self.attitude, exponential(self.rate * duration)))
             self.thrust = min(max(setpoint.thrust, 0.0), 1.0)
         elif setpoint.kind == "attitude":
