@@ -58,6 +58,7 @@ PLANS = {
     "history": Plan(6000, 2),
     "regimes": Plan(6000, 2),
     "lambda": Plan(2000, 2),
+    "annealed": Plan(3000, 2, study="grid", grid=("annealed=false,true",)),
     "motors": Plan(3000, 2),
     STARRED: Plan(3000, 2),
     "inertia": Plan(2000, 1),
