@@ -324,6 +324,17 @@ def test_a_grid_from_the_command_line(run: Run, campaign: Path, tmp_path: Path) 
     assert (tmp_path / "p" / "grid.png").stat().st_size > 1000
 
 
+def test_what_is_on_or_off_may_be_a_grids_value_and_its_cells_are_read_again(
+    run: Run, campaign: Path, tmp_path: Path
+) -> None:
+    words = ("sweep", "grid", campaign, "--vehicle", "arpl_250g", "--out", tmp_path / "out", "--model", "pi_mlp",
+             "--grid", "annealed=false,true", "--steps", 20, "--batch", 32, "--seeds", 1, "--jobs", 1)  # fmt: skip
+    for _ in range(2):  # the second time from files
+        code, out, _ = run(*words)
+        assert code == 0
+        assert {"yes", "no"} <= set(out.replace("│", " ").split())
+
+
 def test_a_failed_training_shows_in_table_page_and_exit_code(run: Run, campaign: Path, tmp_path: Path) -> None:
     words = ("sweep", "grid", campaign, "--vehicle", "arpl_250g", "--out", tmp_path / "out", "--model", "window_mlp",
              "--grid", "learning_rate=1e-3,1e30", "--steps", 20, "--batch", 32, "--seeds", 1, "--jobs", 1)  # fmt: skip

@@ -142,9 +142,10 @@ def grid_cells(
     names = [*config, *recipe]
     cells: list[Cell] = []
     for values in itertools.product(*config.values(), *recipe.values()):
-        at = dict(zip(names, values, strict=True))
-        name = "_".join(f"{key}_{value}" for key, value in at.items()).replace("/", "-")
-        changed = {key: value for key, value in at.items() if key in config}
-        rest = {key: value for key, value in at.items() if key in recipe}
+        chosen = dict(zip(names, values, strict=True))
+        name = "_".join(f"{key}_{value}" for key, value in chosen.items()).replace("/", "-")
+        changed = {key: value for key, value in chosen.items() if key in config}
+        rest = {key: value for key, value in chosen.items() if key in recipe}
+        at = {key: ("yes" if value else "no") if isinstance(value, bool) else value for key, value in chosen.items()}
         cells += repeated(options, f"{model}_{name}", at, model, config=changed, recipe=rest)
     return tuple(cells)
