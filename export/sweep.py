@@ -12,9 +12,7 @@ from dataclasses import dataclass
 from export.network import Network
 
 ROWS = 6
-SWEPT_ANEW = (
-    0.5  # share of a sweep that is worked out anew at a substep: a tenth in calm flight, more where motors saturate
-)
+SWEPT_ANEW = 0.5  # of a sweep is worked out anew at a substep: a tenth in calm flight, more where motors saturate
 
 
 @dataclass(frozen=True)

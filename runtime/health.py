@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from dynamics.vehicle import Vehicle
 from runtime.estimate import Estimate
 from runtime.events import Event
+from runtime.running_mean import RunningMean
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -37,18 +38,6 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     swing_time: float = 0.5
 
 
-class RunningMean:
-    """The mean of a quantity over about the last `averaging` s."""
-
-    def __init__(self, averaging: float) -> None:
-        self._averaging = averaging
-        self.value = 0.0
-
-    def add(self, sample: float, elapsed: float) -> None:
-        """A value that held for `elapsed` s."""
-        self.value += min(elapsed / self._averaging, 1.0) * (sample - self.value)
-
-
 class FlightHealth:
     """Finds events in what is measured and sent. Pure: time is an argument, s."""
 
@@ -62,8 +51,8 @@ class FlightHealth:
 
     def _forget(self) -> None:
         limits = self.limits
-        self._miss, self._swing = RunningMean(limits.following_time), RunningMean(limits.swing_time)
-        self._chatter = RunningMean(limits.swing_time)
+        self._miss, self._swing = RunningMean(limits.following_time, 0.0), RunningMean(limits.swing_time, 0.0)
+        self._chatter = RunningMean(limits.swing_time, 0.0)
         self._miss_time: float | None = None
 
     def sent(self, rate_body: NDArray[np.float64], collective_thrust: float, time: float) -> None:

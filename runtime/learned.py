@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from runtime.bundle import Bundle
+from runtime.running_mean import RunningMean
 
 Array = NDArray[np.float64]
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -74,20 +75,20 @@ class ModelHealth:
             [math.hypot(linear, limits.least_linear)] * 3 + [math.hypot(angular, limits.least_angular)] * 3
         )
         self._averaging = limits.averaging
-        self._mean = np.zeros(6)
+        self.reset()
 
     def compare(self, predicted: Array, measured: Array, elapsed: float) -> None:
         """A prediction (13,) over `elapsed` s against what was then measured (13,)."""
         if elapsed < 1e-3:
             return
         miss = np.concatenate([measured[3:6] - predicted[3:6], measured[10:13] - predicted[10:13]]) / elapsed
-        self._mean += min(elapsed / self._averaging, 1.0) * (miss / self._scale - self._mean)
+        self._mean.add(miss / self._scale, elapsed)
 
     @property
     def ratio(self) -> float:
         """Error over training's error, 1 where the model fits as it did."""
-        return float(np.sqrt(np.mean(self._mean**2)))
+        return float(np.sqrt(np.mean(self._mean.value**2)))
 
     def reset(self) -> None:
         """Begin anew."""
-        self._mean[:] = 0
+        self._mean = RunningMean(self._averaging, np.zeros(6))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +20,7 @@ from dynamics.errors import RequestError
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
+    from alula.training_run import TrainOptions
     from training.checkpoint import TrainedModel
     from training.progress import Report
 
@@ -43,7 +45,7 @@ def train(
         typer.Option(help="Effect to add to the vehicle file's, name or name:key=value,...; repeatable."),
     ] = None,
     keep_effects: Annotated[
-        bool, typer.Option("--keep-effects", help="Do not fit a grey box's effects to these flights.")
+        bool, typer.Option("--keep-effects", help="Do not fit the vehicle file's effects to these flights.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the first member; the others count on from it.")] = 0,
     ensemble: Annotated[int, typer.Option(min=1, help="Members; their disagreement flags what is uncertain.")] = 4,
@@ -94,25 +96,33 @@ def train(
         config=_given(inputs=inputs, motors=motors, label=label, filtered_inputs=filtered_inputs, history=history),
         recipe_changes=_given(
             steps=steps, batch=batch, optimiser=optimiser, learning_rate=learning_rate, patience=patience,
-            physics_weight=physics_weight,
-            physics_points=physics_points, annealed=annealed, rollout=rollout, input_noise=input_noise,
+            physics_weight=physics_weight, physics_points=physics_points, annealed=annealed, rollout=rollout,
+            input_noise=input_noise,
         ),
     )  # fmt: skip
     console = Console(stderr=as_json, quiet=os.environ.get("RANK", "0") != "0")
+    trained = _with_bars(run, options, console, tensorboard)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(trained.card)) + b"\n")
+    else:
+        _print(trained, out, console)
+
+
+def _with_bars(
+    run: Callable[[TrainOptions, Callable[[Report], None]], TrainedModel], options: TrainOptions, console: Console,
+    tensorboard: Path | None,
+) -> TrainedModel:  # fmt: skip
+    """The trained model, with a bar for every member meanwhile; interrupted it says how to go on."""
     bars = _Bars(console, tensorboard)
     try:
         with bars.progress:
-            trained = run(options, bars.show)
+            return run(options, bars.show)
     except KeyboardInterrupt:
         if options.folder.exists():
             console.print(f"stopped; {options.folder} holds what is done: the same command with --resume goes on.")
         raise
     finally:
         bars.close()
-    if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(trained.card)) + b"\n")
-    else:
-        _print(trained, out, console)
 
 
 def _given(**values: Any) -> dict[str, Any]:
