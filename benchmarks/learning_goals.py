@@ -36,6 +36,7 @@ EFFECTS = (
     "motor_lag", "rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift",
     "thrust_constant", "inertia",
 )  # fmt: skip
+NAMED = tuple(word for effect in EFFECTS for word in ("--effect", effect))
 FILTERED = ("--filtered-inputs", "--label", "instantaneous", "--motors", "measured")
 PAPER_STEPS, PAPER_BATCH = 30_000, 512
 GREY_STEPS = 12_000
@@ -86,8 +87,7 @@ def trained_slow() -> list[Table]:
     """Errors against the truth on the eight test flights of models that saw slow flights alone; what they flag."""
     slow = sorted((CAMPAIGN / "train").glob(SLOW))
     network = trained("slow_pi_tcn", slow, "--model", "pi_tcn")
-    effects = [word for effect in EFFECTS for word in ("--effect", effect)]
-    grey = trained("slow_grey_box", slow, "--model", "grey_box", "--steps", str(GREY_STEPS), *effects)
+    grey = trained("slow_grey_box", slow, "--model", "grey_box", "--steps", str(GREY_STEPS), *NAMED)
     errors: dict[str, tuple[FlightError, ...]] = {}
     signs = []
     for name, model in (("PI-TCN", network), ("grey box", grey)):

@@ -94,7 +94,7 @@ def fly(run: Run) -> Flown:
 
 def _tried(run: Run) -> Flown:
     try:
-        return _over_link(run) if run.pace == "link" else _in_lockstep(run)
+        return _over_link(run) if run.pace == "link" else in_lockstep(run)
     except VehicleError as error:
         return Flown(run, str(error))
 
@@ -168,7 +168,7 @@ def _fallbacks(recording: Recording) -> dict[str, float | int | None]:
     }
 
 
-def _in_lockstep(run: Run) -> Flown:
+def in_lockstep(run: Run) -> Flown:
     body, bundle = read_vehicle(vehicle_path(VEHICLE)), exported_bundle(Path(run.path))
     controller = Controller.build(read_vehicle(Path(run.path))) if bundle is None else Controller.of_bundle(bundle)
     reference = named_reference(run.manoeuvre, controller.trim, duration=DURATION)
