@@ -21,7 +21,7 @@ modules = [
     for room in ROOMS
     for found in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
 ]
-for name in (*modules, "alula.cli"):
+for name in (*modules, "alula.cli.app"):
     importlib.import_module(name)
 
 vehicles = [read_vehicle(str(path)).name for path in files("vehicles").iterdir() if path.name.endswith(".toml")]

@@ -11,11 +11,11 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from dynamics.errors import RequestError
+from dynamics.version import __version__
 
 if TYPE_CHECKING:
     from flights import Flight, read_folder, read_log
 
-__version__ = "0.1.0"
 __all__ = ["Flight", "__version__", "read_folder", "read_log"]
 
 _HOMES: Mapping[str, str] = {"Flight": "flights", "read_folder": "flights", "read_log": "flights"}

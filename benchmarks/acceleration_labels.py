@@ -16,9 +16,10 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
-from alula.campaign import Campaign, CampaignOptions
-from flights import Flight, filters, kalman
+from flights import Flight, filters
 from flights.log import Floats
+from simulation.campaign import Campaign, CampaignOptions
+from training.data import kalman
 
 CUTOFFS = (1.5, 2.0, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0, 12.0, 15.0, 20.0, 25.0, 30.0)  # Hz
 TUNING = ("Lemniscate_yz_100", "WarpedEllipse_2_xz_100", "Parabola_yz_100", "Ellipse_2_xz_100")
@@ -83,8 +84,8 @@ def main() -> None:
         "Errors against the true accelerations on the eight test flights (campaign's effects and sensors, 100 Hz), "
         f"norms over three axes; cutoffs chosen on {', '.join(TUNING)}. Seed {options.seed}. On this linear model the "
         "UKF is the Kalman filter; what the smoother gains is the look ahead, which labels may have, because they are "
-        "made afterwards. `flights.labels.paper_label` uses the RTS smoother, `increment_label` Butterworth filters of "
-        "5 Hz for velocity and 12 Hz for body rates.\n\n"
+        "made afterwards. `training.data.labels.paper_label` uses the RTS smoother, `increment_label` Butterworth "
+        "filters of 5 Hz for velocity and 12 Hz for body rates.\n\n"
     )
     write_result("acceleration_labels", "Accelerations from velocities", text + "\n".join(lines))
 

@@ -21,10 +21,10 @@ from provenance import write_result
 from rti_flight import NETWORKS, PERIODS, fly, networks, solver_for, undisturbed, with_each_blasfeo
 
 from export.trained import read_model
-from runtime.rti.problem import Problem, fill_options
-from runtime.rti.processor import native_processor
-from runtime.rti.solver import RtiSolver
-from tests.support.box_programs import BoxProgram, BoxSolvers
+from fixtures.box_programs import BoxProgram, BoxSolvers
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.processor import native_processor
+from runtime.control.rti.solver import RtiSolver
 
 LEAP = 0.6  # m
 

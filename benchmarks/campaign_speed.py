@@ -18,9 +18,9 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.campaign import MANIFEST, Manifest
 from flights import Flight
-from flights.labels import paper_label
+from simulation.campaign import MANIFEST, Manifest
+from training.data.labels import paper_label
 
 PATIENCE = 7200.0  # s
 

@@ -15,15 +15,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from provenance import write_result
 
-from alula.lockstep import fly_reference
-from alula.parallel import parallel_map
 from dynamics.references import named_reference
+from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle_file import parse_effect, read_vehicle
-from flights.campaign import REAL_WORLD
 from flights.delays import estimate_delays
 from flights.log import Log, Stream
-from sitl_mock.sensors import SensorErrors
-from sitl_mock.vehicle import VehicleOptions
+from flights.parallel import parallel_map
+from simulation.lockstep import fly_reference
+from sitl_mock.vehicle.sensors import SensorErrors
+from sitl_mock.vehicle.vehicle import VehicleOptions
 from vehicles import FOLDER
 
 REFERENCES = (

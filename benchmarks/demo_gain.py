@@ -20,10 +20,10 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.demo import DemoReport, run_demo
-from alula.demo_flights import DemoOptions
-from alula.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 from dynamics.errors import AlulaError
+from studies.demo.flights import DemoOptions
+from studies.demo.run import DemoReport, run_demo
+from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
 EFFECTS = (
     "rotor_drag:coefficient=2.2e-5", "linear_drag:coefficient=0.12", "parasitic_drag:coefficient=0.02",

@@ -23,8 +23,6 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rich.progress import track
 
-from alula.parallel import parallel_map
-from benchmarks.foreign_effects import FOREIGN
 from benchmarks.planted_cases import Case, fair, flown, names, pairs, vehicle
 from benchmarks.planted_table import table
 from benchmarks.provenance import write_result
@@ -32,6 +30,8 @@ from diagnosis.diagnose import Findings, diagnose
 from diagnosis.report import FoundEffect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
+from fixtures.foreign_effects import FOREIGN
+from flights.parallel import parallel_map
 
 KEPT = Path("build/diagnosis_planted_truth.jsonl")
 SOURCES = ("compiled", "rotorpy", "mock")

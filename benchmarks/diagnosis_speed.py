@@ -17,13 +17,13 @@ from provenance import write_result
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from diagnosis.dataset import make_dataset
+from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
+from fixtures.compiled_flights import compiled_flights
 from runtime.realtime import limit_library_threads
-from tests.support.compiled_flights import compiled_flights
 from vehicles import FOLDER
 
 SETS = {"108 s": (1, 2.0), "10 minutes": (6, 10.0)}  # of nine flights each, and the goal, s

@@ -9,8 +9,8 @@ from pathlib import Path
 
 from provenance import write_result
 
-from alula.evaluation_run import draw, run
-from alula.tables import markdown
+from studies.evaluation.run import draw, run
+from studies.tables import markdown
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGN, PICTURES = ROOT / "build" / "campaign_learning", ROOT / "build" / "learning" / "pictures"

@@ -18,16 +18,16 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.study_figures import HEATMAPS
-from alula.sweep_cells import run_cells
-from alula.sweep_report import draw, require_all_trained, tables_of
-from alula.sweep_run import Sweep, SweepOptions, make_sweep
-from alula.sweep_work import finished_cells
-from alula.tables import Table, markdown
+from studies.sweep.catalogue import STARRED
+from studies.sweep.cell import CellResult, Outcome, trained
+from studies.sweep.cells import run_cells
+from studies.sweep.figures import HEATMAPS
+from studies.sweep.report import draw, require_all_trained, tables_of
+from studies.sweep.run import Sweep, SweepOptions, make_sweep
+from studies.sweep.work import finished_cells
+from studies.tables import Table, markdown
 from training import checkpoint
 from training.recipe import PAPER
-from training.studies import STARRED
-from training.studies.cell import CellResult, Outcome, trained
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGN, SIMULATED = ROOT / "build" / "campaign_learning", ROOT / "build" / "campaign_nominal"

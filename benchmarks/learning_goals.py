@@ -18,17 +18,17 @@ from pathlib import Path
 
 from provenance import write_result
 
-from alula.paper import prediction_ratio
-from alula.tables import Cell, Table, markdown
+from studies.paper import prediction_ratio
+from studies.sweep.catalogue import SLOW
+from studies.tables import Cell, Table, markdown
 from training import checkpoint
 from training.calibration import calibration
 from training.card import FlightError
 from training.checkpoint import TrainedModel
-from training.dataset import Dataset, make_dataset
+from training.data.dataset import Dataset, make_dataset
+from training.data.recordings import find_logs, read_recordings
+from training.ground_truth import true_label
 from training.prediction import flight_errors, pooled, predict
-from training.recordings import find_logs, read_recordings
-from training.studies import SLOW
-from training.truth import true_label
 
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGN, BUILD = ROOT / "build" / "campaign_learning", ROOT / "build" / "learning_goals"

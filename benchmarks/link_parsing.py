@@ -17,10 +17,10 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
-from runtime.dialect import mavlink
-from runtime.framing import Frame, FrameParser
-from runtime.peer import Peer
-from runtime.tlog import read_tlog
+from runtime.link.dialect import mavlink
+from runtime.link.framing import Frame, FrameParser
+from runtime.link.peer import Peer
+from runtime.record.tlog import read_tlog
 
 RECORDING = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_offboard" / "offboard_hover.tlog.gz"
 Feeder = Callable[[list[Frame]], None]

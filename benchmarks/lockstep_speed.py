@@ -1,8 +1,8 @@
 """How much faster than real time plant and controller fly together in one process on one core.
 
-`alula.lockstep.fly_reference` runs the flight logic and controller of `alula fly` at 100 Hz against the mock's vehicle
-(1 ms steps, inner loops, sensors, battery), without MAVLink. The climb to the start is in the time spent but not in
-the time simulated.
+`simulation.lockstep.fly_reference` runs the flight logic and controller of `alula fly` at 100 Hz against the mock's
+vehicle (1 ms steps, inner loops, sensors, battery), without MAVLink. The climb to the start is in the time spent but
+not in the time simulated.
 
     python benchmarks/lockstep_speed.py [--repeats 5]
 """
@@ -16,10 +16,10 @@ import time
 import numpy as np
 from provenance import write_result
 
-from alula.lockstep import fly_reference
 from dynamics.references import named_reference
 from dynamics.vehicle_file import read_vehicle
-from runtime.controller import Controller
+from runtime.control.controller import Controller
+from simulation.lockstep import fly_reference
 from vehicles import FOLDER
 
 NAMES = ("Ellipse_1", "WarpedEllipse_2", "Lemniscate", "TransposedParabola")

@@ -18,10 +18,10 @@ import msgspec
 import numpy as np
 from provenance import write_result
 
-from alula.demo import run_demo
-from alula.demo_flights import DemoOptions
-from alula.demo_report import draw_tracking
-from alula.paper import TRACKING_NOMINAL
+from studies.demo.flights import DemoOptions
+from studies.demo.report import draw_tracking
+from studies.demo.run import run_demo
+from studies.paper import TRACKING_NOMINAL
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "tracking.png"
 SHOWN = ("WarpedEllipse_2", "ExtendedLemniscate", "Parabola")

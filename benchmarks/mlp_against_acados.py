@@ -30,8 +30,8 @@ from rti_against_acados import (
 from rti_flight import NETWORKS, PERIODS, ROOT, fly, networks, solver_for
 
 from export.trained import read_model
-from runtime.rti.processor import native_processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.rti.processor import native_processor
+from runtime.control.rti.solver import RtiSolver
 
 
 def record_cases(networks_folder: Path, folder: Path) -> tuple[Path, Path, int]:

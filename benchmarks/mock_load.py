@@ -20,9 +20,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from provenance import write_result
 
-from sitl_mock.dialect import mavlink
+from fixtures.mock_process import mock_process
 from sitl_mock.mock import MockOptions, build_autopilot
-from tests.support.mock_process import mock_process
+from sitl_mock.wire.dialect import mavlink
 from vehicles import FOLDER
 
 PERIOD = 0.010  # s

@@ -18,8 +18,8 @@ from provenance import write_result
 
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
-from sitl_mock.vehicle import SimulatedVehicle
-from sitl_mock.vehicle_interface import ControlSetpoint
+from sitl_mock.vehicle.vehicle import SimulatedVehicle
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 from vehicles import FOLDER
 
 PERIOD = 0.010  # s

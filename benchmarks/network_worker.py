@@ -24,7 +24,7 @@ from dynamics.vehicle_file import read_vehicle, vehicle_toml
 from training.card import Card, FlightError
 from training.checkpoint import Ranges, Scaling, TrainedModel, save
 from training.config import ModelConfig
-from training.features import body_accelerations, columns
+from training.data.features import body_accelerations, columns
 from training.models import named_kind
 from training.networks import build_network
 from training.recipe import FAST

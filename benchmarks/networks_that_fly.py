@@ -15,13 +15,13 @@ from provenance import write_result
 from table_two import FIRST_SEED
 from table_two_worker import DURATION, VEHICLE, Run, in_lockstep
 
-from alula.tables import Cell, Table, markdown
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from studies.tables import Cell, Table, markdown
+from training.ground_truth import true_label
 from training.prediction import flight_errors, pooled, predict
-from training.truth import true_label
 from vehicles import vehicle_path
 
 PLAUSIBLE = ("--physics-points", "plausible", "--physics-weight", "0.01")

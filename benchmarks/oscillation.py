@@ -18,21 +18,21 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
-from alula.flight_setup import exported_bundle
-from alula.lockstep import FlownReference, fly_reference
 from dynamics.references import named_reference
+from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
-from flights.campaign import REAL_WORLD
-from runtime.controller import Controller
-from runtime.events import Event
-from runtime.health import FlightHealth, HealthLimits
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
-from sitl_mock.sensors import SensorErrors
-from sitl_mock.vehicle import VehicleOptions
+from runtime.control.controller import Controller
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from runtime.flight.events import Event
+from runtime.flight.health import FlightHealth, HealthLimits
+from runtime.flight_setup import exported_bundle
+from simulation.lockstep import FlownReference, fly_reference
+from sitl_mock.vehicle.sensors import SensorErrors
+from sitl_mock.vehicle.vehicle import VehicleOptions
 from vehicles import vehicle_path
 
 VEHICLE = "arpl_250g"

@@ -17,22 +17,22 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from alula.parallel import parallel_map
 from benchmarks.provenance import write_result
 from diagnosis.addition import add_effect
-from diagnosis.dataset import make_dataset
-from diagnosis.evaluation import misfit, residuals
-from diagnosis.fit import fit
-from diagnosis.output_error import refit
-from diagnosis.regression import make_regression
-from diagnosis.selection import Search
+from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.estimation.output_error import refit
+from diagnosis.selection.regression import make_regression
+from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from sitl_mock.tuning import ACTUATION_DELAY
-from tests.support.hidden_effect import fly
-from tests.support.rotorpy_flights import FINE_STEP, rotorpy_flights
+from fixtures.hidden_effect import fly
+from fixtures.rotorpy_flights import FINE_STEP, rotorpy_flights
+from flights.parallel import parallel_map
+from sitl_mock.vehicle.tuning import ACTUATION_DELAY
 from vehicles import FOLDER
 
 SENSORS = ("imu_bias", "gyro_bias", "time_delay")

@@ -12,22 +12,22 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.foreign_effects import FOREIGN
-from diagnosis import channels
-from diagnosis.candidates import Candidate, make_predictor
-from diagnosis.dataset import Dataset, make_dataset
-from diagnosis.evaluation import floors
-from diagnosis.pipeline import Pipeline
-from diagnosis.regression import Regression, make_regression
-from diagnosis.stretch import Stretch
+from diagnosis.data import channels
+from diagnosis.data.dataset import Dataset, make_dataset
+from diagnosis.data.segment import Stretch
+from diagnosis.estimation.evaluation import floors
+from diagnosis.selection.candidates import Candidate, make_predictor
+from diagnosis.selection.design_matrix import Pipeline
+from diagnosis.selection.regression import Regression, make_regression
 from dynamics.effect import Parameter
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
+from fixtures.compiled_flights import compiled_flights
+from fixtures.foreign_effects import FOREIGN
+from fixtures.planted import noisy, planted_flights
+from fixtures.rotorpy_flights import MADE, READ_WRONG, rotorpy_flights
 from flights import Flight
-from tests.support.compiled_flights import compiled_flights
-from tests.support.planted import noisy, planted_flights
-from tests.support.rotorpy_flights import MADE, READ_WRONG, rotorpy_flights
 from vehicles import FOLDER
 
 Floats = NDArray[np.float64]

@@ -27,7 +27,7 @@ from flights import Flight, Log, read_folder, read_pieces
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
-from tests.support.ulog_file import Topic, ulog_file  # noqa: E402  the tests' writer, which is no package of ours
+from fixtures.ulog_file import Topic, ulog_file  # noqa: E402  the tests' writer, which is no package of ours
 
 MINUTES, RATE, REPEATS = 10, 250, 5
 HOURS, PIECE = 3, 1200.0  # of the log that is read in pieces, and s of a piece

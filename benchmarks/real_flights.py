@@ -17,14 +17,14 @@ import msgspec
 import numpy as np
 
 from benchmarks.provenance import write_result
-from diagnosis.command_curve import CommandCurve, fit_command_curve
-from diagnosis.dataset import Dataset, read_dataset
+from diagnosis.data.command_curve import CommandCurve, fit_command_curve
+from diagnosis.data.data_checks import require_answerable
+from diagnosis.data.dataset import Dataset, read_dataset
+from diagnosis.data.filters import kept
+from diagnosis.data.hover_trim import read_trim
+from diagnosis.data.segment import stretches
 from diagnosis.diagnose import Findings, diagnose
-from diagnosis.evaluation import residuals
-from diagnosis.filters import kept
-from diagnosis.fitness import require_answerable
-from diagnosis.hover_trim import read_trim
-from diagnosis.stretch import stretches
+from diagnosis.estimation.evaluation import residuals
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
 from dynamics.vehicle import Vehicle

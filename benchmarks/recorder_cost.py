@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
-from runtime.recorder import Recorder
-from runtime.records import (
+from runtime.record.recorder import Recorder
+from runtime.record.records import (
     EstimateRecord,
     HorizonRecord,
     ObservationRecord,

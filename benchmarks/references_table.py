@@ -17,11 +17,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from provenance import write_result
 
-from alula.campaign import Campaign, CampaignOptions
 from dynamics.references import PAPER, check_feasibility, named_reference
 from dynamics.vehicle_file import read_vehicle
 from flights import Flight
-from flights.labels import paper_label
+from simulation.campaign import Campaign, CampaignOptions
+from training.data.labels import paper_label
 from vehicles import FOLDER
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "references.png"

@@ -24,8 +24,8 @@ from dynamics.model import build_model
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from runtime.rti.problem import Problem, fill_options
-from runtime.rti.solver import RtiSolver
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.solver import RtiSolver
 
 ROOT = Path(__file__).resolve().parent.parent
 ENVIRONMENT = ROOT / ".venv-acados"

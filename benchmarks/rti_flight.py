@@ -24,9 +24,9 @@ from dynamics.model import build_model
 from dynamics.vehicle import GRAVITY, Limits
 from export.kernel import kernel_solver
 from export.trained import ExportedModel
-from runtime.rti.problem import Problem
-from runtime.rti.processor import Processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import Processor
+from runtime.control.rti.solver import RtiSolver
 
 ROOT = Path(__file__).resolve().parent.parent
 NETWORKS = ROOT / "build" / "rti_network"

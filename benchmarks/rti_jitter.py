@@ -28,12 +28,12 @@ from dynamics.references import Reference, named_reference
 from dynamics.vehicle_file import read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
-from runtime.bundle import read_bundle
-from runtime.controller import Controller, ControllerOptions
+from runtime.control.bundle import read_bundle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from runtime.control.rti.solver import RtiSolver
 from runtime.realtime import lock_memory, prepare_interpreter, schedule_thread
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
-from runtime.rti.solver import RtiSolver
 from vehicles import FOLDER
 
 

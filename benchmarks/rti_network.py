@@ -28,9 +28,9 @@ from dynamics.model import build_model
 from export.kernel import build_kernel, kernel_recipe
 from export.onnx_file import onnx_model
 from export.trained import ExportedModel, exported, read_model
-from runtime.rti.problem import Problem
-from runtime.rti.processor import PROCESSORS, Processor, native_processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import PROCESSORS, Processor, native_processor
+from runtime.control.rti.solver import RtiSolver
 from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig
 from training.networks import build_network

@@ -1,10 +1,11 @@
 """The paper's Table II on the mock: eight manoeuvres, each with five models in the controller, several runs of each.
 
-The mock hides what the campaign's vehicle hides (`flights.campaign.REAL_WORLD`: drags, flapping, inflow, motor lag, a
-thrust and an inertia that are a little off, moving air); sensor noise, estimation errors, delays and PX4's rate loop
-are always on. Models: the textbook's (nominal); the same with what a diagnosis finds on nine training flights of the
-campaign (effects); one member of the networks beside the vehicle file (pi_mlp, pi_tcn, and ours on named effects,
-grey_box), exported. 15 s of each reference over UDP MAVLink in real time; the first 3 s, the ramp, do not count.
+The mock hides what the campaign's vehicle hides (`dynamics.references.campaign.REAL_WORLD`: drags, flapping, inflow,
+motor lag, a thrust and an inertia that are a little off, moving air); sensor noise, estimation errors, delays and
+PX4's rate loop are always on. Models: the textbook's (nominal); the same with what a diagnosis finds on nine training
+flights of the campaign (effects); one member of the networks beside the vehicle file (pi_mlp, pi_tcn, and ours on
+named effects, grey_box), exported. 15 s of each reference over UDP MAVLink in real time; the first 3 s, the ramp, do
+not count.
 
 Every flight is kept as a file, so that a run which was cut short goes on; files of models that have changed since are
 left out. Draws docs/pictures/table_two.png.
@@ -24,17 +25,17 @@ from provenance import write_result
 from table_two_page import PICTURE, body, draw
 from table_two_worker import VEHICLE, Flown, Run, fly
 
-from alula.paper import TRACKING_NOMINAL
-from alula.parallel import parallel_map
 from diagnosis.addition import write_next_version
 from diagnosis.completion import complete
-from diagnosis.dataset import read_dataset
+from diagnosis.data.dataset import read_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle_file import read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
+from flights.parallel import parallel_map
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from studies.paper import TRACKING_NOMINAL
 from vehicles import vehicle_path
 
 BUILD = Path(__file__).parent.parent / "build"

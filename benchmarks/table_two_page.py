@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from table_two_worker import ANGULAR_BINS, DURATION, LINEAR_BINS, RAMP, Flown
 
-from alula.paper import PEAKS, TRACKING_LEARNED, TRACKING_NOMINAL
 from dynamics.vehicle_file import read_vehicle
+from studies.paper import PEAKS, TRACKING_LEARNED, TRACKING_NOMINAL
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "table_two.png"
 SHOWN = "Lemniscate"  # as in the paper's first figure

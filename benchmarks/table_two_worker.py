@@ -12,21 +12,21 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from alula.demo_flights import BRISK, FINDING_PATIENCE
-from alula.demo_report import tracked
-from alula.embedded_mock import embedded_mock
-from alula.flight_setup import FlightSetup, exported_bundle, prepare_flight
-from alula.lockstep import fly_reference
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
+from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from flights import Flight, filters
-from flights.campaign import REAL_WORLD
-from flights.labels import RATE_CUTOFF, VELOCITY_CUTOFF
-from runtime.controller import Controller
+from runtime.control.controller import Controller
 from runtime.daemon import Daemon
-from runtime.events import Event
-from runtime.recording import Recording, read_recording
+from runtime.flight.events import Event
+from runtime.flight_setup import FlightSetup, exported_bundle, prepare_flight
+from runtime.record.recording import Recording, read_recording
+from simulation.embedded_mock import embedded_mock
+from simulation.lockstep import fly_reference
+from studies.demo.flights import BRISK, FINDING_PATIENCE
+from studies.demo.report import tracked
+from training.data.labels import RATE_CUTOFF, VELOCITY_CUTOFF
 from vehicles import vehicle_path
 
 VEHICLE = "arpl_250g"

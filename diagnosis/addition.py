@@ -9,19 +9,19 @@ from pathlib import Path
 
 import msgspec
 
-from diagnosis.acceptance import IMPROVEMENT
-from diagnosis.candidates import Candidate
-from diagnosis.dataset import Dataset
+from diagnosis.data.data_checks import require_answerable
+from diagnosis.data.dataset import Dataset
+from diagnosis.data.filters import Floats
 from diagnosis.diagnose import diagnose
-from diagnosis.evaluation import misfit, residuals
-from diagnosis.filters import Floats
-from diagnosis.fit import Estimate, Fit, fit
-from diagnosis.fitness import require_answerable
-from diagnosis.open_loop import HorizonError, open_loop_errors
-from diagnosis.output_error import refit
-from diagnosis.regression import Regression, make_regression
+from diagnosis.estimation.acceptance import IMPROVEMENT
+from diagnosis.estimation.equation_error import Estimate, Fit, fit
+from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.estimation.output_error import refit
+from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.report import ChannelError, Diagnosis
-from diagnosis.selection import IMPOSSIBLE, Search
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.errors import DataError, RequestError

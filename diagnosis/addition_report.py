@@ -7,7 +7,7 @@ from typing import Literal
 import msgspec
 
 from diagnosis.addition import Addition
-from diagnosis.open_loop import HorizonError
+from diagnosis.models.open_loop import HorizonError
 from diagnosis.report import ChannelError, ParameterValue
 
 

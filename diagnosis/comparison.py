@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from diagnosis import channels
-from diagnosis.dataset import Dataset
-from diagnosis.evaluation import floors, residuals
-from diagnosis.filters import EDGE, Floats
-from diagnosis.fitness import require_answerable
-from diagnosis.open_loop import HorizonError, open_loop_errors
+from diagnosis.data import channels
+from diagnosis.data.data_checks import require_answerable
+from diagnosis.data.dataset import Dataset
+from diagnosis.data.filters import EDGE, Floats
+from diagnosis.data.segment import Stretch
+from diagnosis.estimation.evaluation import floors, residuals
+from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
     Failure,
     Plane,
@@ -26,9 +27,8 @@ from diagnosis.regimes import (
     regime_planes,
     worst_cells,
 )
-from diagnosis.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
-from diagnosis.stretch import Stretch
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from diagnosis.acceptance import IMPROVEMENT
 from diagnosis.addition import with_history
-from diagnosis.dataset import Dataset
+from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import Findings, diagnose
+from diagnosis.estimation.acceptance import IMPROVEMENT
 from diagnosis.report import FoundEffect
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from diagnosis.acceptance import accepted_fit
-from diagnosis.dataset import Dataset
-from diagnosis.evaluation import misfit, residuals, typical_misfit
-from diagnosis.filters import Floats
-from diagnosis.fitness import require_answerable
+from diagnosis.data.data_checks import require_answerable
+from diagnosis.data.dataset import Dataset
+from diagnosis.data.filters import Floats
+from diagnosis.estimation.acceptance import accepted_fit
+from diagnosis.estimation.evaluation import misfit, residuals, typical_misfit
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.regression import Regression, make_regression
 from diagnosis.report import Diagnosis
-from diagnosis.selection import Selection, select
-from diagnosis.unexplained import Leftover, look
+from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.residual_tests import Leftover, look
+from diagnosis.selection.search import Selection, select
 from diagnosis.verdict import channel_errors, found_effects, judge, not_excited
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.channels import KINDS
-from diagnosis.filters import Floats, kept
-from diagnosis.stretch import Stretch
+from diagnosis.data.channels import KINDS
+from diagnosis.data.filters import Floats, kept
+from diagnosis.data.segment import Stretch
 from dynamics.vehicle import Vehicle
 
 BINS = 6

@@ -9,9 +9,9 @@ import msgspec
 import numpy as np
 from scipy.signal import freqz, welch
 
-from diagnosis.channels import AXES, CHANNELS, KINDS
-from diagnosis.filters import CUTOFF, Floats
-from diagnosis.noise import SEGMENT, NoiseModel
+from diagnosis.data.channels import AXES, CHANNELS, KINDS
+from diagnosis.data.filters import CUTOFF, Floats
+from diagnosis.selection.noise import SEGMENT, NoiseModel
 
 
 @dataclass(frozen=True, eq=False)

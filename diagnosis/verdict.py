@@ -6,17 +6,17 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis import channels
-from diagnosis.candidates import Candidate
-from diagnosis.evaluation import floor_norms, held_out_floor
-from diagnosis.filters import Floats
-from diagnosis.fit import Estimate, Fit
-from diagnosis.regression import Regression
+from diagnosis.data import channels
+from diagnosis.data.filters import Floats
+from diagnosis.data.segment import Stretch
+from diagnosis.estimation.equation_error import Estimate, Fit
+from diagnosis.estimation.evaluation import floor_norms, held_out_floor
 from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
-from diagnosis.rivals import near_rivals, rivals_of
-from diagnosis.selection import LEAST_GAIN, Scored, Search, Selection
-from diagnosis.stretch import Stretch
-from diagnosis.unexplained import Leftover
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.residual_tests import Leftover
+from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.search import LEAST_GAIN, Scored, Search, Selection
 from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 

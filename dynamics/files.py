@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
+
+import msgspec
 
 from dynamics.errors import RequestError
 
@@ -21,6 +24,16 @@ def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> 
         _leave_nothing(part)
         raise RequestError(f"cannot write {path}: {error.strerror or error}. {advice}") from error
     return path
+
+
+def write_json(value: msgspec.Struct, path: Path) -> None:
+    """Write a struct as indented JSON; `-` is standard output. Raises RequestError when it cannot be written."""
+    text = msgspec.json.format(msgspec.json.encode(value)) + b"\n"
+    if path == Path("-"):
+        sys.stdout.buffer.write(text)
+        sys.stdout.buffer.flush()
+        return
+    write_whole(path, lambda part: part.write_bytes(text), advice="Give a folder that can be written.")
 
 
 def _leave_nothing(part: Path) -> None:

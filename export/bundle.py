@@ -19,19 +19,19 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.model import RIGID_BODY_STATES, Model, build_model
 from export.c_files import c_files, compiled
-from export.field import field_function
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
 from export.network import Floats
 from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
+from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function
 from export.trained import SPEED_UNIT, ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, sealed
-from runtime.rti.problem import Problem
-from runtime.rti.processor import Processor
-from runtime.rti.solver import RtiSolver, solver_recipe
+from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, sealed
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import Processor
+from runtime.control.rti.solver import RtiSolver, solver_recipe
 
 PARITY, SOURCES = "parity.json", "kernel"
 WINDOWS = 1000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dynamics.errors import RequestError
-from runtime.bundle import Integrator
+from runtime.control.bundle import Integrator
 from training.config import ModelConfig
 
 

@@ -13,11 +13,11 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from export.kernel_source import network_header
 from export.network import Network
 from export.physics import NAME, depends_on_position, physics_function
-from export.sweep import Sweep, cheapest_sweep
-from runtime.rti.hpipm import find_hpipm
-from runtime.rti.problem import Problem
-from runtime.rti.processor import Processor
-from runtime.rti.solver import RtiSolver
+from export.reverse_split import Sweep, cheapest_sweep
+from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import Processor
+from runtime.control.rti.solver import RtiSolver
 
 Precision = Literal["float", "double"]
 SOURCES = ("network.c", "reverse.h", "tangents.h", "layers.h", "motion.h", "condensed.h", "box_qp.h", "dense_qp.h")
@@ -58,7 +58,7 @@ def kernel_recipe(
             f"nodes of {1e3 * problem.node:g} ms are no whole number of the network's steps of "
             f"{1e3 * network.dt:g} ms; change the horizon or the number of nodes."
         )
-    folder = resources.files("runtime.rti")
+    folder = resources.files("runtime.control.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES}
     sources["network.h"] = network_header(
         network, sweep or cheapest_sweep(network, problem.nodes), extrapolated=extrapolated

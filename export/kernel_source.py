@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from export.network import Floats, Network
-from export.sweep import Sweep
+from export.reverse_split import Sweep
 
 ALIGNMENT = 16  # entries to which every row of weights is padded: one vector of floats on the widest processor
 OUTPUTS = 16

@@ -14,13 +14,13 @@ from dynamics.codegen import CompiledFunction
 from dynamics.errors import DataError
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
-from export.motion import roll_out
+from export.kinematics import roll_out
 from export.network import Floats
 from export.trained import SPEED_UNIT, ExportedModel, said_by_torch
-from runtime.rti.problem import fill_options
-from runtime.rti.solver import RtiSolver
-from training.features import accelerations_from, columns, world_accelerations
-from training.features import body_accelerations as to_body
+from runtime.control.rti.problem import fill_options
+from runtime.control.rti.solver import RtiSolver
+from training.data.features import accelerations_from, columns, world_accelerations
+from training.data.features import body_accelerations as to_body
 
 SINGLE, DOUBLE = 1e-5, 1e-12
 DERIVATIVE, SINGLE_DERIVATIVE = 1e-5, 1e-3

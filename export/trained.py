@@ -17,10 +17,10 @@ from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from export.integrator import settled_integrator
 from export.network import Convolution, Dense, Floats, Network
-from runtime.bundle import Integrator
+from runtime.control.bundle import Integrator
 from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig
-from training.features import body_inertia
+from training.data.features import body_inertia
 
 SPEED_UNIT = 1000 * 2 * np.pi / 60  # rad/s of training's unit of rotor speed, 1000 rpm
 

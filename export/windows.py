@@ -14,8 +14,8 @@ from dynamics.references import named_reference
 from dynamics.vehicle import Vehicle
 from export.network import Floats
 from export.trained import SPEED_UNIT, ExportedModel
-from training.dataset import make_dataset, settled_motors
-from training.recordings import find_logs, read_recordings
+from training.data.dataset import make_dataset, settled_motors
+from training.data.recordings import find_logs, read_recordings
 
 REFERENCES = ("Lemniscate", "TransposedParabola", "WarpedEllipse_1")
 SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than any controller

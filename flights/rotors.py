@@ -10,7 +10,7 @@ from dynamics.errors import DataError
 from dynamics.vehicle import Rotors, Vehicle
 from flights.flight import Flight
 from flights.log import Floats
-from flights.verdict.advice import faster_rotors
+from flights.quality.advice import faster_rotors
 
 RotorSource = Literal["measured", "speed_command", "command"]  # speeds asked for are taken at their word
 SOURCES: dict[str, RotorSource] = {"rotor_speed": "measured", "rotor_speed_command": "speed_command"}

@@ -21,24 +21,24 @@ from numpy.typing import NDArray
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
-from runtime.bundle import Bundle
-from runtime.commands import Confirmation, request_rates, set_armed, set_mode
-from runtime.connection import Endpoint
-from runtime.control import ControlThread, News, Orders
-from runtime.controller import Controller, ControllerOptions
-from runtime.events import POLICIES, Change, Event, Severity
-from runtime.flyer import Flyer, FlyerSettings
-from runtime.link import Link, LinkSettings, Taps
-from runtime.mission import Mission, Motion, Plan
-from runtime.parameters import read_parameter
-from runtime.recorder import Recorder
-from runtime.records import EventRecord, ParameterRecord
-from runtime.state import Request, State, Transition
-from runtime.telemetry import VehicleStatus
-from runtime.thrust import ThrustMap
+from runtime.control.bundle import Bundle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.control_thread import ControlThread, News, Orders
+from runtime.flight.engagement import Request, State, Transition
+from runtime.flight.events import POLICIES, Change, Event, Severity
+from runtime.flight.flyer import Flyer, FlyerSettings
+from runtime.flight.mission import Mission, Motion, Plan
+from runtime.flight.thrust import ThrustMap
+from runtime.flight.tracking import TrackingReport
+from runtime.link.commands import Confirmation, request_rates, set_armed, set_mode
+from runtime.link.connection import Endpoint
+from runtime.link.link import Link, LinkSettings, Taps
+from runtime.link.parameters import read_parameter
+from runtime.link.telemetry import VehicleStatus
+from runtime.record.recorder import Recorder
+from runtime.record.records import EventRecord, ParameterRecord
+from runtime.telemetry_buffer import Watch
 from runtime.timing import TimingReport
-from runtime.tracking import TrackingReport
-from runtime.watch import Watch
 
 LEAST_RATE = 0.9  # of the rate of estimates that the flight wants
 HIGHEST_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200

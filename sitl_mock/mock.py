@@ -10,14 +10,14 @@ from types import FrameType
 
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import parse_effect, read_vehicle
-from sitl_mock.autopilot import Autopilot, Behaviour
-from sitl_mock.link_spec import LinkSpec, default_links
-from sitl_mock.offboard import Rule
-from sitl_mock.parameters import Parameters
+from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
+from sitl_mock.autopilot.offboard import Rule
+from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.scenario import Scenario, read_scenario
 from sitl_mock.server import Pace, Server, Wire
-from sitl_mock.tuning import default_tuning, parameter_values
-from sitl_mock.vehicle import SimulatedVehicle
+from sitl_mock.vehicle.tuning import default_tuning, parameter_values
+from sitl_mock.vehicle.vehicle import SimulatedVehicle
+from sitl_mock.wire.link_spec import LinkSpec, default_links
 
 
 @dataclass(frozen=True, slots=True)

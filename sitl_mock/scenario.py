@@ -11,10 +11,10 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
-from sitl_mock.battery import Battery
-from sitl_mock.fault_schedule import Fault
-from sitl_mock.sensors import SensorErrors
-from sitl_mock.vehicle import VehicleOptions
+from sitl_mock.autopilot.fault_schedule import Fault
+from sitl_mock.vehicle.battery import Battery
+from sitl_mock.vehicle.sensors import SensorErrors
+from sitl_mock.vehicle.vehicle import VehicleOptions
 
 
 class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

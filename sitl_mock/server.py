@@ -8,9 +8,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
-from sitl_mock.autopilot import Autopilot
-from sitl_mock.link import Link
-from sitl_mock.transport import Transport
+from sitl_mock.autopilot.autopilot import Autopilot
+from sitl_mock.wire.link import Link
+from sitl_mock.wire.transport import Transport
 
 Pace = Literal["realtime", "lockstep"]
 CATCH_UP = 0.1  # s that a delayed process makes good; beyond it simulated time slips, as PX4's simulation does

@@ -8,10 +8,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from diagnosis.channels import AXES, KINDS, UNITS
 from diagnosis.comparison import AxisError
+from diagnosis.data.channels import AXES, KINDS, UNITS
 from diagnosis.report import ChannelError, Diagnosis
-from diagnosis.selection import IMPOSSIBLE, LEAST_GAIN, Scored
+from diagnosis.selection.search import IMPOSSIBLE, LEAST_GAIN, Scored
 from diagnosis.spectrum import Spectrum
 from studio.evidence import Agreement, Likeness, Overlay, by_kind
 from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Choice, Picture, choosing, line, picture

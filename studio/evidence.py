@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis import channels
 from diagnosis.comparison import WORST, worst_window
-from diagnosis.filters import Floats
-from diagnosis.regression import Regression
-from diagnosis.selection import Scored
-from diagnosis.stretch import Stretch
+from diagnosis.data import channels
+from diagnosis.data.filters import Floats
+from diagnosis.data.segment import Stretch
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.search import Scored
 
 MOST_ROWS = 6000  # of the overlay: four minutes of flight
 SHOWN_CANDIDATES = 14  # of the collinearity matrix

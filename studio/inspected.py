@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from flights import Flight
-from flights.verdict import Inspection
+from flights.quality import Inspection
 from studio.figure import (
     AFTER,
     BLACK,

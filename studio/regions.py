@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from diagnosis.channels import KINDS
-from diagnosis.filters import Floats
+from diagnosis.data.channels import KINDS
+from diagnosis.data.filters import Floats
 from diagnosis.regimes import BINS, Plane, Regime
 from studio.diagnosed import NAMES
 from studio.figure import UNFLOWN, Choice, Picture, choosing, picture

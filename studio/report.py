@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from diagnosis.comparison import Compared
-from diagnosis.dataset import Dataset
+from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import Findings
 from diagnosis.regimes import regime_maps, regime_planes
 from diagnosis.report import Diagnosis, sentence

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from training.checkpoint import TrainedModel
-from training.dataset import Dataset
-from training.features import outputs_from
+from training.data.dataset import Dataset
+from training.data.features import outputs_from
 from training.prediction import member_outputs, predict
 
 Floats = NDArray[np.float64]

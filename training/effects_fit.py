@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
-from flights.labels import scaled_motors
 from training.config import ModelConfig
-from training.dataset import Dataset, labelled
+from training.data.dataset import Dataset, labelled
+from training.data.labels import scaled_motors
 from training.physics import RowModel
 
 Floats = NDArray[np.float64]

@@ -13,17 +13,17 @@ from numpy.typing import NDArray
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
-from training.ahead import OpenLoop, Pulse, open_loop, pulse_responses
 from training.calibration import Calibration, calibration
 from training.card import Card, FlightError
 from training.checkpoint import Ranges, Scaling, TrainedModel
 from training.config import ModelConfig
-from training.dataset import Dataset, make_dataset, settled_motors
-from training.features import world_accelerations
+from training.data.dataset import Dataset, make_dataset, settled_motors
+from training.data.features import world_accelerations
+from training.data.recordings import Recording
+from training.ground_truth import hidden_plant, true_label, true_states
+from training.open_loop import OpenLoop, Pulse, open_loop, pulse_responses
 from training.prediction import flight_errors, pooled, predict
 from training.recipe import FAST
-from training.recordings import Recording
-from training.truth import hidden_plant, true_label, true_states
 
 Floats = NDArray[np.float64]
 FEWEST = 50  # windows

@@ -20,15 +20,15 @@ from dynamics.vehicle_file import vehicle_toml
 from training.card import Card
 from training.checkpoint import Ranges, Scaling, TrainedModel
 from training.config import ModelConfig
-from training.dataset import Dataset, make_dataset, settled_motors
+from training.data.collocation import Points, physics_points
+from training.data.dataset import Dataset, make_dataset, settled_motors
+from training.data.recordings import Split
+from training.data.tensors import PointTensors, Tensors, make_scaling
 from training.effects_fit import fit_effects, with_rotor_lag
 from training.networks import build_network
-from training.points import Points, physics_points
 from training.prediction import flight_errors, judge_reliability, member_outputs, predict
 from training.recipe import Recipe
-from training.recordings import Split
 from training.rollout import Rollout
-from training.tensors import PointTensors, Tensors, make_scaling
 from training.trainer import Member, Task
 
 FEWEST_VALIDATION = 50  # windows

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from training.card import FlightError
 from training.checkpoint import Reliability, TrainedModel
-from training.dataset import Dataset
-from training.features import accelerations_from
+from training.data.dataset import Dataset
+from training.data.features import accelerations_from
 
 Floats = NDArray[np.float64]
 EVALUATED = 8192  # windows at once

@@ -26,11 +26,11 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     schedule start anew with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
     whole state-input space, as the paper has it, or "plausible", recorded motion scaled by 1 to 1.6 under recorded
     commands, simulated with the nominal model, or "pulses" on the rotors of recorded motion, which are answered as the
-    vehicle file's model answers them (`training.points`). physics_batch: points a step. physics_pool: points drawn
-    beforehand, in batches taken in turn; the paper draws one batch.
+    vehicle file's model answers them (`training.data.collocation`). physics_batch: points a step. physics_pool: points
+    drawn beforehand, in batches taken in turn; the paper draws one batch.
 
     rollout: steps of dt that the network is streamed over with its own predictions as inputs, 1 for none.
-    input_noise: deviation added to the standardised measured state, never to the rotors (`training.tensors`).
+    input_noise: deviation added to the standardised measured state, never to the rotors (`training.data.tensors`).
     patience: evaluations on the validation flights, evaluate_every steps each, without a better one until a member
     stops; 0 for never. It keeps the best one.
     """

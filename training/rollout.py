@@ -17,10 +17,10 @@ from dynamics.errors import DataError
 from dynamics.vehicle import GRAVITY, Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
-from training.dataset import Dataset
-from training.features import body_inertia, world_accelerations
-from training.streamed import Stream
-from training.tensors import Tensors, with_noise
+from training.data.dataset import Dataset
+from training.data.features import body_inertia, world_accelerations
+from training.data.tensors import Tensors, with_noise
+from training.streaming import Stream
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,17 +15,17 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from training.blame import blame
 from training.config import ModelConfig
-from training.dataset import RowNames
+from training.data.dataset import RowNames
+from training.data.tensors import PointTensors, Tensors, with_noise
 from training.networks import build_network
+from training.non_finite_loss import blame
 from training.optimiser import StepRule
-from training.parallel import join_group, shared, wait_for_all
+from training.process_group import join_group, shared, wait_for_all
 from training.progress import Report, Run
 from training.recipe import Recipe
 from training.rollout import Rollout
 from training.schedule import Schedule
-from training.tensors import PointTensors, Tensors, with_noise
 
 EVALUATED = 8192  # windows at once
 

@@ -9,7 +9,7 @@ from functools import cache
 
 import pytest
 
-from tests.support.hidden_effect import Draw, Outcome, try_command_line, yardstick
+from fixtures.hidden_effect import Draw, Outcome, try_command_line, yardstick
 
 DRAWS, MUST_HOLD = 3, 2
 pytestmark = pytest.mark.timeout(600)  # a draw takes 20 s of processor time, which a busy machine may not have

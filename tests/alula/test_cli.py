@@ -8,7 +8,8 @@ from importlib import metadata
 import pytest
 import typer
 
-from alula import __version__, cli
+from alula import __version__
+from alula.cli import app
 from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
 
 
@@ -19,7 +20,7 @@ def run(monkeypatch, capsys):
     def ended(*arguments):
         monkeypatch.setattr(sys, "argv", ["alula", *arguments])
         with pytest.raises(SystemExit) as caught:
-            cli.main()
+            app.main()
         return caught.value.code, *capsys.readouterr()
 
     return ended
@@ -28,7 +29,7 @@ def run(monkeypatch, capsys):
 def test_help_names_every_command_in_one_line(run):
     code, shown, _ = run("--help")
     assert code == 0
-    for command in cli.app.registered_commands:
+    for command in app.app.registered_commands:
         assert command.callback.__doc__
         assert command.callback.__name__ in shown
 
@@ -60,7 +61,7 @@ def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
     def fail() -> None:
         raise error("what was wanted")
 
-    monkeypatch.setattr(cli, "app", failing)
+    monkeypatch.setattr(app, "app", failing)
     assert run() == (code, "", "alula: what was wanted\n")
 
 
@@ -71,7 +72,7 @@ def test_a_desk_command_on_a_flight_computer_says_what_to_install(run, monkeypat
     def study() -> None:
         raise ModuleNotFoundError("No module named 'pyarrow'", name="pyarrow")
 
-    monkeypatch.setattr(cli, "app", desk)
+    monkeypatch.setattr(app, "app", desk)
     code, _, message = run()
     assert code == 2
     assert "pyarrow is not installed" in message
@@ -85,7 +86,7 @@ def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
     def wait() -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(cli, "app", interrupted)
+    monkeypatch.setattr(app, "app", interrupted)
     assert run() == (130, "", "")
 
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula import cli
+from alula.cli import app
 from dynamics.vehicle_file import read_vehicle, write_vehicle
+from fixtures.planted import planted_flights
 from flights import Flight
-from tests.support.planted import planted_flights
 from vehicles import FOLDER
 
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
@@ -44,7 +44,7 @@ def run(monkeypatch, capsys, logs):
         ]
         monkeypatch.setattr(sys, "argv", ["alula", *arguments])
         with pytest.raises(SystemExit) as caught:
-            cli.main()
+            app.main()
         return caught.value.code, *capsys.readouterr()
 
     return ended

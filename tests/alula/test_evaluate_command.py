@@ -10,10 +10,10 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from alula import paper
-from alula.tables import Table, markdown, shown
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
+from studies import paper
+from studies.tables import Table, markdown, shown
 from tests.support.command_line import Run, command_line
 from tests.support.small_campaign import fly_campaign
 from tests.support.trained import untrained_model

@@ -14,9 +14,9 @@ from typing import NamedTuple
 import msgspec
 import pytest
 
-from alula import cli
+from alula.cli import app
 from flights import Flight
-from flights.verdict import Inspection
+from flights.quality import Inspection
 from tests.support.simulated_flight import flown, table
 
 
@@ -50,7 +50,7 @@ def inspect(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     def run(*arguments: object) -> Finished:
         monkeypatch.setattr(sys, "argv", ["alula", "inspect", *map(str, arguments)])
         with pytest.raises(SystemExit) as caught:
-            cli.main()
+            app.main()
         return Finished(int(caught.value.code or 0), *capsys.readouterr())
 
     return run

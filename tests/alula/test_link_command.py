@@ -7,9 +7,9 @@ import sys
 
 import pytest
 
-from alula.cli import main
+from alula.cli.app import main
+from fixtures.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
-from tests.support.mock_process import free_port
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

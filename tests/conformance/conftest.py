@@ -6,8 +6,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from fixtures.mock_process import MockProcess, mock_process
 from tests.conformance.raw_link import RawLink
-from tests.support.mock_process import MockProcess, mock_process
 
 
 @pytest.fixture(scope="module")

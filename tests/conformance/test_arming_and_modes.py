@@ -7,8 +7,8 @@ from collections.abc import Iterator
 
 import pytest
 
+from fixtures.mock_process import mock_process
 from tests.conformance.raw_link import HOLD, LAND, OFFBOARD, SET_MODE, RawLink, attitude_target
-from tests.support.mock_process import mock_process
 
 ACCEPTED, TEMPORARILY_REJECTED = 0, 1
 ARMED = 128

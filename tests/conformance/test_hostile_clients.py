@@ -13,8 +13,8 @@ from collections.abc import Callable
 import psutil
 import pytest
 
+from fixtures.mock_process import MockProcess, free_port, mock_process
 from tests.conformance.raw_link import RawLink, attitude_target, mavlink
-from tests.support.mock_process import MockProcess, free_port, mock_process
 
 GET_INTERVAL, ODOMETRY = 510, 331
 Junk = Callable[[random.Random], bytes]

@@ -9,8 +9,8 @@ from typing import Any
 
 import pytest
 
+from fixtures.mock_process import MockProcess
 from tests.conformance.raw_link import RawLink, mavlink
-from tests.support.mock_process import MockProcess
 
 INT32, REAL32 = 6, 9
 

@@ -5,8 +5,8 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from fixtures.planted import planted_flights
 from flights import Flight
-from tests.support.planted import planted_flights
 
 MANOEUVRES = (
     "line:laps=3,ramp=1",

@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.addition import add_effect, top_effect
 from diagnosis.addition_report import report
-from diagnosis.dataset import make_dataset
+from diagnosis.data.dataset import make_dataset
 from diagnosis.report import Diagnosis, FoundEffect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError

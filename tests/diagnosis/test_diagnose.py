@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from diagnosis.addition import add_effect, write_next_version
-from diagnosis.dataset import make_dataset
+from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose
 from diagnosis.report import sentence
 from dynamics.effects import CATALOGUE
@@ -141,7 +141,7 @@ def test_motor_lag_is_found_where_the_log_holds_commands(plain_flights, arpl_250
 
 
 def test_perturbing_the_data_does_not_change_the_stretch(plain):
-    from diagnosis.perturbation import perturbed
+    from diagnosis.selection.errors_in_variables import perturbed
 
     stretch = plain.fitted[0]
     noisier = perturbed(stretch, np.random.default_rng(0))

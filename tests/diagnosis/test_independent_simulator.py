@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from rotorpy.vehicles.multirotor import Multirotor
 
-from diagnosis.dataset import make_dataset
-from diagnosis.evaluation import misfit, residuals
-from diagnosis.fit import fit
-from diagnosis.regression import make_regression
-from diagnosis.selection import select
+from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.selection.regression import make_regression
+from diagnosis.selection.search import select
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
 from dynamics.vehicle import EffectUse
-from tests.support.rotorpy_flights import (
+from fixtures.rotorpy_flights import (
     MADE,
     NOT_MADE,
     PATHS,

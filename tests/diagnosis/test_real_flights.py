@@ -11,8 +11,8 @@ import msgspec
 import numpy as np
 import pytest
 
-from diagnosis.command_curve import fit_command_curve
-from diagnosis.stretch import stretches
+from diagnosis.data.command_curve import fit_command_curve
+from diagnosis.data.segment import stretches
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from flights import Flight

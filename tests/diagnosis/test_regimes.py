@@ -5,10 +5,10 @@ import numpy as np
 import pytest
 
 from diagnosis.comparison import compare
-from diagnosis.dataset import make_dataset
-from diagnosis.filters import kept
-from diagnosis.noise import estimate_noise
+from diagnosis.data.dataset import make_dataset
+from diagnosis.data.filters import kept
 from diagnosis.regimes import BINS, plane_cells, regime_maps, regime_planes
+from diagnosis.selection.noise import estimate_noise
 from diagnosis.spectrum import residual_spectrum
 from dynamics.effects import CATALOGUE
 

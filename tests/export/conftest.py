@@ -8,8 +8,8 @@ import pytest
 from dynamics.vehicle import EffectUse, Vehicle
 from export.bundle import Exported, ExportOptions, export_bundle
 from export.trained import exported
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
 from tests.support.trained import replaced, untrained_model
 from training.models import KINDS
 

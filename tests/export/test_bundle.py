@@ -24,11 +24,11 @@ from export.kernel import ENTRY, kernel_recipe
 from export.onnx_file import OPSET
 from export.parity import Comparison, Parity
 from export.trained import exported, read_model
-from runtime.bundle import read_bundle
-from runtime.rti.hpipm import find_hpipm
-from runtime.rti.problem import Problem
-from runtime.rti.processor import PROCESSORS, native_processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.bundle import read_bundle
+from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import PROCESSORS, native_processor
+from runtime.control.rti.solver import RtiSolver
 from tests.export.conftest import SHORT
 from tests.support.networks import random_network
 from tests.support.trained import replaced, untrained_model

@@ -9,9 +9,9 @@ import pytest
 from dynamics.model import build_model
 from dynamics.vehicle import Vehicle
 from export.kernel import ENTRY, kernel_recipe
-from runtime.rti.hpipm import find_hpipm
-from runtime.rti.problem import Problem
-from runtime.rti.processor import PROCESSORS
+from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import PROCESSORS
 from tests.support.networks import random_network
 
 COMPILER = shutil.which("aarch64-linux-gnu-gcc")

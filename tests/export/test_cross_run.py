@@ -14,10 +14,10 @@ from dynamics.model import Model, build_model
 from dynamics.vehicle import Limits, Vehicle
 from export.kernel import kernel_recipe, kernel_solver
 from export.network import Network
-from runtime.rti.hpipm import find_hpipm
-from runtime.rti.problem import Problem, fill_options
-from runtime.rti.processor import PROCESSORS, native_processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.processor import PROCESSORS, native_processor
+from runtime.control.rti.solver import RtiSolver
 from tests.support.networks import random_network
 
 Array = NDArray[np.float64]

@@ -7,19 +7,19 @@ import msgspec
 import numpy as np
 import pytest
 
-from alula.flight_setup import FlightSetup, prepare_flight
 from dynamics.errors import RequestError
 from dynamics.references import named_reference
 from dynamics.vehicle import Limits, Vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import exported
-from runtime.bundle import Bundle, physics_of, read_bundle
-from runtime.controller import Controller
-from runtime.events import Event
-from runtime.mission import Phase
-from runtime.rti.problem import Problem
-from runtime.rti.processor import native_processor
-from runtime.state import State
+from runtime.control.bundle import Bundle, physics_of, read_bundle
+from runtime.control.controller import Controller
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from runtime.flight.engagement import State
+from runtime.flight.events import Event
+from runtime.flight.mission import Phase
+from runtime.flight_setup import FlightSetup, prepare_flight
 from tests.support.rate_controlled_vehicle import PERIOD, Flight
 from tests.support.trained import replaced, untrained_model
 from training.models import KINDS

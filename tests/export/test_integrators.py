@@ -8,9 +8,9 @@ from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from export.bundle import Exported, ExportOptions, export_bundle
 from export.trained import exported
-from runtime.bundle import Integrator, read_bundle
-from runtime.rti.processor import native_processor
-from runtime.rti.solver import RtiSolver
+from runtime.control.bundle import Integrator, read_bundle
+from runtime.control.rti.processor import native_processor
+from runtime.control.rti.solver import RtiSolver
 from tests.export.conftest import SHORT
 from tests.support.trained import replaced, untrained_model
 from training.models import KINDS

@@ -14,10 +14,10 @@ from dynamics.vehicle import EffectUse, Limits
 from dynamics.vehicle_file import read_vehicle
 from export.kernel import Precision, build_kernel, kernel_recipe, kernel_solver
 from export.network import Network
-from export.sweep import sweep_of
-from runtime.rti.problem import Problem, fill_options
-from runtime.rti.processor import PROCESSORS, native_processor
-from runtime.rti.solver import RtiSolver
+from export.reverse_split import sweep_of
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.processor import PROCESSORS, native_processor
+from runtime.control.rti.solver import RtiSolver
 from tests.support.networks import HOVER_SPEED, accelerations, random_network
 
 VEHICLE = msgspec.structs.replace(

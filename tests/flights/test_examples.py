@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from alula import cli
+from alula.cli import app
 from flights import Flight
 from tests.support.flight_files import manoeuvre, paper_bag
 
@@ -41,7 +41,7 @@ def test_table_i_from_the_papers_bags(tmp_path: Path, monkeypatch: pytest.Monkey
         brief = ["--steps", "5"] if command[1] == "train" else ["--no-timing"]
         monkeypatch.setattr(sys, "argv", [*command, *brief])
         with pytest.raises(SystemExit) as ended:
-            cli.main()
+            app.main()
         assert not ended.value.code
     assert "Ellipse_1" in (tmp_path / "table_1.html").read_text()
     assert list((tmp_path / "table_1").glob("*.csv"))

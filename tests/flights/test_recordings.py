@@ -12,8 +12,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics.errors import DataError
 from flights import read_log, read_pieces
-from runtime.recorder import Recorder
-from runtime.records import BatteryRecord, EstimateRecord, ImuRecord, MotorRecord, RotorRecord, SetpointRecord
+from runtime.record.recorder import Recorder
+from runtime.record.records import BatteryRecord, EstimateRecord, ImuRecord, MotorRecord, RotorRecord, SetpointRecord
 from tests.support.flight_files import Truth, manoeuvre
 
 

@@ -12,11 +12,11 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
+from fixtures.ulog_file import Topic, ulog_file
 from flights import Flight, Log, read_log
 from flights.alignment import resample
 from flights.log import Floats
 from tests.support.flight_files import Truth, manoeuvre
-from tests.support.ulog_file import Topic, ulog_file
 
 QUAD_X = {f"CA_ROTOR{i}_P{axis}": value for i, (x, y) in enumerate([(0.1, 0.1), (-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1)])
           for axis, value in (("X", x), ("Y", y))}  # fmt: skip

@@ -22,18 +22,18 @@ import pytest
 from dynamics.errors import VehicleError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
+from fixtures.mock_process import free_port, mock_process
 from runtime import daemon as daemon_module
-from runtime.connection import parse_endpoint
 from runtime.daemon import Daemon, FlightReport, FlightRequest
-from runtime.failsafe import Bounds
-from runtime.flyer import FlyerSettings
-from runtime.health import HealthLimits
-from runtime.mission import Plan, Transfer
-from runtime.recorder import Recorder
-from runtime.recording import read_recording
-from runtime.replay import replay
-from runtime.state import Settings
-from tests.support.mock_process import free_port, mock_process
+from runtime.flight.engagement import Settings
+from runtime.flight.failsafe import Bounds
+from runtime.flight.flyer import FlyerSettings
+from runtime.flight.health import HealthLimits
+from runtime.flight.mission import Plan, Transfer
+from runtime.link.connection import parse_endpoint
+from runtime.record.recorder import Recorder
+from runtime.record.recording import read_recording
+from runtime.record.replay import replay
 from vehicles import FOLDER
 
 VEHICLE_FILE = FOLDER / "px4_sih.toml"

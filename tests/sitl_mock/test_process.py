@@ -16,10 +16,10 @@ from typing import Any
 
 import pytest
 
-from alula.cli import main
-from sitl_mock.dialect import mavlink
-from sitl_mock.link_spec import default_links, parse_link
-from tests.support.mock_process import MockProcess, free_port, mock_process
+from alula.cli.app import main
+from fixtures.mock_process import MockProcess, free_port, mock_process
+from sitl_mock.wire.dialect import mavlink
+from sitl_mock.wire.link_spec import default_links, parse_link
 from vehicles import FOLDER
 
 VEHICLE = str(FOLDER / "px4_sih.toml")
@@ -127,7 +127,16 @@ def test_a_port_in_use_is_said_with_what_to_do() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("0.0.0.0", 0))
         port = taken.getsockname()[1]
-        command = [sys.executable, "-m", "alula.cli", "mock", "--vehicle", VEHICLE, "--link", f"udpin:0.0.0.0:{port}"]
+        command = [
+            sys.executable,
+            "-m",
+            "alula.cli.app",
+            "mock",
+            "--vehicle",
+            VEHICLE,
+            "--link",
+            f"udpin:0.0.0.0:{port}",
+        ]
         ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
     assert ended.returncode == 2
     assert f"port {port} is in use" in ended.stderr

@@ -5,12 +5,12 @@ from __future__ import annotations
 import pytest
 
 from diagnosis.comparison import Compared, compare
-from diagnosis.dataset import Dataset
+from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import Findings, diagnose
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
-from tests.support.planted import planted_dataset
+from fixtures.planted import planted_dataset
 from vehicles import FOLDER
 
 

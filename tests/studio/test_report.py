@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from diagnosis.comparison import Compared
-from diagnosis.dataset import Dataset
+from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import Findings
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sitl_mock.autopilot import Autopilot, Behaviour
-from sitl_mock.dialect import mavlink
-from sitl_mock.parameters import Parameters
-from sitl_mock.streams import STEP, Role
+from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
+from sitl_mock.autopilot.parameters import Parameters
+from sitl_mock.wire.dialect import mavlink
+from sitl_mock.wire.streams import STEP, Role
 from tests.support.kinematic_vehicle import KinematicVehicle
 
 ARM, SET_MODE, SET_INTERVAL, GET_INTERVAL, REQUEST = 400, 176, 511, 510, 512

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from alula import cli
+from alula.cli import app
 
 Run = Callable[..., tuple[int, str, str]]
 
@@ -20,7 +20,7 @@ def command_line(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[
         monkeypatch.setattr(sys, "argv", ["alula", *map(str, arguments)])
         monkeypatch.setenv("COLUMNS", "400")  # sentences in one line each
         with pytest.raises(SystemExit) as caught:
-            cli.main()
+            app.main()
         shown, wrong = capsys.readouterr()
         return int(caught.value.code or 0), shown, wrong
 

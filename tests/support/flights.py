@@ -7,9 +7,9 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from sitl_mock.sensors import SensorErrors
-from sitl_mock.vehicle import SimulatedVehicle, VehicleOptions
-from sitl_mock.vehicle_interface import ControlSetpoint
+from sitl_mock.vehicle.sensors import SensorErrors
+from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 
 QUIET = VehicleOptions(sensors=SensorErrors().without_noise(), rotor_noise=0.0)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.quaternion import exponential, multiply, normalise, rotate
-from sitl_mock.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
+from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
 
 GRAVITY = np.array([0.0, 0.0, -9.81])
 

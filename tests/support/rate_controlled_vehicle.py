@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.vehicle import GRAVITY, Vehicle
-from runtime.controller import Controller
-from runtime.estimate import Estimate
-from runtime.events import Change, Event
-from runtime.flyer import Decision, Flyer, FlyerSettings
-from runtime.mission import Mission, Motion, Phase, Plan
-from runtime.records import ObservationRecord
-from runtime.state import Request, State, Transition
-from runtime.thrust import ThrustMap
+from runtime.control.controller import Controller
+from runtime.flight.engagement import Request, State, Transition
+from runtime.flight.events import Change, Event
+from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.mission import Mission, Motion, Phase, Plan
+from runtime.flight.thrust import ThrustMap
+from runtime.link.estimate import Estimate
+from runtime.record.records import ObservationRecord
 
 PERIOD = 0.01
 AGE = 0.02

@@ -7,12 +7,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from alula.lockstep import FlownReference, fly_reference
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from flights import Flight
 from flights.log import Floats, Log, Stream
-from sitl_mock.vehicle import VehicleOptions
+from simulation.lockstep import FlownReference, fly_reference
+from sitl_mock.vehicle.vehicle import VehicleOptions
 
 
 @lru_cache(maxsize=2)

@@ -6,11 +6,11 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from alula.lockstep import fly_reference
 from dynamics.references import named_reference
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from flights import Flight
+from simulation.lockstep import fly_reference
 
 
 def fly_campaign(folder: Path, vehicle: Vehicle, effects: Sequence[str], flights: dict[str, str]) -> Path:

@@ -12,13 +12,13 @@ import torch
 
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
+from fixtures.planted import noisy, planted_flights
 from flights import Flight
-from tests.support.planted import noisy, planted_flights
 from training.config import ModelConfig
+from training.data.recordings import Recording, Split, read_recordings, split_recordings
 from training.models import named_kind
 from training.plan import Plan, make_plan
 from training.recipe import FAST
-from training.recordings import Recording, Split, read_recordings, split_recordings
 
 EFFECTS = ("rotor_drag:coefficient=6e-5", "motor_lag:time_constant=0.04")
 MANOEUVRES = (

@@ -13,16 +13,16 @@ from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from tests.support.small_campaign import fly_campaign
 from tests.support.trained import untrained_model
-from training.ahead import open_loop, pulse_responses, starts
 from training.calibration import auroc, calibration
 from training.checkpoint import Reliability, TrainedModel
+from training.data.features import outputs_from
+from training.data.recordings import Recording, read_recordings
 from training.evaluation import NOMINAL, PLANT, Named, evaluate, physical_model, seen_by
-from training.features import outputs_from
+from training.free_run import Simulation, warm_up
+from training.ground_truth import campaign_of, hidden_plant, true_label
 from training.models import named_kind
+from training.open_loop import open_loop, pulse_responses, starts
 from training.prediction import pooled, predict
-from training.recordings import Recording, read_recordings
-from training.simulation import Simulation, warm_up
-from training.truth import campaign_of, hidden_plant, true_label
 
 EFFECTS = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
 

@@ -11,7 +11,7 @@ from dynamics.errors import RequestError
 from training.config import ModelConfig, convolutions_for
 from training.networks import build_network
 from training.networks.tcn import CausalConvolution, TemporalConvolution
-from training.streamed import Stream
+from training.streaming import Stream
 
 TCN = ModelConfig("pi_tcn", "tcn")
 SHAPES = [

@@ -12,7 +12,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from dynamics.vehicle_file import parse_effect
 from training.config import Label
-from training.features import body_accelerations, world_accelerations
+from training.data.features import body_accelerations, world_accelerations
 from training.physics import BLOCK, RowModel
 
 USES = [parse_effect(text, 4) for text in ("motor_lag:time_constant=0.04", "rotor_drag:coefficient=4e-5")]

@@ -15,12 +15,12 @@ from dynamics.vehicle_file import parse_effect
 from flights import Flight
 from tests.training.conftest import EFFECTS, MakePlan
 from training.checkpoint import TrainedModel
-from training.dataset import Dataset, make_dataset
+from training.data.dataset import Dataset, make_dataset
+from training.data.recordings import read_recordings
+from training.ground_truth import true_label
 from training.networks import build_network
 from training.prediction import flight_errors, gate_of, judge_reliability, pooled, predict, rmse
-from training.recordings import read_recordings
 from training.trainer import Member
-from training.truth import true_label
 
 
 def with_random_members(plan_for: MakePlan, vehicle: Vehicle, members: int) -> tuple[TrainedModel, Dataset]:

@@ -9,11 +9,11 @@ import torch
 from dynamics import quaternion
 from dynamics.errors import RequestError
 from tests.training.conftest import MakePlan
-from training.features import columns
+from training.data.features import columns
+from training.data.tensors import Tensors
 from training.networks import build_network
 from training.plan import Plan
 from training.rollout import Rollout, advanced, rotated
-from training.tensors import Tensors
 
 CPU = torch.device("cpu")
 FRAMES = [{"inputs": "body", "outputs": "body"}, {"inputs": "world", "outputs": "world"}]

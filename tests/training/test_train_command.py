@@ -15,11 +15,11 @@ import pytest
 import torch
 from typer.testing import CliRunner, Result
 
-from alula.cli import app
-from alula.training_folder import claimed
-from alula.training_run import TrainOptions, settled
+from alula.cli.app import app
 from dynamics.errors import DataError, RequestError
 from training import checkpoint
+from training.folder import claimed
+from training.run import TrainOptions, settled
 
 QUICK = ("--steps", "40", "--batch", "64", "--ensemble", "2", "--jobs", "1")
 

@@ -17,18 +17,18 @@ import torch
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
+from fixtures.planted import noisy, planted_flights
 from flights.log import Floats
-from tests.support.planted import noisy, planted_flights
 from tests.training.conftest import EFFECTS, MakePlan
-from training.dataset import Dataset, make_dataset
+from training.data.dataset import Dataset, make_dataset
+from training.data.recordings import Split, read_recordings
+from training.data.tensors import with_noise
 from training.effects_fit import named_effects
 from training.models import named_kind
 from training.plan import Plan, make_plan
 from training.prediction import flight_errors, pooled, predict
 from training.progress import Report
 from training.recipe import FAST
-from training.recordings import Split, read_recordings
-from training.tensors import with_noise
 from training.trainer import Member, Task, train
 
 CPU = torch.device("cpu")

@@ -1,0 +1,99 @@
+"""`alula add`: fit an effect, judge it on held-out flights, write the next version of the vehicle file."""
+
+from __future__ import annotations
+
+import datetime
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from alula.cli.logs_input import Effects, HoldOut, Mapped, VehicleOption, read_input
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.files import write_json
+from vehicles import vehicle_path
+
+if TYPE_CHECKING:
+    from diagnosis.addition import Addition
+
+ARGUMENTS_HELP = (
+    "Effect of the catalogue, as `alula diagnose` names it, and logs of one vehicle in any format. Without an effect "
+    "the top one of the diagnosis is added. The first argument is a log if there is such a file, or if it has a dot or "
+    "a slash in it; a log that is named as an effect of the catalogue is written ./mass."
+)
+
+
+def add(
+    arguments: Annotated[list[str], typer.Argument(help=ARGUMENTS_HELP, metavar="[EFFECT] LOG...")],
+    vehicle: VehicleOption,
+    hold_out: HoldOut = None,
+    effects: Effects = None,
+    mapping: Mapped = None,
+    rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect of one; else the best one.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write instead of the next version beside the old.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write what was added as JSON; - for standard output.")] = None,
+) -> None:
+    """Fit an effect and write the next vehicle file, unless the error on held-out flights does not fall."""
+    effect, logs = _told_apart(arguments)
+    if effect is None and rotor is not None:
+        raise RequestError("--rotor was given without an effect. Name the effect, or leave the rotor to the diagnosis.")
+    dataset, read, catalogue = read_input(logs, vehicle, hold_out, effects, mapping)
+    from diagnosis.addition import add_effect, write_next_version
+    from diagnosis.addition_report import report
+    from dynamics.vehicle_file import write_vehicle
+
+    command = shlex.join(["alula", *sys.argv[1:]])
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    added = add_effect(effect, dataset, read, catalogue, date=today, command=command, rotor=rotor)
+    path = out
+    if path is None:
+        path = write_next_version(added.vehicle, vehicle_path(vehicle))
+    else:
+        write_vehicle(added.vehicle, path)
+    if json is not None:
+        write_json(msgspec.structs.replace(report(added), vehicle=str(path)), json)
+    if json != Path("-"):
+        _print(added, path, Console())
+
+
+def _told_apart(arguments: list[str]) -> tuple[str | None, list[Path]]:
+    """The effect, if one was given, and the logs."""
+    first = arguments[0]
+    is_log = first not in CATALOGUE and (Path(first).exists() or "." in first or "/" in first)
+    effect, logs = (None, arguments) if is_log else (first, arguments[1:])
+    return effect, [Path(log) for log in logs]
+
+
+def _print(added: Addition, path: Path, console: Console) -> None:
+    for (key, name), estimate in added.estimates.items():
+        interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
+        console.print(f"{key}.{name} = {interval}", highlight=False)
+    for kind, error in added.channels.items():
+        console.print(
+            f"{kind}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit}, floor {error.floor:.4g}",
+            highlight=False,
+        )
+    if added.open_loop[0]:
+        console.print(_ahead(added))
+    how = "output error, over simulated half seconds" if added.by_output_error else "equation error"
+    console.print(f"fitted by {how}", highlight=False)
+    for note in added.notes:
+        console.print(f"note: {note}", highlight=False)
+    console.print(f"written: {path}", highlight=False)
+
+
+def _ahead(added: Addition) -> Table:
+    table = Table("open loop, s", "model", title="prediction error on held-out flights", title_justify="left")
+    for heading in ("position m", "velocity m/s", "attitude rad", "rate rad/s"):
+        table.add_column(heading, justify="right")
+    for was, now in zip(*added.open_loop, strict=True):
+        for which, error in (("before", was), ("after", now)):
+            figures = (error.position, error.velocity, error.attitude, error.rate)
+            table.add_row(f"{error.horizon:g}", which, *(f"{value:.3g}" for value in figures))
+    return table

@@ -1,0 +1,59 @@
+"""`alula evaluate`: models on flights they have not seen, in the tables and figures of the paper and beyond them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from alula.cli.workbench import workbench
+from dynamics.files import write_json
+
+Given = Annotated[
+    list[Path],
+    typer.Argument(help="Models (.pt), then logs, folders of logs, or a campaign's folder for its test flights.",
+                   metavar="MODEL... LOG..."),
+]  # fmt: skip
+
+
+def evaluate(
+    given: Given,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle file (TOML) or name whose own model is judged beside the others.")
+    ] = None,
+    mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
+    no_timing: Annotated[bool, typer.Option("--no-timing", help="Do not measure how long a prediction takes.")] = False,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write every figure as JSON; - for stdout.")] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder for one CSV file a table.")] = None,
+    pictures: Annotated[Path | None, typer.Option(help="Folder for pictures, PNG and PDF.")] = None,
+    html: Annotated[Path | None, typer.Option(help="Write tables and pictures as one page to this file.")] = None,
+) -> None:
+    """Judge models on flights that they were not trained on; with a campaign's flights, against the truth as well."""
+    with workbench("alula evaluate"):
+        from studies.evaluation.run import Answer, draw, run, write_html
+        from studies.evaluation.tables import summary_lines
+        from studies.tables import terminal_table, write_csv
+    console = Console(stderr=json_file == Path("-"))
+    with console.status("reading the flights") as status:
+        results = run(
+            given, vehicle, mapping=mapping, timed=not no_timing, done=lambda name: status.update(f"judged {name}")
+        )  # fmt: skip
+    for table in results.tables:
+        console.print(terminal_table(table))
+        console.print()
+    for line in summary_lines(results.evaluated):
+        console.print(line, highlight=False)
+    written: list[Path] = []
+    if json_file is not None:
+        write_json(Answer(results.evaluated, results.timings), json_file)
+    if csv is not None:
+        written += write_csv(results.tables, csv)
+    if pictures is not None:
+        written += draw(results, pictures)
+    if html is not None:
+        write_html(results, html)
+        written.append(html)
+    for path in written:
+        console.print(f"written: {path}", highlight=False)

@@ -1,0 +1,134 @@
+"""`alula inspect`: is this log good enough, and for what?"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from alula.cli.workbench import workbench
+from dynamics.errors import AlulaError, DataError
+from studio.provenance import origin
+
+if TYPE_CHECKING:
+    from flights.quality import Inspection
+
+MINOR = ("armed", "landed", "reset_counter", "position_reset_counter", "velocity_reset_counter",
+         "attitude_reset_counter")  # fmt: skip
+COLOURS = {"good": "green", "limited": "yellow", "unusable": "red", "yes": "green", "weakly": "yellow", "no": "dim",
+           "error": "red", "warning": "yellow", "note": "dim"}  # fmt: skip
+
+
+def inspect(
+    log: Annotated[list[Path], typer.Argument(help="Logs of any known format.", metavar="LOG...")],
+    mapping: Annotated[Path | None, typer.Option(help="Column-mapping TOML for a foreign CSV.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
+    html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
+) -> None:
+    """Judge logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
+    with workbench("alula inspect"):
+        from flights import Flight, read_log
+        from flights.quality.inspection import judge
+        from studio.inspected import Section, inspection_page, section
+        from studio.page import write_page
+    found: list[Inspection] = []
+    sections: list[Section] = []
+    refused: list[AlulaError] = []
+    for path in log:
+        try:
+            streams = read_log(path, mapping=mapping)
+            found.append(judge(streams))
+            if html is not None:
+                sections.append(section(found[-1], Flight.from_log(streams)))
+        except AlulaError as error:
+            if len(log) == 1:
+                raise
+            refused.append(error)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(found)) + b"\n")
+    else:
+        console = Console()
+        for inspection in found:
+            _print(inspection, console, everything=everything)
+    if html is not None:
+        hashes = {inspection.path: inspection.sha256 for inspection in found}
+        write_page(inspection_page(sections, origin=origin(hashes)), html)
+        print(f"written: {html}", file=sys.stderr)
+    _end(found, refused)
+
+
+def _end(found: list[Inspection], refused: list[AlulaError]) -> None:
+    """Exit as the worst of the logs demands."""
+    for error in refused:
+        print(f"alula: {error}", file=sys.stderr)
+    if refused:
+        raise type(refused[0])(f"{len(refused)} of {len(found) + len(refused)} logs could not be read.")
+    unusable = [inspection for inspection in found if inspection.verdict == "unusable"]
+    if unusable:
+        raise DataError("; ".join(f"{inspection.path}: {inspection.sentence}" for inspection in unusable))
+
+
+def _print(inspection: Inspection, console: Console, *, everything: bool) -> None:
+    colour = COLOURS[inspection.verdict]
+    console.rule(inspection.path, align="left")
+    console.print(f"[bold {colour}]{inspection.sentence}[/]", highlight=False)
+    console.print(
+        f"{inspection.format}, {inspection.duration:.1f} s, {inspection.free_flight:.1f} s of free flight in "
+        f"{len(inspection.segments)} stretches",
+        highlight=False,
+    )
+    for item in inspection.exclusions:
+        console.print(f"left out: {item}", style="dim", highlight=False)
+    _print_channels(inspection, console, everything=everything)
+    for delay in sorted(inspection.delays, key=lambda delay: delay.is_response):
+        doubt = "" if delay.is_known else ": too uncertain to use"
+        console.print(f"{'response' if delay.is_response else 'clock'}: {delay}{doubt}", highlight=False)
+    for finding in inspection.findings:
+        if finding.name != "clock_offset":  # said among the clocks
+            todo = f"; {finding.advice}" if finding.advice else ""
+            console.print(f"[{COLOURS[finding.severity]}]{finding.severity}[/]: {finding.text}{todo}", highlight=False)
+    _print_effects(inspection, console)
+    if everything:
+        _print_excitation(inspection, console)
+    for text in (*inspection.notes, *map(str, inspection.repairs)) if everything else ():
+        console.print(f"note: {text}", style="dim", highlight=False, markup=False)
+
+
+def _print_channels(inspection: Inspection, console: Console, *, everything: bool) -> None:
+    table = Table(title="channels", title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))  # fits 80 columns
+    table.add_column("quantity", no_wrap=True)
+    for heading in ("Hz", "new Hz", "jitter ms", "gaps", "gap s"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    table.add_column("noise", justify="right")
+    for channel in inspection.channels:
+        if not everything and (channel.quantity in MINOR or "setpoint" in channel.quantity):
+            continue
+        noise = f"{channel.noise:.2g} {channel.unit}".removesuffix(" 1")
+        table.add_row(
+            channel.quantity, f"{channel.rate:.1f}", f"{channel.renewed:.1f}", f"{1e3 * channel.jitter:.1f}",
+            str(channel.gaps), f"{channel.longest_gap:.2f}", noise,
+        )  # fmt: skip
+    console.print(table)
+
+
+def _print_effects(inspection: Inspection, console: Console) -> None:
+    table = Table("effect", "can it be told?", "why", title="what this log can identify", title_justify="left")
+    for effect in inspection.effects:
+        why = f"{effect.why}; looks like {effect.ambiguous_with}" if effect.ambiguous_with else effect.why
+        table.add_row(effect.name, f"[{COLOURS[effect.answer]}]{effect.answer}[/]", why)
+    console.print(table)
+
+
+def _print_excitation(inspection: Inspection, console: Console) -> None:
+    table = Table("measure", title="excitation in free flight", title_justify="left")
+    table.add_column("value", justify="right")
+    for measure in inspection.excitation:
+        table.add_row(measure.name.replace("_", " "), f"{measure.value:.3g} {measure.unit}".removesuffix(" 1"))
+    console.print(table)

@@ -1,0 +1,92 @@
+"""`alula link`: looks at a link without flying."""
+
+from __future__ import annotations
+
+import sys
+from typing import Annotated
+
+import msgspec
+import typer
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+
+from dynamics.errors import VehicleError
+from runtime.link.connection import parse_endpoint
+from runtime.link.link_check import LinkReport, check_link
+from runtime.link.rates import WINDOW
+
+
+def link(
+    link: Annotated[str, typer.Option(help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")] = (
+        "udpin:0.0.0.0:14540"
+    ),
+    rate: Annotated[float, typer.Option(min=1.0, help="ODOMETRY wanted, Hz.")] = 100.0,
+    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")] = 10.0,
+    system: Annotated[int | None, typer.Option(min=1, max=255, help="Its system id; the first heard if left out.")] = (
+        None
+    ),
+    window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Check a link without flying: rates, latency, clock offset, frames, mode, parameters."""
+    streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
+    report = check_link(parse_endpoint(link), timeout=timeout, target_system=system, streams=streams, window=window)
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(_as_plain(report))) + b"\n")
+    else:
+        _print(report, Console())
+    if not report.is_ready:
+        raise VehicleError(f"A flight over {report.endpoint} would not be engaged; the reasons are in the report.")
+
+
+def _as_plain(report: LinkReport) -> dict[str, object]:
+    return {**msgspec.to_builtins(report), "is_ready": report.is_ready}
+
+
+def _print(report: LinkReport, console: Console) -> None:
+    vehicle, clock = report.vehicle, report.clock
+    facts = Table(title=report.endpoint, title_justify="left", show_header=False)
+    facts.add_row("vehicle", f"system {vehicle.system}, component {vehicle.component}, {vehicle.kind}")
+    facts.add_row("autopilot", f"{vehicle.autopilot}, {vehicle.system_status}")
+    facts.add_row("mode", f"{vehicle.mode}, {'armed' if vehicle.armed else 'disarmed'}, {vehicle.landed}")
+    facts.add_row("also here", ", ".join(f"{who} ({what})" for who, what in report.others.items()) or "nobody")
+    facts.add_row("round trip", f"{clock.round_trip * 1e3:.2f} ms")
+    facts.add_row("clock offset", f"{clock.offset:.4f} s, uncertain by {clock.uncertainty * 1e3:.2f} ms")
+    facts.add_row("clock drift", f"{clock.drift * 1e3:+.3f} ms/s")
+    facts.add_row(
+        "estimate", f"{report.estimate_source or 'none'}, frames {' and '.join(report.odometry_frames or ())}"
+    )
+    if report.position_world is not None:
+        facts.add_row("position", "  ".join(f"{value:.2f}" for value in report.position_world) + " m, east north up")
+    if report.attitude is not None:
+        text = (
+            f"{report.attitude.specific_force:.2f} m/s^2, {report.attitude.tilt_error_degrees:.1f} degrees off vertical"
+        )
+        facts.add_row("gravity", text)
+    facts.add_row("battery", f"{vehicle.battery_voltage:.2f} V")
+    facts.add_row("mode request", f"{report.acknowledgements_of_mode} acknowledgements")
+    facts.add_row("frames", f"{report.frames}, unknown {report.unknown_frames}, skipped {report.skipped_bytes} bytes")
+    console.print(facts)
+    console.print(_streams(report))
+    parameters = Table("parameter", "value")
+    for name, value in report.parameters.items():
+        parameters.add_row(name, value if isinstance(value, str) else f"{value:g}")
+    console.print(parameters)
+    for problem in report.problems:
+        console.print(f"[{'red' if problem.severity == 'error' else 'yellow'}]{problem.severity}[/]: {problem.text}")
+    if report.is_ready:
+        console.print("[green]ready[/]: nothing found that would keep a flight from being engaged")
+
+
+def _streams(report: LinkReport) -> Table:
+    table = Table("message", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))  # fits 80 columns; a long answer wraps
+    for heading in ("was, Hz", "asked", "answer", "is, Hz", "p1, ms", "median", "p99"):
+        table.add_column(heading, justify="right", no_wrap=heading != "answer", overflow="fold")
+    table.columns[0].no_wrap = True
+    for stream in report.streams:
+        after = stream.after
+        intervals = [f"{value * 1e3:.1f}" for value in (after.p1, after.median, after.p99)]
+        row = [f"{stream.before:.1f}", f"{stream.asked:.0f}", stream.answer, f"{after.rate:.1f}", *intervals]
+        table.add_row(stream.name, *row)
+    return table

@@ -1,0 +1,84 @@
+"""`alula mock`: the mock flight controller as a process of its own."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from dynamics.errors import RequestError
+from sitl_mock.autopilot.offboard import Rule
+from sitl_mock.mock import MockOptions, parse_parameter, serve
+from sitl_mock.server import Pace
+from sitl_mock.wire.link_spec import LinkSpec, default_links, parse_link
+from vehicles import vehicle_path
+
+
+def mock(
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")],
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(help="Effect that the vehicle file does not know: name:key=value,... Repeatable."),
+    ] = None,
+    scenario: Annotated[Path | None, typer.Option(help="Scenario file (TOML): sensors, battery, timed faults.")] = None,
+    link: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Companion's link instead of PX4's own two (14580 to 14540, 18570 to 14550): udpout:HOST:PORT, "
+            "udpin:HOST:PORT, tcp:HOST:PORT, tcpin:HOST:PORT, serial:DEVICE:BAUD. Repeatable."
+        ),
+    ] = None,
+    gcs_link: Annotated[list[str] | None, typer.Option(help="Ground station's link, as --link. Repeatable.")] = None,
+    instance: Annotated[int, typer.Option(min=0, max=249, help="PX4's instance: added to ports and system id.")] = 0,
+    seed: Annotated[int, typer.Option(help="Seed of all randomness.")] = 0,
+    lockstep: Annotated[
+        bool, typer.Option("--lockstep/--realtime", help="Advance to the next estimate with every setpoint.")
+    ] = False,
+    speed: Annotated[float, typer.Option(help="Simulated seconds per second.")] = 1.0,
+    double_ack: Annotated[
+        bool, typer.Option(help="Answer DO_SET_MODE twice, as PX4 of July 2025 to May 2026.")
+    ] = False,
+    offboard_rule: Annotated[
+        str, typer.Option(help="When OFFBOARD may begin: documented (2 Hz for 1 s) or measured (one setpoint).")
+    ] = "documented",
+    body_velocity: Annotated[bool, typer.Option(help="ODOMETRY's velocity in BODY_FRD instead of NED.")] = False,
+    clock_drift: Annotated[
+        float | None, typer.Option(help="Seconds that the vehicle's clock gains per second; 0.00002 by default.")
+    ] = None,
+    param: Annotated[list[str] | None, typer.Option(help="PX4 parameter NAME=VALUE. Repeatable.")] = None,
+) -> None:
+    """Fly a simulated vehicle behind PX4's side of the link, until interrupted."""
+    options = MockOptions(
+        vehicle=vehicle_path(vehicle),
+        effects=tuple(effect or ()),
+        scenario=scenario,
+        seed=seed,
+        double_ack=double_ack,
+        rule=_rule(offboard_rule),
+        body_velocity=body_velocity,
+        clock_drift=clock_drift,
+        parameters=dict(parse_parameter(text) for text in param or ()),
+        instance=instance,
+    )
+    links = _links(link or [], gcs_link or [], instance)
+    pace: Pace = "lockstep" if lockstep else "realtime"
+    print(f"mock of {vehicle} on {', '.join(spec.name for spec in links)}; Ctrl-C ends it", file=sys.stderr, flush=True)
+    server = serve(options, links, pace=pace, speed=speed)
+    if server.slipped > 1.0:
+        print(f"this machine was too slow by {server.slipped:.1f} s of simulated time", file=sys.stderr)
+
+
+def _rule(text: str) -> Rule:
+    if text == "documented" or text == "measured":
+        return text  # type: ignore[return-value]
+    raise RequestError(f"offboard rule {text!r}: wanted documented or measured.")
+
+
+def _links(onboard: list[str], gcs: list[str], instance: int) -> list[LinkSpec]:
+    if not onboard and not gcs:
+        return default_links(instance)
+    return [parse_link(text, "onboard", instance) for text in onboard] + [
+        parse_link(text, "gcs", instance) for text in gcs
+    ]

@@ -1,0 +1,66 @@
+"""`alula replay`: a recorded flight through the daemon's logic, tick by tick."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import typer
+
+from dynamics.errors import DataError
+from runtime.flight_setup import recorded_flight
+from runtime.record.recording import read_recording
+from runtime.record.replay import ReplayReport
+from runtime.record.replay import replay as replay_recording
+
+
+def replay(
+    recording: Annotated[Path, typer.Argument(help="Recording (.mcap) that `alula fly --record` wrote.")],
+    vehicle: Annotated[
+        str | None, typer.Option(help="Fly it with this vehicle file instead of the recorded one.")
+    ] = None,
+    bundle: Annotated[Path | None, typer.Option(help="Fly it with this bundle instead of the recorded vehicle.")] = (
+        None
+    ),
+    tolerance: Annotated[
+        float | None,
+        typer.Option(min=0.0, help="Fail when a setpoint differs by more, rad/s or share of thrust; 0: by one bit."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+) -> None:
+    """Fly a recording again: same estimates in, setpoints compared with the recorded ones."""
+    read = read_recording(recording)
+    report = replay_recording(read, *recorded_flight(read, vehicle, bundle))
+    if as_json:
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
+    else:
+        print(_text(report))
+    if tolerance is not None:
+        _hold(report, tolerance)
+
+
+def _text(report: ReplayReport) -> str:
+    lost = f", {report.lost} were not recorded" if report.lost else ""
+    lines = [f"{report.ticks} ticks{lost}, {report.compared} setpoints compared"]
+    if report.exact:
+        lines.append("bit for bit as recorded")
+    else:
+        lines.append(f"{report.identical} identical, {report.unmatched} on one side only")
+        lines.append(f"rates differ by at most {report.rate_difference:.3g} rad/s")
+        lines.append(f"thrust differs by at most {report.thrust_difference:.3g}")
+        if report.first_difference is not None:
+            lines.append(f"first difference after {report.first_difference:.3f} s")
+        lines.append("states " + ("as recorded" if report.states_agree else "differ"))
+    return "\n".join(lines)
+
+
+def _hold(report: ReplayReport, tolerance: float) -> None:
+    worst = max(report.rate_difference, report.thrust_difference)
+    if worst > tolerance or report.unmatched or not report.states_agree:
+        raise DataError(
+            f"the replay differs from the recording by {worst:.3g} (allowed: {tolerance:g}), {report.unmatched} "
+            f"setpoints are on one side only, states {'agree' if report.states_agree else 'differ'}. Another "
+            "processor or library version differs in the last bits; another vehicle or program differs in earnest."
+        )

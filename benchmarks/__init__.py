@@ -1,0 +1,1 @@
+"""Measurements: one script a claim, each of which writes its own table."""

@@ -1,0 +1,1 @@
+"""Parameters of chosen effects: equation error, output error, errors on held-out flights."""

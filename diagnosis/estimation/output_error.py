@@ -1,0 +1,239 @@
+"""Output error: parameters for which simulated half seconds of flight end where the vehicle did.
+
+The equation-error fit looks at accelerations, one row at a time. Here windows are simulated open loop from measured
+states with all hidden states, and the parameters move until velocity, attitude and body rate agree (Jategaonkar, Flight
+Vehicle System Identification, 2006, ch. 4). Each window's start, gyro's bias and clock are unknowns of its own, which
+are integrated out; errors are whitened by their own covariance along the window, so that what turbulence adds up to
+counts for little. Slow columns serve as instruments where feedback ties a column to the disturbance, as in `fit`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.data.filters import REDUCED_RATE, Floats
+from diagnosis.data.segment import Stretch
+from diagnosis.estimation.equation_error import SETTLED, Estimate, Fit, bounds, with_candidates
+from diagnosis.models.prediction import Predictor
+from diagnosis.models.rollout import Simulator, Windows, healthy
+from diagnosis.selection.candidates import make_instruments
+from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED
+from dynamics import quaternion
+from dynamics.effect import Effect
+from dynamics.vehicle import Vehicle
+
+WINDOW = 0.5  # s
+MOST_WINDOWS, FEWEST_WINDOWS = 300, 20
+STEPS = 4
+SHRINKAGE = 0.1  # of the covariance towards its diagonal
+NUDGE = 1e-3  # relative step of the finite differences of the hidden states' starts
+OUTPUTS = 9  # velocity, attitude as a rotation vector, body rate
+START = 9  # unknowns of a window's start: velocity, attitude, body rate
+UNKNOWNS = START + 4  # and the gyro's bias and the pose's clock
+
+
+@dataclass(frozen=True, eq=False)
+class Refit:
+    """fit: with the output-error estimates. before, after: squared white error of held-out windows over the fitted."""
+
+    fit: Fit
+    before: float
+    after: float
+
+
+def refit(
+    found: Fit,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    fitted: Sequence[Stretch],
+    held_out: Sequence[Stretch],
+) -> Refit | None:
+    """Fit all parameters of an equation-error fit again by output error, beginning at its estimates.
+
+    vehicle: that the fit began with. None where nothing can be simulated: no pose, too few windows, or faults of
+    sensors alone, which do not move the vehicle.
+    """
+    free = [(c, name) for c in found.candidates for key, name in found.estimates if key == c.key and _moves(c.effect)]
+    if not free or any(s.lacks for s in (*fitted, *held_out)):
+        return None
+    names = [f"{c.key}.{name}" for c, name in free]
+    instrumented = [c.effect.physics is not None for c, _ in free]
+    problem, judge = (_Problem(found.vehicle, catalogue, part, names, instrumented) for part in (fitted, held_out))
+    if min(problem.count, judge.count * MOST_WINDOWS) < FEWEST_WINDOWS:
+        return None
+    low, high = np.array([bounds(c.effect, name) for c, name in free]).T
+    first = np.array([found.estimates[c.key, name].value for c, name in free])
+    white = problem.whitening(first)
+    values, covariance = first, np.zeros((0, 0))
+    for _ in range(STEPS):
+        step, covariance = problem.step(values, white)
+        values = np.clip(values + step, low, high)
+        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diag(covariance))):
+            break
+    before, after = (judge.cost(v, white) / judge.count for v in (first, values))
+    level = problem.cost(first, white) / problem.count
+    if not np.isfinite([before, after, level]).all():
+        return None
+    deviation = np.sqrt(np.diag(covariance))
+    better = {
+        (c.key, name): Estimate(float(v), float(d), found.estimates[c.key, name].unit)
+        for (c, name), v, d in zip(free, values, deviation, strict=True)
+    }
+    estimates = {**found.estimates, **better}
+    named = {f"{key}.{name}": estimate.value for (key, name), estimate in estimates.items()}
+    again = Fit(with_candidates(vehicle, found.candidates, named), estimates, found.candidates)
+    return Refit(again, before / level, after / level)
+
+
+def _moves(effect: Effect) -> bool:
+    return effect.measurement is None
+
+
+class _Problem:
+    """Residuals of windows and their slopes, stretch by stretch."""
+
+    def __init__(
+        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], names: Sequence[str],
+        instrumented: Sequence[bool],
+    ) -> None:  # fmt: skip
+        measured = stretches[0].rotor_source == "measured"
+        self._vehicle, self._stretches = healthy(vehicle, catalogue, stretches)
+        self._predictor = Predictor(self._vehicle, self._vehicle.effects, catalogue, speed_measured=measured)
+        self._rate = stretches[0].rate
+        self._simulator = Simulator(self._predictor, self._rate, names, speed_measured=measured)
+        self._names, self._instrumented = names, np.array(instrumented)
+        self._steps, self._stride = round(WINDOW * self._rate), max(1, round(self._rate / REDUCED_RATE))
+        possible = sum((len(s) - 1) // self._steps for s in stretches)
+        apart = self._steps * max(1, round(possible / MOST_WINDOWS))
+        self._starts = [range(0, len(s) - self._steps, apart) for s in self._stretches]
+        self.count = sum(map(len, self._starts))
+
+    def whitening(self, values: Floats) -> Floats:
+        """(9, t, t) matrices that make each output's errors along a window white."""
+        errors = np.concatenate([self._errors(s, self._run(s, starts, values)) for s, starts in self._pairs()])
+        covariance = np.einsum("wto,wuo->otu", errors, errors) / len(errors)
+        diagonal = np.einsum("ott->ot", covariance)
+        covariance = (1 - SHRINKAGE) * covariance + SHRINKAGE * np.einsum(
+            "ot,tu->otu", diagonal, np.eye(diagonal.shape[1])
+        )
+        covariance += 1e-12 * np.eye(diagonal.shape[1])
+        return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
+
+    def cost(self, values: Floats, white: Floats) -> float:
+        """Squared white error of all windows with their own unknowns at their best."""
+        total = 0.0
+        for stretch, starts in self._pairs():
+            windows = self._run(stretch, starts, values)
+            first = self._first(stretch, windows, values)[:, :, :START]
+            slopes = self._simulator.sensitivities(windows, self._parameters(values), first, held=True)
+            r, n = _whitened(white, self._errors(stretch, windows)), self._unknowns(windows, slopes, white)
+            nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
+            nr = np.einsum("wma,wm->wa", n, r)
+            total += float(np.sum(r * r) - np.sum(nr * np.linalg.solve(nn, nr[:, :, None])[:, :, 0]))
+        return total
+
+    def step(self, values: Floats, white: Floats) -> tuple[Floats, Floats]:
+        """Gauss-Newton step and the covariance of the parameters, from the spread of the windows."""
+        k = len(values)
+        gram, scores = np.zeros((k, k)), []
+        for stretch, starts in self._pairs():
+            windows = self._run(stretch, starts, values)
+            r, n, j, z = self._white(stretch, windows, values, white)
+            nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
+            nz = np.einsum("wma,wmb->wab", n, z)
+            right = np.concatenate([np.einsum("wma,wmb->wab", n, j), np.einsum("wma,wm->wa", n, r)[:, :, None]], axis=2)
+            solved = np.linalg.solve(nn, right)
+            gram += np.einsum("wma,wmb->ab", z, j) - np.einsum("wca,wcb->ab", nz, solved[:, :, :k])
+            scores.append(np.einsum("wma,wm->wa", z, r) - np.einsum("wca,wc->wa", nz, solved[:, :, k]))
+        score = np.concatenate(scores)
+        scale = np.sqrt(np.abs(np.diag(gram)) + 1e-300)
+        inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-8) / np.outer(scale, scale)
+        return inverse @ score.sum(axis=0), inverse @ (score.T @ score) @ inverse.T
+
+    def _pairs(self) -> list[tuple[Stretch, range]]:
+        return [(s, starts) for s, starts in zip(self._stretches, self._starts, strict=True) if len(starts)]
+
+    def _parameters(self, values: Floats) -> Floats:
+        return self._predictor.values(dict(zip(self._names, values.tolist(), strict=True)))
+
+    def _run(self, stretch: Stretch, starts: Sequence[int], values: Floats) -> Windows:
+        return self._simulator.run(stretch, starts, self._steps, self._parameters(values))
+
+    def _errors(self, stretch: Stretch, windows: Windows) -> Floats:
+        """(W, t, 9) measured less simulated at every kept step."""
+        states, rows = windows.states[:, :: self._stride], windows.rows[:, :: self._stride]
+        away = quaternion.multiply(quaternion.conjugate(states[:, :, 6:10]), stretch.attitude[rows])
+        attitude = quaternion.logarithm(np.where(away[:, :, :1] < 0, -away, away))
+        velocity = stretch.velocity[rows] - states[:, :, 3:6]
+        return np.concatenate([velocity, attitude, stretch.body_rate[rows] - states[:, :, 10:13]], axis=2)
+
+    def _white(
+        self, stretch: Stretch, windows: Windows, values: Floats, white: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats]:
+        """Errors (W, m), slopes in a window's unknowns (W, m, 13), in parameters (W, m, k), instruments (W, m, k)."""
+        p, first = self._parameters(values), self._first(stretch, windows, values)
+        slopes = self._simulator.sensitivities(windows, p, first)
+        theta = instruments = self._outputs(slopes, windows)[..., START:]
+        if self._instrumented.any():
+            speed = make_instruments(stretch, self._vehicle).rotor_speed
+            slow = (speed[windows.rows[:, :-1]] + speed[windows.rows[:, 1:]]) / 2
+            other = self._outputs(self._simulator.sensitivities(windows, p, first, rotor_speed=slow), windows)
+            instruments = np.where(self._instrumented, other[..., START:], theta)
+        errors = _whitened(white, self._errors(stretch, windows))
+        unknowns = self._unknowns(windows, slopes, white)
+        return errors, unknowns, _whitened(white, theta), _whitened(white, instruments)
+
+    def _unknowns(self, windows: Windows, slopes: Floats, white: Floats) -> Floats:
+        """(W, m, 13) white slopes in a window's own unknowns. slopes: of the states, those of the start first."""
+        own = self._outputs(slopes[..., :START], windows)
+        return _whitened(white, np.concatenate([own, self._readings(windows)], axis=3))
+
+    def _first(self, stretch: Stretch, windows: Windows, values: Floats) -> Floats:
+        """(W, nx, 9 + k) slopes of the windows' first states in their own unknowns and in the parameters."""
+        x = windows.states[:, 0]
+        first = np.zeros((len(x), x.shape[1], START + len(values)))
+        first[:, 3:6, 0:3] = first[:, 10:13, 6:9] = np.eye(3)
+        first[:, 6:10, 3:6] = 0.5 * _left(x[:, 6:10])[:, :, 1:]
+        if self._predictor.model.hidden_count:
+            for i in range(len(values)):
+                nudge = NUDGE * max(abs(values[i]), 1e-6)
+                moved = values + nudge * (np.arange(len(values)) == i)
+                states = self._predictor.states(stretch, self._parameters(moved))[windows.rows[:, 0]]
+                first[:, 13:, START + i] = (states[:, 13:] - x[:, 13:]) / nudge
+        return first
+
+    def _outputs(self, slopes: Floats, windows: Windows) -> Floats:
+        """(W, t, 9, c) slopes of the outputs, from those of the states (W, n + 1, nx, c)."""
+        kept, states = slopes[:, :: self._stride], windows.states[:, :: self._stride]
+        turned = _left(quaternion.conjugate(states[:, :, 6:10])) @ kept[:, :, 6:10]
+        return np.concatenate([kept[:, :, 3:6], 2 * turned[:, :, 1:], kept[:, :, 10:13]], axis=2)
+
+    def _readings(self, windows: Windows) -> Floats:
+        """(W, t, 9, 4) slopes in the gyro's bias and in the age of the pose."""
+        states = windows.states[:, :: self._stride]
+        found = np.zeros((*states.shape[:2], OUTPUTS, 4))
+        found[:, :, 6:9, 0:3] = np.eye(3)
+        found[:, :, 0:3, 3] = -np.gradient(states[:, :, 3:6], self._stride / self._rate, axis=1)
+        found[:, :, 3:6, 3] = -states[:, :, 10:13]
+        return found
+
+
+def _whitened(white: Floats, rows: Floats) -> Floats:
+    """(W, t x 9, ...) rows of outputs (W, t, 9, ...), white along each window."""
+    made = np.einsum("otu,wuo...->wto...", white, rows)
+    return np.asarray(made.reshape(len(rows), -1, *rows.shape[3:]))
+
+
+def _information() -> Floats:
+    """(13,) inverse variances of a window's unknowns before it was seen."""
+    return np.array([0.0] * START + [SPECIFIED["gyro_bias"] ** -2] * 3 + [CLOCK_OFFSET**-2])
+
+
+def _left(q: Floats) -> Floats:
+    """(..., 4, 4) matrix of the product with a quaternion on its left."""
+    w, x, y, z = np.moveaxis(q, -1, 0)
+    rows = [[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]]
+    return np.asarray(np.moveaxis(np.array(rows), (0, 1), (-2, -1)))

@@ -1,0 +1,1 @@
+"""A model along measured flights: one step ahead, over windows, and its derivatives."""

@@ -1,0 +1,209 @@
+"""What a model says along a measured flight: specific force and angular acceleration at every row, and their slopes.
+
+The expressions are those of `dynamics`; faults of sensors are undone where they spoil the model's inputs (rates,
+rotor speeds) and applied where the model speaks of a reading (specific force).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+import numpy as np
+
+from diagnosis.data.filters import Floats, delayed
+from diagnosis.data.segment import Stretch
+from diagnosis.models.batched_function import RowFunction
+from dynamics.effect import Effect, Expression
+from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.vehicle import EffectUse, Vehicle
+
+SLOW_HIDDEN = 50.0  # Hz at which hidden states other than the rotors' speed are integrated: they swing more slowly
+PARAMETERS = 4  # place of the parameters among the functions' inputs
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """specific_force, angular_acceleration, rate: (n, 3) body, as the sensors would read them and the pose shows them.
+
+    The pose lags by pose_age: world acceleration and attitude rate show what force and rate were then.
+    """
+
+    specific_force: Floats
+    angular_acceleration: Floats
+    rate: Floats
+    pose_age: float = 0.0
+
+    def world_acceleration(self, stretch: Stretch) -> Floats:
+        """(n, 3) acceleration less gravity that the pose shows, world, m/s^2."""
+        force = delayed(self.true_force, stretch.rate, self.pose_age)
+        return np.asarray(np.einsum("nij,nj->ni", stretch.to_world, force))
+
+    def attitude_rate(self, stretch: Stretch) -> Floats:
+        """(n, 3) body rate by which the attitude turns, rad/s."""
+        return delayed(self.rate, stretch.rate, self.pose_age)
+
+    true_force: Floats = None  # type: ignore[assignment]
+
+
+class Predictor:
+    """A vehicle's model with effects, evaluated over whole stretches.
+
+    values: the parameters by the model's names. free: those in which slopes are wanted.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        uses: Sequence[EffectUse],
+        catalogue: Mapping[str, Effect],
+        free: Sequence[str] = (),
+        *,
+        speed_measured: bool,
+    ) -> None:
+        known = [use for use in uses if not (speed_measured and catalogue[use.name].rotor_speed is not None)]
+        self.model: Model = build_model(vehicle, effects=known, catalogue=catalogue)
+        self.free = tuple(free)
+        self._symbols = _symbols(self.model)
+        outputs = _outputs(self.model, self._symbols)
+        inputs = list(self._symbols.values())
+        self._evaluate = RowFunction(ca.Function("evaluate", inputs, [ca.densify(outputs)]), shared=(PARAMETERS,))
+        self._age = ca.Function("age", [self._symbols["p"]], [_age(self.model, self._symbols["p"])])
+        places = [self.model.parameter_index(name) for name in free]
+        columns = ca.cse(ca.vec(ca.jacobian(outputs, self._symbols["p"])[:, places])) if free else ca.SX(0, 1)
+        stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
+        self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
+        advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
+        self._advance = RowFunction(advance, chained=True) if advance is not None else None
+        self._follows_rotors = any(item.effect.rotor_speed is not None for item in self.model.effects)
+
+    def values(self, changed: Mapping[str, float] | None = None) -> Floats:
+        """The model's parameter vector with some of them changed."""
+        p = self.model.parameter_values.copy()
+        for name, value in (changed or {}).items():
+            p[self.model.parameter_index(name)] = value
+        return p
+
+    def predict(self, stretch: Stretch, changed: Mapping[str, float] | None = None) -> Prediction:
+        """What the model says along a stretch."""
+        p = self.values(changed)
+        found = self._evaluate(*self._arguments(stretch, p, None, None))
+        return Prediction(found[:, 0:3], found[:, 3:6], found[:, 6:9], float(self._age(p)), true_force=found[:, 9:12])
+
+    def slopes(
+        self,
+        stretch: Stretch,
+        changed: Mapping[str, float] | None = None,
+        *,
+        rotor_speed: Floats | None = None,
+        rotor_acceleration: Floats | None = None,
+    ) -> list[Prediction]:
+        """Derivatives of the prediction in each free parameter, at other rotor speeds than measured if given."""
+        assert self._slopes is not None
+        p = self.values(changed)
+        arguments = self._arguments(stretch, p, rotor_speed, rotor_acceleration)
+        found = self._slopes(*arguments)
+        parts = found.reshape(len(found), len(self.free), 12)
+        age = float(self._age(p))
+        return [
+            Prediction(x[:, 0:3], x[:, 3:6], x[:, 6:9], age, true_force=x[:, 9:12]) for x in parts.transpose(1, 0, 2)
+        ]
+
+    def states(self, stretch: Stretch, p: Floats | None = None) -> Floats:
+        """(n, nx) measured motion, smoothed, and the hidden states that go with it. p: parameters if not its own."""
+        values = self.values() if p is None else p
+        hidden = self._hidden(stretch, values) if self._advance is not None else np.zeros((len(stretch), 0))
+        return np.hstack([stretch.smooth, hidden])
+
+    def _arguments(
+        self, stretch: Stretch, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
+    ) -> list[Floats]:
+        speed = stretch.rotor_speed if rotor_speed is None else rotor_speed
+        turning_up = stretch.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
+        return [self.states(stretch, p), stretch.body_rate, speed, turning_up, p, stretch.environment]
+
+    def _hidden(self, stretch: Stretch, p: Floats) -> Floats:
+        """(n, h) hidden states along the stretch, from their values in hover."""
+        assert self._advance is not None
+        stride = 1 if self._follows_rotors else max(1, int(stretch.rate / SLOW_HIDDEN))
+        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])[::stride]
+        steps = len(here) - 1
+        initial = _settled(self.model, stretch)
+        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / stretch.rate)
+        found = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
+        return found if stride == 1 else _between(found, stride, len(stretch))
+
+
+def _settled(model: Model, stretch: Stretch) -> Floats:
+    """Hidden states at the start: those of hover, and rotors as fast as commanded then."""
+    hidden = model.hidden_initial.copy()
+    for item in model.effects:
+        for name, place in item.hidden.items():
+            if name == "rotor_speed":
+                hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = stretch.rotor_speed[0]
+    return hidden
+
+
+def _between(values: Floats, stride: int, count: int) -> Floats:
+    """(count, k) values (m, k) of every stride-th row, linear between them, the last one held."""
+    place = np.minimum(np.arange(count) / stride, len(values) - 1)
+    before = np.minimum(place.astype(int), len(values) - 2)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * values[before] + share * values[before + 1])
+
+
+def _symbols(model: Model) -> dict[str, Expression]:
+    n = model.input_count
+    sizes = {"x": model.state_count, "gyro": 3, "speed": n, "acceleration": n, "p": len(model.parameter_names), "e": 2}
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+def _age(model: Model, p: Expression) -> Expression:
+    return model.measure(ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(model.input_count), p)[3]
+
+
+def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
+    """Body rate and rotor speeds behind their readings; sensors read them affinely."""
+
+    def solved(reading: Expression, read: Expression, true: Expression) -> Expression:
+        slope = ca.jacobian(read, true)
+        offset = ca.substitute(read, true, ca.SX.zeros(true.shape))
+        return (
+            ca.solve(slope, reading - offset) if not slope.sparsity().is_diag() else (reading - offset) / ca.diag(slope)
+        )
+
+    true_rate, true_speed = ca.SX.sym("true_rate", 3), ca.SX.sym("true_speed", model.input_count)
+    _, rate_read, speed_read, _ = model.measure(ca.SX.zeros(3), true_rate, true_speed, p)
+    return solved(rate, rate_read, true_rate), solved(speed, speed_read, true_speed)
+
+
+def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
+    """Specific force as read, angular acceleration, true body rate, true specific force: (12,)."""
+    smooth_rate, speed = _true(model, s["x"][10:13], s["speed"], s["p"])
+    gyro, _ = _true(model, s["gyro"], s["speed"], s["p"])
+    state = ca.vertcat(s["x"][0:10], smooth_rate, s["x"][13:])
+    force, angular = model.respond(state, speed, s["acceleration"], s["p"], s["e"])
+    read = model.measure(force, smooth_rate, speed, s["p"])[0]
+    return ca.vertcat(read, angular, gyro, force)
+
+
+def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:
+    """(hidden, before, after, p, dt) -> hidden states one row later, by RK4 between the rows' measured motion."""
+    n = model.input_count
+    width = RIGID_BODY_STATES + n + 2
+    before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
+    h, p = ca.SX.sym("h", model.hidden_count), s["p"]
+
+    def slope(hidden: Expression, share: float) -> Expression:
+        row = (1 - share) * before + share * after
+        rate, speed = _true(model, row[10:13], row[13 : 13 + n], p)
+        state = ca.vertcat(row[0:10], rate, hidden)
+        return model.derivative(state, speed, p, row[13 + n :], ca.SX.zeros(model.hidden_count))[13:]
+
+    k1 = slope(h, 0.0)
+    k2 = slope(h + dt / 2 * k1, 0.5)
+    k3 = slope(h + dt / 2 * k2, 0.5)
+    k4 = slope(h + dt * k3, 1.0)
+    following = h + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    return ca.Function("advance", [h, before, after, p, dt], [following])

@@ -1,0 +1,145 @@
+"""Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
+
+Between two rows the rotors turn as fast as on average of both, and speed up as measured where their speed is; faults
+of sensors that the model knows are taken out of the readings first.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from diagnosis.data.filters import Floats
+from diagnosis.data.segment import Stretch
+from diagnosis.models.batched_function import RowFunction
+from diagnosis.models.prediction import Predictor
+from dynamics.effect import Effect, Expression
+from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.model import Model, build_model
+from dynamics.vehicle import Vehicle
+
+PARAMETERS, PERIOD = 3, 5  # places among the step's inputs that all rows share
+
+
+@dataclass(frozen=True, eq=False)
+class Windows:
+    """W windows of n steps. states: (W, n + 1, nx). inputs: (W, n, 2 rotors), speeds and accelerations.
+
+    environment: (W, n, 2). rows: (W, n + 1) rows of the stretch.
+    """
+
+    states: Floats
+    inputs: Floats
+    environment: Floats
+    rows: np.ndarray[tuple[int, int], np.dtype[np.int64]]
+
+
+class Simulator:
+    """The step of a predictor's model at one rate, over many windows at once. free: parameters with sensitivities."""
+
+    def __init__(self, predictor: Predictor, rate: float, free: Sequence[str] = (), *, speed_measured: bool) -> None:
+        self.predictor = predictor
+        self._period = np.array([1 / rate])
+        inputs, after = _step(predictor.model, speed_measured)
+        self._step = RowFunction(ca.Function("step", inputs, [after]), shared=(PARAMETERS, PERIOD))
+        places = [predictor.model.parameter_index(name) for name in free]
+        slopes = ca.horzcat(ca.jacobian(after, inputs[0]), ca.jacobian(after, inputs[PARAMETERS])[:, places])
+        flat = ca.reshape(ca.densify(slopes), -1, 1)
+        self._slopes = RowFunction(ca.Function("slopes", inputs, [flat]), shared=(PARAMETERS, PERIOD))
+
+    def run(self, stretch: Stretch, starts: Sequence[int], steps: int, p: Floats) -> Windows:
+        """Simulate from the measured states at rows `starts` of a stretch without faults."""
+        states = self.predictor.states(stretch, p)
+        rows = np.asarray(starts)[:, None] + np.arange(steps + 1)
+        here, there = rows[:, :-1], rows[:, 1:]
+        speed = (stretch.rotor_speed[here] + stretch.rotor_speed[there]) / 2
+        acceleration = (stretch.rotor_speed[there] - stretch.rotor_speed[here]) * stretch.rate
+        inputs, environment = np.concatenate([speed, acceleration], axis=2), stretch.environment[here]
+        found = np.empty((len(rows), steps + 1, states.shape[1]))
+        found[:, 0] = states[rows[:, 0]]
+        half = speed.shape[2]
+        for step in range(steps):
+            u, a = inputs[:, step, :half], inputs[:, step, half:]
+            found[:, step + 1] = self._step(found[:, step], u, a, p, environment[:, step], self._period)
+        return Windows(found, inputs, environment, rows)
+
+    def sensitivities(
+        self, windows: Windows, p: Floats, first: Floats, *, rotor_speed: Floats | None = None, held: bool = False
+    ) -> Floats:
+        """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
+
+        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead. held: the
+        parameters are, and all columns are directions of the start.
+        """
+        count, steps, nx = len(windows.states), windows.inputs.shape[1], windows.states.shape[2]
+        half, width = windows.inputs.shape[2] // 2, first.shape[2]
+        speed = windows.inputs[:, :, :half] if rotor_speed is None else rotor_speed
+        flat = [x.reshape(count * steps, -1) for x in (windows.states[:, :-1], speed, windows.inputs[:, :, half:])]
+        around = windows.environment.reshape(count * steps, -1)
+        slopes = self._slopes(*flat, p, around, self._period).reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
+        found = np.empty((count, steps + 1, nx, width))
+        found[:, 0] = first
+        for step in range(steps):
+            found[:, step + 1] = slopes[:, step, :, :nx] @ found[:, step]
+            if not held:
+                found[:, step + 1, :, width - (slopes.shape[3] - nx) :] += slopes[:, step, :, nx:]
+        return found
+
+
+def healthy(
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch]
+) -> tuple[Vehicle, list[Stretch]]:
+    """The vehicle without its sensors' faults, and stretches as healthy sensors would have read them."""
+    faults = [use for use in vehicle.effects if catalogue[use.name].measurement is not None]
+    if not faults:
+        return vehicle, list(stretches)
+    model = build_model(vehicle, effects=faults, catalogue=catalogue)
+    rest = tuple(use for use in vehicle.effects if use not in faults)
+    return msgspec.structs.replace(vehicle, effects=rest), [_as_read_healthily(s, model) for s in stretches]
+
+
+def _as_read_healthily(stretch: Stretch, model: Model) -> Stretch:
+    """Sensors read affinely, each axis and rotor for itself."""
+    nothing, ones, p = np.zeros(3), np.ones(model.input_count), model.parameter_values
+    _, rate, speed, age = (np.array(found).ravel() for found in model.measure(nothing, nothing, 0 * ones, p))
+    gain = np.array(model.measure(nothing, nothing, ones, p)[2]).ravel() - speed
+    return _in_time(
+        replace(
+            stretch,
+            gyro=None if stretch.gyro is None else stretch.gyro - rate,
+            rotor_speed=(stretch.rotor_speed - speed) / gain,
+        ),
+        float(age[0]),
+    )
+
+
+def _in_time(stretch: Stretch, age: float) -> Stretch:
+    """The stretch with its pose moved to when it was so; the last rows keep the pose that they have."""
+    time = np.arange(len(stretch)) / stretch.rate
+
+    def moved(values: Floats) -> Floats:
+        return np.stack([np.interp(time + age, time, column) for column in values.T], axis=1)
+
+    attitude = moved(stretch.attitude)
+    attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
+    return replace(stretch, position=moved(stretch.position), velocity=moved(stretch.velocity), attitude=attitude)
+
+
+def _step(model: Model, speed_measured: bool) -> tuple[list[Expression], Expression]:
+    """Symbols (x, u, a, p, e, dt) and the state one row later."""
+    sizes = {"x": model.state_count, "u": model.input_count, "a": model.input_count, "p": len(model.parameter_names)}
+    x, u, a, p = (ca.SX.sym(name, size) for name, size in sizes.items())
+    e, dt, still = ca.SX.sym("e", 2), ca.SX.sym("dt"), ca.SX.zeros(model.hidden_count)
+
+    def field(state: Expression) -> Expression:
+        rates = model.derivative(state, u, p, e, still)
+        if not speed_measured:
+            return rates
+        _, angular = model.respond(state, u, a, p, e)  # with the moment of rotors that speed up
+        return ca.vertcat(rates[:10], angular, rates[13:])
+
+    return [x, u, a, p, e, dt], ca.densify(with_unit_attitude(rk4(field, x, dt)))

@@ -1,0 +1,41 @@
+"""Errors in variables: the sensors' own noise stands in the columns too, and shrinks and mixes coefficients.
+
+A stretch with the sensors' noise added once more goes through the whole pipeline again; what that changes in the
+normal equations is what the noise had changed in them before, to first order (SIMEX).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from diagnosis.data.filters import Floats
+from diagnosis.data.segment import Stretch
+from dynamics import quaternion
+
+
+def perturbed(stretch: Stretch, random: np.random.Generator) -> Stretch:
+    """The stretch with white noise of its sensors' estimated levels added."""
+
+    def noisier(values: Floats) -> Floats:
+        return values + white_level(values) * random.standard_normal(values.shape)
+
+    attitude = stretch.attitude
+    step = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-1]), attitude[1:]))
+    level = float(np.std(np.diff(step, 2, axis=0))) / np.sqrt(20.0)
+    turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(stretch), 3))))
+    return replace(
+        stretch,
+        position=noisier(stretch.position),
+        velocity=noisier(stretch.velocity),
+        attitude=np.asarray(turned),
+        gyro=None if stretch.gyro is None else noisier(stretch.gyro),
+        specific_force=None if stretch.specific_force is None else noisier(stretch.specific_force),
+        rotor_speed=noisier(stretch.rotor_speed) if stretch.rotor_source == "measured" else stretch.rotor_speed,
+    )
+
+
+def white_level(values: Floats) -> float:
+    """Standard deviation of white noise in smooth signals (n, k), from third differences."""
+    return float(np.std(np.diff(values, 3, axis=0), axis=0).mean() / np.sqrt(20.0))

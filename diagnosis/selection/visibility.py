@@ -1,0 +1,54 @@
+"""Which effects a log could show at all: an effect that looks at what was not logged is no candidate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import casadi as ca
+
+from diagnosis.data.segment import Stretch
+from dynamics.effect import Effect
+from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.vehicle import EffectUse, Vehicle
+
+STATE_ROWS = {"position": range(3), "velocity": range(3, 6), "attitude": range(6, 10)}
+# Where only a command is known its gain is an unknown of its own, which holds these two already.
+GAIN_OF_COMMAND = ("mass", "thrust_constant")
+RATE_READ, POSE_AGE, VALUES = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
+
+
+def can_show(effect: Effect, stretches: Sequence[Stretch], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether the stretches hold what the effect acts through."""
+    source = stretches[0].rotor_source
+    if effect.rotor_speed is not None:
+        return source != "measured"  # what happens between command and speed does not matter where speed is known
+    if effect.name == "rotor_speed_fault":
+        return source == "measured"
+    if effect.name in GAIN_OF_COMMAND and source == "command":
+        return False
+    if effect.name == "battery_sag" and any(s.battery_ratio is None for s in stretches):
+        return False
+    lacks = frozenset[str]().union(*(s.lacks for s in stretches))
+    return not lacks or not lacks & looks_at(effect, vehicle, catalogue)
+
+
+def looks_at(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> frozenset[str]:
+    """Which of position, velocity and attitude an effect needs: by the structure of its own expressions."""
+    use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
+    model = build_model(vehicle, effects=[use], catalogue=catalogue)
+    columns = _state_columns(model)
+    seen = {name for name, rows in STATE_ROWS.items() if columns & set(rows)}
+    if model.measure.jac_sparsity(RATE_READ, VALUES).nnz() or model.measure.jac_sparsity(POSE_AGE, VALUES).nnz():
+        seen.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
+    return frozenset(seen)
+
+
+def _state_columns(model: Model) -> set[int]:
+    """The entries of the state that forces, torques and hidden states depend on."""
+    found: set[int] = set()
+    for output in range(2):  # specific force and angular acceleration
+        found |= set(model.observe.jac_sparsity(output, 0).get_triplet()[1])
+    hidden: ca.Sparsity = model.derivative.jac_sparsity(0, 0)
+    rows, columns = hidden.get_triplet()
+    found |= {column for row, column in zip(rows, columns, strict=True) if row >= RIGID_BODY_STATES}
+    return found

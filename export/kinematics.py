@@ -1,0 +1,87 @@
+"""A model's motion along given inputs in plain NumPy, over whole windows: what the kernels' roll-outs are held against.
+
+Slow and straightforward: every acceleration comes from the interpreted model with its whole window, no column is
+streamed, and nothing is shared with the kernels but the formulas of docs/kernel.md.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+
+import casadi as ca
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.integrators import rk4
+from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
+from export.network import Floats
+from export.trained import ExportedModel
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.solver import substeps
+
+
+def roll_out(
+    model: ExportedModel, forward: ca.Function, problem: Problem, window: Floats, hidden: Floats, inputs: Floats
+) -> Floats:
+    """(N + 1, nx) states at the nodes after a window (13 + rotors, T or more) and hidden states, along inputs (N, n).
+
+    forward: `export.symbolic.model_function` of the model.
+    """
+    start = np.concatenate([window[:RIGID_BODY_STATES, -1], hidden])
+    if model.integrator == "rk4":
+        return _by_rk4(model, forward, problem, start, inputs)
+    return _by_columns(model, forward, problem, window, start, inputs)
+
+
+def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start: Floats, inputs: Floats) -> Floats:
+    flown = model.flight_model
+    steps, quiet = substeps(flown, problem.node), np.zeros(flown.hidden_count)
+
+    def field(u: Floats, x: Floats) -> Floats:
+        if model.network is None:
+            found = flown.derivative(x, u, flown.parameter_values, ENVIRONMENT_DEFAULT, quiet)
+            return np.array(found).ravel()
+        rates = _rates(forward, np.concatenate([x[:RIGID_BODY_STATES], u])[:, None], x[RIGID_BODY_STATES:])
+        turning = np.asarray(quaternion.derivative(x[6:10], x[10:13]))
+        return np.concatenate([x[3:6], rates[:3], turning, rates[3:]])
+
+    x, states = start, [start]
+    for u in inputs:
+        for _ in range(steps):
+            x = rk4(partial(field, u), x, problem.node / steps)
+        states.append(x)
+    return np.array(states)
+
+
+def _by_columns(
+    model: ExportedModel, forward: ca.Function, problem: Problem, window: Floats, start: Floats, inputs: Floats
+) -> Floats:
+    h, length = model.config.dt, model.history
+    columns = list(window[:, :-1].T)
+    before = np.zeros(0)
+    if model.extrapolated:  # hidden states are not measured: as now, then a step back along their rate
+        then, hidden = np.array(columns[-length:]).T, start[RIGID_BODY_STATES:]
+        before = _rates(forward, then, hidden - h * _rates(forward, then, hidden)[6:])
+    x, states = start, [start]
+    for u in inputs:
+        for _ in range(round(problem.node / h)):
+            columns.append(np.concatenate([x[:RIGID_BODY_STATES], u]))
+            rates = _rates(forward, np.array(columns[-length:]).T, x[RIGID_BODY_STATES:])
+            mean = rates + (rates - before) / 2 if model.extrapolated else rates
+            x, before = _moved(x, mean, h), rates
+        states.append(x)
+    return np.array(states)
+
+
+def _rates(forward: ca.Function, window: Floats, hidden: Floats) -> Floats:
+    """(6 + hidden,) accelerations, world and body axes, then the hidden states' rates."""
+    return np.concatenate([np.array(part).ravel() for part in forward(window, hidden)])
+
+
+def _moved(x: Floats, mean: Floats, h: float) -> Floats:
+    """The state (nx,) after h seconds of mean rates (6 + hidden,)."""
+    turned = quaternion.multiply(x[6:10], quaternion.exponential(h * (x[10:13] + h / 2 * mean[3:6])))
+    return np.concatenate([
+        x[0:3] + h * x[3:6] + h * h / 2 * mean[:3], x[3:6] + h * mean[:3], turned, x[10:13] + h * mean[3:6],
+        x[RIGID_BODY_STATES:] + h * mean[6:],
+    ])  # fmt: skip

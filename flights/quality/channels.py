@@ -1,0 +1,170 @@
+"""Each stream by itself: rate, jitter, gaps, noise, values that stand still, repeat or clip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+
+from flights.alignment import GAP_PERIODS, SHORTEST_GAP
+from flights.log import Floats, Log, Stream
+from flights.quality.findings import Finding
+from flights.quantities import MOTION, RESET_COUNTERS, ROTORS
+
+MOST_JITTER = 0.5  # of a period, for 1 in 20 samples
+STUCK_TIME = 10.0  # s for which a moving quantity may keep a value
+STUCK_BATTERY = 20.0  # s of flight in which any battery's reading moves
+MOST_REPEATS = 0.4  # share of samples that equal the one before
+CLIPPED = 0.01  # share of samples that lie exactly at the extreme
+LEAST_CLIPPED = 5  # samples in a row
+
+
+class Channel(msgspec.Struct, frozen=True):
+    """One stream. rate: Hz. jitter: s that 1 in 20 periods are off. longest_gap: s. noise: of single samples, in unit.
+
+    renewed: Hz at which its values change, less than rate where samples are repeated.
+    """
+
+    quantity: str
+    source: str
+    unit: str
+    samples: int
+    rate: float
+    renewed: float
+    jitter: float
+    gaps: int
+    longest_gap: float
+    missing: float
+    noise: float
+
+
+def channels_of(log: Log) -> tuple[Channel, ...]:
+    """Every stream that is used, in the order of the flight CSV."""
+    return tuple(_channel(stream) for name in log.names if (stream := log.stream(name)) is not None)
+
+
+def channel_findings(log: Log, flying: Sequence[tuple[float, float]]) -> list[Finding]:
+    """What is wrong with single streams. flying: stretches of free flight, s."""
+    found: list[Finding] = []
+    for channel in channels_of(log):
+        if channel.quantity in MOTION or channel.quantity in ROTORS:
+            found += _timing(channel)
+    for name in log.names:
+        stream = log.stream(name)
+        if stream is None or name in RESET_COUNTERS or name in ("armed", "landed") or name.endswith("setpoint"):
+            continue
+        airborne = _within(stream, flying)
+        if len(airborne) > 20:
+            found += _standing_still(stream, airborne)
+            found += _clipping(stream, airborne)
+    return found
+
+
+def _channel(stream: Stream) -> Channel:
+    steps = np.diff(stream.time)
+    period = stream.period
+    limit = max(GAP_PERIODS * period, SHORTEST_GAP) if len(steps) else np.inf
+    held = stream.quantity.kind == "step"
+    gaps = steps[steps > limit] if not held else np.empty(0)
+    missing = ~np.isfinite(stream.values).all(axis=1)
+    return Channel(
+        quantity=stream.name,
+        source=stream.source,
+        unit=stream.unit,
+        samples=len(stream.time),
+        rate=round(stream.rate, 2),
+        renewed=round(stream.rate * (1 - _repeats(stream.values)), 2),
+        jitter=float(np.percentile(np.abs(steps - period), 95)) if len(steps) else 0.0,
+        gaps=len(gaps),
+        longest_gap=float(gaps.max(initial=0.0)),
+        missing=float(missing.mean()),
+        noise=_noise(stream.values),
+    )
+
+
+def _repeats(values: Floats) -> float:
+    if len(values) < 3:
+        return 0.0
+    return float(np.mean(np.all(values[1:] == values[:-1], axis=1)))
+
+
+def _noise(values: Floats) -> float:
+    """Standard deviation of single samples, from second differences: what motion makes of them is smaller."""
+    second = np.diff(values, n=2, axis=0)
+    known = second[np.isfinite(second).all(axis=1)]
+    return float(1.4826 * np.median(np.abs(known)) / np.sqrt(6)) if len(known) else 0.0
+
+
+def _timing(channel: Channel) -> list[Finding]:
+    found = []
+    name, where = channel.quantity, f"{channel.quantity} ({channel.source})"
+    if channel.gaps:
+        found.append(Finding(
+            "warning", "gaps", f"{where} has {channel.gaps} gaps, the longest of {channel.longest_gap:.2f} s",
+            "they are masked; a faster card or fewer topics avoids them",
+        ))  # fmt: skip
+    if channel.jitter * channel.rate > MOST_JITTER:
+        found.append(Finding(
+            "warning", "jitter", f"{where}: 1 in 20 periods is off by {1e3 * channel.jitter:.1f} ms at "
+            f"{channel.rate:.0f} Hz", "use the stamps of the samples, not those of their arrival",
+        ))  # fmt: skip
+    if channel.renewed < (1 - MOST_REPEATS) * channel.rate and name in MOTION:
+        found.append(Finding(
+            "warning", "repeated_samples", f"{where} is logged at {channel.rate:.0f} Hz but changes only "
+            f"{channel.renewed:.0f} times a second", "log it when it is measured",
+        ))  # fmt: skip
+    return found
+
+
+def _within(stream: Stream, flying: Sequence[tuple[float, float]]) -> Floats:
+    inside = np.zeros(len(stream.time), dtype=bool)
+    for start, stop in flying:
+        inside |= (stream.time >= start) & (stream.time <= stop)
+    return stream.values[inside]
+
+
+def _standing_still(stream: Stream, values: Floats) -> list[Finding]:
+    """Columns that keep one value in flight as nothing that is measured does."""
+    battery = stream.name.startswith("battery")
+    least = (STUCK_BATTERY if battery else STUCK_TIME) / stream.period
+    found = []
+    for name, column in zip(stream.columns, values.T, strict=True):
+        known = column[np.isfinite(column)]
+        if len(known) < least or (stream.quantity.kind == "step" and not battery):
+            continue
+        changes = np.flatnonzero(np.diff(known))
+        longest = int(np.diff(np.concatenate([[-1], changes, [len(known) - 1]])).max())
+        if longest >= least:
+            text = f"{name} stands at {known[0] if not len(changes) else known[changes[-1]]:.6g} {stream.unit}"
+            found.append(Finding(
+                "warning", "frozen_channel", f"{text} for {longest * stream.period:.0f} s of flight",
+                "it is no measurement there; check its sensor, and leave the column out until it works",
+            ))  # fmt: skip
+    return found
+
+
+def _clipping(stream: Stream, values: Floats) -> list[Finding]:
+    """Columns that stay exactly at an extreme value again and again."""
+    if stream.name not in (*ROTORS, "rate", "specific_force"):
+        return []
+    found = []
+    for name, column in zip(stream.columns, values.T, strict=True):
+        known = column[np.isfinite(column)]
+        if not len(known) or np.ptp(known) == 0.0:
+            continue
+        for extreme in (known.max(), known.min()):
+            share = _share_in_rows(known == extreme)
+            if share > CLIPPED and (extreme != 0.0 or stream.name not in ROTORS):
+                text = f"{name} stays at {extreme:.6g} {stream.unit} for {share:.1%} of the flight"
+                slower = "fly slower or lighter: at its limit a channel says nothing about the model"
+                wider = "set a wider range of the sensor"
+                found.append(Finding("warning", "saturation", text, slower if stream.name in ROTORS else wider))
+    return found
+
+
+def _share_in_rows(at_extreme: np.ndarray) -> float:
+    """Share of samples in runs of several at the extreme."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], at_extreme.astype(np.int8), [0]]))).reshape(-1, 2)
+    lengths = edges[:, 1] - edges[:, 0]
+    return float(lengths[lengths >= LEAST_CLIPPED].sum() / len(at_extreme))

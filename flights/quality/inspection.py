@@ -1,0 +1,218 @@
+"""A log's verdict: what it holds, what is wrong with it, and what it can answer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from flights import plausibility
+from flights.delays import LARGEST_REACH, Delay, estimate_delays
+from flights.exclusion import Exclusion, excluded_rows, find_exclusions
+from flights.flight import Flight
+from flights.log import Log, Repair
+from flights.quality import advice
+from flights.quality.channels import Channel, channel_findings, channels_of
+from flights.quality.excitation import UNITS, Coverage, Measure, coverages, measures
+from flights.quality.findings import Finding
+from flights.quality.identifiable import DRIVE, WRENCH, EffectAnswer, answers
+from flights.quality.rotor_balance import rotor_findings
+from flights.quantities import RESET_COUNTERS
+from flights.reading import read_log
+
+Verdict = Literal["good", "limited", "unusable"]
+
+LEAST_FLIGHT = 5.0  # s of free flight that can answer anything
+LEAST_ROTOR_RATE = 40.0  # Hz: what the lag of a small vehicle's motors needs, and the regression's own rate
+GOOD_ROTOR_RATE = 95.0
+LEAST_MOTION_RATE = 40.0
+NOTABLE_DELAY = 0.002  # s
+GOOD_SHARE = 0.6  # of the effects
+
+
+class Inspection(msgspec.Struct, frozen=True):
+    """Everything that is said of one log. Times are s since the log's start.
+
+    verdict: unusable when the data cannot answer anything. segments: stretches of free flight. free_flight: their
+    sum, s. delays: by which streams are late.
+    """
+
+    path: str
+    format: str
+    sha256: str
+    verdict: Verdict
+    sentence: str
+    duration: float
+    free_flight: float
+    segments: tuple[tuple[float, float], ...]
+    exclusions: tuple[Exclusion, ...]
+    channels: tuple[Channel, ...]
+    delays: tuple[Delay, ...]
+    excitation: tuple[Measure, ...]
+    coverage: tuple[Coverage, ...]
+    effects: tuple[EffectAnswer, ...]
+    findings: tuple[Finding, ...]
+    advice: tuple[str, ...]
+    notes: tuple[str, ...]
+    repairs: tuple[Repair, ...]
+
+
+def inspect_log(path: str | Path, *, mapping: str | Path | None = None) -> Inspection:
+    """Judge a log. Raises RequestError and DataError as `read_log` does; a poor log is judged, not refused."""
+    return judge(read_log(path, mapping=mapping))
+
+
+def judge(log: Log) -> Inspection:
+    """Judge what was read. Raises DataError when there is nothing to align."""
+    flight = Flight.from_log(log)
+    exclusions = find_exclusions(flight)
+    pieces = flight.segments(exclude=excluded_rows(flight, exclusions))
+    flying = tuple((float(piece.time[0]), float(piece.time[-1])) for piece in pieces)
+    delays = estimate_delays(log, exclusions=exclusions)
+    measured = measures(pieces, ground=_ground_height(flight, exclusions))
+    usable = _usable(log)
+    findings = [
+        *_framed(log), *_actuation(log), *_amount(measured), *_clocks(delays), *_resets(log),
+        *rotor_findings(pieces), *channel_findings(log, flying),
+    ]  # fmt: skip
+    effects = answers(_trusted(usable, findings), measured, UNITS)
+    verdict = _verdict(findings, effects)
+    return Inspection(
+        path=log.provenance.path,
+        format=log.provenance.format,
+        sha256=log.provenance.sha256,
+        verdict=verdict,
+        sentence=_sentence(verdict, findings, effects, measured),
+        duration=round(log.duration, 3),
+        free_flight=round(measured["duration"], 3),
+        segments=flying,
+        exclusions=exclusions,
+        channels=channels_of(log),
+        delays=delays,
+        excitation=tuple(Measure(name, value, UNITS[name]) for name, value in measured.items()),
+        coverage=coverages(pieces),
+        effects=effects,
+        findings=tuple(sorted(findings, key=lambda finding: ("error", "warning", "note").index(finding.severity))),
+        advice=tuple(dict.fromkeys(f.advice for f in findings if f.advice and f.severity != "note")),
+        notes=log.provenance.notes,
+        repairs=log.provenance.repairs,
+    )
+
+
+def _ground_height(flight: Flight, exclusions: Sequence[Exclusion]) -> float:
+    """Where the vehicle stood, m; the height of the origin when it never stood in this log."""
+    standing = excluded_rows(flight, [item for item in exclusions if item.reason == "ground"])
+    if not flight.has("position") or not np.isfinite(flight["position"][standing, 2]).any():
+        return 0.0
+    return float(np.nanmedian(flight["position"][standing, 2]))
+
+
+def _usable(log: Log) -> set[str]:
+    """Quantities logged fast enough to be used for what they are."""
+    slow = dict.fromkeys(WRENCH, LEAST_ROTOR_RATE) | {"rate": LEAST_MOTION_RATE}
+    streams = {name: log.stream(name) for name in log.names}
+    return {name for name, stream in streams.items() if stream is not None and stream.rate >= slow.get(name, 0.0)}
+
+
+def _trusted(usable: set[str], findings: Sequence[Finding]) -> set[str]:
+    """Without a battery that stands still."""
+    stuck = any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
+    return usable - {"battery_voltage"} if stuck else usable
+
+
+def _framed(log: Log) -> list[Finding]:
+    found = plausibility.check(log.streams)
+    return [Finding("error", item.name, item.text, "convert it, or give a column mapping") for item in found]
+
+
+def _actuation(log: Log) -> list[Finding]:
+    """Whether rotors or commands are there, and fast enough."""
+    form, parameters = log.provenance.format, log.parameters
+    rates = {name: stream.rate for name in WRENCH if (stream := log.stream(name)) is not None}
+    faster = advice.faster_rotors(form, parameters)
+    if not rates:
+        return [Finding("error", "no_rotors", "neither rotor speeds nor commands are in this log", faster)]
+    best = max(rates, key=lambda name: rates[name])
+    told = f"{best} is logged at {rates[best]:.0f} Hz"
+    if rates[best] < LEAST_ROTOR_RATE:
+        return [Finding(
+            "error", "rotors_too_slow", f"{told}, wanted {LEAST_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
+            "moments can be told from it", faster,
+        )]  # fmt: skip
+    found = []
+    if rates[best] < GOOD_ROTOR_RATE:
+        found.append(Finding("warning", "rotors_slow", f"{told}; 100 Hz or more would tell more", faster))
+    if "rotor_speed" not in rates and best in DRIVE:
+        found.append(Finding(
+            "note", "commands_only", f"{best} is a command: its gain and lag are unknowns beside every effect",
+            advice.measured_speeds(form),
+        ))  # fmt: skip
+    return found
+
+
+def _amount(measured: dict[str, float]) -> list[Finding]:
+    if measured["duration"] >= LEAST_FLIGHT:
+        return []
+    return [Finding(
+        "error", "no_flight", f"only {measured['duration']:.1f} s of free flight are in this log, wanted "
+        f"{LEAST_FLIGHT:.0f} s at least", "fly longer, and log velocity, attitude and body rates without gaps",
+    )]  # fmt: skip
+
+
+def _clocks(delays: Sequence[Delay]) -> list[Finding]:
+    clocks = [delay for delay in delays if not delay.is_response]
+    late = [d for d in clocks if d.is_known and abs(d.seconds) > NOTABLE_DELAY and not d.low <= 0.0 <= d.high]
+    found = [
+        Finding("note", "clock_offset", str(delay), "take it off with flights.delays.remove_delays before a fit")
+        for delay in late
+    ]
+    return found + [
+        Finding(
+            "note", "uncertain_delay", f"{delay}: known less well than to {1e3 * LARGEST_REACH:.0f} ms, so that it is "
+            "not taken off", "fly more briskly, and where the air is still: gusts hide when rotors act",
+        )
+        for delay in clocks
+        if not delay.is_known
+    ]  # fmt: skip
+
+
+def _resets(log: Log) -> list[Finding]:
+    found = []
+    for name in RESET_COUNTERS:
+        stream = log.stream(name)
+        changes = 0 if stream is None else int((stream.values[1:, 0] != stream.values[:-1, 0]).sum())
+        if changes:
+            found.append(Finding("note", "estimator_reset", f"{name} changed {changes} times; segments end there"))
+    return found
+
+
+def _verdict(findings: Sequence[Finding], effects: Sequence[EffectAnswer]) -> Verdict:
+    fatal = {"no_rotors", "rotors_too_slow", "no_flight"}
+    framed = {"rates_in_degrees", "rate_frame", "frames_upside_down", "force_in_g", "velocity_frame", "attitude_frame"}
+    if any(finding.severity == "error" and finding.name in fatal | framed for finding in findings):
+        return "unusable"
+    if not any(effect.answer != "no" for effect in effects):
+        return "unusable"
+    share = sum(effect.answer == "yes" for effect in effects) / len(effects)
+    poor = any(finding.severity == "error" for finding in findings)
+    return "good" if share >= GOOD_SHARE and not poor else "limited"
+
+
+def _sentence(
+    verdict: Verdict, findings: Sequence[Finding], effects: Sequence[EffectAnswer], measured: dict[str, float]
+) -> str:
+    yes = sum(effect.answer == "yes" for effect in effects)
+    weakly = sum(effect.answer == "weakly" for effect in effects)
+    told = (
+        f"{measured['duration']:.0f} s of free flight can tell {yes} of {len(effects)} effects, {weakly} more of them "
+        "weakly"
+    )
+    worst = next((finding for finding in findings if finding.severity == "error"), None)
+    if verdict == "unusable":
+        return f"This log cannot answer: {worst.text if worst is not None else 'no effect is excited'}."
+    if worst is not None:
+        return f"This log is of limited use: {worst.text}. {told}."
+    return f"This log is good: {told}." if verdict == "good" else f"This log is of limited use: {told}."

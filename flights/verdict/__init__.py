@@ -1,5 +1,0 @@
-"""Is a log good enough, for what, and what would make a better one: the judgement behind `alula inspect`."""
-
-from flights.verdict.inspection import Inspection, inspect_log
-
-__all__ = ["Inspection", "inspect_log"]

@@ -1,0 +1,1 @@
+"""The controller: real-time-iteration MPC, learned models in it, and whether they still fit."""

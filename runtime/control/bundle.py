@@ -1,0 +1,185 @@
+"""A bundle as the runtime takes it: a folder with a compiled kernel, its vehicle file, and a manifest that ties them.
+
+`alula export` writes bundles; a folder with a vehicle file alone is one of a physical model, compiled when it is flown.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.model import Model, build_model
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import PROCESSORS
+
+FORMAT, VERSION = "alula bundle", 1
+MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
+Integrator = Literal["hold", "adams_bashforth", "rk4"]
+PHYSICS = "physics.so"  # the solver of the vehicle file's model, which a learned one falls back to
+
+
+class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Least and greatest value of an input in training, in SI units."""
+
+    name: str
+    unit: str
+    lowest: float
+    highest: float
+
+
+class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a bundle holds and what it was made from.
+
+    kind: the model's. learned: whether there is a network. physics: "none" for a network that replaces it, "nominal"
+    for the textbook model, "vehicle" for that of the vehicle file with its effects. motors: whether rotor speeds are
+    commanded or measured ones. history: columns of a window, dt seconds apart. inputs: frame and ranges of training's
+    inputs. filtered_inputs: training filtered them both ways, which no flight can. integrator: how the kernel makes
+    motion of accelerations. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX
+    inputs and outputs. precision: of the kernel's network. files: sha256 by name. provenance: of the model, as training
+    tells it. notes: what whoever flies it should know. digest: sha256 of all the rest.
+    """
+
+    kind: str
+    learned: bool
+    physics: Literal["none", "nominal", "vehicle"]
+    motors: Literal["command", "measured"]
+    label: Literal["instantaneous", "mean_increment"]
+    filtered_inputs: bool
+    integrator: Integrator
+    rotors: int
+    history: int
+    dt: float
+    frame: Literal["world", "body"]
+    ranges: tuple[InputRange, ...]
+    errors: dict[str, float]
+    shapes: dict[str, tuple[int | str, ...]]
+    units: dict[str, str]
+    problem: Problem
+    processor: str
+    precision: Literal["float", "double"]
+    files: dict[str, str]
+    command: str
+    date: str
+    versions: dict[str, str]
+    provenance: dict[str, str]
+    notes: tuple[str, ...]
+    digest: str = ""
+    format: str = FORMAT
+    version: int = VERSION
+
+
+def sealed(manifest: Manifest) -> Manifest:
+    """The manifest with its digest, from which an edit shows."""
+    rest = msgspec.json.encode(msgspec.structs.replace(manifest, digest=""))
+    return msgspec.structs.replace(manifest, digest=hashlib.sha256(rest).hexdigest())
+
+
+@dataclass(frozen=True, eq=False)
+class Bundle:
+    """A bundle that may be flown. model: states, parameters and vehicle of the kernel's physics."""
+
+    folder: Path
+    manifest: Manifest
+    vehicle: Vehicle
+    vehicle_text: str
+    model: Model
+
+    @property
+    def kernel(self) -> Path:
+        """The compiled kernel."""
+        return self.folder / KERNEL
+
+    @property
+    def physics(self) -> Path:
+        """The compiled solver of the vehicle file's model beside a learned one."""
+        return self.folder / PHYSICS
+
+    @property
+    def range_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Least and greatest inputs (k,) of training."""
+        ranges = self.manifest.ranges
+        return np.array([r.lowest for r in ranges]), np.array([r.highest for r in ranges])
+
+
+def read_bundle(folder: Path) -> Bundle:
+    """Read and check a bundle. Raises RequestError for one that is damaged, edited, for another machine or the desk."""
+    manifest = _read_manifest(folder / MANIFEST)
+    for name, wanted in manifest.files.items():
+        if _digest(folder / name) != wanted:
+            raise RequestError(
+                f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
+                "is proven about it; export the model again."
+            )
+    for needed in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
+        if needed not in manifest.files:
+            raise RequestError(f"{folder / MANIFEST} lists no {needed}: it was edited. Export the model again.")
+    if manifest.filtered_inputs:
+        raise RequestError(
+            f"{folder} cannot fly: its model was trained on inputs filtered with their future, which no flight has. "
+            "Train it with --causal-inputs; its model.onnx and model.c serve at the desk."
+        )
+    _require_machine(folder, manifest)
+    if sealed(manifest) != manifest:
+        raise RequestError(
+            f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
+            "flight may have changed; export the model again."
+        )
+    text = (folder / VEHICLE).read_text(encoding="utf-8")
+    vehicle = parse_vehicle(text)
+    return Bundle(folder, manifest, vehicle, text, physics_of(vehicle, manifest))
+
+
+def physics_of(vehicle: Vehicle, manifest: Manifest) -> Model:
+    """The physical model of a bundle: what its kernel was compiled with, or what gives the solver its shapes."""
+    if manifest.physics != "vehicle":
+        return build_model(vehicle, effects=())
+    measured = manifest.motors == "measured"
+    return build_model(
+        vehicle, effects=[use for use in vehicle.effects if not (measured and CATALOGUE[use.name].rotor_speed)]
+    )
+
+
+def _read_manifest(path: Path) -> Manifest:
+    try:
+        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+    except OSError as error:
+        raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
+    except msgspec.MsgspecError as error:
+        raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
+    if manifest.format != FORMAT or manifest.version != VERSION:
+        raise RequestError(f"{path} is {manifest.format} {manifest.version}, wanted {FORMAT} {VERSION}. Export again.")
+    return manifest
+
+
+def _digest(path: Path) -> str:
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise RequestError(f"the bundle misses {path}: {error}. Export the model again.") from None
+
+
+def _require_machine(folder: Path, manifest: Manifest) -> None:
+    processor = PROCESSORS.get(manifest.processor)
+    if processor is None or not processor.runs_here:
+        usable = [name for name, known in PROCESSORS.items() if known.runs_here]
+        raise RequestError(
+            f"the kernel in {folder} was built for {manifest.processor}, which this processor does not have. Export "
+            f"the model again here, or elsewhere with --processor {usable[0] if usable else 'native'}."
+        )
+    built, here = manifest.versions.get("casadi", ""), metadata.version("casadi")
+    if built != here:
+        raise RequestError(
+            f"the kernel in {folder} was built against the HPIPM of casadi {built}, here is {here}, whose structs may "
+            "differ. Install that version, or export the model again here."
+        )

@@ -1,0 +1,248 @@
+"""The RTI solver as Python sees it: arrays that the C code reads and writes, and one call a phase."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.codegen import FLAGS, build_library, generate_c
+from dynamics.effect import Expression
+from dynamics.errors import RequestError
+from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
+from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.processor import Processor, native_processor
+
+ENTRY = "rti.c"
+KERNEL_DIMENSIONS = (
+    "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
+)  # fmt: skip
+LARGEST_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
+
+
+class RtiReport(ctypes.Structure):
+    """Times in seconds and outcome of the last preparation and feedback; status 0 is solved."""
+
+    _fields_ = (
+        ("prepare_seconds", ctypes.c_double),
+        ("rollout_seconds", ctypes.c_double),
+        ("tangent_seconds", ctypes.c_double),
+        ("condense_seconds", ctypes.c_double),
+        ("feedback_seconds", ctypes.c_double),
+        ("status", ctypes.c_int),
+        ("iterations", ctypes.c_int),
+        ("rows", ctypes.c_int),
+        ("solves", ctypes.c_int),
+    )
+
+
+class RtiSolver:
+    """One controller's solver: `prepare` linearises ahead of time, `feedback` answers a measured state.
+
+    states: (N + 1, nx) and inputs: (N, nu) are the predicted trajectory, views of the C memory. An instance belongs
+    to one thread. history: (columns, 13 + nu) rigid-body states and commanded rotor speeds that a learned model looks
+    back at, oldest first, the last one a column before the state; to be filled before `propagate` and `prepare`.
+    """
+
+    def __init__(self, model: Model, problem: Problem, library: Path | None = None) -> None:
+        """library: a learned model's compiled kernel instead of the model's own code, which is compiled if needed."""
+        self.model, self.problem = model, problem
+        self._code = _load(library or build_solver(model, problem))
+        self._declare()
+        columns = 0 if library is None else self._require_dimensions(library)
+        options = fill_options(problem, model)
+        self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
+        nodes, states, inputs = problem.nodes, model.state_count, model.input_count
+        self.states = self._view("rti_states", (nodes + 1, states))
+        self.inputs = self._view("rti_inputs", (nodes, inputs))
+        self.parameters = self._view("rti_parameters", (model.parameter_values.size,))
+        self.environment = self._view("rti_environment", (ENVIRONMENT_DEFAULT.size,))
+        self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
+        self.gradient = self._view("rti_gradient", (nodes * inputs,))
+        shape = (columns, RIGID_BODY_STATES + inputs)
+        self.history = self._view("rti_history", shape) if columns else np.zeros(shape)
+        self.report: RtiReport = self._code.rti_last_report(self._handle).contents
+        self.parameters[:], self.environment[:] = model.parameter_values, ENVIRONMENT_DEFAULT
+        self._state, self._input, self._next = np.zeros(states), np.zeros(inputs), np.zeros(states)
+        self.state_reference = np.zeros((nodes + 1, states))
+        self.input_reference = np.zeros((nodes, inputs))
+        address = ctypes.c_void_p
+        self._state_at, self._input_at = address(self._state.ctypes.data), address(self._input.ctypes.data)
+        self._next_at = address(self._next.ctypes.data)
+        self._found = np.zeros(6)
+        self._found_at = address(self._found.ctypes.data)
+        self._references_at = (
+            address(self.state_reference.ctypes.data),
+            address(self.input_reference.ctypes.data),
+        )
+
+    def __del__(self) -> None:
+        if handle := getattr(self, "_handle", None):
+            self._code.rti_free(handle)
+
+    def reset(self, state: NDArray[np.float64]) -> None:
+        """Forget the trajectory: every node holds the state (nx,), every rotor its hover speed."""
+        self.states[:] = state
+        self.inputs[:] = self.model.vehicle.hover_speed
+
+    def propagate(self, state: NDArray[np.float64], speed: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
+        """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The array returned is used again."""
+        self._state[:], self._input[:] = state, speed
+        self._code.rti_propagate(self._handle, self._state_at, self._input_at, dt, self._next_at)
+        return self._next
+
+    def shift(self, seconds: float) -> None:
+        """Move the predicted inputs by the time that passes between two ticks."""
+        self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
+
+    def prepare(self, expected: NDArray[np.float64]) -> int:
+        """Linearise and condense at the state (nx,) expected at the next tick, with the references set before.
+
+        Returns 0, or less when a number is not finite; `feedback` then refuses.
+        """
+        self._state[:] = expected
+        return int(self._code.rti_prepare(self._handle, self._state_at, *self._references_at))
+
+    def accelerations(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        """A learned model's mean accelerations (6,) after a state (nx,), world and body axes; needs a kernel."""
+        self._state[:], self._input[:] = state, speed
+        self._code.rti_accelerations(self._handle, self._state_at, self._input_at, self._found_at)
+        return self._found.copy()
+
+    def stream(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Accelerations (n, 6) at columns (n, 13 + nu) that follow the history one by one; needs a kernel.
+
+        The network alone, or on physics whose hidden states stand still.
+        """
+        given, found = np.ascontiguousarray(columns, dtype=float), np.empty((len(columns), 6))
+        at = ctypes.c_void_p
+        self._code.rti_stream(self._handle, at(given.ctypes.data), len(given), at(found.ctypes.data))
+        return found
+
+    def feedback(self, state: NDArray[np.float64]) -> int:
+        """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
+        self._state[:] = state
+        return int(self._code.rti_feedback(self._handle, self._state_at))
+
+    def _declare(self) -> None:
+        code, pointer = self._code, ctypes.c_void_p
+        code.rti_create.restype = pointer
+        code.rti_last_report.restype = ctypes.POINTER(RtiReport)
+        code.rti_propagate.argtypes = (pointer, pointer, pointer, ctypes.c_double, pointer)
+        if hasattr(code, "rti_accelerations"):
+            code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
+            code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
+        code.rti_shift.argtypes = (pointer, ctypes.c_double)
+        code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
+        code.rti_feedback.argtypes = (pointer, pointer)
+        code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
+
+    def _require_dimensions(self, library: Path) -> int:
+        """Columns of history that a kernel looks back. Raises RequestError when it was built for something else."""
+        found = (ctypes.c_int * len(KERNEL_DIMENSIONS))()
+        self._code.rti_dimensions(found)
+        built = dict(zip(KERNEL_DIMENSIONS, found, strict=True))
+        wanted = {
+            "states": self.model.state_count, "inputs": self.model.input_count, "nodes": self.problem.nodes,
+            "parameters": self.model.parameter_values.size, "environment": ENVIRONMENT_DEFAULT.size,
+        }  # fmt: skip
+        if wrong := [f"{name} {built[name]} instead of {size}" for name, size in wanted.items() if built[name] != size]:
+            raise RequestError(f"the kernel {library} was built for {', '.join(wrong)}. Export the model again.")
+        return int(built["history"])
+
+    def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        found = getattr(self._code, function)
+        found.restype, found.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
+        return np.ctypeslib.as_array(found(self._handle), shape=shape)
+
+
+def _load(library: Path) -> ctypes.CDLL:
+    """A compiled solver, with this machine's HPIPM loaded before it, wherever that was when it was built.
+
+    Raises RequestError when it does not fit this machine.
+    """
+    hpipm = find_hpipm()
+    try:
+        for needed in (hpipm.blasfeo, hpipm.hpipm):
+            ctypes.CDLL(str(needed))
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
+
+
+def build_solver(model: Model, problem: Problem) -> Path:
+    """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
+    sources, flags = solver_recipe(model, problem, None)
+    hpipm = find_hpipm()
+    return build_library(sources, flags=(*flags, *hpipm.compiler_flags), libraries=hpipm.linker_flags, entry=ENTRY)
+
+
+def solver_recipe(
+    model: Model, problem: Problem, processor: Processor | None, field: ca.Function | None = None
+) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Sources by file name and compiler flags of the solver of a model that RK4 integrates.
+
+    processor: None for this machine's own. field: (x, u, p, e) -> xdot and its derivatives by x and by u, of MX
+    expressions (CasADi's C then has loops), instead of the model's own.
+    """
+    node, step = _functions(model, field or _field(model))
+    defines: dict[str, int | str] = {
+        "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
+        "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
+        "SUBSTEPS": substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
+        "LOOPS": int(node.is_a("MXFunction")),
+    }  # fmt: skip
+    for name, function in (("NODE", node), ("STEP", step)):
+        defines |= {
+            name: function.name(), f"{name}_ARG": function.sz_arg(), f"{name}_RES": function.sz_res(),
+            f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
+        }  # fmt: skip
+    folder = resources.files("runtime.control.rti")
+    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "box_qp.h", "dense_qp.h")}
+    sources["model.c"] = generate_c([node, step])
+    flags = FLAGS if processor is None else processor.compiler_flags
+    return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))
+
+
+def _field(model: Model) -> ca.Function:
+    x, u = ca.SX.sym("x", model.state_count), ca.SX.sym("u", model.input_count)
+    p, e = ca.SX.sym("p", model.parameter_values.size), ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
+    rate = model.derivative(x, u, p, e, ca.SX.zeros(model.hidden_count))
+    return ca.Function("field", [x, u, p, e], [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)])
+
+
+def _functions(model: Model, field: ca.Function) -> tuple[ca.Function, ca.Function]:
+    """One RK4 step with its Jacobians, carried through the stages as AD of the whole would not, and one without."""
+    kind: Any = ca.MX if field.is_a("MXFunction") else ca.SX
+    x, u, p, e = (kind.sym(field.name_in(i), field.size1_in(i)) for i in range(4))
+    dt = kind.sym("dt")
+
+    def with_sensitivity(state: Expression) -> Expression:
+        """d/dt of [x, dx/dx0, dx/du] laid side by side."""
+        slope, by_state, by_input = field(state[:, 0], u, p, e)
+        forced = ca.horzcat(kind(model.state_count, model.state_count), by_input)
+        return ca.horzcat(slope, by_state @ state[:, 1:] + forced)
+
+    start = ca.horzcat(x, kind.eye(model.state_count), kind(model.state_count, model.input_count))
+    after = ca.cse(ca.densify(rk4(with_sensitivity, start, dt)))
+    parts = ca.horzsplit(after, [0, 1, 1 + model.state_count, 1 + model.state_count + model.input_count])
+    node = ca.Function("alula_node", [x, u, p, e, dt], parts)
+    plain = rk4(lambda state: field(state, u, p, e)[0], x, dt)
+    step = ca.Function("alula_step", [x, u, p, e, dt], [ca.densify(with_unit_attitude(plain))])
+    return node, step
+
+
+def substeps(model: Model, node: float) -> int:
+    """RK4 steps a node, so that none is longer than the fastest lag in the model allows."""
+    lags = [
+        item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
+    ]
+    return max([1, *(math.ceil(node / (LARGEST_STEP_IN_LAGS * lag)) for lag in lags)])

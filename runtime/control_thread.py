@@ -1,0 +1,255 @@
+"""The control thread: wait, observe, decide, send, prepare, hand the record over. All judgement is the Flyer's.
+
+Nothing in the loop raises, blocks but for the wait that sets off the tick, logs, or allocates without bound.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import nan
+
+import msgspec
+import numpy as np
+
+from runtime import realtime
+from runtime.flight.engagement import Request, Transition
+from runtime.flight.events import POLICIES, Change, Event
+from runtime.flight.flyer import Decision, Flyer
+from runtime.flight.mission import Phase
+from runtime.flight.tracking import Tracking
+from runtime.link.estimate import Estimate
+from runtime.link.link import Link
+from runtime.record.recorder import Recorder
+from runtime.record.records import (
+    EventRecord,
+    HorizonRecord,
+    ObservationRecord,
+    PhaseRecord,
+    Record,
+    ReferenceRecord,
+    SetpointRecord,
+    StateRecord,
+    TextRecord,
+    TickRecord,
+)
+from runtime.telemetry_buffer import Watch
+from runtime.timing import Cause, Deadlines, Schedule, TickTimes
+
+HORIZON_EVERY = 10  # ticks between recorded horizons
+MOST_DEFECTS = 10  # ticks in a row that may fail by a defect of ours until the stream is stopped
+LATE_SHARE = 0.2  # of the ticks from which lateness is an event
+News = Transition | Change | str
+
+
+@dataclass
+class Orders:
+    """What the other threads want of the control thread; plain attributes, each written by one of them only."""
+
+    engage: bool = False
+    leave: str = ""
+    stop: bool = False
+    estimates_keep_up: bool = True
+    slow_findings: Mapping[Event, str] = field(default_factory=dict)
+
+
+class ControlThread:
+    """Runs a Flyer on a link until it is over or told to stop."""
+
+    def __init__(
+        self,
+        link: Link,
+        watch: Watch,
+        flyer: Flyer,
+        orders: Orders,
+        *,
+        period: float,
+        priority: int | None = None,
+        processor: int | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        """period: s. priority: of SCHED_FIFO, None for none. processor: to stay on, None for any."""
+        self.deadlines = Deadlines(period)
+        self.tracking = Tracking()
+        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
+        self.news: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self.first_setpoint = nan
+        self.defect = ""
+        self._link, self._watch, self._flyer, self._orders = link, watch, flyer, orders
+        self._period, self._priority, self._processor = period, priority, processor
+        self._recorder = recorder
+        self._estimate: Estimate | None = None
+        self._free = self._busy_before = self._busy_at_departure = 0.0
+        self._tick = self._defects = 0
+        self._preparation = 0.0
+        self._phase = Phase.GROUND
+        self._thread = threading.Thread(target=self._run, name="control", daemon=True)
+
+    def start(self) -> None:
+        """Begin to tick."""
+        self._thread.start()
+
+    def join(self, timeout: float) -> bool:
+        """Wait for the end, at most so many s. Returns whether it has come."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def _run(self) -> None:
+        if self._priority is not None:
+            for refusal in realtime.schedule_thread(self._priority, self._processor):
+                self.news.put(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+        start = self._free = time.monotonic()
+        schedule = Schedule(self._period, start=start)
+        while not self._orders.stop and not self._flyer.over:
+            schedule.estimates_keep_up = self._orders.estimates_keep_up
+            due, by_clock = self._await(schedule)
+            woken, busy = time.monotonic(), time.thread_time()
+            schedule.ticked(due, woken)
+            try:
+                self._fly(due, by_clock, woken, busy)
+                self._defects = 0
+            except Exception as error:  # a defect of ours must degrade the flight, not end it
+                self._defects += 1
+                self.defect = f"tick {self._tick} failed: {error!r}"
+                if self._defects >= MOST_DEFECTS:
+                    self.news.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
+                    return
+            self._busy_before = time.thread_time() - self._busy_at_departure
+            self._free = time.monotonic()
+
+    def _await(self, schedule: Schedule) -> tuple[float, bool]:
+        """Wait for what sets off the next tick. Returns when that was and whether it was the clock."""
+        latest = schedule.latest
+        while True:
+            newest = self._link.wait_for_estimate(self._estimate, latest)
+            if newest is None:
+                return latest, True
+            self._estimate = newest
+            if schedule.wants(newest.received):
+                return newest.received, False
+
+    def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float) -> None:
+        seen = self._observe(woken)
+        estimate = self._estimate
+        decision = self._flyer.step(seen, estimate)
+        if decision.rate_body is not None:
+            self._send(decision)
+        departed, self._busy_at_departure = time.monotonic(), time.thread_time()
+        busy = self._busy_at_departure - busy_at_start
+        times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
+        cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
+        self._flyer.prepare(seen.time)
+        self._preparation = time.monotonic() - departed
+        self._tell(decision)
+        self._record(seen, estimate, decision, times, cause)
+        self._tick += 1
+
+    def _send(self, decision: Decision) -> None:
+        assert decision.rate_body is not None
+        x, y, z = decision.rate_body.tolist()
+        self._link.send_rate_setpoint((x, y, z), decision.thrust)
+        if self.first_setpoint != self.first_setpoint:
+            self.first_setpoint = time.monotonic()
+
+    def _observe(self, now: float) -> ObservationRecord:
+        status, found = self._link.status, self._watch.take()
+        findings = {**found.events, **self._orders.slow_findings}
+        if not self._link.is_connected(now):
+            findings[Event.LINK_LOST] = f"for {now - status.last_heard:.1f} s"
+        if self.deadlines.recent_share > LATE_SHARE:
+            findings[Event.DEADLINES_MISSED] = f"{self.deadlines.recent_share:.0%} of the last hundred"
+        engage, self._orders.engage = self._orders.engage, False
+        return ObservationRecord(
+            tick=self._tick,
+            time=now,
+            estimate_arrival=self._estimate.received if self._estimate is not None else nan,
+            connected=self._link.is_connected(now),
+            armed=status.armed,
+            offboard=status.mode == "OFFBOARD",
+            mode=status.mode,
+            landed=status.landed == "on_ground",
+            findings=_as_text(findings),
+            reset=found.reset,
+            reset_position=found.reset_position,
+            reset_yaw=found.reset_yaw,
+            specific_force_z=found.specific_force_z,
+            engage=engage,
+            leave=self._orders.leave,
+        )
+
+    def _tell(self, decision: Decision) -> None:
+        for request in decision.requests:
+            self.requests.put(request)
+        for transition in decision.transitions:
+            self.news.put(transition)
+        for change in decision.changes:
+            self.news.put(change)
+
+    def _record(
+        self, seen: ObservationRecord, estimate: Estimate | None, decision: Decision, times: TickTimes, cause: Cause
+    ) -> None:
+        flyer, now = self._flyer, seen.time
+        reference = flyer.reference_now(estimate.time) if estimate is not None else None
+        if reference is not None and estimate is not None:
+            self.tracking.add(flyer.mission.phase, estimate, reference)
+        if self._recorder is None:
+            return
+        self._put(seen, now)
+        self._put(self._tick_record(seen, estimate, decision, times, cause), now)
+        if reference is not None and estimate is not None:
+            parts = (reference[0:3], reference[3:6], reference[6:10], reference[10:13])
+            self._put(ReferenceRecord(estimate.time, *parts), now)
+        if decision.rate_body is not None:
+            numbers = (decision.newtons, decision.thrust, flyer.effectiveness.value)
+            self._put(SetpointRecord(now, decision.rate_body, *numbers), now)
+        if flyer.horizon is not None and self._tick % HORIZON_EVERY == 0:
+            states, inputs = flyer.horizon
+            x, y, z = states[:, 0].copy(), states[:, 1].copy(), states[:, 2].copy()
+            self._put(HorizonRecord(now, x, y, z, np.mean(inputs, axis=1)), now)
+        self._record_changes(decision, now)
+
+    def _record_changes(self, decision: Decision, now: float) -> None:
+        for step in decision.transitions:
+            self._put(StateRecord(step.time, step.before.value, step.after.value, step.reason), now)
+        for change in decision.changes:
+            severity = int(POLICIES[change.event].severity)
+            self._put(EventRecord(change.time, change.event.value, change.active, severity, change.text), now)
+        if self.defect:
+            self._put(TextRecord(now, "daemon", 3, self.defect), now)
+        phase = self._flyer.mission.phase
+        if phase is not self._phase:
+            self._phase = phase
+            self._put(PhaseRecord(now, phase.value, self._flyer.mission.describe()), now)
+
+    def _tick_record(
+        self, seen: ObservationRecord, estimate: Estimate | None, decision: Decision, times: TickTimes, cause: Cause
+    ) -> TickRecord:
+        return TickRecord(
+            tick=seen.tick,
+            time=seen.time,
+            trigger="clock" if times.by_clock else "estimate",
+            estimate_time=estimate.time if estimate is not None else nan,
+            estimate_age=seen.time - estimate.time if estimate is not None else nan,
+            state=self._flyer.engagement.state.value,
+            phase=self._flyer.mission.phase.value,
+            fallback=decision.fallback.name.lower(),
+            solver_status=decision.solver_status,
+            feedback_seconds=decision.feedback_seconds,
+            preparation_seconds=self._preparation,
+            departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
+            late_cause=cause.value,
+            model_ratio=self._flyer.model_ratio,
+        )
+
+    def _put(self, record: Record, now: float) -> None:
+        if self._recorder is not None:
+            self._recorder.put(record, now)
+
+
+def _as_text(findings: Mapping[Event, str]) -> str:
+    if not findings:
+        return ""
+    return msgspec.json.encode({event.value: text for event, text in findings.items()}).decode()

@@ -1,0 +1,1 @@
+"""The flight logic: engagement, mission, health, failsafe. Pure."""

@@ -1,0 +1,218 @@
+"""The daemon's states and the rules by which it takes and gives up control. Pure: facts and time in, transitions out.
+
+What makes these rules (behaviour of PX4, measured): a mode is believed when a HEARTBEAT shows it and never because a
+command was acknowledged; the setpoint stream has to run before OFFBOARD is asked for; and the autopilot returns to
+OFFBOARD by itself as soon as a stream resumes, so that whoever was not told to engage must not stream.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import msgspec
+
+from runtime.flight.events import Fallback
+
+
+class State(Enum):
+    """What the daemon does towards the vehicle."""
+
+    DISCONNECTED = "DISCONNECTED"
+    STANDBY = "STANDBY"
+    STREAMING = "STREAMING"
+    ENGAGED = "ENGAGED"
+    FALLBACK = "FALLBACK"
+
+
+class Request(Enum):
+    """What the shell is to ask of the vehicle now."""
+
+    OFFBOARD = "offboard"
+    ARM = "arm"
+    DISARM = "disarm"
+    LAND = "land"
+
+
+class Facts(msgspec.Struct, frozen=True):
+    """What is known about vehicle and link at one instant.
+
+    connected: heartbeats or estimates arrive. armed, offboard, mode: of the last HEARTBEAT. refusal: why engaging is
+    refused now, empty when it is not. fallback, reason: what the health checks ask for and why.
+    """
+
+    connected: bool
+    armed: bool
+    offboard: bool
+    mode: str
+    refusal: str = ""
+    fallback: Fallback = Fallback.NONE
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Transition:
+    """A change of state with its reason."""
+
+    time: float
+    before: State
+    after: State
+    reason: str
+
+    def __str__(self) -> str:
+        return f"{self.before.value} -> {self.after.value}: {self.reason}"
+
+
+class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How engagement is negotiated. All times in s.
+
+    stream_time: streamed before OFFBOARD is asked for (PX4 documents more than 1 s). repeat: between requests.
+    patience: for HEARTBEAT to show OFFBOARD and armed. arm: whether to ask for arming or wait for the pilot to do it.
+    resume: whether control may be taken of a vehicle that was found armed.
+    """
+
+    stream_time: float = 1.2
+    repeat: float = 1.0
+    patience: float = 8.0
+    arm: bool = True
+    resume: bool = False
+
+
+class Engagement:
+    """The state machine."""
+
+    def __init__(self, settings: Settings) -> None:
+        self.state = State.DISCONNECTED
+        self.refusal = ""
+        self._settings = settings
+        self._wanted = False
+        self._found_armed: bool | None = None
+        self._entered = 0.0
+        self._asked = -float("inf")
+        self._requests: tuple[Request, ...] = ()
+
+    @property
+    def streaming(self) -> bool:
+        """Whether setpoints may be sent at all."""
+        return self.state in (State.STREAMING, State.ENGAGED, State.FALLBACK)
+
+    @property
+    def flying(self) -> bool:
+        """Whether the vehicle follows our setpoints."""
+        return self.state in (State.ENGAGED, State.FALLBACK)
+
+    @property
+    def wanted(self) -> bool:
+        """Whether it was told to take control and has not given it up or refused since."""
+        return self._wanted
+
+    @property
+    def found_armed(self) -> bool:
+        """Whether the vehicle was armed already when it was first heard."""
+        return bool(self._found_armed)
+
+    @property
+    def requests(self) -> tuple[Request, ...]:
+        """What the last update wants asked of the vehicle."""
+        return self._requests
+
+    def engage(self) -> None:
+        """Told to take control; holds until control is given up for whatever reason."""
+        self._wanted = True
+        self.refusal = ""
+
+    def release(self, reason: str, time: float) -> tuple[Transition, ...]:
+        """Give control up on purpose: stop streaming, or do not begin to."""
+        self._wanted = False
+        self.refusal = reason
+        return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()
+
+    def update(self, facts: Facts, time: float) -> tuple[Transition, ...]:
+        """Apply the rules to what is known now. Returns the transitions, in order."""
+        self._requests = ()
+        if facts.connected and self._found_armed is None:
+            self._found_armed = facts.armed
+        step = self._rules(facts, time)
+        if step is None:
+            return ()
+        after, reason = step
+        hindered = self.state is State.STREAMING and after is State.STANDBY and bool(facts.refusal)
+        return (self._enter(after, reason, time, keep=hindered),)
+
+    def _enter(self, after: State, reason: str, time: float, *, keep: bool = False) -> Transition:
+        """Change the state. keep: being told to engage still holds, because control was never taken."""
+        transition = Transition(time, self.state, after, reason)
+        if after in (State.STANDBY, State.DISCONNECTED) and self.streaming:
+            # control was given up, on purpose or not: only being told again may take it back
+            self._wanted = self._wanted and keep
+            self.refusal = reason
+        if after is State.STREAMING:
+            self.refusal = ""
+        self.state = after
+        self._entered = time
+        self._asked = -float("inf")
+        return transition
+
+    def _rules(self, facts: Facts, time: float) -> tuple[State, str] | None:
+        if not facts.connected:
+            return None if self.state is State.DISCONNECTED else (State.DISCONNECTED, facts.reason or "link lost")
+        rule = {
+            State.DISCONNECTED: self._disconnected,
+            State.STANDBY: self._standby,
+            State.STREAMING: self._streaming,
+            State.ENGAGED: self._engaged,
+            State.FALLBACK: self._engaged,
+        }[self.state]
+        return rule(facts, time)
+
+    def _disconnected(self, facts: Facts, time: float) -> tuple[State, str]:
+        armed = "armed" if facts.armed else "disarmed"
+        return State.STANDBY, f"vehicle heard, {armed} in {facts.mode}"
+
+    def _standby(self, facts: Facts, time: float) -> tuple[State, str] | None:
+        if not self._wanted:
+            return None
+        if self._found_armed and not self._settings.resume:
+            self._wanted = False
+            self.refusal = (
+                f"the vehicle was already armed when it was found (mode {facts.mode}); control is not taken from "
+                "whoever has it. Land and disarm it, or say --resume"
+            )
+            return None
+        if facts.refusal:
+            self.refusal = facts.refusal
+            return None
+        return State.STREAMING, "told to engage"
+
+    def _streaming(self, facts: Facts, time: float) -> tuple[State, str] | None:
+        if facts.refusal:
+            return State.STANDBY, facts.refusal
+        if facts.fallback >= Fallback.LEVEL_HOLD:
+            return State.STANDBY, facts.reason or facts.fallback.name.lower()
+        streamed = time - self._entered
+        if facts.offboard and facts.armed and streamed >= self._settings.stream_time:
+            return State.ENGAGED, "HEARTBEAT shows OFFBOARD and armed"
+        waited = streamed - self._settings.stream_time
+        if waited > self._settings.patience:
+            missing = "OFFBOARD" if not facts.offboard else "arming"
+            return State.STANDBY, f"HEARTBEAT did not show {missing} within {self._settings.patience:g} s"
+        if waited >= 0 and time - self._asked >= self._settings.repeat:
+            self._asked = time
+            if not facts.offboard:
+                self._requests = (Request.OFFBOARD,)
+            elif self._settings.arm:
+                self._requests = (Request.ARM,)
+        return None
+
+    def _engaged(self, facts: Facts, time: float) -> tuple[State, str] | None:
+        if not facts.armed:
+            return State.STANDBY, "vehicle disarmed"
+        if not facts.offboard:
+            return State.STANDBY, f"mode changed to {facts.mode}, the pilot or the autopilot took over"
+        if facts.fallback is Fallback.STOP_STREAMING:
+            return State.STANDBY, f"stopped streaming, the autopilot's failsafe acts: {facts.reason}"
+        if self.state is State.ENGAGED and facts.fallback > Fallback.NONE:
+            return State.FALLBACK, f"{facts.fallback.name.lower()}: {facts.reason}"
+        if self.state is State.FALLBACK and facts.fallback is Fallback.NONE:
+            return State.ENGAGED, "healthy again"
+        return None

@@ -1,0 +1,421 @@
+"""One tick of the control thread as a pure object: observation and estimate in, setpoint, requests and news out.
+
+`step` is the urgent half, `prepare` follows once the setpoint is on its way. No clock, no input or output: the daemon
+feeds it from the link, the replay from a recording, and both get the same setpoints.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import inf, isfinite, isnan, nan
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.vehicle import Vehicle
+from runtime.control.controller import Command, Controller
+from runtime.flight.engagement import Engagement, Facts, Request, Settings, State, Transition
+from runtime.flight.events import Change, Event, EventMonitor, Fallback
+from runtime.flight.failsafe import Bounds, FallbackChain, LevelHold
+from runtime.flight.health import FlightHealth, HealthLimits
+from runtime.flight.mission import Mission, Phase
+from runtime.flight.shifted import ShiftedSolution
+from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
+from runtime.flight.thrust import EffectivenessEstimator, EstimatorSettings, ThrustMap, specific_force_z
+from runtime.link.estimate import Estimate
+from runtime.record.records import ObservationRecord
+
+Array = NDArray[np.float64]
+ZERO_RATE = np.zeros(3)
+SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
+DISARM_PATIENCE = 5.0  # s until landing is left to the autopilot
+STALE_SOLUTION = 0.2  # s without a solution after which the solver starts anew
+TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
+ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is no surprise
+_UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS, Event.LINK_LOST)
+
+
+class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Everything that decides how a flight is flown, besides vehicle, controller and mission. period: s."""
+
+    period: float = 0.01
+    engagement: Settings = Settings()
+    bounds: Bounds = Bounds()
+    health: HealthLimits = HealthLimits()
+    thrust: EstimatorSettings = EstimatorSettings()
+
+
+@dataclass
+class Decision:
+    """What a tick came to. rate_body: (3,) rad/s, None: nothing may be sent. thrust: 0..1. newtons: N behind it."""
+
+    rate_body: Array | None = None
+    thrust: float = 0.0
+    newtons: float = 0.0
+    fallback: Fallback = Fallback.NONE
+    solver_status: int = -1
+    feedback_seconds: float = 0.0
+    requests: tuple[Request, ...] = ()
+    transitions: list[Transition] = field(default_factory=list)
+    changes: list[Change] = field(default_factory=list)
+
+
+class Flyer:
+    """The flight's logic: engagement, mission phases, controller, fallbacks, thrust."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        controller: Controller,
+        mission: Mission,
+        thrust_map: ThrustMap,
+        settings: FlyerSettings,
+        *,
+        nominal: Controller | None = None,
+    ) -> None:
+        """nominal: the controller of the nominal model to fall back to, None when the first one is nominal already."""
+        self.engagement = Engagement(settings.engagement)
+        self.events = EventMonitor()
+        self.mission = mission
+        self.effectiveness = EffectivenessEstimator(vehicle.body.mass, settings.thrust)
+        self._settings = settings
+        self._vehicle = vehicle
+        self._controller = controller
+        self._nominal = nominal
+        self._nominal_ready = False
+        self._flies = controller
+        self._map = thrust_map
+        self._rate_limit = vehicle.limits.rate
+        self._thrust_limit = vehicle.thrust_limits[1]
+        self._sent: tuple[Array, float, float, float] | None = None
+        self._chain = FallbackChain(settings.bounds)
+        self._health = FlightHealth(vehicle, settings.health)
+        self._hold = LevelHold(vehicle.weight)
+        self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
+        self._landing = LandingDetector(vehicle.weight)
+        self._shifted = ShiftedSolution(vehicle)
+        self._hand_over: HandOver | None = None
+        self._found: dict[Event, str] = {}
+        self._estimate: Estimate | None = None
+        self._before: Estimate | None = None
+        self._force = nan
+        self._solution: tuple[float, Command, Controller] | None = None
+        self._state: Array | None = None
+        self._last: tuple[Array, float] = (ZERO_RATE, 0.0)
+        self._asked_disarm = -inf
+        self._prepared = False
+        self._solved = -inf
+
+    @property
+    def over(self) -> bool:
+        """Whether there is nothing left to fly: it was flown and given up, or refused."""
+        return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.wanted
+
+    @property
+    def landed(self) -> bool:
+        """Whether the flight has ended on the ground, by our doing."""
+        return self.over and self.mission.phase is Phase.SHUTDOWN
+
+    @property
+    def model_ratio(self) -> float:
+        """A learned model's running error over its error in training; NaN where none flies."""
+        return self._controller.fit_ratio
+
+    @property
+    def horizon(self) -> tuple[Array, Array] | None:
+        """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
+        if not self._prepared:
+            return None
+        return self._controller.predicted_states, self._controller.predicted_inputs
+
+    def step(self, seen: ObservationRecord, estimate: Estimate | None) -> Decision:
+        """Decide what to send now. estimate: the newest believed one, the same object while there is no newer."""
+        decision = Decision()
+        fresh = estimate is not None and estimate is not self._estimate
+        if seen.engage:
+            decision.changes += self.events.rearm(seen.time)
+            self.engagement.engage()
+        self._take_estimate(seen, estimate, fresh)
+        decision.changes += self.events.update(self._findings(seen, estimate), seen.time)
+        decision.fallback = self._choose_fallback(seen.time)
+        self._engage(seen, decision)
+        if self.engagement.streaming:
+            self._command(seen, decision)
+        else:
+            self._health.rest()
+        return decision
+
+    def prepare(self, time: float) -> None:
+        """Advance the mission and linearise for the tick after the one at a time, s; after the setpoint left."""
+        self._remember_sent()
+        if not self.engagement.flying or self._state is None or not self.mission.airborne:
+            self._prepared = False
+            return
+        self._learn(time)
+        self.mission.update(self._state, time)
+        window = self._window(self._controller, time)
+        if time - self._solved > STALE_SOLUTION:
+            self._controller.reset(self._state, time)
+        if self._estimate is not None and self._nominal is not None and self._flies is self._nominal:
+            self._controller.follow(self._nominal, self._estimate.state, self._estimate.time, time)
+        self._judge_model(time)
+        self._controller.prepare(*window)
+        self._prepared = True
+        self._prepare_nominal(window, time)
+
+    def _prepare_nominal(self, window: tuple[Array, Array], time: float) -> None:
+        """Keep the nominal controller ready beside a learned one, and while something is wrong."""
+        if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
+            self._nominal_ready = False
+            return
+        # what a model asked for that goes astray says nothing of what the vehicle did: physics begins without it
+        astray = Event.MODEL_OSCILLATES in self._found and Event.MODEL_OSCILLATES not in self.events.active
+        if (astray or not self._nominal_ready) and self._state is not None:
+            self._nominal.reset(self._state, time)
+        if not astray and self._estimate is not None and self._flies is not self._nominal:
+            self._nominal.follow(self._controller, self._estimate.state, self._estimate.time, time)
+        self._nominal.prepare(*window)
+        self._nominal_ready = True
+
+    def _judge_model(self, time: float) -> None:
+        """Whether a learned model may be believed at the next tick."""
+        waiting, outside, unfit = self._controller.distrust(time)
+        if waiting:
+            self._found[Event.MODEL_WAITING] = waiting
+        if outside:
+            self._found[Event.MODEL_OUTSIDE] = outside
+        if unfit:
+            self._found[Event.MODEL_UNHEALTHY] = unfit
+
+    def reference_now(self, time: float) -> Array | None:
+        """The state (13,) that is asked for at a time, None when nothing is tracked."""
+        if not self.mission.airborne or self._state is None:
+            return None
+        states, _ = self.mission.window(np.array([time]), self._state[6:10])
+        return np.asarray(states[0])
+
+    # --- what is known
+
+    def _take_estimate(self, seen: ObservationRecord, estimate: Estimate | None, fresh: bool) -> None:
+        if seen.reset:
+            self.mission.shift(seen.reset_position, seen.reset_yaw)
+        self._force = seen.specific_force_z
+        self._before, self._estimate = self._estimate, estimate
+        if estimate is not None and fresh:
+            self._state = estimate.state
+            if self._health.is_current(estimate, seen.time):
+                self._hold.observe(estimate.attitude)
+
+    def _remember_sent(self) -> None:
+        if self._sent is None:
+            return
+        rate_body, newtons, thrust, time = self._sent
+        self._sent = None
+        self.effectiveness.command(self._map.newtons(thrust), time)
+        self._health.sent(rate_body, newtons, time)
+
+    def _learn(self, time: float) -> None:
+        """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
+        if self._solution is not None:
+            self._shifted.keep(*self._solution)
+            self._solution = None
+        now, before = self._estimate, self._before
+        if now is None or now is before:
+            return
+        self._found |= self._health.flight(now.state, time, learned=self._controller.is_learned)
+        if self.mission.phase is Phase.TOUCHDOWN:
+            return  # the ground carries a part of the weight
+        force = self._force
+        if isnan(force) and before is not None and now.time - before.time > 1e-3:
+            elapsed = now.time - before.time
+            force = specific_force_z(before.velocity_world, now.velocity_world, elapsed, now.attitude)
+        self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
+
+    def _findings(self, seen: ObservationRecord, estimate: Estimate | None) -> dict[Event, str]:
+        present, self._found = self._found, {}
+        if seen.findings:
+            present |= {Event(name): text for name, text in msgspec.json.decode(seen.findings).items()}
+        present |= self._health.estimate_age(estimate, seen.time)
+        if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
+            if not seen.armed:
+                present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
+            elif not seen.offboard:
+                present[Event.MODE_CHANGED] = f"to {seen.mode}"
+        return present
+
+    def _choose_fallback(self, time: float) -> Fallback:
+        if not self.engagement.flying:
+            return self.events.fallback
+        active = self.events.active
+        usable = self._state is not None and not (active and any(event in active for event in _UNUSABLE))
+        solves = self._nominal_ready or (self._nominal is None and not (active and Event.SOLVER_FAILED in active))
+        chosen = self._chain.choose(
+            self.events.fallback,
+            time=time,
+            estimate_usable=usable,
+            solution_left=self._shifted.reaches(time) or not self.mission.airborne,
+            nominal_available=solves,
+        )
+        # a flight on the nominal model flies already what it would fall back to
+        return Fallback.NONE if chosen is Fallback.NOMINAL_MODEL and self._nominal is None else chosen
+
+    # --- who has control
+
+    def _engage(self, seen: ObservationRecord, decision: Decision) -> None:
+        was_flying = self.engagement.flying
+        if was_flying and self.mission.phase in ON_THE_GROUND and not seen.armed:
+            self.mission.shut_down(seen.time)  # an autopilot that notices the landing first disarms by itself
+            decision.transitions += self.engagement.release("landed and disarmed", seen.time)
+        facts = Facts(
+            connected=seen.connected,
+            armed=seen.armed,
+            offboard=seen.offboard,
+            mode=seen.mode,
+            refusal=self.events.refusal,
+            fallback=decision.fallback,
+            reason=self.events.reason,
+        )
+        decision.transitions += self.engagement.update(facts, seen.time)
+        decision.requests = self.engagement.requests
+        if self.engagement.state is State.ENGAGED and not was_flying:
+            self._begin(seen)
+        if self.engagement.flying and self._state is not None:
+            reason = seen.leave or self.events.landing_reason
+            if reason:
+                self.mission.land(reason, self._state, seen.time)
+        elif seen.leave:
+            decision.transitions += self.engagement.release(seen.leave, seen.time)
+
+    def _begin(self, seen: ObservationRecord) -> None:
+        """Control was just taken: from the ground by the ramp, in the air at once."""
+        if self._state is None:
+            return
+        if seen.landed or not self.engagement.found_armed:
+            self.mission.ramp(self._state, seen.time)
+        else:
+            self.mission.take_over(self._state, seen.time)
+            self._start_controller(seen.time)
+
+    def _start_controller(self, time: float) -> None:
+        assert self._state is not None
+        for controller in (self._controller, self._nominal):
+            if controller is not None:
+                controller.reset(self._state, time)
+        self._prepared, self._solved = False, time
+
+    # --- what to send
+
+    def _command(self, seen: ObservationRecord, decision: Decision) -> None:
+        if not self.engagement.flying:
+            self._stand_by(decision)
+        elif decision.fallback is Fallback.LEVEL_HOLD and self.mission.airborne:
+            decision.rate_body, decision.newtons = self._hold.command(self._settings.period)
+        elif self.mission.phase is Phase.RAMP:
+            self._take_off(seen, decision)
+        elif self.mission.phase is Phase.SHUTDOWN:
+            self._shut_down(seen, decision)
+        if self.engagement.flying and self.mission.airborne and decision.rate_body is None:
+            self._fly(seen, decision)
+        self._finish(seen, decision)
+
+    def _stand_by(self, decision: Decision) -> None:
+        """Setpoints for the time before control is taken: idle on the ground, level and hovering in the air."""
+        if self.engagement.found_armed:
+            decision.rate_body, decision.newtons = self._hold.command(0.0)
+        else:
+            decision.rate_body, decision.newtons = ZERO_RATE, 0.0
+
+    def _take_off(self, seen: ObservationRecord, decision: Decision) -> None:
+        assert self._state is not None
+        decision.rate_body = ZERO_RATE
+        if decision.fallback >= Fallback.LEVEL_HOLD:
+            self.mission.land(self.events.reason, self._state, seen.time)
+            return
+        decision.newtons = self._ramp.update(seen.time, float(self._state[2]), float(self._state[5]))
+        if self._ramp.failed:
+            self._found[Event.TAKEOFF_FAILED] = f"{self._ramp.thrust:.2f} N asked for"
+        if not self._ramp.lifted:
+            return
+        settings = self._settings.thrust
+        self.effectiveness.start(self._ramp.effectiveness(settings.delay + settings.response_time))
+        self._hand_over = HandOver(seen.time, self._ramp.thrust * self.effectiveness.value)
+        self.mission.climb(self._state, seen.time)
+        self._start_controller(seen.time)
+        decision.newtons = self._hand_over.thrust
+
+    def _shut_down(self, seen: ObservationRecord, decision: Decision) -> None:
+        since = seen.time - self.mission.time_in_phase_began
+        decision.rate_body = ZERO_RATE
+        decision.newtons = max(0.0, 1.0 - since / SHUTDOWN_TIME) * min(self._last[1], 0.5 * self._vehicle.weight)
+        if since > DISARM_PATIENCE:
+            decision.requests = (Request.LAND,)
+            decision.transitions += self.engagement.release("landed, left to the autopilot to disarm", seen.time)
+        elif since > SHUTDOWN_TIME and seen.time - self._asked_disarm > 1.0:
+            self._asked_disarm = seen.time
+            decision.requests = (Request.DISARM,)
+
+    def _fly(self, seen: ObservationRecord, decision: Decision) -> None:
+        command = self._solve(seen.time, decision)
+        if command is not None:
+            decision.rate_body, decision.newtons = command
+        elif self._shifted.reaches(seen.time):
+            decision.fallback = max(decision.fallback, Fallback.SHIFTED_SOLUTION)
+            decision.rate_body, decision.newtons = self._shifted.at(seen.time)
+        elif not self._prepared and self._hand_over is not None:
+            decision.rate_body, decision.newtons = ZERO_RATE, self._hand_over.thrust
+        else:
+            decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
+            decision.rate_body, decision.newtons = self._hold.command(self._settings.period)
+        if self._hand_over is not None:
+            decision.newtons = self._hand_over.blend(decision.newtons, seen.time)
+        self._watch_ground(seen, decision.newtons)
+
+    def _solve(self, time: float, decision: Decision) -> tuple[Array, float] | None:
+        """Rates and thrust of a fresh solution; None when none may or could be had."""
+        assert self._estimate is not None
+        if decision.fallback is Fallback.SHIFTED_SOLUTION or not self._prepared:
+            return None
+        falls_back = decision.fallback is Fallback.NOMINAL_MODEL and self._nominal is not None and self._nominal_ready
+        controller = self._nominal if falls_back and self._nominal is not None else self._controller
+        state = controller.compensate(self._estimate.state, self._estimate.time, time)
+        command = controller.feedback(state, time)
+        decision.solver_status, decision.feedback_seconds = command.status, command.seconds
+        finite = isfinite(float(command.rate_body.sum()) + command.collective_thrust)
+        if command.status != 0 or not finite:
+            what = f"status {command.status}" if finite else "a solution that is not finite"
+            self._found[Event.SOLVER_FAILED] = what
+            return None
+        self._solution, self._flies = (time, command, controller), controller
+        self._solved = time
+        return command.rate_body, command.collective_thrust
+
+    def _watch_ground(self, seen: ObservationRecord, newtons: float) -> None:
+        assert self._state is not None
+        if self.mission.phase not in (Phase.DESCEND, Phase.TOUCHDOWN):
+            return
+        says_landed = seen.landed and self.mission.phase is Phase.TOUCHDOWN
+        climb_rate = float(self._state[5])
+        long = seen.time - self.mission.time_in_phase_began > TOUCHDOWN_PATIENCE
+        if self._landing.update(seen.time, climb_rate, newtons, vehicle_says_landed=says_landed):
+            self.mission.shut_down(seen.time)
+        elif long and self.mission.phase is Phase.TOUCHDOWN:
+            self._found[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
+
+    def _finish(self, seen: ObservationRecord, decision: Decision) -> None:
+        """Clip to what the vehicle may be asked for and convert newtons to the autopilot's 0..1."""
+        if decision.rate_body is None or not self.engagement.streaming:
+            decision.rate_body = None
+            return
+        asked = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
+        decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in asked])
+        decision.newtons = min(max(decision.newtons, 0.0), self._thrust_limit)
+        decision.thrust = self._map.setpoint(decision.newtons, self.effectiveness.value)
+        self._last = (decision.rate_body, decision.newtons)
+        self._sent = (decision.rate_body, decision.newtons, decision.thrust, seen.time)
+
+    def _window(self, controller: Controller, time: float) -> tuple[Array, Array]:
+        assert self._state is not None
+        times = controller.node_times(time + self._settings.period)
+        states, inputs = self.mission.window(times, self._state[6:10])
+        return states, inputs[:-1]

@@ -1,0 +1,126 @@
+"""Checks on what the flight itself shows: age of the estimate, allowed box, thrust at its limit, rates not followed."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.vehicle import Vehicle
+from runtime.flight.events import Event
+from runtime.link.estimate import Estimate
+from runtime.running_mean import RunningMean
+
+
+class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """stale: s without an estimate. oldest: s that an estimate may be old, on the road or by a clock that slipped.
+
+    margin: m outside the box until control is given up.
+
+    unfollowed: rad/s by which body rates may miss their setpoints on average over `following_time` s. rate_delay: s by
+    which rates follow their setpoints.
+
+    A learned model that makes the vehicle oscillate is left earlier: swing: rad/s by which body rates may miss its
+    setpoints on average over `swing_time` s, chatter: rad/s by which those may turn back and forth from tick to tick
+    (the norm of their second difference).
+    """
+
+    stale: float = 0.06
+    oldest: float = 0.12
+    margin: float = 2.0
+    unfollowed: float = 3.0
+    following_time: float = 1.0
+    rate_delay: float = 0.06
+    swing: float = 2.0
+    chatter: float = 1.5
+    swing_time: float = 0.5
+
+
+class FlightHealth:
+    """Finds events in what is measured and sent. Pure: time is an argument, s."""
+
+    def __init__(self, vehicle: Vehicle, limits: HealthLimits | None = None) -> None:
+        self.limits = limits or HealthLimits()
+        self._box = vehicle.limits.box
+        self._thrust_max = vehicle.thrust_limits[1]
+        self._thrust = 0.0
+        self._sent: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=64)
+        self._forget()
+
+    def _forget(self) -> None:
+        limits = self.limits
+        self._miss, self._swing = RunningMean(limits.following_time, 0.0), RunningMean(limits.swing_time, 0.0)
+        self._chatter = RunningMean(limits.swing_time, 0.0)
+        self._miss_time: float | None = None
+
+    def sent(self, rate_body: NDArray[np.float64], collective_thrust: float, time: float) -> None:
+        """A setpoint went out. rate_body: (3,) rad/s. collective_thrust: N."""
+        self._thrust = collective_thrust
+        if len(self._sent) > 1:
+            (_, oldest), (before, last) = self._sent[-2], self._sent[-1]
+            self._chatter.add(float(np.linalg.norm(rate_body - 2 * last + oldest)), time - before)
+        self._sent.append((time, rate_body))
+
+    @property
+    def oscillation(self) -> tuple[float, float]:
+        """By how much setpoints turn back from tick to tick, and by how much rates miss them; running means, rad/s."""
+        return self._chatter.value, self._swing.value
+
+    def rest(self) -> None:
+        """Nothing is flown: forget what was sent."""
+        self._sent.clear()
+        self._forget()
+        self._thrust = 0.0
+
+    def is_current(self, estimate: Estimate, time: float) -> bool:
+        """Whether what an estimate says can be carried to now by the model."""
+        return time - estimate.received <= self.limits.stale and time - estimate.time <= self.limits.oldest
+
+    def estimate_age(self, estimate: Estimate | None, time: float) -> dict[Event, str]:
+        """Whether estimates still arrive, and in time. estimate: the newest, None before the first."""
+        if estimate is None:
+            return {Event.ESTIMATE_STALE: "none has arrived yet"}
+        if self.is_current(estimate, time):
+            return {}
+        silence = time - estimate.received
+        if silence > self.limits.stale:
+            return {Event.ESTIMATE_STALE: f"none for {1e3 * silence:.0f} ms"}
+        return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
+
+    def flight(self, state: NDArray[np.float64], time: float, *, learned: bool = False) -> dict[Event, str]:
+        """What a fresh state (13,) of a vehicle in the air shows. learned: its controller has a learned model."""
+        found = self._position(state[0:3])
+        if self._thrust > 0.99 * self._thrust_max:
+            found[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
+        self._compare(state[10:13], time)
+        if self._miss.value > self.limits.unfollowed:
+            missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
+            found[Event.SETPOINT_REFUSED] = missed
+        chatter, swing = self.oscillation
+        if learned and chatter > self.limits.chatter:
+            found[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"
+        elif learned and swing > self.limits.swing:
+            found[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
+        return found
+
+    def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
+        if self._box is None:
+            return {}
+        low, high = (np.array(corner) for corner in self._box)
+        outside = float(np.max(np.maximum(low - position, position - high)))
+        if outside <= 0:
+            return {}
+        event = Event.GEOFENCE if outside <= self.limits.margin else Event.GEOFENCE_LEFT
+        return {event: f"{outside:.1f} m outside of the box"}
+
+    def _compare(self, rate_body: NDArray[np.float64], time: float) -> None:
+        asked = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
+        if asked is None:
+            return
+        elapsed = 0.0 if self._miss_time is None else time - self._miss_time
+        self._miss_time = time
+        miss = float(np.linalg.norm(rate_body - asked))
+        self._miss.add(miss, elapsed)
+        self._swing.add(miss, elapsed)

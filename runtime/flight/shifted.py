@@ -1,0 +1,41 @@
+"""The previous solution, moved on in time: what to send for a few ticks when there is no new one. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.vehicle import Vehicle
+from runtime.control.controller import Command, Controller
+
+Array = NDArray[np.float64]
+
+
+class ShiftedSolution:
+    """Keeps the last good command with its prediction and continues both."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        self._constant = vehicle.rotors.thrust_constant
+        self._since = 0.0
+        self._times = np.zeros(0)
+        self._rates = np.zeros((0, 3))
+        self._thrusts = np.zeros(0)
+        self._rate = np.zeros(3)
+        self._thrust = 0.0
+
+    def keep(self, time: float, command: Command, controller: Controller) -> None:
+        """Remember a good solution of a tick at a time, s; copies what the solver will overwrite."""
+        self._since, self._times = time, controller.node_times(time)
+        self._rates = controller.predicted_states[:, 10:13].copy()
+        self._thrusts = self._constant * np.sum(controller.predicted_inputs**2, axis=1)
+        self._rate, self._thrust = command.rate_body, command.collective_thrust
+
+    def reaches(self, time: float) -> bool:
+        """Whether the prediction covers a time, s."""
+        return self._times.size > 1 and self._since <= time < self._times[-2]
+
+    def at(self, time: float) -> tuple[Array, float]:
+        """Rates (3,) rad/s and collective thrust, N, at a time: the last command plus what was predicted to change."""
+        rate = np.array([np.interp(time, self._times, self._rates[:, axis]) for axis in range(3)])
+        thrust = float(np.interp(time, self._times[:-1], self._thrusts))
+        return self._rate + rate - self._rates[0], self._thrust + thrust - float(self._thrusts[0])

@@ -1,0 +1,65 @@
+"""How well the reference was followed: errors of the vehicle's own estimates against the reference at their times."""
+
+from __future__ import annotations
+
+from math import nan, sqrt
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from runtime.flight.mission import Phase
+from runtime.link.estimate import Estimate
+
+
+class TrackingReport(msgspec.Struct, frozen=True):
+    """Errors while a reference was tracked: position m (norm and world axes), velocity m/s, attitude rad."""
+
+    samples: int
+    position_rmse: float
+    position_rmse_axes: tuple[float, float, float]
+    position_max: float
+    velocity_rmse: float
+    attitude_rmse: float
+    speed_max: float
+
+
+class Tracking:
+    """Sums of squared errors while a reference is tracked; each estimate counts once."""
+
+    def __init__(self) -> None:
+        self.samples = 0
+        self.greatest = 0.0
+        self.fastest = 0.0
+        self._position = np.zeros(3)
+        self._velocity = 0.0
+        self._attitude = 0.0
+        self._last: Estimate | None = None
+
+    def add(self, phase: Phase, estimate: Estimate, reference: NDArray[np.float64]) -> None:
+        """Take an estimate and the reference's state (13,) at the estimate's time."""
+        if phase is not Phase.TRACK or estimate is self._last:
+            return
+        self._last = estimate
+        self.samples += 1
+        error = estimate.position_world - reference[0:3]
+        self._position += error * error
+        self.greatest = max(self.greatest, float(np.linalg.norm(error)))
+        self.fastest = max(self.fastest, float(np.linalg.norm(estimate.velocity_world)))
+        self._velocity += float(np.sum((estimate.velocity_world - reference[3:6]) ** 2))
+        self._attitude += float(quaternion.angle_between(estimate.attitude, reference[6:10])) ** 2
+
+    def report(self) -> TrackingReport:
+        """Root mean square errors; all NaN without samples."""
+        count = self.samples or nan
+        axes = np.sqrt(self._position / count)
+        return TrackingReport(
+            samples=self.samples,
+            position_rmse=sqrt(float(np.sum(self._position)) / count),
+            position_rmse_axes=(float(axes[0]), float(axes[1]), float(axes[2])),
+            position_max=self.greatest,
+            velocity_rmse=sqrt(self._velocity / count),
+            attitude_rmse=sqrt(self._attitude / count),
+            speed_max=self.fastest,
+        )

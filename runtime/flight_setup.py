@@ -1,0 +1,166 @@
+"""What a flight is made of, from what a user writes: vehicle, reference, request, and their return from a recording."""
+
+from __future__ import annotations
+
+import gzip
+import hashlib
+import sys
+import tempfile
+from importlib import metadata
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import DataError, RequestError
+from dynamics.model import build_model
+from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.trim import find_trim
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_vehicle
+from dynamics.version import __version__
+from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
+from runtime.daemon import FlightRequest
+from runtime.flight.engagement import Settings
+from runtime.flight.flyer import FlyerSettings
+from runtime.flight.mission import Plan
+from runtime.link.connection import parse_endpoint
+from runtime.record.recording import Recording
+from vehicles import vehicle_path
+
+LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
+VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
+
+
+class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A flight as it is asked for; see the options of `alula fly`."""
+
+    link: str
+    reference: str
+    vehicle: str | None = None
+    bundle: Path | None = None
+    duration: float | None = None
+    height: float = 1.5
+    rate: float = 100.0
+    record: Path | None = None
+    arm: bool = True
+    resume: bool = False
+    priority: int | None = None
+    processor: int | None = None
+    system: int | None = None
+    timeout: float = 10.0
+
+
+class PreparedFlight(msgspec.Struct, frozen=True):
+    """Everything that the daemon needs; the reference is one that the vehicle can fly."""
+
+    request: FlightRequest
+    vehicle: Vehicle
+    reference: Reference
+    bundle: Bundle | None = None
+
+
+def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> PreparedFlight:
+    """Read, check and put together. Raises RequestError for whatever makes no sense or cannot be flown.
+
+    flown_before: the vehicle has flown this already, whatever its file says of what it can.
+    """
+    endpoint = parse_endpoint(setup.link)
+    text = vehicle_text(setup.vehicle, setup.bundle)
+    bundle = exported_bundle(setup.bundle)
+    vehicle = parse_vehicle(text)
+    trim = find_trim(build_model(vehicle)).vehicle
+    reference = named_reference(setup.reference, trim, duration=setup.duration)
+    if not flown_before:
+        check_feasibility(reference, trim).require()
+    attachments = {VEHICLE_TEXT: text}
+    if bundle is not None:
+        attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
+    if Path(setup.reference).is_file():
+        attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
+    request = FlightRequest(
+        endpoint=endpoint,
+        rate=setup.rate,
+        plan=Plan(height=setup.height, duration=setup.duration),
+        settings=FlyerSettings(engagement=Settings(arm=setup.arm, resume=setup.resume)),
+        record=setup.record,
+        system=setup.system,
+        timeout=setup.timeout,
+        priority=setup.priority,
+        processor=setup.processor,
+        metadata=_metadata(setup, attachments),
+        attachments=attachments,
+    )
+    return PreparedFlight(request, vehicle, reference, bundle)
+
+
+def exported_bundle(folder: Path | None) -> Bundle | None:
+    """A bundle of `alula export`, None for a folder with a vehicle file alone. Raises RequestError for a bad one."""
+    if folder is None or not any((folder / name).exists() for name in (MANIFEST, ONNX)):
+        return None
+    return read_bundle(folder)
+
+
+def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
+    """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
+    if vehicle is not None and bundle is not None:
+        raise RequestError(
+            f"{bundle} has its own vehicle file, which its model was trained with: leave --vehicle {vehicle} out, or "
+            "train and export the model for that vehicle."
+        )
+    if vehicle is None and bundle is None:
+        raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
+    path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        if bundle is not None:
+            raise RequestError(f"{bundle} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
+        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from None
+
+
+def recorded_flight(
+    recording: Recording, vehicle: str | None, bundle: Path | None
+) -> tuple[Vehicle, Reference, Bundle | None]:
+    """Vehicle (another one if given), reference and bundle of a recording.
+
+    Raises DataError when it does not tell them, or was flown by a bundle and neither that nor a vehicle is given.
+    """
+    if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
+        raise DataError(f"{recording.path} tells neither vehicle nor reference: it was not written by `alula fly`.")
+    given = vehicle is not None or bundle is not None
+    flown = parse_vehicle(recording.attachments[VEHICLE_TEXT])
+    trim = find_trim(build_model(flown)).vehicle
+    duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
+    # the reference is what was asked for then, whatever vehicle is put under it now
+    if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
+        reference = named_reference(recording.metadata["reference"], trim, duration=duration)
+    else:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / REFERENCE_TEXT
+            path.write_text(table, encoding="utf-8")
+            reference = named_reference(str(path), trim, duration=duration)
+    if not given and MANIFEST in recording.attachments:
+        raise DataError(
+            f"{recording.path} was flown by an exported model: give its bundle with --bundle, or fly it with the "
+            "physics of a vehicle file with --vehicle."
+        )
+    return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference, exported_bundle(bundle)
+
+
+def _table_text(path: Path) -> str:
+    data = path.read_bytes()
+    return (gzip.decompress(data) if path.suffix == ".gz" else data).decode()
+
+
+def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]:
+    hashes = {f"sha256 of {name}": hashlib.sha256(text.encode()).hexdigest() for name, text in attachments.items()}
+    versions = {f"version of {name}": metadata.version(name) for name in LIBRARIES}
+    return {
+        "command": " ".join(sys.argv),
+        "reference": setup.reference,
+        "seed": "none, nothing in the daemon is random",
+        "version": __version__,
+        "python": sys.version.split()[0],
+        **versions,
+        **hashes,
+    }

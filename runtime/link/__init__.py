@@ -1,0 +1,1 @@
+"""The MAVLink link to a vehicle."""

@@ -1,0 +1,164 @@
+"""Commands to the vehicle: message rates, modes, arming. What HEARTBEAT shows decides, not an acknowledgement.
+
+Some PX4 versions answer a mode change with an unconditional ACCEPTED and the real verdict after it (PX4_FACTS,
+double ACK), so an acknowledgement is only ever believed when it refuses.
+"""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Mapping
+
+import msgspec
+
+from dynamics.errors import RequestError
+from runtime.link import modes
+from runtime.link.dialect import MESSAGE_IDS, Message, mavlink
+from runtime.link.link import Link
+from runtime.link.telemetry import VehicleStatus, enum_name
+
+_FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: regardless of checks, and of being in the air
+_HANDLING_TIME = 0.3  # s that a refusal waits for a heartbeat that contradicts it
+
+
+class Confirmation(msgspec.Struct, frozen=True):
+    """Whether the vehicle's heartbeat shows what was asked for, the acknowledgements on the way, and why not."""
+
+    confirmed: bool
+    acknowledgements: tuple[str, ...] = ()
+    reason: str = ""
+
+
+def command_message(link: Link, command: int, attempt: int, *parameters: float) -> Message:
+    """COMMAND_LONG to the vehicle; up to seven parameters, the rest 0."""
+    status = link.status
+    values = (*parameters, *(0.0,) * (7 - len(parameters)))
+    return mavlink.MAVLink_command_long_message(status.system, status.component, command, attempt, *values)
+
+
+def acknowledgement(link: Link, message: Message, command: int) -> str | None:
+    """The result's name if a message acknowledges this command to us, such as accepted or temporarily_rejected."""
+    if message.get_type() != "COMMAND_ACK" or message.command != command:
+        return None
+    if message.target_system not in (0, link.own_system):
+        return None
+    if message.target_component not in (0, link.settings.own_component):
+        return None
+    return enum_name("MAV_RESULT", message.result, "MAV_RESULT_")
+
+
+def send_command(link: Link, command: int, *parameters: float, timeout: float = 0.5, attempts: int = 4) -> str:
+    """Sends a command until it is acknowledged; the result's name, or no_answer.
+
+    For modes and arming use set_mode and set_armed: a first acknowledgement may be wrong there.
+    """
+
+    def request(attempt: int) -> Message:
+        return command_message(link, command, attempt, *parameters)
+
+    def read(message: Message) -> str | None:
+        result = acknowledgement(link, message, command)
+        return None if result == "in_progress" else result
+
+    return link.exchange(request, read, timeout=timeout, attempts=attempts) or "no_answer"
+
+
+def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
+    """Asks for messages at rates in Hz, by name; 0 is the vehicle's default. Returns the results' names.
+
+    What then really arrives is in link.peer.rates.
+
+    Raises RequestError for a message that MAVLink does not have.
+    """
+    unknown = sorted(name for name in rates if name not in MESSAGE_IDS)
+    if unknown:
+        raise RequestError(f"No MAVLink message is called {', '.join(unknown)}; wanted names such as ODOMETRY.")
+    interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
+    return {
+        name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else 0)
+        for name, rate in rates.items()
+    }
+
+
+def set_mode(link: Link, mode: str, timeout: float = 3.0) -> Confirmation:
+    """Asks for a PX4 mode by name, such as OFFBOARD, HOLD or LAND, until HEARTBEAT shows it or timeout seconds passed.
+
+    Raises RequestError for a mode that PX4 does not have.
+    """
+    try:
+        main, sub = modes.mode_numbers(mode)
+    except KeyError:
+        raise RequestError(f"'{mode}' is no mode of PX4; wanted a name such as OFFBOARD, HOLD, RTL or LAND.") from None
+    custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
+    return _confirm(
+        link,
+        mavlink.MAV_CMD_DO_SET_MODE,
+        (custom, float(main), float(sub)),
+        lambda status: (status.main_mode, status.sub_mode) == (main, sub),
+        f"mode {mode.upper()}",
+        timeout,
+    )
+
+
+def set_armed(link: Link, armed: bool, *, force: bool = False, timeout: float = 3.0) -> Confirmation:
+    """Arms or disarms until HEARTBEAT shows it or timeout seconds passed; force ignores the autopilot's checks."""
+    return _confirm(
+        link,
+        mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
+        (float(armed), _FORCE if force else 0.0),
+        lambda status: status.armed == armed,
+        "arming" if armed else "disarming",
+        timeout,
+    )
+
+
+def _confirm(
+    link: Link,
+    command: int,
+    parameters: tuple[float, ...],
+    is_done: Callable[[VehicleStatus], bool],
+    what: str,
+    timeout: float,
+) -> Confirmation:
+    asked = time.monotonic()
+    deadline, refused_until = asked + timeout, float("inf")
+    acknowledgements: list[str] = []
+
+    def read(message: Message) -> str | None:
+        if message.get_type() in ("HEARTBEAT", "CURRENT_MODE"):
+            return ""
+        return acknowledgement(link, message, command)
+
+    with link.listening(read) as answers:
+        link.send(command_message(link, command, 0, *parameters))
+        attempt, resend = 0, asked + 0.5
+        while (now := time.monotonic()) < min(deadline, refused_until):
+            try:
+                answer = answers.get(timeout=max(0.0, min(deadline, refused_until, resend) - now))
+            except queue.Empty:
+                if time.monotonic() >= resend and not acknowledgements:
+                    attempt += 1
+                    link.send(command_message(link, command, attempt, *parameters))
+                resend = time.monotonic() + 0.5
+                continue
+            if answer:
+                acknowledgements.append(answer)
+                refused = answer not in ("accepted", "in_progress")
+                refused_until = time.monotonic() + _HANDLING_TIME if refused else float("inf")
+            elif is_done(link.status):
+                return Confirmation(True, tuple(acknowledgements))
+    return Confirmation(False, tuple(acknowledgements), _reason(what, acknowledgements, timeout))
+
+
+def _reason(what: str, acknowledgements: list[str], timeout: float) -> str:
+    if not acknowledgements:
+        return f"The vehicle never answered the request for {what} within {timeout:g} s."
+    if acknowledgements[-1] in ("accepted", "in_progress"):
+        return f"The vehicle acknowledged {what}, but its heartbeat did not show it within {timeout:g} s."
+    advice = {
+        "mode OFFBOARD": " PX4 wants a stream of setpoints above 2 Hz for a second before it.",
+        "arming": " PX4 tells a ground station why by STATUSTEXT; in OFFBOARD it arms only with a stream.",
+        "disarming": " In the air it is refused unless forced.",
+    }.get(what, "")
+    return f"The vehicle refused {what}: {acknowledgements[-1]}.{advice}"

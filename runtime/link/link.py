@@ -1,0 +1,364 @@
+"""The link to a vehicle: a thread around Peer that reads, answers, keeps time, and hands over the newest estimate."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import queue
+import threading
+import time
+from collections.abc import Callable, Iterator
+from math import isfinite
+from types import TracebackType
+from typing import Literal, Self, TypeVar
+
+import msgspec
+
+from dynamics.errors import AlulaError, VehicleError
+from runtime import realtime
+from runtime.link.connection import Endpoint
+from runtime.link.dialect import Message, mavlink
+from runtime.link.estimate import Estimate, ResetStep
+from runtime.link.framing import Frame, FrameParser
+from runtime.link.peer import Peer, Reaction
+from runtime.link.telemetry import LinkEvent, Severity, VehicleStatus
+from runtime.link.texts import text_messages
+from runtime.link.transport import Address, Transport, TransportLostError, open_transport
+
+Direction = Literal["in", "out"]
+Answer = TypeVar("Answer")
+
+_RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128, PX4_FACTS: body rates and thrust count
+_STEP_ASIDE = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
+_REOPEN_PERIOD = 0.5  # s
+_LARGEST_BATCH = 32  # frames taken in before they are handled
+
+
+class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Who we are on the link, whom we look for and how often we speak; periods in seconds."""
+
+    target_system: int | None = None
+    own_system: int | None = None  # None: the vehicle's own, as the companion on board
+    own_component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
+    gcs_heartbeat: bool = False  # PX4 sends STATUSTEXT only while it hears one; stopping it is a ground-station loss
+    heartbeat_period: float = 1.0
+    timesync_period: float = 0.1
+    silence: float = 1.0  # without a message of the vehicle until it counts as silent
+    priority: int | None = None  # of SCHED_FIFO for the link's thread; no setpoint is earlier than its estimate
+
+
+class Taps(msgspec.Struct, frozen=True):
+    """Who else wants to see what passes; called from the link's and the sender's threads, must return quickly.
+
+    frame: every raw frame with its direction and our monotonic time, s. message: every decoded message with its
+    time of arrival. reset: what an estimator reset moved, told before the estimate after it is handed over. reaction:
+    what followed from each message of the vehicle. event: link events by name.
+    """
+
+    frame: Callable[[Direction, float, bytes], None] | None = None
+    message: Callable[[Message, float], None] | None = None
+    reset: Callable[[ResetStep], None] | None = None
+    reaction: Callable[[Reaction], None] | None = None
+    event: Callable[[LinkEvent], None] | None = None
+
+
+class Link:
+    """A running link to one vehicle; `with Link(endpoint) as link:` opens it and closes it.
+
+    Raises VehicleError or RequestError when the endpoint cannot be opened. What follows never raises: a lost device
+    is the event link_lost, and opened again when it comes back.
+    """
+
+    def __init__(self, endpoint: Endpoint, settings: LinkSettings | None = None, taps: Taps | None = None) -> None:
+        self.endpoint = endpoint
+        self.settings = settings or LinkSettings()
+        self.peer = Peer(self.settings.target_system)
+        self.parser = FrameParser()
+        self._taps = taps or Taps()
+        self._transport: Transport = open_transport(endpoint)
+        self._sequence = itertools.count()
+        # two packers, so that the control thread shares no lock with anybody
+        self._packer, self._setpoint_packer = mavlink.MAVLink(None), mavlink.MAVLink(None)
+        self._send_lock = threading.Lock()
+        self._estimate: Estimate | None = None
+        self._waiting: list[threading.Lock] = []
+        self._found = threading.Event()
+        self._listeners: tuple[Callable[[Message], None], ...] = ()
+        self._text_identities = itertools.count(1)
+        self._next_heartbeat = self._next_timesync = float("-inf")
+        self._silent = False
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="link", daemon=True)
+        self._thread.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Stops the thread and gives the socket or device back."""
+        self._stop.set()
+        if self._thread is not threading.current_thread():
+            self._thread.join()
+        self._transport.close()
+
+    @property
+    def status(self) -> VehicleStatus:
+        """Who the vehicle is and what it does."""
+        return self.peer.status
+
+    @property
+    def transport(self) -> Transport:
+        """The open socket or device."""
+        return self._transport
+
+    @property
+    def own_system(self) -> int:
+        """Our system id: the one set, else the vehicle's, else 1."""
+        if self.settings.own_system is not None:
+            return self.settings.own_system
+        return self.peer.address[0] if self.peer.address is not None else self.settings.target_system or 1
+
+    def is_connected(self, now: float) -> bool:
+        """Whether the vehicle was heard recently. now: s on our monotonic clock."""
+        return now - self.peer.last_heard < self.settings.silence
+
+    # --- estimates
+
+    @property
+    def estimate(self) -> Estimate | None:
+        """The newest believed estimate."""
+        return self._estimate
+
+    def wait_for_estimate(self, newer_than: Estimate | None, deadline: float) -> Estimate | None:
+        """The newest estimate as soon as it is another one than newer_than, or None at the deadline, monotonic s."""
+        while True:
+            # a lock per wait, as in threading.Condition, without the Python around it that costs a tenth of the latency
+            woken = threading.Lock()
+            woken.acquire()
+            self._waiting.append(woken)
+            estimate, remaining = self._estimate, deadline - time.monotonic()
+            if estimate is newer_than and remaining > 0 and woken.acquire(timeout=remaining):
+                continue
+            with contextlib.suppress(ValueError):
+                self._waiting.remove(woken)
+            return None if estimate is newer_than else estimate
+
+    def wait_for_vehicle(self, timeout: float = 10.0) -> VehicleStatus:
+        """The vehicle's status as soon as its heartbeat came.
+
+        Raises VehicleError after timeout seconds, telling what was heard instead.
+        """
+        if not self._found.wait(timeout):
+            raise VehicleError(self._silence_explained(timeout))
+        return self.peer.status
+
+    def _silence_explained(self, timeout: float) -> str:
+        heard = self.peer.heard
+        who = ", ".join(f"{system}/{component} ({what})" for (system, component), what in sorted(heard.items()))
+        if self.settings.target_system is not None and heard:
+            return (
+                f"No vehicle with system id {self.settings.target_system} on {self.endpoint} within {timeout:g} s. "
+                f"Heard (system/component): {who}. Ask for one of these, or leave the system id out."
+            )
+        if heard:
+            return f"No autopilot's heartbeat on {self.endpoint} within {timeout:g} s. Heard (system/component): {who}."
+        what = "bytes that are no MAVLink, wrong baud rate?" if self.parser.skipped_bytes else "nothing at all"
+        return (
+            f"Nobody spoke MAVLink on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
+            "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), a telemetry port "
+            "needs MAV_1_CONFIG set and the same baud rate at both ends, and a firewall may drop UDP."
+        )
+
+    # --- sending
+
+    def send(self, message: Message) -> bool:
+        """Sends one message under our ids; False when the kernel did not take it. From any thread but the control's."""
+        with self._send_lock:
+            return self._pack_and_send(self._packer, message, self.settings.own_component)
+
+    def send_rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> bool:
+        """Sends SET_ATTITUDE_TARGET with body rates and thrust (type_mask 128); shares no lock with other senders.
+
+        rate_body: FLU, rad/s. thrust: 0..1, clipped. A value that is not finite is refused: PX4 would count it as a
+        live setpoint. Returns whether it was sent. To be called from one thread only.
+        """
+        x, y, z = (float(value) for value in rate_body)
+        if not (isfinite(x) and isfinite(y) and isfinite(z) and isfinite(thrust)):
+            return False
+        message = mavlink.MAVLink_set_attitude_target_message(
+            int(time.monotonic() * 1e3) & 0xFFFFFFFF, *(self.peer.address or (0, 0)), _RATES_AND_THRUST,
+            (1.0, 0.0, 0.0, 0.0), x, -y, -z, min(1.0, max(0.0, float(thrust))),
+        )  # fmt: skip
+        return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
+
+    def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
+        """Sends a STATUSTEXT of any length."""
+        for message in text_messages(text, severity, next(self._text_identities) & 0xFFFF or 1):
+            self.send(message)
+
+    def _pack_and_send(self, packer: Message, message: Message, component: int) -> bool:
+        packer.srcSystem, packer.srcComponent = self.own_system, component
+        packer.seq = next(self._sequence) & 0xFF
+        data = message.pack(packer)
+        sent = self._transport.send(data)
+        if sent and self._taps.frame is not None:
+            self._taps.frame("out", time.monotonic(), data)
+        return sent
+
+    # --- questions and answers
+
+    @contextlib.contextmanager
+    def listening(self, read: Callable[[Message], Answer | None]) -> Iterator[queue.SimpleQueue[Answer]]:
+        """A queue of what read makes of the vehicle's messages, None left out; read runs in the link's thread."""
+        answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
+
+        def listen(message: Message) -> None:
+            answer = read(message)
+            if answer is not None:
+                answers.put(answer)
+
+        with self._send_lock:
+            self._listeners = (*self._listeners, listen)
+        try:
+            yield answers
+        finally:
+            with self._send_lock:
+                self._listeners = tuple(each for each in self._listeners if each is not listen)
+
+    def exchange(
+        self,
+        request: Callable[[int], Message],
+        read: Callable[[Message], Answer | None],
+        *,
+        timeout: float = 0.5,
+        attempts: int = 4,
+    ) -> Answer | None:
+        """The first answer to a request that is repeated every timeout seconds, or None after all attempts.
+
+        request: attempt number -> message. read: the answer that a message of the vehicle is, or None.
+        """
+        with self.listening(read) as answers:
+            for attempt in range(attempts):
+                self.send(request(attempt))
+                try:
+                    return answers.get(timeout=timeout)
+                except queue.Empty:
+                    continue
+        return None
+
+    # --- the thread
+
+    def _run(self) -> None:
+        if self.settings.priority is not None:
+            for refusal in realtime.schedule_thread(self.settings.priority):
+                self._tell(time.monotonic(), "realtime_unavailable", "warning", f"The link's thread: {refusal}.")
+        while not self._stop.is_set():
+            self._speak(time.monotonic())
+            try:
+                batch = self._receive()
+            except TransportLostError as error:
+                self._tell(time.monotonic(), "link_lost", "error", str(error))
+                self._reopen()
+                continue
+            for frame, received, source in batch:
+                try:
+                    self._handle(frame, received, source)
+                except Exception as error:  # a defect of ours must not take the link down in flight
+                    self._tell(received, "link_defect", "error", f"Handling a message failed: {error!r}")
+
+    def _receive(self) -> list[tuple[Frame, float, Address | None]]:
+        """What has arrived, state estimates first: autopilots send in bursts, and the rest can wait."""
+        batch: list[tuple[Frame, float, Address | None]] = []
+        received = self._transport.receive()
+        while received is not None and len(batch) < _LARGEST_BATCH:
+            batch += [(frame, received.time, received.source) for frame in self.parser.feed(received.data)]
+            try:
+                received = self._transport.receive(wait=False)
+            except TransportLostError:
+                break  # what came before the end counts; the next call finds the end again
+        if len(batch) > 1:
+            batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
+        return batch
+
+    def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
+        reaction = self.peer.handle(frame, received)
+        if reaction.reset is not None and self._taps.reset is not None:
+            self._taps.reset(reaction.reset)
+        if reaction.estimate is not None:
+            self._publish(reaction.estimate)
+        if (frame.system, frame.component) == self.peer.address:
+            self._transport.answer(source)
+            if not self._found.is_set():
+                self._found.set()
+                self._next_heartbeat = float("-inf")  # only now does anybody hear it
+            for answer in reaction.answers:
+                self.send(answer)
+            for listener in self._listeners:
+                listener(frame.message)
+        self._pass_on(frame, received, reaction)
+
+    def _publish(self, estimate: Estimate) -> None:
+        self._estimate = estimate
+        waiting, self._waiting = self._waiting, []
+        for woken in waiting:
+            woken.release()
+        if waiting:
+            time.sleep(_STEP_ASIDE)
+
+    def _pass_on(self, frame: Frame, received: float, reaction: Reaction) -> None:
+        if self._taps.frame is not None:
+            self._taps.frame("in", received, frame.data)
+        if self._taps.message is not None and frame.is_known:
+            self._taps.message(frame.message, received)
+        if self._taps.reaction is not None:
+            self._taps.reaction(reaction)
+        if self._taps.event is not None:
+            for event in reaction.events:
+                self._taps.event(event)
+
+    def _tell(self, now: float, name: str, severity: Severity, text: str) -> None:
+        if self._taps.event is not None:
+            for event in self.peer.tell(now, name, severity, text):
+                self._taps.event(event)
+
+    def _speak(self, now: float) -> None:
+        """Sends what is due, and notices when the vehicle fell silent or speaks again."""
+        if now >= self._next_heartbeat:
+            self._next_heartbeat = now + self.settings.heartbeat_period
+            self._send_heartbeats()
+        if now >= self._next_timesync and self.peer.address is not None:
+            self._next_timesync = now + self.settings.timesync_period
+            self.send(mavlink.MAVLink_timesync_message(0, time.monotonic_ns()))
+        silent = self.peer.address is not None and not self.is_connected(now)
+        if silent != self._silent:
+            self._silent = silent
+            if silent:
+                text = f"Nothing was heard of the vehicle for {self.settings.silence:g} s."
+                self._tell(now, "vehicle_silent", "error", text)
+            else:
+                self._tell(now, "vehicle_heard_again", "info", "The vehicle speaks again.")
+
+    def _send_heartbeats(self) -> None:
+        active, no_autopilot = mavlink.MAV_STATE_ACTIVE, mavlink.MAV_AUTOPILOT_INVALID
+        self.send(mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_ONBOARD_CONTROLLER, no_autopilot, 0, 0, active, 3))
+        if self.settings.gcs_heartbeat:
+            message = mavlink.MAVLink_heartbeat_message(mavlink.MAV_TYPE_GCS, no_autopilot, 0, 0, active, 3)
+            with self._send_lock:
+                self._pack_and_send(self._packer, message, mavlink.MAV_COMP_ID_MISSIONPLANNER)
+
+    def _reopen(self) -> None:
+        """Waits for a lost device or stream to come back."""
+        self._transport.close()
+        while not self._stop.wait(_REOPEN_PERIOD):
+            try:
+                self._transport = open_transport(self.endpoint)
+            except AlulaError:
+                continue
+            self.parser = FrameParser()
+            self._tell(time.monotonic(), "link_restored", "warning", f"{self.endpoint} is open again.")
+            return

@@ -1,0 +1,222 @@
+"""What the other end of the link has told us, and what it has to be answered: the link without its socket."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import msgspec
+
+from runtime.link import modes, telemetry
+from runtime.link.clock import VehicleClock
+from runtime.link.dialect import Message, mavlink
+from runtime.link.estimate import (
+    Estimate,
+    EstimateLimits,
+    EstimateMonitor,
+    Judgement,
+    Odometry,
+    ResetStep,
+    read_odometry,
+)
+from runtime.link.framing import Frame
+from runtime.link.rates import RateMeter
+from runtime.link.telemetry import Battery, LinkEvent, Severity, Telemetry, Text, VehicleStatus
+from runtime.link.texts import TextAssembler
+
+_TOLD_AGAIN_AFTER = 1.0  # s until an event of the same name is told again
+_FARTHEST_STAMP = (
+    10.0  # s between a state's time and its arrival beyond which its stamp is not the synchronised clock's
+)
+_NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
+
+
+class Reaction(msgspec.Struct):
+    """What follows from one message: answers to send, and what is new for the rest of the runtime."""
+
+    estimate: Estimate | None = None
+    reset: ResetStep | None = None
+    telemetry: Telemetry | None = None
+    answers: list[Message] = []
+    events: list[LinkEvent] = []
+    texts: list[Text] = []
+
+
+class Peer:
+    """The vehicle at the other end, as far as its messages tell.
+
+    Pure: no socket and no clock, so that a recording can be fed to it like a link. target_system: the only system
+    that is taken for the vehicle; None takes the first autopilot heard.
+    """
+
+    def __init__(self, target_system: int | None = None, estimate_limits: EstimateLimits | None = None) -> None:
+        self._target_system = target_system
+        self.address: tuple[int, int] | None = None  # system and component of the vehicle once it is found
+        self._status = VehicleStatus()
+        self._texts = TextAssembler()
+        self._told: dict[str, tuple[float, int]] = {}
+        self.last_heard = float("-inf")
+        self.heard: dict[tuple[int, int], str] = {}
+        self.clock = VehicleClock()
+        self.estimates = EstimateMonitor(estimate_limits)
+        self.rates = RateMeter()
+        self.latest: dict[type[Telemetry], Telemetry] = {}
+        self.odometry_frames: tuple[int, int] | None = None
+        self._handlers: dict[str, Callable[[Message, float, Reaction], None]] = {
+            "ATTITUDE_QUATERNION": self._handle_attitude,
+            "LOCAL_POSITION_NED": self._handle_local_position,
+            "HEARTBEAT": self._handle_heartbeat,
+            "TIMESYNC": self._handle_timesync,
+            "EXTENDED_SYS_STATE": self._handle_extended_state,
+            "CURRENT_MODE": self._handle_current_mode,
+            "STATUSTEXT": self._handle_text,
+        }
+
+    @property
+    def status(self) -> VehicleStatus:
+        """Who the vehicle is and what it does, with the time it was last heard."""
+        return msgspec.structs.replace(self._status, last_heard=self.last_heard)
+
+    def handle(self, frame: Frame, received: float) -> Reaction:
+        """Takes in one frame of any sender that arrived at received, s on our monotonic clock."""
+        reaction = Reaction()
+        if not frame.is_known:
+            return reaction  # without a definition not even its checksum can be verified
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_HEARTBEAT:
+            self._discover(frame.system, frame.component, frame.message, received, reaction)
+        if (frame.system, frame.component) != self.address:
+            self.heard.setdefault((frame.system, frame.component), "no heartbeat yet")
+            return reaction
+        self.last_heard = received
+        self.rates.handle(frame.message_id, received)
+        if frame.message_id == mavlink.MAVLINK_MSG_ID_ODOMETRY:
+            self._handle_odometry(read_odometry(frame.payload), received, reaction)
+        else:
+            self._handle_message(frame.message, received, reaction)
+        return reaction
+
+    def _handle_message(self, message: Message, received: float, reaction: Reaction) -> None:
+        handler = self._handlers.get(message.get_type())
+        if handler is not None:
+            handler(message, received, reaction)
+            return
+        sample = telemetry.decode_telemetry(message, received, self._time_of)
+        if sample is not None:
+            self._keep(sample)
+            reaction.telemetry = sample
+
+    def tell(self, time: float, name: str, severity: Severity, text: str) -> list[LinkEvent]:
+        """The event to pass on: none while one of the same name was told less than a second ago."""
+        told, repeats = self._told.get(name, (float("-inf"), 0))
+        if time - told < _TOLD_AGAIN_AFTER:
+            self._told[name] = (told, repeats + 1)
+            return []
+        self._told[name] = (time, 0)
+        return [LinkEvent(time, name, severity, text, repeats)]
+
+    def _keep(self, sample: Telemetry) -> None:
+        self.latest[type(sample)] = sample
+        if isinstance(sample, Battery) and sample.voltage > 0:
+            self._status = msgspec.structs.replace(self._status, battery_voltage=sample.voltage)
+
+    def _time_of(self, remote: float, received: float) -> float:
+        return self._synchronised(remote, received)[0]
+
+    def _synchronised(self, remote: float, received: float) -> tuple[float, bool]:
+        """Our time of a vehicle stamp, s, and whether the vehicle's clock gave it; never later than its arrival."""
+        if self.clock.is_valid(received):
+            time = self.clock.to_ours(remote)
+            if abs(received - time) < _FARTHEST_STAMP:
+                return min(time, received), True
+        return received, False
+
+    def _discover(self, system: int, component: int, message: Message, received: float, reaction: Reaction) -> None:
+        kind = telemetry.enum_name("MAV_TYPE", message.type, "MAV_TYPE_")
+        autopilot = telemetry.enum_name("MAV_AUTOPILOT", message.autopilot, "MAV_AUTOPILOT_")
+        self.heard[system, component] = f"{kind}, {autopilot}"
+        is_autopilot = message.autopilot != mavlink.MAV_AUTOPILOT_INVALID and message.type not in _NOT_AUTOPILOTS
+        if not is_autopilot or self._target_system not in (None, system):
+            return
+        if not self._status.is_known:
+            self._status = VehicleStatus(system=system, component=component, autopilot=autopilot, kind=kind)
+            self.address = (system, component)
+            text = f"Vehicle {system}, component {component}: {kind} with {autopilot}."
+            reaction.events += self.tell(received, "vehicle_found", "info", text)
+        elif (system, component) != self.address:
+            text = f"Vehicle {system} is on this link as well; following {self._status.system} only."
+            reaction.events += self.tell(received, "other_vehicle", "warning", text)
+
+    def _handle_heartbeat(self, message: Message, received: float, reaction: Reaction) -> None:
+        before = self._status
+        reaction.texts += self._texts.expire(received)
+        armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+        status = telemetry.enum_name("MAV_STATE", message.system_status, "MAV_STATE_")
+        self._status = msgspec.structs.replace(before, armed=armed, system_status=status, last_heartbeat=received)
+        self._set_mode(message.custom_mode, received, reaction)
+        if armed != before.armed:
+            name = "armed" if armed else "disarmed"
+            reaction.events.append(LinkEvent(received, name, "info", f"The vehicle is {name}."))
+        if status != before.system_status and status in ("critical", "emergency", "flight_termination"):
+            text = f"The vehicle reports the state {status}, in mode {self._status.mode}."
+            reaction.events.append(LinkEvent(received, "vehicle_critical", "error", text))
+
+    def _handle_current_mode(self, message: Message, received: float, reaction: Reaction) -> None:
+        if message.custom_mode:
+            self._set_mode(message.custom_mode, received, reaction)
+
+    def _set_mode(self, custom_mode: int, received: float, reaction: Reaction) -> None:
+        before = self._status.mode
+        main, sub = modes.split_custom_mode(custom_mode)
+        mode = modes.mode_name(main, sub)
+        if mode == before:
+            return
+        self._status = msgspec.structs.replace(self._status, main_mode=main, sub_mode=sub, mode=mode)
+        if before != "unknown":
+            text = f"The vehicle's mode went from {before} to {mode}."
+            reaction.events.append(LinkEvent(received, "mode_changed", "info", text))
+
+    def _handle_extended_state(self, message: Message, received: float, reaction: Reaction) -> None:
+        landed = telemetry.landed_state(message.landed_state)
+        if landed != self._status.landed:
+            self._status = msgspec.structs.replace(self._status, landed=landed)
+            reaction.events.append(LinkEvent(received, "landed_state", "info", f"Landed state: {landed}."))
+
+    def _handle_text(self, message: Message, received: float, reaction: Reaction) -> None:
+        reaction.texts += self._texts.handle(message, received)
+
+    def _handle_timesync(self, message: Message, received: float, reaction: Reaction) -> None:
+        if message.tc1 == 0:
+            self.clock.handle_one_way(received, message.ts1 * 1e-9)
+            answer = mavlink.MAVLink_timesync_message(round(received * 1e9), message.ts1)
+            reaction.answers.append(answer)
+            return
+        sent = message.ts1 * 1e-9
+        if not received - 5.0 < sent <= received:
+            return  # an answer to somebody else's request, whose clock is not ours
+        offset = self.clock.offset(received)
+        match self.clock.handle(sent, received, message.tc1 * 1e-9):
+            case "jumped":
+                text = f"The vehicle's clock jumped by {self.clock.offset(received) - offset:.3f} s."
+                reaction.events += self.tell(received, "clock_jumped", "warning", text)
+            case "ran_backwards":
+                text = f"The vehicle's clock ran backwards by {offset - self.clock.offset(received):.3f} s: a reboot?"
+                reaction.events += self.tell(received, "clock_ran_backwards", "error", text)
+                self.estimates.reset()
+
+    def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
+        self.odometry_frames = (odometry.frame_id, odometry.child_frame_id)
+        time, synchronised = self._synchronised(odometry.time, received)
+        self._take(self.estimates.handle_odometry(odometry, time, received, synchronised), received, reaction)
+
+    def _handle_local_position(self, message: Message, received: float, reaction: Reaction) -> None:
+        self.estimates.handle_local_position(message, self._time_of(message.time_boot_ms * 1e-3, received))
+
+    def _handle_attitude(self, message: Message, received: float, reaction: Reaction) -> None:
+        time, synchronised = self._synchronised(message.time_boot_ms * 1e-3, received)
+        judgement = self.estimates.handle_attitude(message, time, received, synchronised)
+        if judgement is not None:
+            self._take(judgement, received, reaction)
+
+    def _take(self, judgement: Judgement, received: float, reaction: Reaction) -> None:
+        reaction.estimate, reaction.reset = judgement.estimate, judgement.step
+        if judgement.finding is not None:
+            reaction.events += self.tell(received, judgement.finding, "warning", judgement.text)

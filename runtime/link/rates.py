@@ -1,0 +1,66 @@
+"""How often each message really comes: intervals over a sliding window, not what was asked for."""
+
+from __future__ import annotations
+
+from collections import deque
+from itertools import pairwise
+
+import msgspec
+
+from runtime.link.dialect import MESSAGE_IDS, MESSAGE_NAMES
+
+WINDOW = 3.0  # s
+_LARGEST_WINDOW = 4000  # messages
+
+
+class StreamRate(msgspec.Struct, frozen=True):
+    """Rate, Hz, over the window and the intervals' median, 1st and 99th percentile, s."""
+
+    rate: float
+    median: float
+    p1: float
+    p99: float
+    count: int
+
+
+SILENT = StreamRate(0.0, float("inf"), float("inf"), float("inf"), 0)
+
+
+class RateMeter:
+    """Counts arrivals per message id. Pure: times are arguments, s on our monotonic clock."""
+
+    def __init__(self, window: float = WINDOW) -> None:
+        self._window = window
+        self._arrivals: dict[int, deque[float]] = {}
+
+    def handle(self, message_id: int, received: float) -> None:
+        """One message arrived."""
+        arrivals = self._arrivals.get(message_id)
+        if arrivals is None:
+            arrivals = self._arrivals[message_id] = deque(maxlen=_LARGEST_WINDOW)
+        arrivals.append(received)
+        while arrivals[0] < received - self._window:
+            arrivals.popleft()
+
+    def rate(self, name: str, now: float, window: float = WINDOW) -> StreamRate:
+        """What the message of this name achieves within a window, s, before now; at most the one that is kept."""
+        arrivals = tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ()))
+        times = [time for time in arrivals if time >= now - window]
+        if len(times) < 2:
+            return msgspec.structs.replace(SILENT, count=len(times))
+        intervals = sorted(after - before for before, after in pairwise(times))
+        # a stream that stopped in the middle of the window is as slow as its silence makes it
+        span = max(times[-1] - times[0], now - times[0] - intervals[-1])
+        return StreamRate(
+            (len(times) - 1) / max(span, 1e-6),
+            intervals[len(intervals) // 2],
+            intervals[len(intervals) // 100],
+            intervals[-1 - len(intervals) // 100],
+            len(times),
+        )
+
+    def rates(self, now: float) -> dict[str, StreamRate]:
+        """Every message that came within the window before now, by name."""
+        names = sorted(MESSAGE_NAMES.get(number, f"UNKNOWN_{number}") for number in tuple(self._arrivals))
+        rates = {name: self.rate(name, now) for name in names}
+        return {name: rate for name, rate in rates.items() if rate.count}

@@ -1,0 +1,317 @@
+"""Bytes to and from a vehicle over UDP, TCP or a serial line: blocking receive, sends that never block."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import select
+import socket
+import struct
+import time
+from typing import Any, Protocol
+
+import msgspec
+import serial
+
+from dynamics.errors import RequestError, VehicleError
+from runtime.link.connection import Endpoint
+
+Address = tuple[Any, ...]
+
+PATIENCE = 0.05  # s that one receive waits
+_LARGEST_READ = 65536
+_TIMESPEC = struct.Struct("@ll")  # and timeval
+_SO_TIMESTAMPNS = 35  # Linux; Python's socket module does not name it
+_GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT)
+_SURVIVED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.ENETDOWN)
+
+
+class Received(msgspec.Struct, frozen=True, gc=False):
+    """Bytes as they came, with the monotonic time of their arrival, s, and the address of their sender if there is one.
+
+    On UDP the time is the kernel's, so that waiting for the processor counts as the age of what was received.
+    """
+
+    data: bytes
+    time: float
+    source: Address | None = None
+
+
+class TransportLostError(VehicleError):
+    """The device or the stream behind a link is gone; opening it again may help."""
+
+
+class Transport(Protocol):
+    """What a link needs of UDP, TCP and serial lines."""
+
+    def receive(self, *, wait: bool = True) -> Received | None:
+        """The next bytes, or None after PATIENCE, or at once. Raises TransportLostError when the other end is gone."""
+
+    def send(self, data: bytes) -> bool:
+        """Hands bytes to the kernel without waiting; False when it did not take them all."""
+
+    def answer(self, source: Address | None) -> None:
+        """Sends from now on to the address that a received packet came from."""
+
+    def close(self) -> None:
+        """Gives the socket or device back."""
+
+
+def open_transport(endpoint: Endpoint) -> Transport:
+    """Opens the socket or device of an endpoint.
+
+    Raises VehicleError when the port is taken, refused or the device is absent or not permitted, RequestError for
+    a host that does not exist.
+    """
+    match endpoint.kind:
+        case "udpin" | "udpout":
+            return UdpTransport(endpoint)
+        case "tcpin" | "tcpout":
+            return TcpTransport(endpoint)
+        case "serial":
+            return SerialTransport(endpoint)
+
+
+class UdpTransport:
+    """One UDP socket: bound and learning its peer (udpin), or sending first to a given one (udpout)."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        family, address = _resolve(endpoint, socket.SOCK_DGRAM)
+        self._socket = socket.socket(family, socket.SOCK_DGRAM)
+        # a blocking socket with a time limit in the kernel: one system call for each datagram, not two
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMESPEC.pack(0, int(PATIENCE * 1e6)))
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        self._socket.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+        self._peer: Address | None = None
+        if endpoint.kind == "udpin":
+            try:
+                self._socket.bind(address)
+            except OSError as error:
+                self._socket.close()
+                raise _refused(endpoint, error) from None
+        else:
+            self._peer = address
+        self._view = memoryview(bytearray(_LARGEST_READ))
+        self._buffers = [self._view]
+
+    @property
+    def port(self) -> int:
+        """The local port."""
+        return int(self._socket.getsockname()[1])
+
+    def receive(self, *, wait: bool = True) -> Received | None:
+        """The next datagram, or None after PATIENCE or when only an ICMP error came."""
+        try:
+            length, ancillary, _, source = self._socket.recvmsg_into(
+                self._buffers, 64, 0 if wait else socket.MSG_DONTWAIT
+            )
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            if error.errno in _SURVIVED:
+                return None
+            raise TransportLostError(f"The UDP socket failed: {error.strerror}.") from None
+        return Received(bytes(self._view[:length]), _arrival(ancillary), source)
+
+    def send(self, data: bytes) -> bool:
+        """Sends one datagram to the peer, if there is one yet."""
+        if self._peer is None:
+            return False
+        try:
+            return self._socket.sendto(data, socket.MSG_DONTWAIT, self._peer) == len(data)
+        except OSError:
+            return False
+
+    def answer(self, source: Address | None) -> None:
+        """Sends from now on to this address."""
+        if source is not None:
+            self._peer = source
+
+    def close(self) -> None:
+        """Closes the socket."""
+        self._socket.close()
+
+
+class TcpTransport:
+    """A TCP stream: connected to the vehicle (tcpout), or waiting for it to connect, again and again (tcpin)."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        family, address = _resolve(endpoint, socket.SOCK_STREAM)
+        self._listener: socket.socket | None = None
+        self._stream: socket.socket | None = None
+        try:
+            if endpoint.kind == "tcpin":
+                self._listener = socket.create_server(address[:2], family=family)
+                self._listener.setblocking(False)
+            else:
+                self._adopt(socket.create_connection(address[:2], timeout=3.0))
+        except OSError as error:
+            raise _refused(endpoint, error) from None
+
+    @property
+    def port(self) -> int:
+        """The local port."""
+        open_socket = self._listener or self._stream
+        return int(open_socket.getsockname()[1]) if open_socket is not None else 0
+
+    def _adopt(self, stream: socket.socket) -> None:
+        stream.setblocking(False)
+        stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._stream = stream
+
+    def receive(self, *, wait: bool = True) -> Received | None:
+        """The next bytes of the stream, or None after PATIENCE or while nobody is connected."""
+        source = self._stream or self._listener
+        if source is None:
+            raise TransportLostError("The TCP connection is closed.")
+        if not _readable(source.fileno()).poll(PATIENCE * 1e3 if wait else 0):
+            return None
+        if self._stream is None:
+            self._accept()
+            return None
+        try:
+            data = self._stream.recv(_LARGEST_READ)
+        except BlockingIOError:
+            return None
+        except OSError:
+            data = b""
+        if data:
+            return Received(data, time.monotonic())
+        self._stream.close()
+        self._stream = None
+        if self._listener is None:
+            raise TransportLostError("The other end closed the TCP connection.")
+        return None
+
+    def _accept(self) -> None:
+        if self._listener is not None:
+            with contextlib.suppress(OSError):
+                self._adopt(self._listener.accept()[0])
+
+    def send(self, data: bytes) -> bool:
+        """Sends bytes if somebody is connected and the kernel takes them at once."""
+        stream = self._stream
+        try:
+            return stream is not None and stream.send(data) == len(data)
+        except OSError:
+            return False
+
+    def answer(self, source: Address | None) -> None:
+        """A stream has one peer: nothing to choose."""
+
+    def close(self) -> None:
+        """Closes the stream and the listener."""
+        for each in (self._stream, self._listener):
+            if each is not None:
+                each.close()
+        self._stream = self._listener = None
+
+
+class SerialTransport:
+    """A serial line, read and written through its file descriptor so that nothing ever waits on a full buffer."""
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        try:
+            self._port = serial.Serial(endpoint.device, endpoint.baud, timeout=0, exclusive=True)
+        except (serial.SerialException, ValueError) as error:
+            raise _refused(endpoint, error) from None
+        self._device, self._descriptor = endpoint.device, int(self._port.fileno())
+        self._poll = _readable(self._descriptor)
+
+    def receive(self, *, wait: bool = True) -> Received | None:
+        """The bytes that have arrived, or None after PATIENCE. Raises TransportLostError once unplugged."""
+        events = self._poll.poll(PATIENCE * 1e3 if wait else 0)
+        if not events:
+            return None
+        try:
+            data = os.read(self._descriptor, _LARGEST_READ)
+        except BlockingIOError:
+            return None
+        except OSError as error:
+            if error.errno not in _GONE:
+                return None
+            data = b""
+        if not data:
+            raise TransportLostError(f"{self._device} is gone: unplugged, or the vehicle lost power.")
+        return Received(data, time.monotonic())
+
+    def send(self, data: bytes) -> bool:
+        """Writes bytes if the line's buffer has room for them."""
+        try:
+            return os.write(self._descriptor, data) == len(data)
+        except OSError:
+            return False
+
+    def answer(self, source: Address | None) -> None:
+        """A line has one other end: nothing to choose."""
+
+    def close(self) -> None:
+        """Closes the device, present or not."""
+        with contextlib.suppress(OSError, serial.SerialException):
+            self._port.close()
+
+
+def _readable(descriptor: int) -> select.poll:
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return poll
+
+
+def _arrival(ancillary: list[tuple[int, int, bytes]]) -> float:
+    """Monotonic time of arrival, s, from the kernel's wall-clock stamp of a datagram."""
+    now = time.monotonic()
+    for level, kind, data in ancillary:
+        if level == socket.SOL_SOCKET and kind == _SO_TIMESTAMPNS and len(data) >= _TIMESPEC.size:
+            seconds, nanoseconds = _TIMESPEC.unpack_from(data)
+            age: float = (time.time_ns() - (seconds * 1_000_000_000 + nanoseconds)) * 1e-9
+            if 0.0 <= age < 1.0:  # the wall clock may have been set in between
+                return now - age
+    return now
+
+
+def _resolve(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.AddressFamily, Address]:
+    try:
+        family, _, _, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)[0]
+    except OSError as error:
+        raise RequestError(
+            f"'{endpoint}': the host '{endpoint.host}' is not known here ({error.strerror}). "
+            "Wanted an address such as 192.168.1.10, or a name that this machine can look up."
+        ) from None
+    return family, address
+
+
+def _refused(endpoint: Endpoint, error: Exception) -> VehicleError:
+    """What the operating system's refusal means for a user, and what to do about it."""
+    match getattr(error, "errno", None):
+        case errno.EADDRINUSE:
+            advice = (
+                f"port {endpoint.port} is taken, usually by another `alula fly`, mavsdk_server, MAVROS, "
+                f"mavlink-router or a ground station (`ss -lunp | grep {endpoint.port}` names it). "
+                "Stop that one, or listen elsewhere: PX4 instance i sends to 14540 + i"
+            )
+        case errno.EADDRNOTAVAIL:
+            advice = f"{endpoint.host} is no address of this machine. Listen on 0.0.0.0, or send there with udpout:"
+        case errno.ECONNREFUSED:
+            advice = "nobody listens there. Start the vehicle or simulator first, and check host and port"
+        case errno.EACCES | errno.EPERM:
+            advice = (
+                "this user may not open it. Serial devices belong to the group dialout: "
+                "`sudo usermod -aG dialout $USER`, then log in again; ports below 1024 need root"
+            )
+        case errno.ENOENT | errno.ENODEV | errno.ENXIO:
+            present = ", ".join(sorted(_serial_devices())) or "none"
+            advice = (
+                f"there is no such device. Serial devices present: {present}. Plug the vehicle in and check the name"
+            )
+        case errno.EBUSY | errno.EAGAIN:
+            advice = (
+                f"another process holds it (`fuser {endpoint.device}` names it); ModemManager often does. Stop it first"
+            )
+        case _:
+            advice = f"{error}. Check that the vehicle is on and reachable"
+    return VehicleError(f"Cannot open the link {endpoint}: {advice}.")
+
+
+def _serial_devices() -> list[str]:
+    return [f"/dev/{name}" for name in os.listdir("/dev") if name.startswith(("ttyACM", "ttyUSB", "ttyAMA", "ttyTHS"))]

@@ -1,0 +1,101 @@
+"""Reading a recording back, whole or torn off in mid-flight, as NumPy tables per topic."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from mcap.exceptions import McapError
+from mcap.records import Attachment, Channel, Footer, McapRecord, Message, Metadata
+from mcap.stream_reader import StreamReader
+from numpy.typing import NDArray
+from zstandard import ZstdError
+
+from dynamics.errors import DataError
+from runtime.record.records import TOPICS, Record
+
+Table = Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording's content; complete: it was closed in order. messages: topic to rows as they were written."""
+
+    path: Path
+    metadata: Mapping[str, str]
+    attachments: Mapping[str, str]
+    messages: Mapping[str, list[dict[str, Any]]]
+    complete: bool
+
+    def table(self, topic: str) -> dict[str, NDArray[Any]]:
+        """One array per field of a topic, rows along the first axis; null is NaN. Empty when nothing was recorded."""
+        rows = self.messages.get(topic, [])
+        return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
+
+    def records(self, kind: type[Record]) -> list[Any]:
+        """A topic's rows as the structs that were recorded."""
+        return [
+            kind(**{field: _value(row[field]) for field in kind.__struct_fields__})
+            for row in self.messages.get(TOPICS[kind], [])
+        ]
+
+
+def _value(value: Any) -> Any:
+    if value is None:
+        return float("nan")
+    return _column(value) if isinstance(value, list) else value
+
+
+def _column(values: list[Any]) -> NDArray[Any]:
+    if any(isinstance(value, str) for value in values):
+        return np.array(values, dtype=object)
+    if all(isinstance(value, bool) for value in values):
+        return np.array(values, dtype=bool)
+    return np.array(values, dtype=float)  # None, JSON's null, becomes NaN
+
+
+def _parts(path: Path) -> Iterator[McapRecord]:
+    """Records of an MCAP file up to its end or to where it was torn off."""
+    with path.open("rb") as stream:
+        try:
+            yield from StreamReader(stream).records
+        except (McapError, struct.error, ValueError, OverflowError, MemoryError, ZstdError):
+            return  # the last chunk is incomplete: the writer was killed or the disk was full
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording by scanning it, so that a missing index does not matter.
+
+    Raises DataError when the file is no MCAP file or holds nothing of ours.
+    """
+    topics: dict[int, str] = {}
+    metadata: dict[str, str] = {}
+    attachments: dict[str, str] = {}
+    messages: dict[str, list[dict[str, Any]]] = {}
+    complete = False
+    try:
+        for part in _parts(path):
+            match part:
+                case Channel():
+                    topics[part.id] = part.topic
+                case Message():
+                    rows = messages.setdefault(topics[part.channel_id], [])
+                    rows.append(msgspec.json.decode(part.data))
+                case Metadata() if part.name == "alula":
+                    metadata.update(part.metadata)
+                case Attachment():
+                    attachments[part.name] = part.data.decode()
+                case Footer():
+                    complete = True
+                case _:
+                    pass
+    except OSError as error:
+        raise DataError(f"cannot read {path}: {error.strerror}. Give a .mcap file that `alula fly` wrote.") from None
+    if not metadata:
+        raise DataError(f"{path} is no recording of ours. Give a .mcap file that `alula fly --record` wrote.")
+    return Recording(path, metadata, attachments, messages, complete)

@@ -1,0 +1,122 @@
+"""A recorded flight through the flight logic again, tick by tick, its setpoints compared with the recorded ones."""
+
+from __future__ import annotations
+
+import msgspec
+import numpy as np
+
+from dynamics.errors import DataError
+from dynamics.vehicle import Vehicle
+from runtime.control.bundle import Bundle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.mission import Mission, Motion, Plan
+from runtime.flight.thrust import ThrustMap
+from runtime.link.estimate import Estimate
+from runtime.record.recording import Recording
+from runtime.record.records import EstimateRecord, ObservationRecord, ParameterRecord, SetpointRecord, StateRecord
+
+THRUST_CURVE = "THR_MDL_FAC"
+NEEDED = ("plan", "settings", "controller")
+
+
+class ReplayReport(msgspec.Struct, frozen=True):
+    """How a replay compares with its recording.
+
+    ticks: flown again. lost: ticks that the recorder had to drop. compared: setpoints on both sides. identical: of
+    those, equal bit for bit. unmatched: setpoints on one side only. rate_difference: greatest, rad/s.
+    thrust_difference: greatest, of 0..1. first_difference: s since the first tick, None when there is none.
+    states_agree: whether the same transitions happened.
+    """
+
+    ticks: int
+    lost: int
+    compared: int
+    identical: int
+    unmatched: int
+    rate_difference: float
+    thrust_difference: float
+    first_difference: float | None
+    states_agree: bool
+
+    @property
+    def exact(self) -> bool:
+        """Whether everything came out bit for bit as recorded."""
+        return self.compared == self.identical and not self.unmatched and self.states_agree
+
+
+def replay(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None) -> ReplayReport:
+    """Fly a recording's estimates and observations again. Raises DataError when it does not hold what that needs.
+
+    bundle: of the model to fly, instead of the vehicle's own.
+    """
+    flyer = _flyer(recording, vehicle, reference, bundle)
+    estimates = {record.arrival: _estimate(record) for record in recording.records(EstimateRecord)}
+    observations: list[ObservationRecord] = recording.records(ObservationRecord)
+    if not observations:
+        raise DataError(f"{recording.path} holds no ticks of a flight: was it recorded with `alula fly --record`?")
+    decisions: list[tuple[float, Decision]] = []
+    for seen in observations:
+        if not np.isnan(seen.estimate_arrival) and seen.estimate_arrival not in estimates:
+            continue  # the recorder had to drop the estimate: neither side can be held to this tick
+        decisions.append((seen.time, flyer.step(seen, estimates.get(seen.estimate_arrival))))
+        flyer.prepare(seen.time)
+    ticks = [seen.tick for seen in observations]
+    lost = ticks[-1] - ticks[0] + 1 - len(decisions)
+    return _compare(recording, decisions, lost)
+
+
+def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None) -> Flyer:
+    metadata = recording.metadata
+    missing = [name for name in NEEDED if name not in metadata]
+    if missing:
+        raise DataError(f"{recording.path} lacks the settings {', '.join(missing)}: it was not written by `alula fly`.")
+    plan = msgspec.json.decode(metadata["plan"], type=Plan)
+    settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
+    options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
+    parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
+    controller = Controller.build(vehicle, options) if bundle is None else Controller.of_bundle(bundle, options)
+    nominal = None if bundle is None else Controller.beside(bundle, options)
+    trim = controller.trim
+    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
+    return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings, nominal=nominal)
+
+
+def _estimate(record: EstimateRecord) -> Estimate:
+    parts = (record.position_world, record.velocity_world, record.attitude, record.rate_body)
+    return Estimate(record.time, record.arrival, np.concatenate(parts), record.reset_counter, True, "ODOMETRY")
+
+
+def _compare(recording: Recording, decisions: list[tuple[float, Decision]], lost: int) -> ReplayReport:
+    recorded = {record.time: record for record in recording.records(SetpointRecord)}
+    rate_difference = thrust_difference = 0.0
+    compared = identical = unmatched = 0
+    first: float | None = None
+    for time, decision in decisions:
+        before = recorded.get(time)
+        if before is None or decision.rate_body is None:
+            unmatched += before is not None or decision.rate_body is not None
+            continue
+        compared += 1
+        rate = float(np.max(np.abs(decision.rate_body - before.rate_body)))
+        thrust = abs(decision.thrust - before.thrust)
+        rate_difference, thrust_difference = max(rate_difference, rate), max(thrust_difference, thrust)
+        if rate == 0.0 and thrust == 0.0:
+            identical += 1
+        elif first is None:
+            first = time - decisions[0][0]
+    return ReplayReport(
+        ticks=len(decisions),
+        lost=lost,
+        compared=compared,
+        identical=identical,
+        unmatched=unmatched,
+        rate_difference=rate_difference,
+        thrust_difference=thrust_difference,
+        first_difference=first,
+        states_agree=_states(recording) == [str(step) for _, decision in decisions for step in decision.transitions],
+    )
+
+
+def _states(recording: Recording) -> list[str]:
+    return [f"{row.before} -> {row.after}: {row.reason}" for row in recording.records(StateRecord)]

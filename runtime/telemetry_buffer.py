@@ -1,0 +1,151 @@
+"""What the link tells between two ticks, collected for the control thread and the recorder.
+
+The link's thread calls `frame` and `reaction`; the control thread takes with `take`. Nobody waits for anybody: what
+is handed over are whole immutable objects.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping
+from math import isfinite, nan
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from runtime.flight.events import Event
+from runtime.link.estimate import Estimate, ResetStep
+from runtime.link.link import Direction
+from runtime.link.peer import Reaction
+from runtime.link.telemetry import Battery, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
+from runtime.record.recorder import Recorder
+from runtime.record.records import (
+    BatteryRecord,
+    EstimateRecord,
+    ImuRecord,
+    MotorRecord,
+    Record,
+    RotorRecord,
+    TextRecord,
+)
+
+# what the link finds, as events of the flight; other names are news without a consequence
+FINDINGS: Mapping[str, Event] = {
+    "estimate_not_finite": Event.INPUT_NOT_FINITE,
+    "estimate_frame_refused": Event.INPUT_NOT_FINITE,
+    "estimate_time_backwards": Event.CLOCK_BACKWARDS,
+    "clock_ran_backwards": Event.CLOCK_BACKWARDS,
+    "clock_jumped": Event.CLOCK_UNCERTAIN,
+    "estimate_jump": Event.ESTIMATE_JUMP,
+    "estimate_moved": Event.ESTIMATOR_RESET,
+    "estimator_reset": Event.ESTIMATOR_RESET,
+    "link_lost": Event.LINK_LOST,
+    "battery_low": Event.BATTERY_LOW,
+}
+SEVERITIES = {"info": 6, "warning": 4, "error": 3}
+STILL = np.zeros(3)
+RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
+LOW_CHARGE = 0.1  # of the battery
+
+
+class Finding(msgspec.Struct, frozen=True):
+    """What was collected since the last tick. reset: an estimator was reset, which moved its frame by the next two.
+
+    reset_position: (3,) m. reset_yaw: rad. specific_force_z: m/s^2.
+    """
+
+    events: dict[Event, str]
+    reset: bool
+    reset_position: NDArray[np.float64]
+    reset_yaw: float
+    specific_force_z: float
+
+
+class Watch:
+    """Collects from the link's thread, hands over to the control thread."""
+
+    def __init__(self, recorder: Recorder | None = None) -> None:
+        self._arrivals: deque[float] = deque(maxlen=512)
+        self._recorder = recorder
+        self._events: deque[LinkEvent] = deque(maxlen=256)
+        self._resets: deque[tuple[NDArray[np.float64], float]] = deque(maxlen=64)
+        self._force = nan
+        self.texts: deque[str] = deque(maxlen=64)
+        self.news: deque[LinkEvent] = deque(maxlen=256)
+
+    def frame(self, direction: Direction, time: float, data: bytes) -> None:
+        """A raw frame of either direction."""
+        if self._recorder is not None:
+            self._recorder.put_frame(data, time)
+
+    def event(self, event: LinkEvent) -> None:
+        """Something happened on the link."""
+        self._events.append(event)
+        self.news.append(event)
+        self._put(TextRecord(event.time, "link", SEVERITIES[event.severity], f"{event.name}: {event.text}"), event.time)
+
+    def reset(self, step: ResetStep) -> None:
+        """An estimator reset; comes before the estimate that it moved."""
+        self._resets.append((step.position_world, step.yaw))
+
+    def reaction(self, reaction: Reaction) -> None:
+        """What followed from one message."""
+        if reaction.estimate is not None:
+            self._estimate(reaction.estimate)
+        if reaction.telemetry is not None:
+            self._telemetry(reaction.telemetry)
+        for text in reaction.texts:
+            self.texts.append(text.text)
+            self._put(TextRecord(text.received, "vehicle", text.severity, text.text), text.received)
+
+    def estimate_rate(self, now: float) -> float:
+        """Estimates per second over the last RATE_WINDOW seconds."""
+        return sum(arrival > now - RATE_WINDOW for arrival in tuple(self._arrivals)) / RATE_WINDOW
+
+    def take(self) -> Finding:
+        """What came since the last call."""
+        events: dict[Event, str] = {}
+        while self._events:
+            told = self._events.popleft()
+            if told.name in FINDINGS:
+                events[FINDINGS[told.name]] = told.text
+        reset, position, yaw = bool(self._resets), STILL, 0.0
+        while self._resets:
+            moved, turned = self._resets.popleft()
+            position, yaw = position + moved, yaw + turned
+        force, self._force = self._force, nan
+        return Finding(events, reset, position, yaw, force)
+
+    def _estimate(self, estimate: Estimate) -> None:
+        self._arrivals.append(estimate.received)
+        state = estimate.state
+        record = EstimateRecord(
+            estimate.time, estimate.received, state[0:3], state[3:6], state[6:10], state[10:13], estimate.reset_counter
+        )
+        self._put(record, estimate.received)
+
+    def _telemetry(self, sample: Telemetry) -> None:
+        match sample:
+            case ImuSample():
+                if isfinite(sample.specific_force_body[2]):
+                    self._force = sample.specific_force_body[2]
+                force, rate = np.array(sample.specific_force_body), np.array(sample.rate_body)
+                self._put(ImuRecord(sample.time, force, rate), sample.received)
+            case RotorSpeeds():
+                self._put(RotorRecord(sample.time, sample.first, np.array(sample.speed)), sample.received)
+            case MotorOutputs(source="SERVO_OUTPUT_RAW"):
+                self._put(MotorRecord(sample.time, np.array(sample.value)), sample.received)
+            case Battery():
+                charge = (sample.voltage, sample.current, sample.remaining)
+                self._put(BatteryRecord(sample.received, *charge), sample.received)
+                if sample.remaining < LOW_CHARGE:
+                    self._events.append(
+                        LinkEvent(sample.received, "battery_low", "error", f"{sample.remaining:.0%} left")
+                    )
+            case _:
+                pass
+
+    def _put(self, record: Record, time: float) -> None:
+        if self._recorder is not None:
+            self._recorder.put(record, time)

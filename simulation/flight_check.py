@@ -1,0 +1,113 @@
+"""A few seconds of flight with a new bundle, in lockstep on its own vehicle file: does the network itself hold it?
+
+`alula export` flies it and keeps the result in the bundle; `alula fly` reads it. Flying needs the readers of logs,
+which a flight computer lacks, so that only flying imports them.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import RequestError, VehicleError
+from dynamics.files import write_whole
+from dynamics.references import check_feasibility, named_reference
+from dynamics.references.reference import Reference
+from dynamics.vehicle import Vehicle
+from runtime.control.bundle import Bundle, Manifest, read_bundle
+from runtime.control.controller import Controller
+from runtime.flight.events import Event
+
+FILE = "flight_check.json"  # beside parity.json; not in the manifest, because it proves nothing about the files
+MOST_AWAY = 0.1  # share of the time that physics may have flown in the network's place
+GENTLE = ("Ellipse_1:laps=1", "hover:laps=1")  # 9 and 10 s; the first that the vehicle can fly
+ADVICE = "Train with the physics-inspired loss on pulses and --input-noise 0.3, see docs/training.md."
+
+
+class FlightCheck(msgspec.Struct, frozen=True):
+    """A flight of a bundle on its own vehicle file, in lockstep with simulated sensors.
+
+    seconds: of the reference that were flown. position_rmse: of the truth, m, None where nothing was tracked. away:
+    share of the time that another model than the network flew. events: raised, and how often. ended: why the flight
+    ended early, empty where it did not.
+    """
+
+    reference: str
+    seconds: float = 0.0
+    position_rmse: float | None = None
+    away: float = 1.0
+    events: dict[str, int] = {}
+    ended: str = ""
+
+    @property
+    def held(self) -> bool:
+        """Whether the network itself held the flight."""
+        return not self.ended and self.away <= MOST_AWAY and Event.MODEL_OSCILLATES.value not in self.events
+
+    @property
+    def text(self) -> str:
+        """One line for a terminal."""
+        if self.ended:
+            return f"{self.reference} in lockstep ended early: {self.ended}"
+        error = "" if self.position_rmse is None else f" with {self.position_rmse:.3f} m RMS"
+        told = ", ".join(name for name in self.events if name != Event.MODEL_WAITING.value)
+        away = f"physics in the network's place {self.away:.0%} of them" + (f" ({told})" if told else "")
+        return f"{self.seconds:.1f} s of {self.reference} in lockstep{error}, {away}"
+
+    @property
+    def warning(self) -> str:
+        """What is wrong and what to do, empty where the network held the flight."""
+        return "" if self.held else f"the network itself did not hold a simulated flight: {self.text}. {ADVICE}"
+
+    @property
+    def told(self) -> dict[str, object]:
+        """All of it as JSON, the verdict and the warning too."""
+        return {**msgspec.structs.asdict(self), "held": self.held, "warning": self.warning}
+
+
+def write_check(check: FlightCheck, folder: Path) -> None:
+    """Keep a check in a bundle. Raises RequestError when it cannot be written."""
+    text = msgspec.json.format(msgspec.json.encode(check.told), indent=1) + b"\n"
+    write_whole(folder / FILE, lambda path: path.write_bytes(text), advice="Free some space, or --no-flight-check.")
+
+
+def read_check(folder: Path) -> FlightCheck | None:
+    """The check that a bundle holds, None where there is none. Raises RequestError for a file that is damaged."""
+    try:
+        return msgspec.json.decode((folder / FILE).read_bytes(), type=FlightCheck)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.MsgspecError) as error:
+        raise RequestError(f"{folder / FILE} cannot be read: {error}. Delete it, or export the model again.") from error
+
+
+def check_bundle(folder: Path, manifest: Manifest) -> FlightCheck | None:
+    """Fly a bundle that was just written and keep the verdict in it; None for physics, and for a model of the desk."""
+    if not manifest.learned or manifest.filtered_inputs:
+        return None
+    check = check_flight(read_bundle(folder))
+    write_check(check, folder)
+    return check
+
+
+def check_flight(bundle: Bundle) -> FlightCheck:
+    """Fly a learned bundle, with the effects of its vehicle file and the noise of a vehicle's sensors."""
+    from simulation.lockstep import fly_reference
+
+    controller, nominal = Controller.of_bundle(bundle), Controller.beside(bundle)
+    reference = _gentle(controller.trim)
+    try:
+        flown = fly_reference(bundle.vehicle, reference, controller=controller, nominal=nominal)
+    except VehicleError as error:
+        return FlightCheck(reference.name, ended=str(error))
+    seconds = flown.seconds
+    return FlightCheck(
+        reference.name, seconds, flown.position_rmse if seconds else None,
+        flown.fallback_seconds / seconds if seconds else 1.0, dict(flown.events), flown.aborted,
+    )  # fmt: skip
+
+
+def _gentle(vehicle: Vehicle) -> Reference:
+    references = [named_reference(name, vehicle) for name in GENTLE]
+    return next((found for found in references if check_feasibility(found, vehicle).is_feasible), references[-1])

@@ -1,0 +1,220 @@
+"""A flight of the runtime's own logic on the mock's vehicle in one process: simulated time only, no link.
+
+The vehicle climbs to the reference's start by itself, the flyer takes over in the air, as it does for a pilot, and
+tracks the reference. Same inputs, same bits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from dynamics.errors import VehicleError
+from dynamics.references import Reference
+from dynamics.vehicle import EffectUse, Vehicle
+from flights.log import Log, Provenance, Stream
+from runtime.control.controller import Controller
+from runtime.flight.engagement import Settings
+from runtime.flight.events import Fallback
+from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.mission import Mission, Phase, Plan
+from runtime.flight.thrust import ThrustMap
+from runtime.link.estimate import Estimate
+from runtime.record.records import Array, ObservationRecord
+from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
+
+PERIOD = 0.01  # s between ticks
+LATENCY = 0.005  # s from an estimate to the setpoint that follows from it, as over a link
+CLIMB_TIME, CLIMB_PATIENCE = 2.0, 30.0  # s
+ARRIVED = 0.15  # m and m/s
+TAKE_OVER_PATIENCE = 20.0  # s
+
+
+@dataclass
+class Rows:
+    """What a flight left behind, row by row. Stamps are s since the reference's start.
+
+    away: whether something else flew than the controller's own model.
+    """
+
+    estimate: list[tuple[float, Array]] = field(default_factory=list)
+    imu: list[tuple[float, Array]] = field(default_factory=list)
+    motors: list[tuple[float, Array]] = field(default_factory=list)
+    setpoint: list[tuple[float, Array]] = field(default_factory=list)
+    truth: list[tuple[float, Array]] = field(default_factory=list)
+    away: list[bool] = field(default_factory=list)
+
+
+@dataclass(frozen=True, eq=False)
+class FlownReference:
+    """A tracked reference: what the vehicle's log would hold, and what was true. aborted: why it ended early.
+
+    fallbacks: how often the controller's own model was left, for fallback_seconds in all. events: how often each was
+    raised in the whole flight.
+    """
+
+    log: Log
+    truth: Log
+    aborted: str
+    fallbacks: int = 0
+    fallback_seconds: float = 0.0
+    events: Mapping[str, int] = field(default_factory=dict)
+
+    @property
+    def seconds(self) -> float:
+        """How long the reference was tracked, s."""
+        return float(self.truth.streams[0].time[-1]) if self.truth.streams else 0.0
+
+    @property
+    def position_rmse(self) -> float:
+        """Of the true position while the reference was tracked, m; NaN without any."""
+        true, asked = self.truth.stream("position"), self.log.stream("position_setpoint")
+        if true is None or asked is None:
+            return float("nan")
+        return float(np.sqrt(np.mean(np.sum((true.values - asked.values) ** 2, axis=1))))
+
+
+def fly_reference(
+    vehicle: Vehicle, reference: Reference, *, effects: Sequence[EffectUse] = (), options: VehicleOptions | None = None,
+    seed: int = 0, name: str = "", controller: Controller | None = None, nominal: Controller | None = None,
+) -> FlownReference:  # fmt: skip
+    """Fly a reference from its start to its end. effects: hidden from the controller. options: the vehicle's sensors.
+
+    controller: None for one of the vehicle file alone. nominal: to fall back to from a learned model's.
+
+    Raises VehicleError when the vehicle does not even reach the reference's start.
+    """
+    start = reference.states(np.zeros(1))[0]
+    yaw = float(2 * np.arctan2(start[9], start[6]))
+    options = options or VehicleOptions(yaw=yaw)
+    plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed)
+    _climb(plant, start[0:3], yaw)
+    controller = controller or Controller.build(vehicle)
+    trim = controller.trim
+    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
+    settings = FlyerSettings(period=PERIOD, engagement=Settings(resume=True))
+    flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
+    rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
+    left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
+    events = {event.value: count for event, count in flyer.events.counts.items() if count}
+    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away), events)
+
+
+def _climb(plant: SimulatedVehicle, place: Array, yaw: float) -> None:
+    """Let the autopilot fly to a place and hold there."""
+    target = ControlSetpoint("hold", position_world=place, yaw=yaw)
+    for _ in range(round(CLIMB_PATIENCE / CLIMB_TIME)):
+        plant.advance(target, True, CLIMB_TIME)
+        away = np.linalg.norm(plant.truth.position_world - place)
+        if away < ARRIVED and np.linalg.norm(plant.truth.velocity_world) < ARRIVED:
+            return
+    raise VehicleError(
+        f"the vehicle did not reach {np.round(place, 2).tolist()} m, where the reference begins, within "
+        f"{CLIMB_PATIENCE:g} s: the hidden effects are more than its autopilot can bear."
+    )
+
+
+def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tuple[Rows, str]:
+    rows, setpoint = Rows(), hold
+    began = plant.time
+    tick = 0
+    while True:
+        now = round(1000 * plant.time) / 1000  # whole milliseconds: stamps of equal instants have equal bits
+        decision = _decide(plant, flyer, tick, now)
+        if flyer.engagement.flying and decision.rate_body is not None:
+            following = ControlSetpoint("rates", rate_body=decision.rate_body, thrust=decision.thrust)
+        else:
+            following = hold
+        phase = flyer.mission.phase
+        tracking = phase is Phase.TRACK
+        since = now - flyer.mission.time_in_phase_began
+        if tracking:
+            _keep(rows, plant, since, following, flyer.reference_now(now))
+            rows.away.append(decision.fallback is not Fallback.NONE)
+        reason = flyer.mission.landing_reason or (flyer.engagement.refusal if flyer.over else "")
+        if reason or phase is Phase.RETURN:
+            return rows, reason
+        if not rows.truth and plant.time - began > TAKE_OVER_PATIENCE:
+            return rows, "the flyer did not take over"
+        _advance(plant, setpoint, following, rows if tracking else None, since)
+        setpoint, tick = following, tick + 1
+
+
+def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Decision:
+    seen = plant.estimate
+    state = np.concatenate([seen.position_world, seen.velocity_world, seen.attitude, seen.rate_body])
+    estimate = Estimate(round(1000 * seen.time) / 1000, now, state, 0, True, "ODOMETRY")
+    observation = ObservationRecord(
+        tick=tick, time=now, estimate_arrival=now, connected=True, armed=True, offboard=True, mode="OFFBOARD",
+        landed=plant.on_ground, findings="", reset=False, reset_position=np.zeros(3), reset_yaw=0.0,
+        specific_force_z=float(plant.imu.specific_force_body[2]), engage=tick == 0, leave="",
+    )  # fmt: skip
+    decision = flyer.step(observation, estimate)
+    flyer.prepare(now)
+    return decision
+
+
+def _advance(
+    plant: SimulatedVehicle, before: ControlSetpoint, after: ControlSetpoint, rows: Rows | None, since: float
+) -> None:
+    """One period; on the way an inertial sample is taken whose middle is the period's beginning."""
+    half = round(plant.options.sensors.imu_average / 2, 3)
+    first = min(half, LATENCY)
+    plant.advance(before, True, first)
+    if rows is not None:
+        sample = plant.imu
+        rows.imu.append((since, np.concatenate([sample.specific_force_body, sample.rate_body])))
+    plant.advance(before, True, LATENCY - first)
+    plant.advance(after, True, PERIOD - LATENCY)
+
+
+def _keep(
+    rows: Rows, plant: SimulatedVehicle, since: float, setpoint: ControlSetpoint, reference: Array | None
+) -> None:
+    true, seen = plant.truth, plant.estimate
+    age = round(1000 * (plant.time - seen.time)) / 1000
+    rows.estimate.append((since - age, np.concatenate([seen.position_world, seen.velocity_world, seen.attitude])))
+    rows.motors.append((since, np.concatenate([plant.rotor_speed, plant.motor_signal, [plant.battery.voltage]])))
+    wanted = np.full(13, np.nan) if reference is None else reference
+    rows.setpoint.append((since, np.concatenate([wanted[0:10], setpoint.rate_body, [setpoint.thrust]])))
+    motion = [true.position_world, true.velocity_world, true.attitude, true.rate_body, plant.true_rotor_speed]
+    rows.truth.append((since, np.concatenate(motion)))
+
+
+def _log(rows: Rows, name: str) -> Log:
+    motors = len(rows.motors[0][1]) // 2 if rows.motors else 0
+    streams = [
+        *_streams(rows.estimate, "estimate", position=(0, 3), velocity=(3, 6), attitude=(6, 10)),
+        *_streams(rows.imu, "imu", rate=(3, 6), specific_force=(0, 3)),
+        *_streams(
+            rows.motors, "motors", rotor_speed=(0, motors), rotor_command=(motors, 2 * motors),
+            battery_voltage=(2 * motors, 2 * motors + 1),
+        ),
+        *_streams(
+            rows.setpoint, "setpoint", position_setpoint=(0, 3), velocity_setpoint=(3, 6), attitude_setpoint=(6, 10),
+            rate_setpoint=(10, 13), thrust_setpoint=(13, 14),
+        ),
+    ]  # fmt: skip
+    return Log(tuple(streams), _provenance(name, "measured"))
+
+
+def _truth(rows: Rows, name: str) -> Log:
+    width = len(rows.truth[0][1]) if rows.truth else 13
+    parts = {"position": (0, 3), "velocity": (3, 6), "attitude": (6, 10), "rate": (10, 13), "rotor_speed": (13, width)}
+    return Log(tuple(_streams(rows.truth, "truth", **parts)), _provenance(name, "true"))
+
+
+def _streams(rows: list[tuple[float, Array]], source: str, **parts: tuple[int, int]) -> list[Stream]:
+    since_start = [(stamp, values) for stamp, values in rows if stamp > -1e-6]
+    if not since_start:
+        return []
+    time = np.round([stamp for stamp, _ in since_start], 6)
+    table = np.array([values for _, values in since_start])
+    return [Stream(name, time, table[:, start:stop], source) for name, (start, stop) in parts.items()]
+
+
+def _provenance(name: str, what: str) -> Provenance:
+    return Provenance(name, "", f"simulated flight, {what}", "alula.lockstep")

@@ -1,0 +1,1 @@
+"""PX4's rules: commander, modes, parameters, offboard, failsafe."""

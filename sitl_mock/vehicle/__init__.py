@@ -1,0 +1,1 @@
+"""The simulated vehicle: plant, inner loops, sensors, battery, ground."""

@@ -1,0 +1,205 @@
+"""One millisecond of the vehicle as one CasADi function: inner loop, allocation, motors, flight, ground, battery.
+
+The physics is the flight model of `dynamics` with whatever effects it is given; here it only meets its autopilot,
+the ground and its sensors. Everything that a user may change is an input of the function, so that the machine code
+serves all vehicles with as many rotors and the same set of effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import casadi as ca
+
+from dynamics import quaternion
+from dynamics.effect import Expression, Values
+from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.vehicle import EffectUse, Vehicle
+from sitl_mock.vehicle import allocation, battery, ground, inner_loop
+from sitl_mock.vehicle.layout import Layout
+from sitl_mock.vehicle.sensors import next_estimate_error
+from sitl_mock.vehicle.tuning import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
+
+DT = 0.001  # s
+ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
+CASCADE_STEPS = 4  # from attitude to rate control, which runs first in each of PX4's cycles of 4 ms
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The step and the places of everything in its vectors.
+
+    step: (state, command, constants, noise) -> (next state, record of the time after the step).
+    """
+
+    model: Model
+    state: Layout
+    command: Layout
+    constants: Layout
+    noise: Layout
+    record: Layout
+    step: ca.Function
+
+
+def plant_effects(vehicle: Vehicle, hidden: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
+    """Effects of the vehicle file, those hidden from it in their place or beside them, and always some motor lag."""
+    merged = {(use.name, use.rotor): use for use in (*vehicle.effects, *hidden)}
+    if ("motor_lag", None) not in merged:
+        merged["motor_lag", None] = EffectUse("motor_lag", {"time_constant": DEFAULT_MOTOR_LAG})
+    return tuple(merged.values())
+
+
+def build_plant(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Plant:
+    """The plant of a vehicle with effects that its file does not know."""
+    model = build_model(vehicle, effects=plant_effects(vehicle, hidden))
+    layouts = _layouts(model)
+    inputs, parts = zip(*(layout.symbol(name) for name, layout in layouts.items() if name != "record"), strict=True)
+    after, record = _step(model, *parts)
+    outputs: Expression = ca.cse([layouts["state"].join(after), layouts["record"].join(record)])
+    into, out = ["state", "command", "constants", "noise"], ["next", "record"]
+    step = ca.Function("vehicle_step", list(inputs), outputs, into, out)
+    return Plant(model=model, step=step, **layouts)
+
+
+def _layouts(model: Model) -> dict[str, Layout]:
+    n = model.input_count
+    state = {
+        "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
+        "turn_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1, "signal_queue": n * ACTUATION_STEPS,
+        "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
+    }  # fmt: skip
+    command = {
+        "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
+        "landed": 1,
+    }  # fmt: skip
+    constants = {
+        "model": len(model.parameter_names), "mixer": 4 * n, "unmixer": 4 * n, "feet": 6 * n, "mass_over_inertia": 3,
+        "ground_height": 1, "speed_min": 1, "speed_max": 1, "thrust_curve": 1, "torque_constant": 1, "rotor_noise": 1,
+        "cells": 1, "capacity": 1, "resistance": 1, "nominal_voltage": 1,
+        "attitude_gain": 3, "rate_limit": 3, "yaw_weight": 1, "rate_gain_p": 3, "rate_gain_i": 3, "rate_gain_d": 3,
+        "rate_gain_ff": 3, "integral_limit": 3, "thrust_model_factor": 1, "gyro_cutoff": 1, "acceleration_cutoff": 1,
+        "yaw_torque_cutoff": 1,
+        "gyro_noise": 1, "accelerometer_noise": 1, "gyro_bias": 3, "accelerometer_bias": 3, "estimate_noise": 9,
+        "estimate_time": 9, "rotor_speed_noise": 1,
+    }  # fmt: skip
+    noise = {"hidden": model.hidden_count, "rotor": n, "gyro": 3, "accelerometer": 3, "estimate": 9, "rotor_speed": n}
+    record = {
+        "truth": RIGID_BODY_STATES, "estimate": RIGID_BODY_STATES, "force_integral": 3, "gyro_integral": 3,
+        "rotor_speed": n, "rotor_speed_measured": n, "motor_signal": n, "ground_force": 1, "voltage": 1, "current": 1,
+        "charge": 1,
+    }  # fmt: skip
+    sizes = {"state": state, "command": command, "constants": constants, "noise": noise, "record": record}
+    return {name: Layout(parts) for name, parts in sizes.items()}
+
+
+def _step(
+    model: Model, state: Values, command: Values, constants: Values, noise: Values
+) -> tuple[dict[str, Expression], dict[str, Expression]]:
+    n = model.input_count
+    control, signal = _control(n, state, command, constants)
+    applied = state["signal_queue"][-n:]
+    speed = allocation.rotor_speed_command(applied, curve=constants["thrust_curve"], speed_max=constants["speed_max"])
+    speed = ca.fmin(speed * (1 + constants["rotor_noise"] * noise["rotor"]), constants["speed_max"])
+    speed = ca.if_else(command["armed"], ca.fmax(speed, constants["speed_min"]), 0)
+    environment = ca.vertcat(constants["ground_height"], state["voltage"] / constants["nominal_voltage"])
+    x = _fly(model, state["plant"], speed, environment, constants, noise["hidden"])
+    observed = _observe(model, x, speed, environment, constants)
+    battery_state, current = _discharge(state, observed["rotor_speed"], constants)
+    jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
+    read = model.measure(observed["specific_force"], x[10:13], observed["rotor_speed"] + jitter, constants["model"])
+    measured, estimate = _measure(x, read[0], read[1], state, constants, noise)
+    record = {
+        "truth": x[0:13], "estimate": estimate, "force_integral": measured["force_integral"],
+        "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
+        "rotor_speed_measured": read[2], "motor_signal": signal,
+        "ground_force": observed["ground_force"], "current": current, **battery_state,
+    }  # fmt: skip
+    return {"plant": x, **control, **battery_state, **measured}, record
+
+
+def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
+    """The inner loop's own states after the step, and the motor signals that it asks for."""
+    known = _known_attitude(state["plant"], state["estimate_error"])
+    turn = inner_loop.rate_setpoint(
+        known, command["attitude"], command["yaw_rate"],
+        gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
+    )  # fmt: skip
+    limited = ca.fmin(ca.fmax(turn, -constants["rate_limit"]), constants["rate_limit"])
+    setpoint = ca.if_else(command["holds_attitude"], state["turn_queue"][-3:], command["rate"])
+    setpoint = ca.if_else(command["axis_free"], state["rate"], setpoint)
+    error = setpoint - state["rate"]
+    torque = inner_loop.rate_control(error, setpoint, state["rate_acceleration"], state["integral"], constants)
+    yaw = inner_loop.low_pass(torque[2], state["yaw_torque"], constants["yaw_torque_cutoff"], DT)
+    demand = ca.vertcat(torque[0:2], yaw, command["thrust"])
+    motors = allocation.allocate(ca.reshape(constants["mixer"], count, 4), demand)
+    given = ca.reshape(constants["unmixer"], 4, count) @ motors
+    integral = inner_loop.next_integral(state["integral"], error, state["unallocated"], constants, DT)
+    integral = ca.if_else(command["landed"], state["integral"], integral)
+    signal = ca.if_else(command["armed"], allocation.signal_for_thrust(motors, constants["thrust_model_factor"]), 0)
+    memory = {"integral": integral, "unallocated": demand[0:3] - given[0:3], "yaw_torque": yaw}
+    after = {name: ca.if_else(command["armed"], value, 0) for name, value in memory.items()}
+    after["turn_queue"] = ca.vertcat(limited, state["turn_queue"][:-3])
+    after["signal_queue"] = ca.vertcat(signal, state["signal_queue"][:-count])
+    return after, signal
+
+
+def _fly(
+    model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values, noise: Expression
+) -> Expression:
+    white = noise / DT**0.5
+    push, turn = _contact(x, constants)  # held over the step: the ground is soft enough, and it is the dearest part
+    contact = ca.vertcat(ca.SX.zeros(3), push, ca.SX.zeros(4), turn, ca.SX.zeros(model.hidden_count))
+
+    def field(state: Expression) -> Expression:
+        return model.derivative(state, speed, constants["model"], environment, white) + contact
+
+    return with_unit_attitude(rk4(field, x, DT))
+
+
+def _contact(x: Expression, constants: Values) -> tuple[Expression, Expression]:
+    points = ca.reshape(constants["feet"], 3, constants["feet"].shape[0] // 3)
+    return ground.contact_acceleration(x, points, constants["mass_over_inertia"], constants["ground_height"])
+
+
+def _observe(
+    model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values
+) -> dict[str, Expression]:
+    """Specific force (ground included), rotor speeds and the ground's upward force per unit of mass."""
+    force, _, rotor_speed = model.observe(x, speed, constants["model"], environment)
+    push, _ = _contact(x, constants)
+    felt = force + quaternion.rotate_inverse(x[6:10], push)
+    return {"specific_force": felt, "rotor_speed": rotor_speed, "ground_force": push[2]}
+
+
+def _measure(
+    x: Expression, force_read: Expression, rate_read: Expression, state: Values, constants: Values, noise: Values
+) -> tuple[dict[str, Expression], Expression]:
+    """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth.
+
+    force_read, rate_read: as the sensors would read them without noise.
+    """
+    error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
+    gyro = rate_read + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
+    rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
+    turning = inner_loop.low_pass(
+        (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
+    )
+    felt = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
+    states = {
+        "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "estimate_error": error,
+        "force_integral": state["force_integral"] + felt * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
+    }  # fmt: skip
+    return states, ca.vertcat(x[0:3] + error[0:3], x[3:6] + error[3:6], _known_attitude(x, error), rate)
+
+
+def _known_attitude(x: Expression, error: Expression) -> Expression:
+    return quaternion.multiply(x[6:10], quaternion.exponential(error[6:9]))
+
+
+def _discharge(state: Values, rotor_speed: Expression, constants: Values) -> tuple[dict[str, Expression], Expression]:
+    """Charge and voltage after the step, and the current drawn in it, A."""
+    current = battery.current_drawn(rotor_speed, constants["torque_constant"], state["voltage"])
+    charge = ca.fmax(state["charge"] - current * DT / constants["capacity"], 0)
+    return {"charge": charge, "voltage": battery.next_voltage(charge, current, constants)}, current

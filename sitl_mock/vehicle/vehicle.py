@@ -1,0 +1,298 @@
+"""The flying vehicle: plant, inner loop, sensors, battery and the modes that fly by themselves.
+
+Simulated time goes in steps of 1 ms, and every step has its own random numbers: what happens depends on the seed and
+on when setpoints arrive, not on how the time is cut into calls. Pure: no clock, no link.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import GRAVITY, EffectUse
+from dynamics.vehicle import Vehicle as VehicleFile
+from sitl_mock.vehicle import ground
+from sitl_mock.vehicle.allocation import mixer
+from sitl_mock.vehicle.battery import Battery, open_circuit_voltage, usual_battery
+from sitl_mock.vehicle.land_detector import LandDetector
+from sitl_mock.vehicle.plant import DT, Plant, build_plant
+from sitl_mock.vehicle.position_control import PositionControl
+from sitl_mock.vehicle.sensors import SensorErrors, quantised
+from sitl_mock.vehicle.step_loop import StepLoop
+from sitl_mock.vehicle.tuning import default_tuning
+from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
+
+Vector = NDArray[np.float64]
+
+NOISE_BLOCK = 512  # steps whose random numbers are drawn at once
+SUPERVISION = 8  # steps between two looks of position control and land detector
+POSITION_KINDS = ("hold", "land", "rtl")
+LEVEL, NOTHING = [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
+
+
+@dataclass(frozen=True)
+class VehicleOptions:
+    """What surrounds the vehicle and how well it measures.
+
+    ground_height, position (east, north), yaw: where it stands at the start, m and rad. rotor_noise: standard
+    deviation of a rotor's speed over its speed, white. battery: None for one that suits the vehicle.
+    rotor_speed_fault: what the measured speed of single rotors is multiplied by (0: a dead sensor).
+    """
+
+    sensors: SensorErrors = dataclasses.field(default_factory=SensorErrors)
+    ground_height: float = 0.0
+    position: tuple[float, float] = (0.0, 0.0)
+    yaw: float = 0.0
+    rotor_noise: float = 0.002
+    battery: Battery | None = None
+    rotor_speed_fault: tuple[tuple[int, float], ...] = ()
+
+
+class SimulatedVehicle:
+    """A vehicle on the ground, disarmed, at simulated time 0.
+
+    effects: what the vehicle file does not know about the vehicle. tuning: None for that of a careful owner.
+    Raises RequestError when there is no C compiler.
+    """
+
+    def __init__(
+        self,
+        vehicle: VehicleFile,
+        *,
+        effects: Sequence[EffectUse] = (),
+        options: VehicleOptions | None = None,
+        tuning: Tuning | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.vehicle = vehicle
+        self.options = options or VehicleOptions()
+        self.plant: Plant = build_plant(vehicle, effects)
+        self._random = np.random.default_rng(seed)
+        self._loop = StepLoop(self.plant)
+        self._records = self.plant.record.views(self._loop.records)
+        command = self.plant.command.views(self._loop.command)
+        self._armed, self._landed = command["armed"], command["landed"]
+        self._constants = self.plant.constants.views(self._loop.constants)
+        self._noise = np.empty((NOISE_BLOCK, self.plant.noise.size))
+        self._battery = self.options.battery or usual_battery(vehicle)
+        self._step = 0
+        self._due = 0.0
+        self._last: tuple[ControlSetpoint | None, bool] = (None, False)
+        self._thrust = 0.0
+        values = self.plant.model.parameter_values
+        self._pose_age = max(round(float(self.plant.model.measure(0, 0, 0, values)[3]) / DT), 0)  # steps
+        self.land_detector = LandDetector()
+        self._set_constants()
+        self._set_state()
+        self.tuning = tuning or default_tuning(vehicle, effects)
+        self._position_control = PositionControl(self.truth.position_world, self.tuning)
+        self.tune(self.tuning)
+
+    def tune(self, tuning: Tuning) -> None:
+        """Use other inner-loop parameters from now on."""
+        self.tuning = tuning
+        self._position_control.tuning = tuning
+        for field in dataclasses.fields(tuning):
+            if field.name in self._constants:
+                self._constants[field.name][:] = getattr(tuning, field.name)
+
+    def advance(self, setpoint: ControlSetpoint, armed: bool, duration: float) -> None:
+        """Simulate a duration (s) under a setpoint; rotors stand still when not armed."""
+        self._due += duration
+        end = round(self._due / DT)
+        if setpoint is not self._last[0] or armed != self._last[1]:
+            self._take(setpoint, armed)
+        while self._step < end:
+            if self._step % SUPERVISION == 0:
+                self._supervise(setpoint, armed)
+            if self._step % NOISE_BLOCK == 0:
+                self._random.standard_normal(out=self._noise)
+            steps = min(end, *(self._step // n * n + n for n in (SUPERVISION, NOISE_BLOCK))) - self._step
+            self._loop.run(steps, self._step + 1, self._noise, self._step % NOISE_BLOCK)
+            self._step += steps
+
+    # what it knows of itself
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+        return self._step * DT
+
+    @property
+    def truth(self) -> MotionState:
+        """The plant's state."""
+        return self._motion("truth", 0)
+
+    @property
+    def plant_state(self) -> Vector:
+        """The flight model's whole state, hidden states of its effects included, in the model's order."""
+        return self._loop.state[self.plant.state.places["plant"]].copy()
+
+    @property
+    def estimate(self) -> MotionState:
+        """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
+        oldest = min(self._step, len(self._loop.records) - 1)
+        age = min(round(self.options.sensors.delay / DT), oldest)
+        stamped, pose = self._motion("estimate", age), self._motion("estimate", min(age + self._pose_age, oldest))
+        return dataclasses.replace(pose, time=stamped.time, rate_body=stamped.rate_body)
+
+    @property
+    def imu(self) -> ImuSample:
+        """The newest inertial measurement at the centre of mass, averaged as PX4's delta velocities and angles are."""
+        count = min(max(1, round(self.options.sensors.imu_average / DT)), len(self._loop.records) - 1)
+        newest, oldest = self._row(0), self._row(count)
+        duration = count * DT
+        velocity, angle = self._records["force_integral"], self._records["gyro_integral"]
+        force, rate = velocity[newest] - velocity[oldest], angle[newest] - angle[oldest]
+        return ImuSample(self.time, force / duration, rate / duration)
+
+    @property
+    def rotor_speed(self) -> Vector:
+        """(rotors,) measured, rad/s, in the vehicle file's order."""
+        measured = self._newest("rotor_speed_measured")
+        for rotor, factor in self.options.rotor_speed_fault:
+            measured[rotor] *= factor
+        return np.maximum(quantised(measured, self.options.sensors.rotor_speed_step), 0.0)
+
+    @property
+    def true_rotor_speed(self) -> Vector:
+        """(rotors,) rad/s, as they turn."""
+        return self._newest("rotor_speed")
+
+    @property
+    def motor_signal(self) -> Vector:
+        """(rotors,) 0..1, in the vehicle file's order."""
+        return self._newest("motor_signal")
+
+    @property
+    def rotor_position(self) -> Vector:
+        """(rotors, 3) m, body FLU."""
+        return np.array(self.vehicle.rotors.position)
+
+    @property
+    def battery(self) -> BatteryState:
+        """The battery now."""
+        voltage, current, charge = (float(self._newest(name)[0]) for name in ("voltage", "current", "charge"))
+        return BatteryState(voltage, current, charge)
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether the land detector believes that the vehicle has landed."""
+        return self.land_detector.landed
+
+    @property
+    def ground_force(self) -> float:
+        """Share of the weight that the ground carries now."""
+        return float(self._newest("ground_force")[0]) / GRAVITY
+
+    # inside
+
+    def _row(self, age: int) -> int:
+        return (self._step - age) % self._loop.records.shape[0]
+
+    def _newest(self, name: str) -> Vector:
+        part: Vector = self._records[name][self._row(0)].copy()
+        return part
+
+    def _motion(self, name: str, age: int) -> MotionState:
+        row = self._records[name][self._row(age)].copy()
+        return MotionState((self._step - age) * DT, row[0:3], row[3:6], row[6:10], row[10:13])
+
+    def _set_constants(self) -> None:
+        vehicle, model = self.vehicle, self.plant.model
+        rotors, battery = vehicle.rotors, self._battery
+        mix = mixer(vehicle)
+        constants = {
+            "model": model.parameter_values,
+            "mixer": mix,
+            "unmixer": np.linalg.pinv(mix),
+            "feet": ground.contact_points(vehicle) - self._centre_of_mass()[:, None],
+            "mass_over_inertia": vehicle.body.mass / np.array(vehicle.body.inertia),
+            "ground_height": self.options.ground_height,
+            "speed_min": rotors.speed_min,
+            "speed_max": rotors.speed_max,
+            "thrust_curve": rotors.thrust_curve,
+            "torque_constant": rotors.torque_constant,
+            "rotor_noise": self.options.rotor_noise,
+            "cells": battery.cells,
+            "capacity": battery.capacity,
+            "resistance": battery.resistance,
+            "nominal_voltage": battery.nominal_voltage,
+            **self.options.sensors.constants(self._random),
+        }
+        self._loop.constants[:] = self.plant.constants.fill(constants)
+
+    def _centre_of_mass(self) -> Vector:
+        """Where it really lies, body FLU, m."""
+        moved = [item.values for item in self.plant.model.effects if item.effect.name == "centre_of_mass"]
+        centre = np.array(self.vehicle.body.centre_of_mass)
+        for values in moved:
+            centre += [values[axis] for axis in "xyz"]
+        return centre
+
+    def _set_state(self) -> None:
+        model = self.plant.model
+        east, north = self.options.position
+        height = self.options.ground_height + ground.leg_height(self.vehicle) - ground.SINKAGE
+        attitude = quaternion.from_euler(0.0, 0.0, self.options.yaw)
+        centre = self._centre_of_mass()
+        position = np.array([east, north, height]) + quaternion.rotate(attitude, centre)
+        x = model.initial_state(np.concatenate([position, np.zeros(3), attitude, np.zeros(3)]))
+        for item in model.effects:
+            if "rotor_speed" in item.hidden:
+                x[item.hidden["rotor_speed"]] = 0.0
+        voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
+        state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}
+        self._loop.state[:] = self.plant.state.fill(state)
+        record = {"truth": x[0:13], "estimate": x[0:13], "charge": self._battery.charge, "voltage": voltage}
+        self._loop.records[:] = self.plant.record.fill(record | {"ground_force": GRAVITY})
+        before = np.arange(-len(self._loop.records), 0) * DT  # it has stood there for a while
+        self._records["force_integral"][:, 2] = GRAVITY * before
+        self._records["force_integral"][0] = 0.0
+
+    def _take(self, setpoint: ControlSetpoint, armed: bool) -> None:
+        """Hand a new setpoint to the inner loop, unless it is one that position control flies."""
+        if armed and not self._last[1]:
+            self._position_control.home = self.estimate.position_world
+        self._last = setpoint, armed
+        if setpoint.kind in POSITION_KINDS:
+            self._armed[:] = armed
+            return
+        self._position_control.leave()
+        attitude, rate = setpoint.attitude.tolist(), setpoint.rate_body.tolist()
+        length = math.hypot(*attitude)
+        holds = setpoint.kind == "attitude" and math.isfinite(length) and length > 0
+        if holds:
+            free, rate, yaw_rate = NOTHING, NOTHING, rate[2] if math.isfinite(rate[2]) else 0.0
+        else:  # without a valid attitude PX4 controls no axis
+            free = [float(setpoint.kind == "attitude" or not math.isfinite(value)) for value in rate]
+            rate, yaw_rate = [0.0 if off else value for off, value in zip(free, rate, strict=True)], 0.0
+        thrust = setpoint.thrust if setpoint.kind != "idle" and math.isfinite(setpoint.thrust) else 0.0
+        wanted = [value / length for value in attitude] if holds else LEVEL
+        self._give([armed, holds, *wanted, *rate, *free, yaw_rate], thrust)
+
+    def _give(self, command: list[float], thrust: float) -> None:
+        """Write the inner loop's command, in the order of the plant's layout."""
+        self._loop.command[:] = [*command, thrust, self.land_detector.maybe_landed]
+        self._thrust = thrust
+
+    def _supervise(self, setpoint: ControlSetpoint, armed: bool) -> None:
+        """Position control and land detection, every few steps."""
+        flies_itself = armed and setpoint.kind in POSITION_KINDS
+        if not flies_itself and self._step % (2 * SUPERVISION):
+            return
+        now, detector = self._motion("estimate", 0), self.land_detector
+        detector.update(self.time, now, armed=armed, thrust=self._thrust, hover_thrust=self.tuning.hover_thrust)
+        self._landed[:] = detector.maybe_landed
+        if flies_itself:
+            demand = self._position_control.fly(setpoint, now, SUPERVISION * DT)
+            stays = detector.landed and not demand.climbs
+            stays = stays or (detector.ground_contact and setpoint.kind != "hold")
+            thrust = 0.0 if stays else demand.thrust
+            self._give([armed, True, *demand.attitude, *NOTHING, *NOTHING, demand.yaw_rate], thrust)

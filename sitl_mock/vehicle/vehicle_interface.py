@@ -1,0 +1,157 @@
+"""What the wire side commands and reads of the flying vehicle, in ENU world and FLU body axes.
+
+The autopilot's wire half (commander, streams, links) holds a `Vehicle` and nothing else of the plant; the vehicle
+knows nothing of MAVLink.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Vector = NDArray[np.float64]
+ControlKind = Literal["idle", "rates", "attitude", "hold", "land", "rtl"]
+
+
+def _unset() -> Vector:
+    return np.full(3, np.nan)
+
+
+def _level() -> Vector:
+    return np.array([1.0, 0.0, 0.0, 0.0])
+
+
+@dataclass(frozen=True, slots=True)
+class ControlSetpoint:
+    """What the vehicle flies until told otherwise.
+
+    kind: idle (armed, rotors at their least), rates, attitude, or a position mode that the vehicle flies by itself:
+    hold (to position_world where finite, by velocity_world where that is finite instead, otherwise where it was when
+    the kind changed), land, rtl (climb to rtl_height above home, return, land).
+    attitude: (4,) body to world, any sign, unit norm. rate_body: (3,) rad/s; with kind attitude a feed-forward of
+    which only the yaw rate is used. A rate that is NaN leaves that axis without control.
+    thrust: collective, 0..1 of the most, not clamped on the wire. yaw, yaw_rate: rad and rad/s for kind hold, NaN for
+    as it is. acceleration_world: m/s^2, for kind hold: added to what position and velocity ask for, and followed alone
+    where neither is finite.
+    """
+
+    kind: ControlKind
+    attitude: Vector = field(default_factory=_level)
+    rate_body: Vector = field(default_factory=lambda: np.zeros(3))
+    thrust: float = 0.0
+    position_world: Vector = field(default_factory=_unset)
+    velocity_world: Vector = field(default_factory=_unset)
+    acceleration_world: Vector = field(default_factory=_unset)
+    yaw: float = float("nan")
+    yaw_rate: float = float("nan")
+
+
+@dataclass(frozen=True, slots=True)
+class MotionState:
+    """Where the vehicle is and how it moves.
+
+    time: s of the vehicle's simulation at which it was so. position_world: (3,) m. velocity_world: (3,) m/s.
+    attitude: (4,) body to world. rate_body: (3,) rad/s.
+    """
+
+    time: float
+    position_world: Vector
+    velocity_world: Vector
+    attitude: Vector
+    rate_body: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class ImuSample:
+    """One inertial measurement. specific_force_body: (3,) m/s^2. rate_body: (3,) rad/s. time: s."""
+
+    time: float
+    specific_force_body: Vector
+    rate_body: Vector
+
+
+@dataclass(frozen=True, slots=True)
+class BatteryState:
+    """voltage: V. current: A. remaining: 0..1 of the charge."""
+
+    voltage: float
+    current: float
+    remaining: float
+
+
+@dataclass(frozen=True, slots=True)
+class Tuning:
+    """The autopilot parameters that the inner loops use, under PX4's names and units.
+
+    attitude_gain: MC_ROLL_P, MC_PITCH_P, MC_YAW_P, 1/s. rate_gain_p, _i, _d: MC_{ROLL,PITCH,YAW}RATE_{P,I,D}.
+    rate_limit: MC_{ROLL,PITCH,YAW}RATE_MAX, rad/s. thrust_model_factor: THR_MDL_FAC. hover_thrust: MPC_THR_HOVER.
+    return_altitude: RTL_RETURN_ALT, m. land_speed: MPC_LAND_SPEED, m/s. rate_gain_ff: MC_*RATE_FF.
+    integral_limit: MC_{RR,PR,YR}_INT_LIM. yaw_weight: MC_YAW_WEIGHT. gyro_cutoff: IMU_GYRO_CUTOFF,
+    acceleration_cutoff: IMU_DGYRO_CUTOFF, yaw_torque_cutoff: MC_YAW_TQ_CUTOFF, Hz. The defaults are PX4's;
+    `sitl_mock.vehicle.tuning.default_tuning` gives those of a vehicle file.
+    """
+
+    attitude_gain: tuple[float, float, float] = (4.0, 4.0, 2.8)
+    rate_gain_p: tuple[float, float, float] = (0.15, 0.15, 0.2)
+    rate_gain_i: tuple[float, float, float] = (0.2, 0.2, 0.1)
+    rate_gain_d: tuple[float, float, float] = (0.003, 0.003, 0.0)
+    rate_limit: tuple[float, float, float] = (3.839724354387525, 3.839724354387525, 3.490658503988659)
+    thrust_model_factor: float = 0.0
+    hover_thrust: float = 0.5
+    return_altitude: float = 30.0
+    land_speed: float = 0.7
+    rate_gain_ff: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    integral_limit: tuple[float, float, float] = (0.3, 0.3, 0.3)
+    yaw_weight: float = 0.4
+    gyro_cutoff: float = 40.0
+    acceleration_cutoff: float = 30.0
+    yaw_torque_cutoff: float = 2.0
+
+
+class Vehicle(Protocol):
+    """A vehicle with its inner loops, plant, sensors and battery. Bit-reproducible for a seed."""
+
+    @property
+    def time(self) -> float:
+        """Simulated time, s."""
+
+    @property
+    def truth(self) -> MotionState:
+        """The plant's state."""
+
+    @property
+    def estimate(self) -> MotionState:
+        """What the estimator says: delayed (see its time) and noisy."""
+
+    @property
+    def imu(self) -> ImuSample:
+        """The newest inertial measurement."""
+
+    @property
+    def rotor_speed(self) -> Vector:
+        """(rotors,) rad/s, in the vehicle file's order."""
+
+    @property
+    def motor_signal(self) -> Vector:
+        """(rotors,) 0..1, in the vehicle file's order."""
+
+    @property
+    def rotor_position(self) -> Vector:
+        """(rotors, 3) m, body FLU."""
+
+    @property
+    def battery(self) -> BatteryState:
+        """The battery now."""
+
+    @property
+    def on_ground(self) -> bool:
+        """Whether the vehicle's land detector believes that it has landed."""
+
+    def advance(self, setpoint: ControlSetpoint, armed: bool, duration: float) -> None:
+        """Simulate a duration (s) under a setpoint; rotors stand still when not armed."""
+
+    def tune(self, tuning: Tuning) -> None:
+        """Use other inner-loop parameters from now on."""

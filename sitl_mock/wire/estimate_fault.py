@@ -1,0 +1,66 @@
+"""What goes wrong between the estimator and the wire: resets, invalid numbers, a frozen or missing estimate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from dynamics.quaternion import multiply
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState, Vector
+
+
+def _heading(yaw: float) -> Vector:
+    return np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
+
+
+@dataclass(slots=True)
+class EstimateFault:
+    """The estimator's frame as the wire sees it, moved by resets, and its failures.
+
+    reset_counter: ODOMETRY's; PX4 has counted some before take-off. shift: (3,) m, yaw: rad, what all resets so far
+    have added, in ENU. invalid: NaN instead of numbers. frozen: the estimate stands while its time goes on.
+    stopped: no estimate is sent at all.
+    """
+
+    reset_counter: int = 9
+    shift: Vector = field(default_factory=lambda: np.zeros(3))
+    yaw: float = 0.0
+    invalid: bool = False
+    frozen: bool = False
+    stopped: bool = False
+    _kept: MotionState | None = None
+
+    def reset(self, shift: Vector, yaw: float) -> None:
+        """Move the estimate by shift (m, ENU) and its heading by yaw (rad, about up), as EKF2's resets do."""
+        self.shift = self.shift + shift
+        self.yaw += yaw
+        self.reset_counter = (self.reset_counter + 1) % 256
+
+    def seen(self, state: MotionState) -> MotionState:
+        """The estimate as the wire carries it."""
+        if self.frozen and self._kept is not None:
+            return replace(self._kept, time=state.time)
+        if self.invalid:
+            nothing = np.full(3, math.nan)
+            return MotionState(state.time, nothing, nothing, np.full(4, math.nan), nothing)
+        if self.yaw or self.shift.any():
+            state = replace(
+                state,
+                position_world=state.position_world + self.shift,
+                attitude=multiply(_heading(self.yaw), state.attitude),
+            )
+        self._kept = state
+        return state
+
+    def meant(self, setpoint: ControlSetpoint) -> ControlSetpoint:
+        """A setpoint given in the estimator's moved frame, in the frame of the plant."""
+        if not self.yaw and not self.shift.any():
+            return setpoint
+        return replace(
+            setpoint,
+            attitude=multiply(_heading(-self.yaw), setpoint.attitude),
+            position_world=setpoint.position_world - self.shift,
+            yaw=setpoint.yaw - self.yaw,
+        )

@@ -1,0 +1,161 @@
+"""One MAVLink link: frames in from any number of peers, messages out when they are due, faults in between."""
+
+from __future__ import annotations
+
+import heapq
+import math
+import random
+from collections.abc import Hashable
+from dataclasses import dataclass, field
+
+from sitl_mock.wire.dialect import AUTOPILOT_COMPONENT, Message, mavlink
+from sitl_mock.wire.streams import Role, Streams, loop_delay
+
+GCS_TYPE = 6
+GCS_TIMEOUT = 2.5  # s, PX4's HEARTBEAT_TIMEOUT
+MOST_PARSERS = 32
+LONGEST_QUEUE = 20_000
+
+
+@dataclass(slots=True)
+class LinkFault:
+    """What the wire does to frames in both directions. Probabilities per frame; down: nothing passes.
+
+    flood: frames per second of unknown messages that the vehicle adds to what it sends.
+    """
+
+    loss: float = 0.0
+    duplication: float = 0.0
+    reorder: float = 0.0
+    down: bool = False
+    flood: float = 0.0
+
+
+@dataclass(order=True, slots=True)
+class _Queued:
+    time: float
+    number: int
+    message: Message = field(compare=False)
+    frame: bytes | None = field(compare=False, default=None)
+
+
+class Link:
+    """The mock's end of a link. All times are simulated seconds.
+
+    punctual: leave out the jitter of PX4's mavlink loop, as lockstep needs.
+    """
+
+    def __init__(self, name: str, role: Role, system: int, sendable: frozenset[int], *, seed: int = 0):
+        self.name = name
+        self.streams = Streams(role, sendable, seed)
+        self.fault = LinkFault()
+        self.bad_frames = 0
+        self.punctual = False
+        self._random = random.Random(seed)
+        self._packer = mavlink.MAVLink(None, srcSystem=system, srcComponent=AUTOPILOT_COMPONENT)
+        self._parsers: dict[Hashable, Message] = {}
+        self._queue: list[_Queued] = []
+        self._number = 0
+        self._loop_end = -math.inf
+        self._answered = -math.inf
+        self._listing_until = -math.inf
+        self._gcs_heard = -math.inf
+        self._flood_owed = 0.0
+
+    def parse(self, peer: Hashable, data: bytes) -> list[Message]:
+        """The valid messages in bytes from a peer; whatever is malformed is counted and skipped."""
+        parser = self._parsers.get(peer)
+        if parser is None:
+            if len(self._parsers) >= MOST_PARSERS:
+                self._parsers.pop(next(iter(self._parsers)))
+            parser = self._parsers[peer] = mavlink.MAVLink(None)
+            parser.robust_parsing = True
+        try:
+            found = parser.parse_buffer(data) or []
+        except Exception:  # pymavlink documents no exception and may raise any on hostile bytes; none may stop a link
+            self._parsers.pop(peer, None)
+            self.bad_frames += 1
+            return []
+        messages = [message for message in found if message.get_msgId() >= 0 and self._passes()]
+        self.bad_frames += len(found) - len(messages)
+        return [message for message in messages if "UNKNOWN" not in message.get_type()]
+
+    def _passes(self) -> bool:
+        return not self.fault.down and (self.fault.loss == 0.0 or self._random.random() >= self.fault.loss)
+
+    def hear_heartbeat(self, time: float, kind: int) -> None:
+        """Note a heartbeat: a ground station's opens the link for texts."""
+        if kind == GCS_TYPE:
+            self._gcs_heard = time
+
+    def sees_gcs(self, time: float) -> bool:
+        """Whether a ground station's heartbeat was heard on this link just now."""
+        return time - self._gcs_heard < GCS_TIMEOUT
+
+    def send(self, time: float, message: Message, frame: bytes | None = None) -> None:
+        """Queue a message (or a finished frame) to leave at a time."""
+        if len(self._queue) < LONGEST_QUEUE:
+            self._number += 1
+            heapq.heappush(self._queue, _Queued(time, self._number, message, frame))
+
+    def in_order(self, time: float) -> float:
+        """When an answer meant for a time leaves: never before the answer to an earlier command."""
+        self._answered = max(self._answered, time)
+        return self._answered
+
+    def may_list(self, time: float, duration: float) -> bool:
+        """Whether a list that takes a while may begin: not while another runs, or a flood of requests would win."""
+        if time < self._listing_until:
+            return False
+        self._listing_until = time + duration
+        return True
+
+    def loop_time(self, time: float) -> float:
+        """When the pass of the mavlink loop at a time puts its messages on the wire; passes never overtake."""
+        if self.punctual:
+            return time
+        self._loop_end = max(self._loop_end, time + loop_delay(self._random))
+        return self._loop_end
+
+    @property
+    def waiting(self) -> int:
+        """How many messages wait to leave."""
+        return len(self._queue)
+
+    def next_departure(self) -> float:
+        """When the next queued message leaves, infinity if none waits."""
+        return self._queue[0].time if self._queue else math.inf
+
+    def take(self, time: float) -> list[bytes]:
+        """The frames that leave up to a time, in order, after the wire's faults."""
+        frames: list[bytes] = []
+        while self._queue and self._queue[0].time <= time:
+            queued = heapq.heappop(self._queue)
+            if queued.frame is not None:
+                frames.append(queued.frame)
+                continue
+            frame = self._pack(queued.message)
+            if frame is None or not self._passes():
+                continue
+            if self.fault.reorder and self._random.random() < self.fault.reorder:
+                self.send(queued.time + 0.012, None, frame)
+                continue
+            frames.append(frame)
+            if self.fault.duplication and self._random.random() < self.fault.duplication:
+                frames.append(frame)
+        return frames
+
+    def _pack(self, message: Message) -> bytes | None:
+        try:
+            frame = bytes(message.pack(self._packer))
+        except (ValueError, OverflowError, mavlink.struct.error):
+            return None  # a number that its field cannot hold: a crashed or diverged vehicle says nothing instead
+        self._packer.seq = (self._packer.seq + 1) % 256
+        return frame
+
+    def flood(self, time: float, duration: float) -> None:
+        """Queue the unknown frames that the flood fault owes for a duration."""
+        self._flood_owed += self.fault.flood * duration if self.fault.flood else -self._flood_owed
+        while self._flood_owed >= 1.0:
+            self._flood_owed -= 1.0
+            self.send(time, mavlink.MAVLink_debug_message(0, 0, self._random.random()))

@@ -1,0 +1,157 @@
+"""How the demo's manoeuvres are flown: over MAVLink on the mock in real time, or in lockstep without a link."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Protocol
+
+import msgspec
+import numpy as np
+
+from dynamics.errors import VehicleError
+from dynamics.references import check_feasibility, named_reference
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from runtime.control.controller import Controller
+from runtime.daemon import Daemon
+from runtime.flight.mission import Plan
+from runtime.flight_setup import FlightSetup, prepare_flight
+from simulation.embedded_mock import embedded_mock
+from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
+from vehicles import vehicle_path
+
+Announce = Callable[[str], None]
+BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0)  # on the way to and from a manoeuvre
+FINDING_PATIENCE = 30.0  # s for the mock, which may have to compile its plant
+OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre unless told otherwise
+NOMINAL, LEARNED = "nominal", "learned"  # which model a flight was flown with, as its file name says
+PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {NOMINAL: TRACKING_NOMINAL, LEARNED: TRACKING_LEARNED}
+
+
+class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the demo flies. effects: hidden from the controller. folder: for output. duration: s of each manoeuvre, None
+    for as many as diagnosis needs: in lockstep more, where the way there and back is not recorded.
+
+    rate: of control, Hz. lockstep: fly in simulated time, without a link. learn: whether to go on after the flights
+    with the textbook model.
+    """
+
+    folder: Path
+    vehicle: str = "arpl_250g"
+    effects: tuple[str, ...] = ("rotor_drag:coefficient=2.2e-5", "parasitic_drag:coefficient=0.01")
+    manoeuvres: tuple[str, ...] = ("Ellipse_2", "WarpedEllipse_2", "Lemniscate")
+    duration: float | None = None
+    rate: float = 100.0
+    seed: int = 1
+    lockstep: bool = False
+    learn: bool = True
+
+    @property
+    def seconds(self) -> float:
+        """Of each manoeuvre."""
+        if self.duration is not None:
+            return self.duration
+        return IN_LOCKSTEP if self.lockstep else OVER_LINK
+
+
+class FlownManoeuvre(msgspec.Struct, frozen=True):
+    """How one manoeuvre went. Position errors against the reference, m; paper_rmse: with its model of the same kind."""
+
+    name: str
+    speed_max: float
+    position_rmse: float
+    position_max: float
+    paper_rmse: float | None
+    recording: str
+
+
+class Pilot(Protocol):
+    """Flies one manoeuvre with the model of a vehicle file."""
+
+    def __call__(self, name: str, vehicle: str, model: str) -> FlownManoeuvre:
+        """name: of the manoeuvre. vehicle: the controller's file. model: NOMINAL or LEARNED, what the file holds.
+
+        Raises VehicleError when the flight does not end as it should.
+        """
+        ...
+
+
+@contextmanager
+def pilot(options: DemoOptions, announce: Announce) -> Iterator[Pilot]:
+    """A simulated vehicle that hides the effects, and who flies it. Raises VehicleError when the vehicle dies."""
+    if options.lockstep:
+        yield lambda name, vehicle, model: _in_lockstep(name, vehicle, model, options)
+        return
+    hidden = [part for text in options.effects for part in ("--effect", text)]
+    with embedded_mock(options.vehicle, [*hidden, "--seed", str(options.seed)]) as link:
+        yield lambda name, vehicle, model: _over_link(name, vehicle, model, link, options, announce)
+
+
+def _over_link(
+    name: str, vehicle: str, model: str, link: str, options: DemoOptions, announce: Announce
+) -> FlownManoeuvre:
+    setup = FlightSetup(
+        link=link, reference=name, vehicle=vehicle, duration=options.seconds, rate=options.rate,
+        record=_recordings(options), timeout=FINDING_PATIENCE,
+    )  # fmt: skip
+    flight = prepare_flight(setup, flown_before=model == LEARNED)
+    plan = msgspec.structs.replace(BRISK, duration=options.seconds)
+    request = msgspec.structs.replace(flight.request, name=_file_name(name, model), plan=plan)
+    report = Daemon(request, flight.vehicle, flight.reference, announce).fly()
+    if not report.landed or report.landing_reason or not report.tracking.samples:
+        why = f"{report.outcome} {report.landing_reason}".strip()
+        raise VehicleError(f"the flight of {name} with the {model} model ended early: {why}. {_too_much(options)}")
+    tracking = report.tracking
+    errors = (tracking.speed_max, tracking.position_rmse, tracking.position_max)
+    return FlownManoeuvre(name, *errors, _paper(flight.reference.name, model), report.recording or "")
+
+
+def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> FlownManoeuvre:
+    from flights import Flight
+    from simulation.lockstep import fly_reference  # with it come the readers of logs, which a flight computer lacks
+
+    body = read_vehicle(vehicle_path(options.vehicle))
+    controller = Controller.build(read_vehicle(vehicle_path(vehicle)))
+    reference = named_reference(name, controller.trim, duration=options.seconds)
+    if model == NOMINAL:  # the better model may know that the vehicle is at its limits there; it flew it all the same
+        check_feasibility(reference, controller.trim).require()
+    effects = [parse_effect(text, body.rotors.count) for text in options.effects]
+    flown = fly_reference(body, reference, effects=effects, seed=options.seed, name=name, controller=controller)
+    if flown.aborted:
+        raise VehicleError(
+            f"the flight of {name} with the {model} model ended early: {flown.aborted}. {_too_much(options)}"
+        )
+    flight = Flight.from_log(flown.log)
+    folder = _recordings(options)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = flight.to_csv(folder / f"{_file_name(name, model)}.csv")
+    error = np.linalg.norm(flight["position"] - flight["position_setpoint"], axis=1)  # NaN where a row lacks one
+    speed = float(np.nanmax(np.linalg.norm(flight["velocity"], axis=1)))
+    errors = (speed, float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(error)))
+    return FlownManoeuvre(name, *errors, _paper(reference.name, model), str(path))
+
+
+def _paper(reference: str, model: str) -> float | None:
+    """The paper's RMSE of a reference with its model of this kind, m, if it flew that one."""
+    found = PAPER[model].get(reference)
+    return found[0] if found else None
+
+
+def _recordings(options: DemoOptions) -> Path:
+    return options.folder / "recordings"
+
+
+def _file_name(name: str, model: str) -> str:
+    """Date, time, model and the reference's name without the signs that a file name cannot have."""
+    plain = "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in name)
+    return f"{time.strftime('%Y%m%d-%H%M%S')}_{model}_{plain}"
+
+
+def _too_much(options: DemoOptions) -> str:
+    hidden = ", ".join(options.effects) or "nothing"
+    return (
+        f"The vehicle hides {hidden}. Hide less, name gentler manoeuvres with --manoeuvre, or leave the machine more "
+        "time."
+    )

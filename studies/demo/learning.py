@@ -1,0 +1,52 @@
+"""The demo's second half on the desk: what the first flights show to be missing, and the next vehicle file."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+
+from diagnosis.addition import write_next_version
+from diagnosis.completion import Completion, complete
+from diagnosis.data.dataset import Dataset, read_dataset
+from diagnosis.report import sentence
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle_file import read_vehicle
+from studies.demo.flights import DemoOptions
+from studies.demo.run import Learned, PredictionError
+from vehicles import vehicle_path
+
+
+@dataclass(frozen=True, eq=False)
+class Learning:
+    """What was learned, what from and how. learned: the same for the report, without the flights that follow."""
+
+    learned: Learned
+    dataset: Dataset
+    completion: Completion
+
+
+def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "") -> Learning:
+    """Diagnose recordings and write the next version of the vehicle file into the demo's folder.
+
+    Raises DataError when the recordings cannot answer, RequestError when the file cannot be written.
+    """
+    given = vehicle_path(options.vehicle)
+    vehicle = read_vehicle(given)
+    dataset = read_dataset(recordings, vehicle)
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    completion = complete(dataset, vehicle, CATALOGUE, date=today, command=command)
+    diagnosis, after = completion.first.diagnosis, completion.last.diagnosis.channels
+    written = write_next_version(completion.vehicle, options.folder / given.name) if completion.added else ""
+    learned = Learned(
+        verdict=diagnosis.verdict,
+        said=sentence(diagnosis),
+        added=tuple(effect.name for effect in completion.added),
+        channels={k: PredictionError(e.before, after[k].after, e.floor, e.unit) for k, e in diagnosis.channels.items()},
+        vehicle_file=str(written),
+        flown=(),
+        diagnosis=msgspec.json.decode(msgspec.json.encode(diagnosis)),
+    )
+    return Learning(learned, dataset, completion)

@@ -1,0 +1,141 @@
+"""The main job end to end on a simulated vehicle: fly the textbook model on one that hides an effect, diagnose these
+flights, add what was found, fly the same with it in the controller's model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import util
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+
+from dynamics.errors import RequestError
+from dynamics.references import named_reference
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, FlownManoeuvre, pilot
+from vehicles import vehicle_path
+
+if TYPE_CHECKING:
+    from studies.demo.learning import Learning
+
+Started = Callable[[str], None]
+NEEDED = ("scipy", "pyarrow")  # for diagnosis, which a flight computer's install leaves out
+
+
+class PredictionError(msgspec.Struct, frozen=True):
+    """RMS of one channel over three axes on a flight that nothing was fitted on, and the sensors' noise of the same."""
+
+    before: float
+    after: float
+    floor: float
+    unit: str
+
+
+class Learned(msgspec.Struct, frozen=True):
+    """The second half. verdict: diagnosis' word for the first flights. said: the same in a sentence.
+
+    added: effects, the most important first. channels: prediction error with the textbook model and with them.
+    vehicle_file: the next version, empty when there was nothing to add; then nothing is flown again. flown: with it.
+    diagnosis: as `alula diagnose --json` writes it.
+    """
+
+    verdict: str
+    said: str
+    added: tuple[str, ...]
+    channels: dict[str, PredictionError]
+    vehicle_file: str
+    flown: tuple[FlownManoeuvre, ...]
+    diagnosis: dict[str, Any]
+
+
+class DemoReport(msgspec.Struct, frozen=True):
+    """What the demo measured, and where it wrote it. nominal: flights with the textbook model.
+
+    learned: None when there was no second half; missing: what it would have needed.
+    """
+
+    vehicle: str
+    hidden_effects: tuple[str, ...]
+    seed: int
+    nominal: tuple[FlownManoeuvre, ...]
+    lockstep: bool = False
+    learned: Learned | None = None
+    missing: tuple[str, ...] = ()
+    files: tuple[str, ...] = ()
+
+    @property
+    def pairs(self) -> tuple[tuple[FlownManoeuvre, FlownManoeuvre | None], ...]:
+        """Each manoeuvre with the textbook model and, if it was flown again, with the learned one."""
+        after = self.learned.flown if self.learned is not None else ()
+        return tuple((before, after[i] if i < len(after) else None) for i, before in enumerate(self.nominal))
+
+
+def check_options(options: DemoOptions) -> None:
+    """Refuse what cannot be flown or written before anything takes off; makes the folder. Raises RequestError."""
+    vehicle = read_vehicle(vehicle_path(options.vehicle))
+    for text in options.effects:
+        parse_effect(text, vehicle.rotors.count)
+    for name in options.manoeuvres:
+        named_reference(name, vehicle)
+    if not options.manoeuvres:
+        raise RequestError("no manoeuvre was given; name at least one, such as Lemniscate.")
+    if options.lockstep and (absent := absent_libraries()):
+        raise RequestError(
+            f"flights in lockstep need {' and '.join(absent)}: pip install 'alula[workbench]', or fly over the link."
+        )
+    probe = options.folder / ".part-probe"
+    try:
+        options.folder.mkdir(parents=True, exist_ok=True)
+        probe.touch()
+        probe.unlink()
+    except OSError as error:
+        raise RequestError(
+            f"cannot write to {options.folder}: {error.strerror}. Give a folder that can be written with --out."
+        ) from None
+
+
+def absent_libraries() -> tuple[str, ...]:
+    """What the second half needs and this install has not."""
+    return tuple(name for name in NEEDED if util.find_spec(name) is None)
+
+
+def run_demo(
+    options: DemoOptions, announce: Announce, started: Started, *, command: str = ""
+) -> tuple[DemoReport, Learning | None]:
+    """Fly, diagnose, add, fly again. started: is told the name of each part as it begins. command: for the history.
+
+    Without the desk's libraries, or told not to learn, only the first half; then there is no Learning.
+
+    Raises RequestError for options that make no sense, VehicleError when a flight does not end as it should, DataError
+    when the flights cannot be diagnosed.
+    """
+    check_options(options)
+    nominal = _fly_all(options, str(vehicle_path(options.vehicle)), NOMINAL, announce, started)
+    absent = absent_libraries() if options.learn else ()
+    report = DemoReport(
+        options.vehicle, options.effects, options.seed, nominal, lockstep=options.lockstep, missing=absent
+    )
+    if absent or not options.learn:
+        return report, None
+    from studies.demo.learning import learn  # brings SciPy
+
+    started("diagnosis")
+    learning = learn(options, [flown.recording for flown in nominal], command=command)
+    learned = learning.learned
+    if learned.vehicle_file:
+        again = _fly_all(options, learned.vehicle_file, LEARNED, announce, started)
+        learned = msgspec.structs.replace(learned, flown=again)
+    return msgspec.structs.replace(report, learned=learned), learning
+
+
+def _fly_all(
+    options: DemoOptions, vehicle: str, model: str, announce: Announce, started: Started
+) -> tuple[FlownManoeuvre, ...]:
+    """Every manoeuvre with one model on a vehicle with a full battery."""
+    flown = []
+    with pilot(options, announce) as fly:
+        for name in options.manoeuvres:
+            started(f"{name}, {model}")
+            flown.append(fly(name, vehicle, model))
+    return tuple(flown)

@@ -1,0 +1,128 @@
+"""An evaluation from what was given on the command line: which are models, which flights, what is written where."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+from matplotlib.figure import Figure
+
+from dynamics.errors import RequestError
+from dynamics.references.campaign import paper_campaign
+from dynamics.vehicle_file import read_vehicle
+from studies import figures
+from studies.evaluation.inference import Inference, time_inference
+from studies.evaluation.tables import evaluation_tables, summary_lines
+from studies.tables import Table
+from studies.tables_page import write_tables_page
+from training import checkpoint
+from training.config import ModelConfig
+from training.data.recordings import CAMPAIGN, find_logs, read_recordings
+from training.evaluation import PLANT, Evaluated, Judged, Named, evaluate, physical_model
+from training.ground_truth import campaign_of
+from vehicles import vehicle_path
+
+MODEL_SUFFIX = ".pt"
+VEHICLE_FILE = "vehicle file"
+MOST_PICTURES = 8  # flights
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """What was found, as numbers, as tables, and what pictures need."""
+
+    evaluated: Evaluated
+    timings: tuple[Inference, ...]
+    tables: tuple[Table, ...]
+    judged: tuple[Judged, ...]
+
+
+class Answer(msgspec.Struct, frozen=True):
+    """`alula evaluate --json`."""
+
+    evaluated: Evaluated
+    inference: tuple[Inference, ...]
+
+
+def run(
+    given: Sequence[Path], vehicle: str | None, *, mapping: Path | None, timed: bool, done: Callable[[str], None]
+) -> Results:
+    """Evaluate. given: checkpoints (.pt) and flights in any order. done: told each model's name.
+
+    Raises RequestError and DataError for what a user can cause.
+    """
+    paths = [path for path in given if path.suffix == MODEL_SUFFIX]
+    models = [Named(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
+    logs = find_flights([path for path in given if path.suffix != MODEL_SUFFIX])
+    dt = models[0].model.config.dt if models else ModelConfig("", "none", base="nominal").dt
+    if vehicle is not None:
+        file = read_vehicle(vehicle_path(vehicle))
+        like = models[0].model.config if models else ModelConfig("", "none", base="nominal", rotors=file.rotors.count)
+        models.insert(0, Named(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
+    if any(named.model.config.dt != dt for named in models):
+        raise RequestError("the models predict over different times dt: evaluate them one at a time.")
+    recordings = read_recordings(logs, dt=dt, mapping=mapping, may_be_tests=True)
+    evaluated, judged = evaluate(models, recordings, campaign=campaign_of(logs), done=done)
+    timings, missing = time_inference(judged) if timed else ((), ())
+    evaluated = msgspec.structs.replace(evaluated, notes=(*evaluated.notes, *missing))
+    return Results(evaluated, timings, evaluation_tables(evaluated, timings), judged)
+
+
+def find_flights(given: Sequence[Path]) -> tuple[Path, ...]:
+    """The logs meant: files as they are, of a campaign's folder its test flights, of any other all files in it.
+
+    Raises RequestError for what is not there.
+    """
+    found: list[Path] = []
+    for path in given:
+        is_campaign = path.is_dir() and (path / CAMPAIGN).exists()
+        found += find_logs([path / "test" if is_campaign else path])
+    if not found:
+        raise RequestError("no flight was given. Give logs, a folder of logs, or a campaign's folder.")
+    order = {flight.name: place for place, flight in enumerate(paper_campaign())}
+    return tuple(sorted(found, key=lambda path: order.get(path.stem, len(order))))
+
+
+def draw(results: Results, folder: Path) -> list[Path]:
+    """RMSE over NOM's by flight, and predictions along each flight, PNG and PDF."""
+    written = []
+    for name, figure, _ in _figures(results):
+        written += figures.save(figure, folder, name)
+    return written
+
+
+def write_html(results: Results, path: Path) -> None:
+    """Tables and pictures in one file. Raises RequestError when it cannot be written."""
+    pictures = [(figure, says) for _, figure, says in _figures(results)]
+    title = "Flight models on flights that they have not seen"
+    lines, flights = summary_lines(results.evaluated), results.evaluated.flights
+    write_tables_page(path, title, lines, results.tables, pictures, inputs=flights)
+
+
+def _figures(results: Results) -> list[tuple[str, Figure, str]]:
+    ratios, flights = figures.nominal_ratios(results.judged)
+    found = []
+    if ratios:
+        title = "RMSE over NOM's"
+        found.append(("rmse_over_nominal", figures.bars_figure(ratios, flights, title), f"{title}, by flight"))
+    shown = [one for one in results.judged if one.evaluation.name != PLANT]
+    for error in results.judged[0].evaluation.label[:MOST_PICTURES]:
+        if all(error.flight in [e.flight for e in one.evaluation.label] for one in shown):
+            name = Path(error.flight).stem
+            figure = figures.prediction_figure(shown, error.flight)
+            found.append((f"prediction_{name}", figure, f"Predictions along {name}, and the error second by second"))
+    return found
+
+
+def _names(paths: Sequence[Path]) -> list[str]:
+    """Short names that tell the files apart. Raises RequestError for a file given twice."""
+    if len(set(paths)) < len(paths):
+        raise RequestError("a model is given twice. Give each once.")
+    stems = [path.stem for path in paths]
+    kinds = [stem.split(".")[-1] for stem in stems]
+    for names in (kinds, stems):
+        if len(set(names)) == len(names):
+            return names
+    return [str(path) for path in paths]

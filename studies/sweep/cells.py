@@ -1,0 +1,73 @@
+"""The cells of a sweep, run: a finished one is never trained again, a killed one goes on, a failed one says why."""
+
+from __future__ import annotations
+
+import os
+import threading
+import traceback
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import AlulaError, RequestError
+from flights.parallel import parallel_map
+from studies.sweep.cell import FailedCell, Outcome
+from studies.sweep.training import CPU, this_worker, train_cell
+from studies.sweep.work import CellWork, finished, finished_cells
+from training.run import one_thread
+
+_ONE_AT_A_TIME = (
+    threading.Lock()
+)  # torch's seed is one for all threads of a process, and a Dask worker may have several
+
+
+def run_cells(works: Sequence[CellWork], *, jobs: int | None, scheduler: str | None) -> Iterator[tuple[int, Outcome]]:
+    """(place, outcome) of every cell, finished ones first, the others as they finish; failed ones are tried again.
+
+    Raises what `parallel_map` raises and RequestError for a folder of another sweep.
+    """
+    done = dict(finished_cells(works))
+    yield from done.items()
+    waiting = [place for place in range(len(works)) if place not in done]
+    for index, outcome in parallel_map(run_cell, [works[place] for place in waiting], jobs=jobs, scheduler=scheduler):
+        yield waiting[index], outcome
+
+
+def run_cell(work: CellWork) -> Outcome:
+    """Train and judge one cell and write its files, or read them if another process was faster.
+
+    Raises RequestError for a folder of another sweep, or one that cannot be written to.
+    """
+    with _ONE_AT_A_TIME, one_thread(CPU):
+        result = finished(work)
+        if result is not None:
+            return result
+        try:
+            result = train_cell(work)
+        except Exception as error:  # whatever it is: a night's other trainings go on
+            return _failed(work, error)
+        _write(work.result_file, result)
+        for path in (work.state_file, work.failure_file):
+            path.unlink(missing_ok=True)
+        return result
+
+
+def _failed(work: CellWork, error: Exception) -> FailedCell:
+    """Write why a cell could not be trained. Its progress goes: tried again, it begins anew."""
+    expected = isinstance(error, AlulaError)
+    message = str(error) if expected else f"{type(error).__name__}: {error}"
+    found = FailedCell(work.cell, message, this_worker(), "" if expected else traceback.format_exc())
+    _write(work.failure_file, found)
+    work.state_file.unlink(missing_ok=True)
+    return found
+
+
+def _write(path: Path, value: msgspec.Struct) -> None:
+    part = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may finish the same cell
+    try:
+        part.write_bytes(msgspec.json.format(msgspec.json.encode(value)) + b"\n")
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise RequestError(f"cannot write {path}: {error.strerror or error}. Free some space.") from error

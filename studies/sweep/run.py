@@ -1,0 +1,175 @@
+"""A sweep from what was asked for: its cells and the map that runs them."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from dynamics.errors import RequestError
+from dynamics.vehicle_file import read_vehicle, vehicle_toml
+from studies.evaluation.run import find_flights
+from studies.sweep.catalogue import STARRED, STUDIES, grid_cells
+from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
+from studies.sweep.cells import run_cells
+from studies.sweep.search import Range, Search
+from studies.sweep.work import CellWork, file_hash, finished_cells
+from training.config import ModelConfig
+from training.data.recordings import CAMPAIGN, find_logs
+from training.recipe import Recipe, named_recipe
+from vehicles import vehicle_path
+
+GRID, SEARCH = "grid", "search"
+SEARCHED = "physics_weight=1e-4:1"  # lambda
+
+
+class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What `alula sweep` was asked for. simulated: logs or folders of a simulation without effects."""
+
+    study: str
+    logs: tuple[Path, ...]
+    vehicle: str
+    out: Path
+    tests: tuple[Path, ...] = ()
+    simulated: tuple[Path, ...] = ()
+    seeds: int = 2
+    steps: int | None = None
+    batch: int | None = None
+    recipe: str = "fast"
+    model: str = "pi_tcn"
+    grid: tuple[str, ...] = ()
+    over: tuple[str, ...] = ()
+    trials: int = 20
+    jobs: int | None = None
+    scheduler: str | None = None
+    mapping: Path | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """A sweep that may begin. along: the quantities that cells differ in. count: of the cells.
+
+    outcomes: trains what is missing. finished: what is there already. flights: sha256 of what is learned from and
+    judged on, by path. works: of the cells, where they are known beforehand.
+    """
+
+    study: str
+    along: tuple[str, ...]
+    count: int
+    outcomes: Callable[[], Iterator[tuple[int, Outcome]]]
+    finished: Callable[[], Iterator[tuple[int, CellResult]]]
+    flights: Mapping[str, str]
+    works: tuple[CellWork, ...] = ()
+
+
+def make_sweep(options: SweepOptions) -> Sweep:
+    """Settle the cells and make the folder. Raises RequestError for whatever makes no sense."""
+    named_recipe(options.recipe)
+    changes = {name: value for name, value in (("steps", options.steps), ("batch", options.batch)) if value is not None}
+    common = StudyOptions(tuple(range(options.seeds)), changes)
+    work = _works(options)
+    if options.study == SEARCH:
+        return _search(options, work, changes)
+    if options.study == GRID:
+        config, recipe = _grid_values(options.grid)
+        cells, along = grid_cells(common, options.model, config, recipe), (*config, *recipe)
+    elif options.study in STUDIES:
+        cells, along = STUDIES[options.study].cells(common), STUDIES[options.study].along
+    else:
+        raise RequestError(f"unknown study {options.study!r}. Known: {', '.join((*STUDIES, GRID, SEARCH))}.")
+    works = tuple(work(cell) for cell in cells)
+    for one in works:
+        one.settled()  # a value that makes no sense ends the sweep before it begins
+    return Sweep(
+        options.study, along, len(works),
+        outcomes=lambda: run_cells(works, jobs=options.jobs, scheduler=options.scheduler),
+        finished=lambda: finished_cells(works),
+        flights=_hashes(works[0]), works=works,
+    )  # fmt: skip
+
+
+def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
+    """What makes a cell's work. Raises RequestError for logs, a vehicle or a folder that cannot be used."""
+    logs = find_logs(options.logs)
+    tests = options.tests or tuple(path for path in options.logs if path.is_dir() and (path / CAMPAIGN).exists())
+    if not tests:
+        raise RequestError("no flight to judge on was given: give --test, logs or folders that nothing is trained on.")
+    simulated = _simulated(options)
+    text = vehicle_toml(read_vehicle(vehicle_path(options.vehicle)))
+    judged = find_flights(tests)
+    if shared := {path.resolve() for path in (*logs, *simulated)} & {path.resolve() for path in judged}:
+        raise RequestError(f"{min(shared).name} is among both training and test flights. Give it once.")
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"cannot write to {options.out}: {error.strerror}. Give another --out.") from error
+    logs, judged, simulated, out = (
+        tuple(path.resolve() for path in paths) for paths in (logs, judged, simulated, (options.out,))
+    )  # for workers in other folders
+    return lambda cell: CellWork(
+        cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated
+    )  # fmt: skip
+
+
+def _simulated(options: SweepOptions) -> tuple[Path, ...]:
+    """Flights of a simulation without effects. Raises RequestError when they are wanted and missing, or not wanted."""
+    if (options.study == STARRED) != bool(options.simulated):
+        raise RequestError(
+            f"--simulated is for the study {STARRED!r}, and it needs it: give the folder of `alula campaign "
+            "--no-effects --out FOLDER`."
+        )
+    return find_logs(options.simulated) if options.simulated else ()
+
+
+def _hashes(work: CellWork) -> dict[str, str]:
+    """sha256 of all flights by the last parts of their paths."""
+    return {"/".join(path.parts[-3:]): file_hash(path) for path in (*work.logs, *work.simulated, *work.tests)}
+
+
+def _search(options: SweepOptions, work: Callable[[Cell], CellWork], changes: dict[str, Any]) -> Sweep:
+    ranges = [Range.parse(text) for text in options.over or (SEARCHED,)]
+    for item in ranges:
+        _require_field(item.name, Recipe)
+    jobs = options.jobs if options.jobs is not None else len(os.sched_getaffinity(0))
+    search = Search(work, options.model, ranges, options.trials, changes)
+    example = work(Cell(SEARCH, {}, options.model, 0, recipe=changes))
+    example.settled()
+    return Sweep(
+        SEARCH, tuple(item.name for item in ranges), options.trials,
+        outcomes=lambda: search.run(jobs=jobs, scheduler=options.scheduler),
+        finished=search.tried, flights=_hashes(example),
+    )  # fmt: skip
+
+
+def _grid_values(given: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
+    """Values by field, of the model's definition and of the recipe. Raises RequestError for what is neither."""
+    if not given:
+        raise RequestError("a grid needs something to vary: --grid physics_weight=0,0.01,0.1 --grid history=4,20.")
+    config: dict[str, list[Any]] = {}
+    recipe: dict[str, list[Any]] = {}
+    for text in given:
+        name, _, values = text.partition("=")
+        into = config if name in ModelConfig.__struct_fields__ else recipe
+        if into is recipe:
+            _require_field(name, Recipe)
+        if not values:
+            raise RequestError(f"{text!r} has no values. Give NAME=VALUE,VALUE,...")
+        into[name] = [_value(value) for value in values.split(",")]
+    return config, recipe
+
+
+def _require_field(name: str, struct: type[msgspec.Struct]) -> None:
+    if name not in struct.__struct_fields__:
+        raise RequestError(f"a recipe has no {name!r}. Known: {', '.join(struct.__struct_fields__)}.")
+
+
+def _value(text: str) -> Any:
+    """A number or a truth value where it is one, else the text; the recipe's own types are checked later."""
+    try:
+        return msgspec.json.decode(text)
+    except msgspec.MsgspecError:
+        return text

@@ -1,0 +1,129 @@
+"""Trainings of a study as files: what decides a cell, and what lies in the sweep's folder of it."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator, Sequence
+from functools import lru_cache
+from pathlib import Path
+
+import msgspec
+
+from dynamics.errors import RequestError
+from flights.source import sha256
+from studies.sweep.cell import Cell, CellResult, FailedCell
+from training.config import ModelConfig
+from training.recipe import Recipe
+from training.run import TrainOptions, settled
+
+
+class CellWork(msgspec.Struct, frozen=True):
+    """A cell, the flights it may learn from and is judged on, and the folder that its files go to.
+
+    folder: one that every worker sees. simulated: flights of a simulation without effects, for cells that learn from
+    those. recipe: its name.
+    """
+
+    cell: Cell
+    folder: Path
+    logs: tuple[Path, ...]
+    tests: tuple[Path, ...]
+    vehicle_text: str
+    recipe: str = "fast"
+    mapping: Path | None = None
+    simulated: tuple[Path, ...] = ()
+
+    @property
+    def result_file(self) -> Path:
+        """That it is there says that the cell is finished."""
+        return self.folder / f"{self.cell.name}.json"
+
+    @property
+    def failure_file(self) -> Path:
+        """Why the cell could not be trained when it was last tried."""
+        return self.folder / f"{self.cell.name}.failed"
+
+    @property
+    def state_file(self) -> Path:
+        """What the training goes on from after it was killed."""
+        return self.folder / f"{self.cell.name}.state"
+
+    @property
+    def model_file(self) -> Path:
+        """The trained model."""
+        return self.folder / f"{self.cell.name}.pt"
+
+    @property
+    def learned(self) -> tuple[Path, ...]:
+        """The flights that this cell learns from, but for its pattern."""
+        return self.simulated if self.cell.simulated else self.logs
+
+    def settled(self) -> tuple[ModelConfig, Recipe]:
+        """What is trained, and how. Raises RequestError for values that make no sense."""
+        cell = self.cell
+        return settled(
+            TrainOptions(
+                logs=self.learned, vehicle="", model=cell.model, out=self.model_file, recipe=self.recipe,
+                config=cell.config, recipe_changes=cell.recipe, ensemble=1,
+            )
+        )  # fmt: skip
+
+    @property
+    def fingerprint(self) -> str:
+        """Of everything that decides the result: of files their content; names and the study are not among it.
+
+        Raises RequestError for a file that is gone.
+        """
+        cell, mapping = self.cell, () if self.mapping is None else (self.mapping,)
+        files = [[file_hash(path) for path in paths] for paths in (self.learned, self.tests, mapping)]
+        varied = cell.model, cell.seed, cell.prior, cell.flights, cell.hide_motors
+        return hashlib.sha256(msgspec.json.encode([varied, self.settled(), files, self.vehicle_text])).hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """sha256 of a file. Raises RequestError for one that cannot be read."""
+    try:
+        stamp = path.stat()
+        return _hash_of(path, stamp.st_mtime_ns, stamp.st_size)
+    except OSError as error:
+        raise RequestError(f"cannot read {path}: {error.strerror or error}. Give logs that are there.") from error
+
+
+@lru_cache(maxsize=4096)
+def _hash_of(path: Path, _changed: int, _size: int) -> str:
+    """A hundred cells share their files: each is read once while it stays as it is."""
+    return sha256(path)
+
+
+def finished(work: CellWork) -> CellResult | None:
+    """What a cell has become, None while it is not finished. Raises RequestError for a file of another sweep."""
+    try:
+        result = msgspec.json.decode(work.result_file.read_bytes(), type=CellResult)
+    except FileNotFoundError:
+        return None
+    except (OSError, msgspec.MsgspecError) as error:
+        raise RequestError(
+            f"{work.result_file} is no cell of a sweep: {error}. Delete it, or give another --out."
+        ) from error
+    if result.fingerprint != work.fingerprint:
+        raise RequestError(
+            f"{work.result_file} is of another sweep: its flights, vehicle, options or recipe differ. Give the same "
+            "command as before, or another --out."
+        )
+    return msgspec.structs.replace(result, cell=work.cell)
+
+
+def finished_cells(works: Sequence[CellWork]) -> Iterator[tuple[int, CellResult]]:
+    """(place, result) of the cells that are finished. Raises RequestError for a folder of another sweep."""
+    for place, work in enumerate(works):
+        result = finished(work)
+        if result is not None:
+            yield place, result
+
+
+def failure(work: CellWork) -> FailedCell | None:
+    """Why a cell could not be trained when it was last tried, None if it was not or nothing can be read of it."""
+    try:
+        return msgspec.json.decode(work.failure_file.read_bytes(), type=FailedCell)
+    except (OSError, msgspec.MsgspecError):
+        return None

@@ -1,0 +1,31 @@
+"""Tables and pictures as one page that needs nothing else."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from studies.tables import Table
+from studio.page import write_page
+from studio.provenance import origin
+from studio.tables import Image, PageTable, tables_page
+
+
+def write_tables_page(
+    path: Path, title: str, lines: Sequence[str], tables: Sequence[Table], pictures: Sequence[tuple[Figure, str]], *,
+    inputs: Mapping[str, str],
+) -> None:  # fmt: skip
+    """Write a page. lines: the answer, a sentence each. pictures: with what they show. inputs: sha256 by name.
+
+    Raises RequestError when it cannot be written.
+    """
+    images = []
+    for figure, says in pictures:
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=110)
+        images.append(Image(buffer.getvalue(), says))
+    shown = [PageTable(t.title, t.headings, t.rows, t.note, t.digits) for t in tables]
+    write_page(tables_page(title, lines, shown, images, origin=origin(inputs)), path)

@@ -1,0 +1,40 @@
+"""The two sides of the regression see the same filter."""
+
+import numpy as np
+import pytest
+
+from diagnosis.data.filters import delayed, difference, kept, low_pass, simpson
+
+RATE = 100.0
+TIME = np.arange(600) / RATE
+
+
+@pytest.mark.parametrize("frequency", [0.5, 2.0, 5.0])
+def test_simpsons_weights_match_the_central_difference(frequency):
+    w = 2 * np.pi * frequency
+    position, velocity = np.sin(w * TIME)[:, None], w * np.cos(w * TIME)[:, None]
+    inner = slice(2, -2)
+    wrong = np.abs(difference(position, RATE)[inner] - simpson(velocity)[inner]).max() / w
+    without = np.abs(difference(position, RATE)[inner] - velocity[inner]).max() / w
+    assert wrong < 0.001
+    assert frequency < 5.0 or without > 10 * wrong
+
+
+def test_the_filter_keeps_motion_where_it_is_and_takes_vibration_out():
+    motion, vibration = np.sin(2 * np.pi * 2 * TIME), np.sin(2 * np.pi * 30 * TIME)
+    filtered = low_pass((motion + vibration)[:, None], RATE)[:, 0]
+    np.testing.assert_allclose(filtered[30:-30], motion[30:-30], atol=0.01)
+
+
+def test_a_delay_shows_what_was_then():
+    values = np.column_stack([TIME, TIME**2])
+    late = delayed(values, RATE, 0.05)
+    np.testing.assert_allclose(late[10:], values[5:-5], atol=1e-9)
+    np.testing.assert_allclose(late[:5], np.tile(values[0], (5, 1)), atol=1e-9)
+
+
+def test_decimation_leaves_about_25_rows_a_second():
+    rows = np.arange(1000)[kept(1000, 100.0)]
+    assert rows[0] == 30
+    assert np.all(np.diff(rows) == 4)
+    assert rows[-1] < 970

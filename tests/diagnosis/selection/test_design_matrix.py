@@ -1,0 +1,41 @@
+"""Columns of all candidates at once are those of each alone; floors and intervals are what residuals show."""
+
+import numpy as np
+import pytest
+
+from diagnosis.data import channels
+from diagnosis.data.segment import stretches
+from diagnosis.selection.candidates import make_candidates, make_instruments, make_predictor
+from diagnosis.selection.design_matrix import Pipeline
+from diagnosis.selection.noise import noise_floor
+from dynamics.effects import CATALOGUE
+
+
+@pytest.fixture(scope="module")
+def stretch(plain_flights, arpl_250g):
+    return stretches(plain_flights[1], arpl_250g)[0]
+
+
+def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(stretch, arpl_250g):
+    candidates = make_candidates(arpl_250g, CATALOGUE, [stretch])
+    _, together = Pipeline(arpl_250g, CATALOGUE, candidates, stretch).run(stretch)
+    instruments = make_instruments(stretch, arpl_250g)
+    for name in ("inertia", "weak_rotor", "rotor_gyroscopic", "imu_bias", "wind", "translational_lift"):
+        candidate = next(c for c in candidates if c.effect.name == name)
+        speed = instruments.rotor_speed if candidate.effect.physics is not None else None
+        slopes = make_predictor(arpl_250g, CATALOGUE, candidate, stretch).slopes(
+            stretch, candidate.values, rotor_speed=speed, rotor_acceleration=instruments.rotor_acceleration
+        )
+        alone = channels.predicted(stretch, slopes)
+        np.testing.assert_allclose(together[:, :, list(candidate.columns)], alone, atol=1e-9 * np.abs(alone).max())
+
+
+def test_the_floor_counts_noise_and_not_slow_physics():
+    random = np.random.default_rng(0)
+    noise = [random.standard_normal((600, 12)) for _ in range(3)]
+    time = np.arange(600) / 25.0
+    swinging = [n + 3 * np.sin(2 * np.pi * 0.3 * time)[:, None] for n in noise]
+    plain, hidden = (noise_floor(rows, 25.0, range(12)) for rows in (noise, swinging))
+    np.testing.assert_allclose(plain, 1.0, rtol=0.05)
+    np.testing.assert_allclose(hidden, 1.0, rtol=0.12)
+    assert noise_floor(noise, 25.0, range(6))[6:].max() == 0.0

@@ -1,0 +1,151 @@
+"""The verdict: a healthy log is good, planted faults are named, and what the data cannot answer is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from dynamics.effects import CATALOGUE
+from flights.log import Log, Stream
+from flights.quality.identifiable import NEEDS, answers
+from flights.quality.inspection import Inspection, judge
+from tests.support.simulated_flight import changed, flown, thinned, values, without
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    return flown().log
+
+
+@pytest.fixture(scope="module")
+def healthy(log: Log) -> Inspection:
+    return judge(log)
+
+
+def names(inspection: Inspection, severity: str | None = None) -> set[str]:
+    return {finding.name for finding in inspection.findings if severity in (None, finding.severity)}
+
+
+def test_a_healthy_log_is_good_and_has_nothing_to_complain_of(healthy: Inspection) -> None:
+    assert healthy.verdict == "good"
+    assert names(healthy, "error") == set()
+    assert names(healthy, "warning") == set()
+    assert healthy.free_flight == pytest.approx(healthy.duration, abs=0.1)
+
+
+def test_every_effect_of_the_catalogue_has_an_answer(healthy: Inspection) -> None:
+    assert [effect.name for effect in healthy.effects] == list(NEEDS)
+    assert set(CATALOGUE) <= set(NEEDS)
+    answered = {effect.name: effect.answer for effect in healthy.effects}
+    assert answered["rotor_drag"] == answered["inertia"] == answered["blade_flapping"] == "yes"
+    assert answered["ground_effect"] == "no"  # flown a metre above it
+
+
+def test_motors_at_10_hz_cannot_answer(log: Log) -> None:
+    slow = thinned(thinned(log, "rotor_speed", 10), "rotor_command", 10)
+    inspection = judge(slow)
+    assert inspection.verdict == "unusable"
+    assert "rotors_too_slow" in names(inspection, "error")
+    assert {effect.answer for effect in inspection.effects if effect.name in ("inertia", "motor_lag")} == {"no"}
+
+
+def test_px4_is_told_which_profile_to_set(log: Log) -> None:
+    slow = thinned(without(log, "rotor_speed"), "rotor_command", 10)
+    px4 = replace(slow, provenance=replace(log.provenance, format="PX4 ULog"), parameters={"SDLOG_PROFILE": 131.0})
+    assert any("SDLOG_PROFILE from 131 to 155" in advice for advice in judge(px4).advice)
+
+
+def test_a_log_without_rotors_cannot_answer(log: Log) -> None:
+    inspection = judge(without(log, "rotor_speed", "rotor_command", "thrust_setpoint"))
+    assert inspection.verdict == "unusable"
+    assert names(inspection, "error") == {"no_rotors"}
+
+
+def test_a_battery_that_stands_still_is_named_and_says_nothing_about_sag(log: Log) -> None:
+    stuck = np.full_like(values(log, "battery_voltage"), 11.1)
+    inspection = judge(changed(log, "battery_voltage", stuck))
+    assert next(f.text for f in inspection.findings if f.name == "frozen_channel").startswith("battery_voltage")
+    assert next(effect for effect in inspection.effects if effect.name == "battery_sag").answer == "no"
+
+
+@pytest.mark.parametrize("rotor", range(4))
+def test_a_rotor_that_reads_half_while_commands_agree_is_a_sensor_fault(log: Log, rotor: int) -> None:
+    speed = values(log, "rotor_speed")
+    speed[:, rotor] *= 0.5
+    inspection = judge(changed(log, "rotor_speed", speed))
+    (fault,) = [finding for finding in inspection.findings if finding.name == "rotor_speed_fault"]
+    assert fault.text.startswith(f"rotor {rotor} reads 0.5")
+    assert fault.severity == "error"
+    assert inspection.verdict == "limited"
+
+
+def test_a_rotor_that_reads_zero_for_a_while_is_a_sensor_fault(log: Log) -> None:
+    speed = values(log, "rotor_speed")
+    speed[500:620, 2] = 0.0
+    (fault,) = [f for f in judge(changed(log, "rotor_speed", speed)).findings if f.name == "rotor_speed_fault"]
+    assert fault.text.startswith("rotor 2 reads zero for 1.2 s")
+
+
+def test_a_rotor_that_is_commanded_to_turn_slower_is_no_sensor_fault(log: Log) -> None:
+    speed, command = values(log, "rotor_speed"), values(log, "rotor_command")
+    speed[:, 1] *= 0.7
+    command[:, 1] *= 0.7
+    found = names(judge(changed(changed(log, "rotor_speed", speed), "rotor_command", command)))
+    assert "uneven_rotor" in found
+    assert "rotor_speed_fault" not in found
+
+
+def test_a_channel_that_freezes_in_flight_is_named(log: Log) -> None:
+    position = values(log, "position")
+    position[300:1500, 1] = position[300, 1]
+    found = [f.text for f in judge(changed(log, "position", position)).findings if f.name == "frozen_channel"]
+    assert found
+    assert found[0].startswith("position_y stands at")
+
+
+def test_an_accelerometer_that_clips_is_named(log: Log) -> None:
+    force = values(log, "specific_force")
+    clipped = np.minimum(force, np.percentile(force[:, 2], 90))
+    found = [f.text for f in judge(changed(log, "specific_force", clipped)).findings if f.name == "saturation"]
+    assert any(text.startswith("specific_force_z stays at") for text in found)
+
+
+def test_gaps_and_repeated_samples_are_counted(log: Log) -> None:
+    stream = log.stream("velocity")
+    assert stream is not None
+    kept = (stream.time < 5) | (stream.time > 6)
+    gapped = replace(log, streams=tuple(
+        Stream(s.name, s.time[kept], s.values[kept], s.source) if s.name == "velocity" else s for s in log.streams
+    ))  # fmt: skip
+    inspection = judge(gapped)
+    channel = next(channel for channel in inspection.channels if channel.quantity == "velocity")
+    assert channel.gaps == 1
+    assert channel.longest_gap == pytest.approx(1.01, abs=0.02)
+    assert len(inspection.segments) == 2
+    held = np.repeat(values(log, "attitude")[::4], 4, axis=0)[: len(values(log, "attitude"))]
+    repeated = judge(changed(log, "attitude", held))
+    assert "repeated_samples" in names(repeated, "warning")
+
+
+def test_wrong_frames_cannot_answer(log: Log) -> None:
+    upside_down = values(log, "specific_force") * np.array([1.0, -1.0, -1.0])
+    inspection = judge(changed(log, "specific_force", upside_down))
+    assert "frames_upside_down" in names(inspection, "error")
+    assert inspection.verdict == "unusable"
+
+
+def test_a_clock_offset_is_noted(log: Log) -> None:
+    shifted = replace(log, streams=tuple(
+        Stream(s.name, s.time + (0.03 if s.name == "attitude" else 0.0), s.values, s.source) for s in log.streams
+    ))  # fmt: skip
+    assert "clock_offset" in names(judge(shifted), "note")
+
+
+def test_what_is_not_excited_says_what_to_fly() -> None:
+    told = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1}, {})}
+    assert told["torque_constant"].answer == "no"
+    assert "fly yaw_spin" in told["torque_constant"].why
+    assert told["rotor_drag"].why == "needs an accelerometer or velocity and velocity and attitude"
+    assert told["mass"].ambiguous_with == "thrust_constant"

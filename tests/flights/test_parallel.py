@@ -1,0 +1,94 @@
+"""One function over many items gives the same results in this process, in others and on a Dask cluster."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from dynamics.errors import DataError, RequestError, VehicleError
+from flights.parallel import parallel_map
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def refuse(number: int) -> int:
+    raise DataError(f"{number} is no good")
+
+
+def die(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGKILL)
+    return number
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_every_item_has_its_result(jobs: int) -> None:
+    assert sorted(parallel_map(square, range(5), jobs=jobs)) == [(i, i * i) for i in range(5)]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_the_function_raises_is_raised(jobs: int) -> None:
+    with pytest.raises(DataError, match="is no good"):
+        list(parallel_map(refuse, [1, 2], jobs=jobs))
+
+
+def test_a_killed_process_is_named() -> None:
+    with pytest.raises(VehicleError, match="a working process ended by itself"):
+        list(parallel_map(die, [1, 2], jobs=2))
+
+
+ORPHANS = """
+import os, sys, time
+from pathlib import Path
+from alula.parallel import parallel_map
+
+def work(folder):
+    Path(folder, str(os.getpid())).touch()
+    time.sleep(600)
+
+if __name__ == "__main__":
+    list(parallel_map(work, [sys.argv[1]] * 2, jobs=2))
+"""
+
+
+def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
+    """A training that was killed is resumed at once, and nobody else may write its files."""
+    script, told = tmp_path / "orphans.py", tmp_path / "told"
+    script.write_text(ORPHANS)
+    told.mkdir()
+    deadline = time.monotonic() + 60
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
+    with subprocess.Popen([sys.executable, str(script), str(told)], env=environment) as parent:
+        while len(list(told.iterdir())) < 2:
+            assert time.monotonic() < deadline
+            time.sleep(0.05)
+        parent.kill()
+    workers = [Path("/proc", file.name, "cmdline") for file in told.iterdir()]
+    while any(worker.exists() and worker.read_bytes() for worker in workers):  # empty once it has ended
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+
+
+def test_no_jobs_at_all_are_refused() -> None:
+    with pytest.raises(RequestError, match="0 jobs"):
+        list(parallel_map(square, [1], jobs=0))
+
+
+def test_a_scheduler_that_does_not_answer_is_named() -> None:
+    with pytest.raises(RequestError, match="no Dask scheduler answers"):
+        list(parallel_map(square, [1], scheduler="tcp://127.0.0.1:9"))
+
+
+def test_a_dask_cluster_does_the_same() -> None:
+    distributed = pytest.importorskip("dask.distributed")
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+    ) as cluster:
+        assert sorted(parallel_map(square, [1, 2, 3], scheduler=cluster.scheduler_address)) == [(0, 1), (1, 4), (2, 9)]

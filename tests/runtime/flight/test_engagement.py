@@ -1,0 +1,216 @@
+"""Control is taken only when told to, only when HEARTBEAT confirms it, and given up whenever someone else has it."""
+
+from __future__ import annotations
+
+from hypothesis import given
+from hypothesis import strategies as st
+from msgspec.structs import replace
+
+from runtime.flight.engagement import Engagement, Facts, Request, Settings, State, Transition
+from runtime.flight.events import Fallback
+
+GROUND = Facts(connected=True, armed=False, offboard=False, mode="HOLD")
+OFFBOARD = replace(GROUND, offboard=True, mode="OFFBOARD")
+FLYING = replace(OFFBOARD, armed=True)
+SETTINGS = Settings()
+
+
+def run(machine: Engagement, facts: Facts, start: float, end: float, step: float = 0.01) -> list[Transition]:
+    transitions: list[Transition] = []
+    time = start
+    while time < end:
+        transitions += machine.update(facts, time)
+        time += step
+    return transitions
+
+
+def engaged() -> Engagement:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 1.5)
+    run(machine, OFFBOARD, 1.5, 2.0)
+    run(machine, FLYING, 2.0, 2.1)
+    assert machine.state is State.ENGAGED
+    return machine
+
+
+def test_without_being_told_it_never_leaves_standby() -> None:
+    machine = Engagement(SETTINGS)
+    transitions = run(machine, GROUND, 0.0, 5.0)
+    assert [transition.after for transition in transitions] == [State.STANDBY]
+    assert not machine.streaming
+
+
+def test_it_streams_before_it_asks_for_offboard_and_asks_for_arming_last() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    asked: list[tuple[float, Request]] = []
+    time, facts = 0.0, GROUND
+    while machine.state is not State.ENGAGED:
+        machine.update(facts, time)
+        asked += [(time, request) for request in machine.requests]
+        if asked and asked[-1][1] is Request.OFFBOARD and time - asked[-1][0] > 0.5:
+            facts = OFFBOARD
+        if asked and asked[-1][1] is Request.ARM and time - asked[-1][0] > 0.5:
+            facts = FLYING
+        time += 0.01
+        assert time < 10.0
+    assert [request for _, request in asked] == [Request.OFFBOARD, Request.ARM]
+    assert asked[0][0] >= SETTINGS.stream_time
+
+
+def test_an_acknowledged_mode_that_no_heartbeat_shows_ends_in_standby_with_the_reason() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    transitions = run(machine, GROUND, 0.01, 15.0)
+    assert [transition.after for transition in transitions] == [State.STREAMING, State.STANDBY]
+    assert "HEARTBEAT did not show OFFBOARD" in machine.refusal
+    assert not machine.streaming
+
+
+def test_requests_are_repeated_but_not_every_tick() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    count, time = 0, 0.0
+    while time < SETTINGS.stream_time + 3.5:
+        machine.update(GROUND, time)
+        count += len(machine.requests)
+        time += 0.01
+    assert count == 4
+
+
+def test_without_arm_it_waits_for_the_pilot_to_arm() -> None:
+    machine = Engagement(Settings(arm=False))
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    requests: list[Request] = []
+    for tick in range(400):
+        machine.update(GROUND if tick < 200 else OFFBOARD, tick * 0.01)
+        requests += machine.requests
+    assert set(requests) == {Request.OFFBOARD}
+    machine.update(FLYING, 4.0)
+    assert machine.state is State.ENGAGED
+
+
+def test_a_vehicle_found_armed_is_left_alone() -> None:
+    machine = Engagement(SETTINGS)
+    machine.engage()
+    transitions = run(machine, replace(FLYING, offboard=False, mode="HOLD"), 0.0, 10.0)
+    assert [transition.after for transition in transitions] == [State.STANDBY]
+    assert "already armed" in machine.refusal
+    assert "--resume" in machine.refusal
+
+
+def test_a_vehicle_found_armed_is_taken_over_with_resume() -> None:
+    machine = Engagement(Settings(resume=True))
+    machine.engage()
+    run(machine, replace(FLYING, offboard=False, mode="HOLD"), 0.0, 2.0)
+    assert machine.state is State.STREAMING
+    run(machine, FLYING, 2.0, 2.1)
+    assert machine.state is State.ENGAGED
+
+
+def test_when_the_pilot_takes_the_mode_it_stops_and_stays_away() -> None:
+    machine = engaged()
+    transitions = run(machine, replace(FLYING, offboard=False, mode="POSCTL"), 3.0, 4.0)
+    assert [transition.after for transition in transitions] == [State.STANDBY]
+    assert "POSCTL" in transitions[0].reason
+    # PX4 went back to OFFBOARD by itself or the pilot did: still nobody told us
+    assert run(machine, FLYING, 4.0, 20.0) == []
+    assert not machine.streaming
+
+
+def test_a_disarmed_vehicle_is_not_armed_again() -> None:
+    machine = engaged()
+    assert [transition.reason for transition in run(machine, OFFBOARD, 3.0, 20.0)] == ["vehicle disarmed"]
+
+
+def test_low_rates_refuse_engagement_until_they_are_met() -> None:
+    machine = Engagement(SETTINGS)
+    machine.engage()
+    slow = replace(GROUND, refusal="streams are too slow: ATTITUDE 30 of 100 Hz")
+    run(machine, slow, 0.0, 3.0)
+    assert machine.state is State.STANDBY
+    assert "ATTITUDE 30 of 100 Hz" in machine.refusal
+    run(machine, GROUND, 3.0, 3.1)
+    assert machine.state is State.STREAMING
+
+
+def test_a_hindrance_while_streaming_delays_engagement_and_does_not_end_it() -> None:
+    machine = Engagement(SETTINGS)
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 0.5)
+    machine.update(replace(GROUND, refusal="no fresh estimate"), 0.5)
+    assert machine.state is State.STANDBY
+    assert "no fresh estimate" in machine.refusal
+    machine.update(GROUND, 0.51)
+    assert machine.state is State.STREAMING
+
+
+def test_a_fallback_is_entered_and_left_with_reasons() -> None:
+    machine = engaged()
+    bad = replace(FLYING, fallback=Fallback.SHIFTED_SOLUTION, reason="no fresh estimate: 60 ms old")
+    (entered,) = machine.update(bad, 3.0)
+    assert entered.after is State.FALLBACK
+    assert "60 ms old" in entered.reason
+    (left,) = machine.update(FLYING, 3.1)
+    assert left.after is State.ENGAGED
+
+
+def test_stop_streaming_is_final() -> None:
+    machine = engaged()
+    bad = replace(FLYING, fallback=Fallback.STOP_STREAMING, reason="nothing arrives")
+    (stopped,) = machine.update(bad, 3.0)
+    assert stopped.after is State.STANDBY
+    assert run(machine, FLYING, 3.1, 20.0) == []
+
+
+def test_a_lost_link_and_its_return_do_not_bring_control_back() -> None:
+    machine = engaged()
+    (lost,) = machine.update(replace(FLYING, connected=False), 3.0)
+    assert lost.after is State.DISCONNECTED
+    transitions = run(machine, FLYING, 4.0, 20.0)
+    assert [transition.after for transition in transitions] == [State.STANDBY]
+
+
+FACTS = st.builds(
+    Facts,
+    connected=st.booleans(),
+    armed=st.booleans(),
+    offboard=st.booleans(),
+    mode=st.just("X"),
+    refusal=st.sampled_from(["", "", "", "slow"]),
+    fallback=st.sampled_from(list(Fallback)),
+)
+
+
+@given(st.lists(st.tuples(st.floats(0, 3), FACTS, st.booleans()), max_size=80))
+def test_whatever_happens_streaming_starts_only_after_being_told_since_the_last_end(
+    history: list[tuple[float, Facts, bool]],
+) -> None:
+    machine = Engagement(SETTINGS)
+    told = False
+    time = 0.0
+    for step, facts, engage in history:
+        time += step
+        if engage:
+            machine.engage()
+            told = True
+        before, flew = machine.streaming, machine.flying
+        for transition in machine.update(facts, time):
+            assert transition.reason
+            assert transition.before is not transition.after
+        if machine.streaming and not before:
+            assert told
+            assert not machine.refusal
+        if before and not machine.streaming:
+            assert not (flew and machine.wanted)
+            told = machine.wanted
+        if machine.flying and facts.connected:
+            assert facts.armed
+            assert facts.offboard

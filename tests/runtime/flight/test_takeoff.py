@@ -1,0 +1,76 @@
+"""Vehicles of any weight lift off without a leap, the controller takes over without a step, landings are noticed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from dynamics.vehicle import GRAVITY
+from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
+
+WEIGHT = 0.25 * GRAVITY
+
+
+def lift_off(effectiveness: float, *, lag: float = 0.08) -> tuple[TakeoffRamp, float, float]:
+    """A vehicle on the ground whose thrust is so many times the modelled one; its height and climb rate at the end."""
+    ramp = TakeoffRamp(WEIGHT, 4.8)
+    rng = np.random.default_rng(3)
+    height, climb, force = 0.0, 0.0, 0.0
+    for tick in range(1000):
+        thrust = ramp.update(tick * 0.01, height + 0.005 * rng.normal(), climb + 0.03 * rng.normal())
+        if ramp.lifted or ramp.failed:
+            break
+        force += (effectiveness * thrust - force) * 0.01 / lag
+        climb = max(climb + (force / WEIGHT - 1) * GRAVITY * 0.01, 0.0 if height <= 0 else -9.0)
+        height = max(height + climb * 0.01, 0.0)
+    return ramp, height, climb
+
+
+@pytest.mark.parametrize("effectiveness", [0.7, 0.85, 1.0, 1.3])
+def test_vehicles_lighter_or_heavier_than_believed_lift_off_gently(effectiveness: float) -> None:
+    ramp, height, climb = lift_off(effectiveness)
+    assert ramp.lifted
+    assert height < 0.3
+    assert climb < 0.8
+    assert ramp.effectiveness(0.07) == pytest.approx(effectiveness, rel=0.15)
+
+
+def test_a_vehicle_that_cannot_lift_off_is_given_up() -> None:
+    ramp, height, _ = lift_off(0.4)
+    assert ramp.failed
+    assert not ramp.lifted
+    assert height == 0.0
+
+
+def test_thrust_never_steps_on_the_ground() -> None:
+    ramp = TakeoffRamp(WEIGHT, 4.8)
+    thrusts = [ramp.update(tick * 0.01, 0.0, 0.0) for tick in range(300)]
+    assert thrusts[0] <= 0.1 * WEIGHT
+    assert np.max(np.diff(thrusts)) < 0.01 * WEIGHT
+
+
+def test_a_noisy_height_alone_is_no_lift_off() -> None:
+    ramp = TakeoffRamp(WEIGHT, 4.8)
+    rng = np.random.default_rng(1)
+    for tick in range(100):
+        ramp.update(tick * 0.01, 0.1 * rng.normal(), 0.05 * rng.normal())
+    assert not ramp.lifted
+
+
+def test_the_controller_takes_over_without_a_step() -> None:
+    hand_over = HandOver(started=1.0, thrust=2.0)
+    thrusts = [hand_over.blend(3.0, 1.0 + 0.01 * tick) for tick in range(60)]
+    assert thrusts[0] == 2.0
+    assert thrusts[-1] == 3.0
+    assert np.max(np.abs(np.diff(thrusts))) < 0.05
+
+
+def test_landing_is_noticed_by_stillness_at_low_thrust_or_by_the_vehicle_s_word() -> None:
+    detector = LandingDetector(WEIGHT)
+    flying = [detector.update(t * 0.01, -0.5, 0.9 * WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    assert not any(flying)
+    hovering = [detector.update(1 + t * 0.01, 0.0, WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    assert not any(hovering)
+    standing = [detector.update(2 + t * 0.01, 0.0, 0.4 * WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    assert standing.index(True) == pytest.approx(50, abs=2)
+    assert LandingDetector(WEIGHT).update(0.0, 0.0, WEIGHT, vehicle_says_landed=True)

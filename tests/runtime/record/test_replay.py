@@ -1,0 +1,70 @@
+"""A recorded flight comes out of the flight logic again exactly, and a changed vehicle is seen to differ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from dynamics.errors import DataError
+from dynamics.vehicle import Vehicle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.flight.flyer import FlyerSettings
+from runtime.flight.mission import Plan, Transfer
+from runtime.record.recorder import Recorder
+from runtime.record.recording import Recording, read_recording
+from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
+from runtime.record.replay import replay
+from tests.support.rate_controlled_vehicle import Flight
+
+
+def reference_of(vehicle: Vehicle) -> Transfer:
+    return Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), 3.0)
+
+
+@pytest.fixture(scope="module")
+def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    flight = Flight(arpl_250g, Controller.build(arpl_250g), reference_of(arpl_250g))
+    story = flight.run(11.0)
+    metadata = {
+        "plan": msgspec.json.encode(Plan()).decode(),
+        "settings": msgspec.json.encode(FlyerSettings()).decode(),
+        "controller": msgspec.json.encode(ControllerOptions()).decode(),
+    }
+    recorder = Recorder(tmp_path_factory.mktemp("replay"), "flight", metadata=metadata, capacity=100_000)
+    for (seen, estimate), decision in zip(story.observations, story.decisions, strict=True):
+        assert estimate is not None
+        s = estimate.state
+        recorder.put(EstimateRecord(estimate.time, estimate.received, s[:3], s[3:6], s[6:10], s[10:], 0), seen.time)
+        recorder.put(seen, seen.time)
+        if decision.rate_body is not None:
+            setpoint = SetpointRecord(seen.time, decision.rate_body, decision.newtons, decision.thrust, 1.0)
+            recorder.put(setpoint, seen.time)
+        for step in decision.transitions:
+            recorder.put(StateRecord(step.time, step.before.value, step.after.value, step.reason), seen.time)
+    recorder.close()
+    return read_recording(recorder.path)
+
+
+def test_the_same_flight_comes_out_bit_for_bit(recording: Recording, arpl_250g: Vehicle) -> None:
+    report = replay(recording, arpl_250g, reference_of(arpl_250g))
+    assert report.exact
+    assert report.compared > 500
+    assert report.lost == 0
+    assert report.first_difference is None
+
+
+def test_another_vehicle_is_seen_to_fly_differently(recording: Recording, arpl_250g: Vehicle) -> None:
+    heavier = msgspec.structs.replace(arpl_250g, body=msgspec.structs.replace(arpl_250g.body, mass=0.3))
+    report = replay(recording, heavier, reference_of(heavier))
+    assert not report.exact
+    assert report.thrust_difference > 0.01
+    assert report.first_difference is not None
+
+
+def test_a_recording_without_a_flight_is_refused_with_the_reason(tmp_path: Path, arpl_250g: Vehicle) -> None:
+    Recorder(tmp_path, "empty", metadata={"seed": "1"}).close()
+    with pytest.raises(DataError, match="lacks the settings plan, settings, controller"):
+        replay(read_recording(tmp_path / "empty.mcap"), arpl_250g, reference_of(arpl_250g))

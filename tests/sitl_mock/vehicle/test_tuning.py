@@ -1,0 +1,48 @@
+import dataclasses
+
+import pytest
+
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from sitl_mock.autopilot.parameter_table import LIMITS
+from sitl_mock.autopilot.parameters import Parameters
+from sitl_mock.vehicle.tuning import default_tuning, motor_time_constant, parameter_values
+from sitl_mock.vehicle.vehicle_interface import Tuning
+from vehicles import FOLDER
+
+
+def test_px4s_defaults_come_out_on_px4s_quadrotor() -> None:
+    found, px4 = default_tuning(read_vehicle(FOLDER / "px4_sih.toml")), Tuning()
+    for field in dataclasses.fields(Tuning):
+        assert getattr(found, field.name) == pytest.approx(getattr(px4, field.name), rel=0.03), field.name
+
+
+def test_a_small_vehicle_with_fast_motors_gets_a_faster_loop() -> None:
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    assert motor_time_constant(vehicle.effects) == 0.02
+    assert default_tuning(vehicle).attitude_gain[0] > 1.5 * Tuning().attitude_gain[0]
+    assert default_tuning(vehicle).hover_thrust == pytest.approx(vehicle.weight / vehicle.rotors.thrust_max)
+
+
+def test_slower_motors_than_the_file_knows_get_a_slower_loop() -> None:
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    slow = default_tuning(vehicle, [EffectUse("motor_lag", {"time_constant": 0.05})])
+    assert slow.rate_gain_p[0] < 0.6 * default_tuning(vehicle).rate_gain_p[0]
+
+
+def test_the_tuning_survives_the_parameter_table() -> None:
+    tuning = default_tuning(read_vehicle(FOLDER / "arpl_250g.toml"))
+    values = parameter_values(tuning)
+    parameters = Parameters(values)
+    found = parameters.tuning()
+    for field in dataclasses.fields(Tuning):
+        assert getattr(found, field.name) == pytest.approx(getattr(tuning, field.name), rel=2e-2), field.name
+
+
+@pytest.mark.parametrize("motor_lag", [0.01, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("name", ["arpl_250g", "px4_sih", "crazyflie"])
+def test_px4_would_take_the_tuning_of_a_vehicle_with_fast_or_slow_motors(name: str, motor_lag: float) -> None:
+    hidden = [EffectUse("motor_lag", {"time_constant": motor_lag})]
+    values = parameter_values(default_tuning(read_vehicle(FOLDER / f"{name}.toml"), hidden))
+    for key, (low, high) in LIMITS.items():
+        assert low <= values.get(key, low) <= high, key

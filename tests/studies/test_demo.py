@@ -1,0 +1,207 @@
+"""The demo flies, diagnoses its own flights, adds what it found and flies again; it always ends cleanly."""
+
+import csv
+import time
+from pathlib import Path
+
+import msgspec
+import psutil
+import pytest
+from typer.testing import CliRunner
+
+from alula.cli.app import app
+from dynamics.errors import RequestError, VehicleError
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle, write_vehicle
+from runtime.flight_setup import FlightSetup, prepare_flight
+from runtime.record.recording import read_recording
+from simulation.embedded_mock import embedded_mock
+from studies.demo import run as demo_module
+from studies.demo.flights import DemoOptions, FlownManoeuvre
+from studies.demo.report import closing_lines, tracked, write_report
+from studies.demo.run import DemoReport, check_options, run_demo
+from vehicles import vehicle_path
+
+
+def ignore(_: str) -> None:
+    """News that nobody reads."""
+
+
+@pytest.fixture(scope="module")
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoReport, list[str]]:
+    """The first half over a real link."""
+    folder = tmp_path_factory.mktemp("demo")
+    options = DemoOptions(folder, manoeuvres=("WarpedEllipse_1",), duration=8.0, learn=False)
+    news: list[str] = []
+    report, learning = run_demo(options, news.append, news.append)
+    assert learning is None
+    return options, write_report(report, folder), news
+
+
+@pytest.fixture(scope="module")
+def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoReport, list[str]]:
+    """Both halves in lockstep."""
+    folder = tmp_path_factory.mktemp("lockstep")
+    options = DemoOptions(folder, lockstep=True, duration=16.0)
+    parts: list[str] = []
+    report, learning = run_demo(options, ignore, parts.append, command="alula demo --lockstep")
+    return options, write_report(report, folder, learning), parts
+
+
+def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> None:
+    options, report, news = flown
+    (manoeuvre,) = report.nominal
+    assert manoeuvre.name == "WarpedEllipse_1"
+    assert 0 < manoeuvre.position_rmse < 0.3
+    assert manoeuvre.position_max >= manoeuvre.position_rmse
+    assert report.hidden_effects == options.effects
+    assert any("ENGAGED" in line for line in news)
+
+
+def test_the_report_says_the_same_in_every_form(flown) -> None:
+    options, report, _ = flown
+    with (options.folder / "tracking.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert float(row["position_rmse"]) == pytest.approx(report.nominal[0].position_rmse, rel=1e-5)
+    assert msgspec.json.decode((options.folder / "report.json").read_bytes(), type=DemoReport) == report
+    text = (options.folder / "report.md").read_text()
+    assert f"{report.nominal[0].position_rmse:.3f}" in text
+    assert "rotor_drag" in text
+    assert not list(options.folder.glob(".part-*"))
+
+
+def test_the_recording_holds_reference_and_flight_while_tracking(flown) -> None:
+    _, report, _ = flown
+    times, position, asked = tracked(read_recording(Path(report.nominal[0].recording)))
+    assert 6 < times[-1] - times[0] < 9
+    error = ((position - asked) ** 2).sum(axis=1).mean() ** 0.5
+    assert error == pytest.approx(report.nominal[0].position_rmse, rel=0.15)
+
+
+def test_the_demo_finds_what_is_hidden_and_the_prediction_error_falls_to_the_noise(learned) -> None:
+    _, report, parts = learned
+    assert set(report.learned.added) == {"rotor_drag", "parasitic_drag"}
+    for kind in ("imu", "mocap"):
+        error = report.learned.channels[kind]
+        assert error.before > 4 * error.floor
+        assert error.after < 1.2 * error.floor
+    assert parts.index("diagnosis") == len(report.nominal)
+
+
+def test_the_same_manoeuvres_are_tracked_better_with_what_was_found(learned) -> None:
+    _, report, _ = learned
+    assert [after.name for after in report.learned.flown] == [before.name for before in report.nominal]
+    for before, after in report.pairs:
+        assert before.position_rmse > 2 * after.position_rmse
+
+
+def test_the_next_vehicle_file_knows_the_effects_and_where_they_come_from(learned) -> None:
+    options, report, _ = learned
+    path = Path(report.learned.vehicle_file)
+    assert path.parent == options.folder
+    vehicle = read_vehicle(path)
+    found = {use.name: use.parameters["coefficient"] for use in vehicle.effects}
+    assert found == pytest.approx({"rotor_drag": 2.2e-5, "parasitic_drag": 0.01}, rel=0.1)
+    (entry,) = vehicle.history
+    assert "rotor_drag" in entry.action
+    assert entry.command == "alula demo --lockstep"
+    assert all(entry.after[kind] < entry.before[kind] for kind in ("imu", "mocap"))
+    assert any("WarpedEllipse_2" in name for name in entry.flights)
+
+
+def test_both_halves_are_in_every_form_of_the_report(learned) -> None:
+    options, report, _ = learned
+    assert msgspec.json.decode((options.folder / "report.json").read_bytes(), type=DemoReport) == report
+    with (options.folder / "tracking.csv").open() as file:
+        models = [row["model"] for row in csv.DictReader(file)]
+    assert models == ["textbook"] * 3 + ["learned"] * 3
+    text = (options.folder / "report.md").read_text()
+    for before, after in report.pairs:
+        assert f"| {before.position_rmse:.3f} | {after.position_rmse:.3f} |" in text
+    assert report.learned.vehicle_file in text
+    assert {Path(name).name for name in report.files} >= {"tracking.png", "report.html"}
+
+
+def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_path: Path) -> None:
+    options = DemoOptions(tmp_path, effects=(), lockstep=True, duration=16.0)
+    report, learning = run_demo(options, ignore, ignore)
+    assert report.learned.added == ()
+    assert report.learned.flown == ()
+    assert report.learned.vehicle_file == ""
+    assert not list(tmp_path.glob("*.toml"))
+    assert "nothing was flown again" in closing_lines(report)[-1]
+    files = {Path(name).name for name in write_report(report, tmp_path, learning).files}
+    assert files == {"tracking.csv", "tracking.png", "report.html", "report.md", "report.json"}
+
+
+def test_without_the_desks_libraries_the_first_half_says_what_to_install(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(demo_module, "NEEDED", ("scipy", "no_such_library"))
+    report = DemoReport("arpl_250g", (), 1, (), missing=demo_module.absent_libraries())
+    assert "no_such_library" in closing_lines(report)[0]
+    assert "pip install 'alula[workbench]'" in closing_lines(report)[0]
+    with pytest.raises(RequestError, match="no_such_library"):
+        check_options(DemoOptions(tmp_path, lockstep=True))
+
+
+def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_infeasible(tmp_path: Path) -> None:
+    weak = read_vehicle(vehicle_path("arpl_250g")).with_effects(EffectUse("thrust_constant", {"ratio": 0.6}))
+    write_vehicle(weak, tmp_path / "weak.toml")
+    setup = FlightSetup(
+        link="udpin:127.0.0.1:14540", reference="ExtendedLemniscate", vehicle=str(tmp_path / "weak.toml")
+    )
+    with pytest.raises(RequestError, match="cannot fly ExtendedLemniscate"):
+        prepare_flight(setup)
+    assert prepare_flight(setup, flown_before=True).reference.name == "ExtendedLemniscate"
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"manoeuvres": ("Lemniskate",)}, "did you mean 'Lemniscate'"),
+        ({"manoeuvres": ()}, "no manoeuvre"),
+        ({"effects": ("rotor_dragg",)}, "did you mean 'rotor_drag'"),
+        ({"vehicle": "absent.toml"}, "cannot read"),
+    ],
+)
+def test_what_cannot_be_flown_is_refused_before_anything_starts(tmp_path: Path, change: dict, told: str) -> None:
+    with pytest.raises(RequestError, match=told):
+        check_options(DemoOptions(tmp_path, **change))
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("in the way")
+    result = CliRunner().invoke(app, ["demo", "--out", str(tmp_path / "file" / "demo")])
+    assert isinstance(result.exception, RequestError)
+    assert "--out" in str(result.exception)
+
+
+def test_a_table_without_a_paper_figure_leaves_its_cell_empty(tmp_path: Path) -> None:
+    flown = FlownManoeuvre("circle", 2.4, 0.05, 0.1, None, "none")
+    report = DemoReport("arpl_250g", (), 1, (flown,))
+    with pytest.raises(Exception, match="none"):
+        write_report(report, tmp_path)
+    assert (tmp_path / "tracking.csv").read_text().count("circle") == 1
+
+
+def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Path) -> None:
+    options = DemoOptions(
+        tmp_path, vehicle="arpl_250g", effects=("weak_rotor:rotor=1,loss=0.9",), manoeuvres=("hover",)
+    )
+    with pytest.raises(VehicleError):
+        run_demo(msgspec.structs.replace(options, duration=5.0), ignore, ignore)
+
+
+def test_a_mock_that_dies_is_named_as_the_cause_of_the_flights_end() -> None:
+    def fly_until_it_is_gone() -> None:
+        with embedded_mock("arpl_250g", ["--effect", "rotor_dragg"]):
+            deadline = time.monotonic() + 30
+            while not any(child.status() == psutil.STATUS_ZOMBIE for child in psutil.Process().children()):
+                assert time.monotonic() < deadline
+                time.sleep(0.05)
+            raise VehicleError("no vehicle was heard")
+
+    with pytest.raises(VehicleError, match=r"(?s)the mock ended by itself with exit code 2.*rotor_dragg") as caught:
+        fly_until_it_is_gone()
+    assert "no vehicle was heard" in str(caught.value.__cause__)

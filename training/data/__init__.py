@@ -1,0 +1,1 @@
+"""Flights as a network learns them: labels, features, windows, tensors."""

@@ -1,0 +1,145 @@
+"""The points of the physics-inspired loss: histories, and what physics says at their ends (PI-TCN eq. 4).
+
+Anywhere in the space, or on plausible histories, this is the textbook model's accelerations. For a pulse on the rotors
+it is how much more physics answers than without the pulse; a residual on named effects leaves all of that to them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.vehicle import Vehicle
+from training.config import ModelConfig
+from training.data.dataset import Dataset
+from training.data.features import columns, outputs_from
+from training.data.labels import scaled_motors
+from training.physics import BatchModel, textbook
+from training.recipe import Recipe
+
+Floats = NDArray[np.float64]
+PULSE = 60.0  # rad/s, deviation of pulses on the rotors, of 10 ms and more
+SINGLE = 0.5  # share of pulses that are on one rotor alone
+MOST_SCALING = 1.6  # of recorded velocity and rates in plausible histories
+
+
+@dataclass(frozen=True, eq=False)
+class Points:
+    """windows: (p, T, inputs), oldest column first. targets: (p, 6) what a network should say of them.
+
+    beside: (p, T, inputs) windows, of which a network may say anything: targets are then what it should say more.
+    """
+
+    windows: Floats
+    targets: Floats
+    beside: Floats | None = None
+
+
+def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset, *, seed: int) -> Points:
+    """The recipe's pool of points, drawn once before training."""
+    random = np.random.default_rng([seed, 4])
+    if recipe.physics_points == "pulses":
+        return _pulsed(config, recipe.physics_pool, vehicle, data, random)
+    draw = _of_space if recipe.physics_points == "space" else _plausible
+    states, speeds = draw(config, recipe.physics_pool, vehicle, data, random)
+    last = textbook(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
+    moving = np.swapaxes(states[:, :, 3:], 0, 1)
+    windows = columns(config, moving, scaled_motors(np.swapaxes(speeds, 0, 1)))
+    return Points(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, 6:10]))
+
+
+def _of_space(
+    config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """States (T, count, 13) and rotor speeds (T, count, rotors) that end anywhere in the state-input space.
+
+    Velocity: each axis up to the highest recorded speed. Rates: up to the vehicle's limits. Attitude: any. Rotors: any
+    speed, held. The past follows from the textbook model run backwards, so that columns are consistent.
+    """
+    fastest = float(np.linalg.norm(data.state[data.ends, :3], axis=1).max())
+    rate = np.array(vehicle.limits.rate)
+    attitude = random.normal(size=(count, 4))
+    attitude *= np.where(attitude[:, :1] < 0, -1, 1) / np.linalg.norm(attitude, axis=1, keepdims=True)
+    velocity = random.uniform(-fastest, fastest, (count, 3))
+    state = np.hstack([np.zeros((count, 3)), velocity, attitude, random.uniform(-rate, rate, (count, 3))])
+    speed = random.uniform(vehicle.rotors.speed_min, vehicle.rotors.speed_max, (count, vehicle.rotors.count))
+    back = textbook(vehicle, dt=-config.dt, label="instantaneous")
+    states = [state]
+    for _ in range(config.history - 1):
+        states.append(back(states[-1], speed).following)
+    return np.stack(states[::-1]), np.stack([speed] * config.history)
+
+
+def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator) -> Points:
+    """Recorded histories with a pulse on the rotors and with what the vehicle file's model answers to it, and without.
+
+    What else moved the vehicle, air above all, knows nothing of the pulse.
+    """
+    ends = random.choice(data.ends, count)
+    rows = ends[:, None] + np.arange(1 - config.history, 1)
+    recorded, speed = data.state[rows], data.motors[rows] / scaled_motors(np.ones(1))
+    size = random.normal(0, PULSE, (count, vehicle.rotors.count))
+    alone = np.eye(vehicle.rotors.count)[random.integers(vehicle.rotors.count, size=count)]
+    size = np.where(random.random((count, 1)) < SINGLE, size * alone, size)
+    begin = random.integers(0, config.history, (count, 1))
+    until = begin + random.integers(1, max(config.history, 2), (count, 1))
+    column = np.arange(config.history)
+    during = (begin <= column) & (column < until)
+    pulsed = np.clip(
+        speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
+    )  # fmt: skip
+    first = np.hstack([data.position[rows[:, 0]], recorded[:, 0]])
+    (still, still_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
+    state = recorded + moved[:, :, 3:] - still[:, :, 3:]
+    turned = quaternion.multiply(quaternion.conjugate(still[:, :, 6:10]), moved[:, :, 6:10])
+    state[:, :, 3:7] = quaternion.multiply(recorded[:, :, 3:7], turned)
+    answers = [
+        outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, 6:10])
+        for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
+    ]
+    windows = columns(config, state, scaled_motors(pulsed))
+    return Points(windows, answers[0] - answers[1], columns(config, recorded, data.motors[rows]))
+
+
+def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
+    """(m, T, 13) states of the vehicle file's model from first (m, 13) on; its body accelerations (m, 6) at the last.
+
+    speed: (m, T, rotors) rad/s.
+    """
+    model = BatchModel(vehicle, vehicle.effects, speed[:, 0], dt=config.dt, label=config.label, motors=config.motors)
+    states, body = [first], np.empty((len(first), 6))
+    for step in range(config.history):
+        rows = model(states[-1], speed[:, step])
+        states.append(rows.following)
+        body = rows.body
+    return np.stack(states[:-1], axis=1), body
+
+
+def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, speed: Floats) -> Floats | None:
+    """What a network's outputs are added to: nothing, the textbook model's accelerations, or all that is named."""
+    if config.base == "nominal":
+        return textbook(vehicle, dt=config.dt, label=config.label)(state, speed).body
+    return None if config.base == "none" else body
+
+
+def _plausible(
+    config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator
+) -> tuple[Floats, Floats]:
+    """The same from recorded motion: velocity and rates times 1 to 1.6, then the recorded motors on the textbook model.
+
+    Faster than what was flown, but never far from it.
+    """
+    first = random.choice(data.ends, count) - (config.history - 1)
+    state = np.hstack([data.position[first], data.state[first]])
+    faster = random.uniform(1.0, MOST_SCALING, (count, 1))
+    state[:, 3:6] *= faster
+    state[:, 10:13] *= faster
+    forward = textbook(vehicle, dt=config.dt, label=config.label)
+    driven = [data.motors[first + step] / scaled_motors(np.ones(1)) for step in range(config.history)]
+    states = [state]
+    for speed in driven[:-1]:
+        states.append(forward(states[-1], speed).following)
+    return np.stack(states), np.stack(driven)

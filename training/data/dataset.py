@@ -1,0 +1,179 @@
+"""Flights as a network learns them: one table of all rows, and the rows at which a window may end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics import quaternion
+from dynamics.errors import DataError
+from dynamics.vehicle import Vehicle
+from flights.flight import Flight
+from flights.rotors import rotor_speeds
+from training.config import ModelConfig, Motors
+from training.data.features import body_accelerations, columns, outputs_from, world_accelerations
+from training.data.labels import Samples, as_labelled, paper_table, samples, scaled_motors
+from training.data.recordings import Recording
+from training.data.windows import windows
+from training.physics import RowModel, textbook
+from training.vehicle_fit import require_fit
+
+Floats = NDArray[np.float64]
+FEWEST_WINDOWS = 500
+
+
+@dataclass(frozen=True, eq=False)
+class RowNames:
+    """Which flight and time a row is of. flight_of: (n,) place in `flights`. time: (n,) s of the flight's own clock."""
+
+    flights: tuple[str, ...]
+    flight_of: NDArray[np.intp]
+    time: Floats
+
+    def flight_at(self, row: int) -> str:
+        """Name of the flight that a row belongs to."""
+        return self.flights[int(self.flight_of[row])]
+
+
+@dataclass(frozen=True, eq=False)
+class Dataset:
+    """All rows of some flights, one after the other. Bodies, (n, 6), are body accelerations (`training.data.features`).
+
+    time: (n,) s of the flight's own clock. flight_of: (n,) place in `flights`. state: (n, 10) velocity_world,
+    attitude, rate_body. motors: (n, rotors) 1000 rpm. label, nominal: (n, 6) bodies, what the flight shows and what the
+    textbook model says. base: the same of what the network adds to, None for none; base_labelled: the part of it that
+    labels show. inputs: (n, k) columns. targets: (n, 6) what the network has to say, so that base_labelled and it are
+    the label. ends: (m,) rows with T columns before them and a label.
+    """
+
+    flights: tuple[str, ...]
+    time: Floats
+    flight_of: NDArray[np.intp]
+    position: Floats
+    state: Floats
+    motors: Floats
+    label: Floats
+    nominal: Floats
+    base: Floats | None
+    base_labelled: Floats | None
+    inputs: Floats
+    targets: Floats
+    ends: NDArray[np.intp]
+
+    @property
+    def names(self) -> RowNames:
+        """Flight and time of every row."""
+        return RowNames(self.flights, self.flight_of, self.time)
+
+
+def settled_motors(config: ModelConfig, recordings: Sequence[Recording], vehicle: Vehicle) -> ModelConfig:
+    """The definition with the motors that these flights have: as wanted, unless none of them logged such.
+
+    Raises DataError when the flights differ, or one has no motor data.
+    """
+    found: dict[Motors, str] = {}
+    for recording in recordings:
+        _, source = rotor_speeds(recording.segments[0], vehicle, prefer=config.motors)
+        found["measured" if source == "measured" else "command"] = recording.name
+    if len(found) > 1:
+        raise DataError(
+            f"{found['command']} has motor commands, {found['measured']} measured rotor speeds only: a network cannot "
+            f"learn from both. Give --motors {'measured' if config.motors == 'command' else 'command'}, or flights of "
+            "one kind."
+        )
+    return msgspec.structs.replace(config, motors=next(iter(found)))
+
+
+def make_dataset(
+    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[Recording], *, fewest: int = FEWEST_WINDOWS
+) -> Dataset:
+    """Inputs, labels and models over all flights. fewest: windows that there must be.
+
+    Raises DataError when motors or motion are missing, too few windows are left, or the vehicle file does not fit.
+    """
+    nominal = textbook(vehicle, dt=config.dt, label=config.label)
+    grey_box = config.base == "grey_box"
+    model = RowModel(vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors)
+    parts = [
+        _segment(config, vehicle, segment, nominal, model if grey_box else nominal, place)
+        for place, recording in enumerate(recordings)
+        for segment in recording.segments
+    ]
+    table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    found = windows([part["inputs"] for part in parts], config.history)
+    ends = found.ends[np.isfinite(table["targets"][found.ends]).all(axis=1)]
+    names = tuple(recording.name for recording in recordings)
+    if len(ends) < fewest:
+        raise DataError(
+            f"{', '.join(names[:4])}: {len(ends)} windows of {config.history} rows without a gap in inputs and label. "
+            f"Wanted at least {fewest}, {fewest * config.dt:g} s of flight; `alula inspect` lists gaps."
+        )
+    dataset = Dataset(
+        flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp), position=table["position"],
+        state=table["state"], motors=table["motors"], label=table["label"], nominal=table["nominal"],
+        base=None if config.base == "none" else table["base"],
+        base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
+        targets=table["targets"], ends=ends,
+    )  # fmt: skip
+    of_flight = [ends[dataset.flight_of[ends] == place] for place in range(len(names))]
+    require_fit(
+        vehicle, [(name, dataset.label[at], dataset.nominal[at]) for name, at in zip(names, of_flight, strict=True)]
+    )
+    return dataset
+
+
+def _segment(
+    config: ModelConfig, vehicle: Vehicle, segment: Flight, nominal: RowModel, base: RowModel, place: int
+) -> dict[str, Floats]:
+    speeds, _ = rotor_speeds(segment, vehicle, prefer=config.motors)
+    rotors = {f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(vehicle.rotors.count)}
+    given = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
+    seen = _samples(config, given)
+    attitude = seen.state[:, 3:7]
+    position = segment["position"] if segment.has("position") else np.full((len(segment), 3), 0.0)
+    whole = np.hstack([position, seen.state])
+    driven = seen.motors / scaled_motors(np.ones(1))
+    textbook_says = nominal(whole, driven).body
+    base_says = textbook_says if base is nominal else base(whole, driven).body
+    base_labelled = labelled(config, base_says, attitude)
+    label = body_accelerations(seen.label, attitude)
+    targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
+    return {
+        "time": seen.time, "flight_of": np.full(len(segment), float(place)), "position": position, "state": seen.state,
+        "motors": seen.motors, "label": label, "nominal": textbook_says, "base": base_says,
+        "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.motors), "targets": targets,
+    }  # fmt: skip
+
+
+def labelled(config: ModelConfig, body: Floats, attitude: Floats) -> Floats:
+    """The part of a base's body accelerations (n, 6) that the labels of these rows show; their filters take the rest.
+
+    A residual of smooth labels on named effects as they are would take back how fast these answer the rotors. The
+    textbook model's answer lacks the rotors' lag and better is taken back. attitude: (n, 4).
+    """
+    if config.filtered_inputs or config.base != "grey_box":  # smooth inputs are answered smoothly
+        return body
+    world = as_labelled(world_accelerations(body, attitude), 1 / config.dt, paper=config.label == "instantaneous")
+    return body_accelerations(world, attitude)
+
+
+def _samples(config: ModelConfig, segment: Flight) -> Samples:
+    """Inputs and labels of a segment; filtered inputs and instantaneous labels are the paper's, either without other.
+
+    The attitude's w is positive at the start of a segment and continuous from there on.
+    """
+    filtered = config.filtered_inputs, config.label == "instantaneous"
+    paper = paper_table(segment) if any(filtered) else None
+    causal = samples(segment, horizon=config.dt) if not all(filtered) else None
+    inputs = paper if config.filtered_inputs else causal
+    labels = paper if config.label == "instantaneous" else causal
+    assert inputs is not None
+    assert labels is not None
+    state = inputs.state.copy()
+    attitude = quaternion.normalise(quaternion.continuous(state[:, 3:7]))
+    state[:, 3:7] = attitude if not attitude[0, 0] < 0 else -attitude
+    return Samples(inputs.time, state, inputs.motors, labels.label)

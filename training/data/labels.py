@@ -1,0 +1,117 @@
+"""What a network is taught: accelerations of a flight, and the inputs it may be taught them from.
+
+Labels look ahead, because they are made afterwards; inputs never do. `paper_table` is the exception that the paper
+makes, for its own numbers only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from dynamics import quaternion
+from flights import filters
+from flights.flight import Flight
+from flights.log import Floats
+from training.data import kalman
+
+RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
+MOTOR_SCALE = 0.001  # of rpm, PI-TCN supplementary material
+HORIZON = 0.010  # s, of the increment label
+VELOCITY_CUTOFF = 5.0  # Hz
+RATE_CUTOFF = 12.0  # Hz
+
+Differentiator = Callable[[Floats, float, float], Floats]
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Rows to learn from. state: (n, 10) velocity_world, attitude, rate_body. motors: (n, rotors) 0.001 rpm.
+
+    label: (n, 6) linear acceleration (world, m/s^2) and angular acceleration (body, rad/s^2); NaN where there is none.
+    """
+
+    time: Floats
+    state: Floats
+    motors: Floats
+    label: Floats
+
+
+def scaled_motors(rotor_speed: Floats) -> Floats:
+    """Rotor speeds as networks take them: thousands of rpm. rotor_speed: rad/s, any shape."""
+    return rotor_speed * (RPM_PER_RAD_S * MOTOR_SCALE)
+
+
+def paper_label(
+    segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF, differentiate: Differentiator = kalman.rts_acceleration
+) -> Floats:
+    """Accelerations (n, 6) from velocity and body rates at a cutoff (Hz), PI-TCN section IV-A.
+
+    differentiate: by default the RTS smoother, which errs less than the paper's UKF; pass `kalman.ukf_acceleration`
+    for the paper's own. Raises DataError when velocity or rates are missing.
+    """  # fmt: skip
+    motion = np.hstack([segment["velocity"], segment["rate"]])
+    return differentiate(motion, segment.rate, cutoff)
+
+
+def increment_label(
+    segment: Flight, *, horizon: float = HORIZON, velocity_cutoff: float = VELOCITY_CUTOFF,
+    rate_cutoff: float = RATE_CUTOFF,
+) -> Floats:  # fmt: skip
+    """Mean accelerations (n, 6) over the next `horizon` seconds, from zero-phase filtered velocity and rates.
+
+    It is what a controller that holds its input for that long needs to predict. The last rows are NaN. Raises
+    DataError when velocity or rates are missing.
+    """
+    velocity = filters.lowpass(segment["velocity"], segment.rate, velocity_cutoff)
+    rate = filters.lowpass(segment["rate"], segment.rate, rate_cutoff)
+    return mean_increment(np.hstack([velocity, rate]), segment.rate, horizon)
+
+
+def as_labelled(world: Floats, rate: float, *, paper: bool = False) -> Floats:
+    """Accelerations (n, 6) of a model, without what the filters leave out of the labels of the same rows.
+
+    world: linear acceleration (world, m/s^2), angular acceleration (body, rad/s^2). rate: Hz. paper: `paper_label`'s
+    cutoff instead of `increment_label`'s.
+    """
+    linear, angular = (filters.PAPER_CUTOFF,) * 2 if paper else (VELOCITY_CUTOFF, RATE_CUTOFF)
+    return np.hstack([filters.lowpass(world[:, :3], rate, linear), filters.lowpass(world[:, 3:], rate, angular)])
+
+
+def mean_increment(values: Floats, rate: float, horizon: float = HORIZON) -> Floats:
+    """(x(t + horizon) - x(t)) / horizon, linear between samples; NaN at the end. values: (n, k). rate: Hz."""
+    ahead = horizon * rate
+    whole = int(np.floor(ahead + 1e-9))
+    part = max(ahead - whole, 0.0)
+    result = np.full_like(values, np.nan)
+    count = len(values) - whole - (1 if part > 1e-9 else 0)
+    if count <= 0:
+        return result
+    later = values[whole : whole + count]
+    if part > 1e-9:
+        later = later + part * (values[whole + 1 : whole + 1 + count] - later)
+    result[:count] = (later - values[:count]) / horizon
+    return result
+
+
+def samples(segment: Flight, *, horizon: float = HORIZON) -> Samples:
+    """Causal inputs, exactly as they were logged, with increment labels. Raises DataError for what is missing."""
+    state = np.hstack([segment["velocity"], segment["attitude"], segment["rate"]])
+    return Samples(
+        segment.time, state, scaled_motors(segment["rotor_speed"]), increment_label(segment, horizon=horizon)
+    )
+
+
+def paper_table(segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF) -> Samples:
+    """The paper's processing: inputs and labels all filtered both ways at 5 Hz, PI-TCN section IV-A.
+
+    The inputs know the future by about 0.1 s: numbers from them can stand beside the paper's and say little about
+    the response to the motors. Raises DataError for what is missing.
+    """
+    attitude = filters.lowpass(quaternion.continuous(segment["attitude"]), segment.rate, cutoff)
+    columns = [filters.lowpass(segment["velocity"], segment.rate, cutoff), quaternion.normalise(attitude),
+               filters.lowpass(segment["rate"], segment.rate, cutoff)]  # fmt: skip
+    motors = scaled_motors(filters.lowpass(segment["rotor_speed"], segment.rate, cutoff))
+    return Samples(segment.time, np.hstack(columns), motors, paper_label(segment, cutoff=cutoff))

@@ -1,0 +1,211 @@
+"""Which flights are learned from and which only judge: reading logs, and setting some aside."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+from pyarrow import ArrowException
+from pyarrow import parquet as pa_parquet
+
+from dynamics.errors import DataError, RequestError
+from dynamics.references.campaign import paper_campaign
+from flights.aligned import read_aligned
+from flights.exclusion import free_flight
+from flights.flight import Flight
+from flights.source import sha256
+from flights.tables import decode_notes
+
+CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
+VALIDATION_SHARE = 0.1
+SHORTEST = 1.0  # s of a segment worth learning from
+SIMULATED = "alula.lockstep"  # what wrote a campaign's flights, as they say themselves
+TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One flight's stretches of free flight without a gap, all at one rate. name: of its file (`names_of`)."""
+
+    name: str
+    sha256: str
+    segments: tuple[Flight, ...]
+
+    @property
+    def rows(self) -> int:
+        """Rows in all stretches."""
+        return sum(len(segment) for segment in self.segments)
+
+
+@dataclass(frozen=True, eq=False)
+class Split:
+    """training, validation: flights to learn from, and to choose the best step by. notes: what the user should know."""
+
+    training: tuple[Recording, ...]
+    validation: tuple[Recording, ...]
+    notes: tuple[str, ...]
+
+
+def find_logs(given: Sequence[str | Path]) -> tuple[Path, ...]:
+    """The logs meant: files as they are, of a campaign's folder its training flights, of any other all files in it.
+
+    Raises RequestError for what is not there.
+    """
+    found: list[Path] = []
+    for path in map(Path, given):
+        if not path.is_dir():
+            found.append(path)
+            continue
+        folder = path / "train" if (path / CAMPAIGN).exists() else path
+        inside = sorted(file for file in folder.glob("*") if file.is_file() and not file.name.startswith("."))
+        if not inside:
+            raise RequestError(f"{folder} holds no files. Give logs, a folder of logs, or a campaign's folder.")
+        found += inside
+    if not found:
+        raise RequestError("no log was given. Give logs, a folder of logs, or a campaign's folder.")
+    return tuple(found)
+
+
+def read_recordings(
+    paths: Sequence[Path], *, dt: float, mapping: Path | None = None, may_be_tests: bool = False
+) -> tuple[Recording, ...]:
+    """Flights with a row every dt seconds. Stamps of streams are put right, but for campaigns', which are exact.
+
+    may_be_tests: whether the campaign's test flights may be among them, which no training may see. Raises
+    RequestError for test flights and for what cannot be found, DataError for logs without free flight.
+    """
+    if not may_be_tests:
+        _require_no_tests(paths)
+    found = zip(names_of(paths), paths, strict=True)
+    recordings = [_read(name, path, 1 / dt, mapping) for name, path in found]
+    flown = [recording for recording in recordings if recording.segments]
+    if not flown:
+        raise DataError(
+            f"{', '.join(path.name for path in paths[:3])}: nowhere {SHORTEST:g} s of free flight without a gap. "
+            "`alula inspect` says what each log lacks."
+        )
+    same: dict[str, str] = {}
+    for recording in flown:
+        if recording.sha256 in same:
+            raise RequestError(f"{recording.name} and {same[recording.sha256]} are the same flight. Give it once.")
+        same[recording.sha256] = recording.name
+    return tuple(flown)
+
+
+def names_of(paths: Sequence[Path]) -> tuple[str, ...]:
+    """What flights are called: their files' names, or with folders as well where several have the same name."""
+    names = [path.name for path in paths]
+    return tuple(name if names.count(name) == 1 else str(path) for name, path in zip(names, paths, strict=True))
+
+
+def left_out(paths: Sequence[Path], recordings: Sequence[Recording]) -> tuple[str, ...]:
+    """What to tell of the logs that `read_recordings` could learn nothing from."""
+    kept = {recording.name for recording in recordings}
+    missing = [name for name in names_of(paths) if name not in kept]
+    if not missing:
+        return ()
+    return (f"left out, nowhere {SHORTEST:g} s of free flight without a gap: {', '.join(missing)}",)
+
+
+def _require_no_tests(paths: Sequence[Path]) -> None:
+    """Refuse the campaign's test flights by name, and copies of them by what they say of themselves or hold."""
+    tests = [path.name for path in paths if path.stem in TEST_FLIGHTS]
+    if tests:
+        raise RequestError(
+            f"{', '.join(tests)}: test flights of the campaign, on which models are compared. Leave them out of "
+            "training (give the campaign's folder or its train/); a flight of yours with such a name: rename it."
+        )
+    campaigns = {folder for path in paths if (folder := path.resolve().parent.parent / CAMPAIGN).exists()}
+    known = {sha256(test): test for file in campaigns for test in sorted((file.parent / "test").glob("*.*"))}
+    for path in paths:
+        original = _recorded_as(path)
+        if original is None and known and path.is_file() and (same := known.get(sha256(path))) is not None:
+            original = same.stem
+        if original in TEST_FLIGHTS:
+            raise RequestError(
+                f"{path} is a copy of the campaign's test flight {original}, on which models are compared. Leave it "
+                "out of training."
+            )
+
+
+def _recorded_as(path: Path) -> str | None:
+    """The name under which a campaign flew a Parquet table, None for any other file."""
+    try:
+        notes = decode_notes(pa_parquet.read_schema(path).metadata) if path.suffix == ".parquet" else None
+    except (OSError, ArrowException):
+        return None  # reading it will say what is wrong
+    return Path(notes.provenance.path).name if notes is not None and notes.provenance.reader == SIMULATED else None
+
+
+def split_recordings(
+    recordings: Sequence[Recording], *, validation: str | None = None, hold_out: str | None = None
+) -> Split:
+    """Flights to learn from and to validate on. validation, hold_out: patterns of file names; hold_out is not used.
+
+    Without a pattern every tenth flight validates, at least one; of a single flight its last fifth. Raises
+    RequestError for a pattern that matches none or leaves none.
+    """
+    notes: list[str] = []
+    kept = list(recordings)
+    if hold_out is not None:
+        out = [r for r in kept if _is_called(r, hold_out)]
+        kept = [r for r in kept if r not in out]
+        _require_some(hold_out, "--hold-out", out, kept, recordings)
+        notes.append(f"held out, not looked at: {', '.join(r.name for r in out)}")
+    if validation is not None:
+        judges = [r for r in kept if _is_called(r, validation)]
+        learned = [r for r in kept if r not in judges]
+        _require_some(validation, "--validation", judges, learned, kept)
+        return Split(tuple(learned), tuple(judges), tuple(notes))
+    if len(kept) == 1:
+        notes.append(
+            "one flight only: its last fifth validates, so errors on other flights are not known. Fly more, and other "
+            "manoeuvres."
+        )
+        learned_part, judging_part = _cut(kept[0])
+        return Split((learned_part,), (judging_part,), tuple(notes))
+    count = max(1, round(VALIDATION_SHARE * len(kept)))
+    places = {round((i + 0.5) * len(kept) / count) for i in range(count)}
+    judges = [r for i, r in enumerate(kept) if i in places]
+    return Split(tuple(r for r in kept if r not in judges), tuple(judges), tuple(notes))
+
+
+def _read(name: str, path: Path, rate: float, mapping: Path | None) -> Recording:
+    if (path.parent.parent / CAMPAIGN).exists():
+        flight = Flight.read(path, mapping=mapping, rate=rate)
+        segments = free_flight(flight, shortest=SHORTEST)
+    else:
+        aligned = read_aligned(path, mapping=mapping, rate=rate)
+        flight = aligned.flight
+        segments = tuple(part for part in aligned.segments() if part.duration >= SHORTEST)
+    return Recording(name, flight.provenance.sha256, segments)
+
+
+def _is_called(recording: Recording, pattern: str) -> bool:
+    """Whether a pattern is for this flight, with folders or without."""
+    return fnmatchcase(recording.name, pattern) or fnmatchcase(Path(recording.name).name, pattern)
+
+
+def _cut(recording: Recording) -> tuple[Recording, Recording]:
+    """The first four fifths of a flight's rows, and the rest."""
+    limit, passed = round(0.8 * recording.rows), 0
+    before: list[Flight] = []
+    after: list[Flight] = []
+    for segment in recording.segments:
+        cut = min(max(limit - passed, 0), len(segment))
+        before += [segment.rows(0, cut)] if cut else []
+        after += [segment.rows(cut, len(segment))] if cut < len(segment) else []
+        passed += len(segment)
+    return tuple(dataclasses.replace(recording, segments=tuple(part)) for part in (before, after))  # type: ignore[return-value]
+
+
+def _require_some(
+    pattern: str, option: str, matched: Sequence[Recording], left: Sequence[Recording], among: Sequence[Recording]
+) -> None:
+    if not matched or not left:
+        which = "none" if not matched else "all"
+        names = ", ".join(r.name for r in among[:6])
+        raise RequestError(f"{option} {pattern!r} matches {which} of {names}. Wanted a pattern that matches some.")

@@ -1,0 +1,103 @@
+"""What a network learns from as standardised tensors on one device, stored once; windows are index arithmetic."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from dynamics.vehicle import Vehicle
+from training.checkpoint import Scaling
+from training.config import ModelConfig
+from training.data.collocation import Points
+from training.data.dataset import Dataset
+from training.data.features import body_inertia
+from training.recipe import Recipe
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Tensors:
+    """inputs: (n, k). targets: (n, 6). ends: (m,) rows that windows end at. history: T."""
+
+    inputs: Tensor
+    targets: Tensor
+    ends: Tensor
+    history: int
+
+    @classmethod
+    def of(cls, data: Dataset, scaling: Scaling, history: int, device: torch.device) -> Tensors:
+        """A data set, standardised."""
+        inputs = torch.from_numpy((data.inputs - scaling.input_mean) / scaling.input_std).float()
+        targets = torch.from_numpy((data.targets - scaling.output_mean) / scaling.output_std).float()
+        return cls(inputs.to(device), targets.to(device), torch.from_numpy(data.ends).to(device), history)
+
+    def windows(self, ends: Tensor) -> Tensor:
+        """(m, T, k) windows, oldest column first, that end at these rows."""
+        offsets = torch.arange(1 - self.history, 1, device=ends.device)
+        return self.inputs[ends[:, None] + offsets]
+
+
+@dataclass(frozen=True, eq=False)
+class PointTensors:
+    """The points of the physics-inspired loss, standardised. windows, beside: (p, T, k). targets: (p, 6)."""
+
+    windows: Tensor
+    targets: Tensor
+    beside: Tensor | None
+
+    @classmethod
+    def of(cls, points: Points, scaling: Scaling, device: torch.device) -> PointTensors:
+        """Points, standardised as the flights are."""
+
+        def columns(values: Floats) -> Tensor:
+            return torch.from_numpy((values - scaling.input_mean) / scaling.input_std).float().to(device)
+
+        mean = scaling.output_mean if points.beside is None else 0  # of differences none is left
+        targets = torch.from_numpy((points.targets - mean) / scaling.output_std).float().to(device)
+        return cls(columns(points.windows), targets, None if points.beside is None else columns(points.beside))
+
+    def loss(self, learner: nn.Module, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
+        """(what the learner says of windows, mean squared standardised error on these points), in one call."""
+        parts = [windows, self.windows[rows]] + ([] if self.beside is None else [self.beside[rows]])
+        outputs = learner(torch.cat(parts))
+        said = outputs[len(windows) : len(windows) + len(rows)]
+        if self.beside is not None:
+            said = said - outputs[len(windows) + len(rows) :]
+        return outputs[: len(windows)], (said - self.targets[rows]).square().mean()
+
+
+def with_noise(windows: Tensor, measured: int, deviation: float, generator: torch.Generator) -> Tensor:
+    """Windows (m, T, k) whose first `measured` entries of every column carry noise; rotor speeds are known exactly.
+
+    A network that looks back learns from precise recordings to differentiate them. In flight columns are partly
+    predicted, the controller makes use of such slopes, and the loop swings up.
+    """
+    if deviation == 0:
+        return windows
+    noise = torch.randn((*windows.shape[:2], measured), generator=generator).to(windows.device)
+    return windows + deviation * torch.nn.functional.pad(noise, (0, windows.shape[2] - measured))
+
+
+def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:
+    """Mean and deviation of inputs and targets over the training windows; 0 and 1 for raw numbers, as the paper's.
+
+    Residuals keep 0 as their mean, so that a network which says 0 leaves the base as it is. Raw residual force and
+    torque are spoken in units of mass and inertia, so that the loss is of accelerations.
+    """
+    inputs, targets = data.inputs[data.ends], data.targets[data.ends]
+    if not recipe.standardise:
+        spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
+        return Scaling(np.zeros(inputs.shape[1]), np.ones(inputs.shape[1]), np.zeros(6), spoken)
+    mean = targets.mean(axis=0) if config.base == "none" else np.zeros(6)
+    return Scaling(inputs.mean(axis=0), _deviation(inputs), mean, _deviation(targets))
+
+
+def _deviation(values: np.ndarray) -> np.ndarray:
+    """(k,) standard deviations, 1 where nothing moves."""
+    deviation = values.std(axis=0)
+    return np.where(deviation > 1e-9 * (1 + np.abs(values).max(axis=0)), deviation, 1.0)

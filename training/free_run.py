@@ -1,0 +1,89 @@
+"""A trained model run by itself: many flights at once, each from its own recorded history."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from training.checkpoint import TrainedModel
+from training.config import ModelConfig
+from training.data.features import accelerations_from, columns, world_accelerations
+from training.data.labels import scaled_motors
+from training.physics import BatchModel
+from training.prediction import gate_of
+from training.rollout import advanced
+from training.streaming import Stream
+
+Floats = NDArray[np.float64]
+WARM_UP = 40  # columns of recorded history that hidden states settle in: 0.4 s, eleven lags of 35 ms
+
+
+class Simulation:
+    """A model at m starts. state: (m, 13) of the rigid bodies now; `step` moves on by dt."""
+
+    def __init__(self, model: TrainedModel, states: Floats, motors: Floats) -> None:
+        """states: (m, W, 13) recorded, the last one where the simulation begins. motors: (m, W - 1, rotors), 1000 rpm.
+
+        W: at least `warm_up(model.config)`.
+        """
+        config = model.config
+        self._model = model
+        self._streams = [Stream(network, config) for network in model.networks]
+        self._base: BatchModel | None = None
+        if config.base != "none":
+            effects = model.vehicle.effects if config.base == "grey_box" else ()
+            self._base = BatchModel(
+                model.vehicle,
+                effects,
+                _rotor_speed(motors[:, 0]),
+                dt=config.dt,
+                label=config.label,
+                motors=config.motors,
+            )
+        for column in range(motors.shape[1]):
+            self._accelerations(states[:, column], motors[:, column])
+        self.state = states[:, -1].copy()
+
+    def step(self, motors: Floats) -> None:
+        """Let dt pass with these rotor speeds (m, rotors), 1000 rpm."""
+        dt, before = self._model.config.dt, self.state
+        body = self._accelerations(before, motors)
+        world = world_accelerations(body, before[:, 6:10])
+        moving = advanced(torch.from_numpy(before[:, 3:]), torch.from_numpy(world), dt).numpy()
+        moving[:, 3:7] /= np.linalg.norm(moving[:, 3:7], axis=1, keepdims=True)
+        position = before[:, :3] + 0.5 * dt * (before[:, 3:6] + moving[:, :3])
+        self.state = np.hstack([position, moving])
+
+    def _accelerations(self, state: Floats, motors: Floats) -> Floats:
+        """(m, 6) body accelerations; zeros in the warm-up of a network that has not seen enough columns yet."""
+        model, config = self._model, self._model.config
+        base = None if self._base is None else self._base(state, _rotor_speed(motors)).body
+        if not self._streams:
+            assert base is not None
+            return base
+        scaling = model.scaling
+        column = (columns(config, state[:, 3:], motors) - scaling.input_mean) / scaling.input_std
+        given = torch.from_numpy(column).float()
+        with torch.no_grad():
+            said = [stream.push(given) for stream in self._streams]
+        ready = [value.double().numpy() for value in said if isinstance(value, Tensor)]
+        if not ready:
+            return np.zeros((len(state), 6))
+        outputs = np.stack(ready) * scaling.output_std + scaling.output_mean
+        mean = outputs.mean(axis=0)
+        if config.base == "grey_box" and len(outputs) > 1 and model.reliability is not None:
+            spread = outputs.std(axis=0, ddof=1) / scaling.output_std
+            gate = gate_of(np.sqrt(np.mean(spread**2, axis=1)), model.reliability.disagreement)
+            mean = gate[:, None] * mean
+        return accelerations_from(config, model.vehicle, mean, base, state[:, 6:10])
+
+
+def warm_up(config: ModelConfig) -> int:
+    """Columns of history that a simulation has to be given."""
+    return max(WARM_UP, config.history) + 1
+
+
+def _rotor_speed(motors: Floats) -> Floats:
+    return motors / scaled_motors(np.ones(1))

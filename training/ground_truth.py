@@ -1,0 +1,94 @@
+"""What was true in a simulated campaign: the increments that labels only estimate, and the plant behind them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.errors import DataError
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import parse_effect
+from flights.flight import Flight
+from training.data.dataset import Dataset
+from training.data.features import body_accelerations
+from training.data.labels import mean_increment
+from training.data.recordings import CAMPAIGN
+from training.effects_fit import is_random
+
+Floats = NDArray[np.float64]
+FOLDER = "truth"  # of a campaign
+
+
+def campaign_of(logs: tuple[Path, ...]) -> Path | None:
+    """The folder of the campaign that all these flights are of, None when they are of none or of several."""
+    folders = {path.resolve().parent.parent for path in logs}
+    if len(folders) != 1:
+        return None
+    folder = folders.pop()
+    return folder if (folder / CAMPAIGN).exists() and (folder / FOLDER).is_dir() else None
+
+
+def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
+    """The vehicle that really flew: body and rotors of the file with what the campaign hid, noise left out.
+
+    Raises DataError when the campaign does not say what it hid.
+    """
+    path = campaign / CAMPAIGN
+    try:
+        told: dict[str, Any] = msgspec.json.decode(path.read_bytes())
+        texts = [str(text) for text in told["effects"]]
+    except (OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
+        raise DataError(f"{path} does not say what the campaign hid: {error}. Fly it again.") from error
+    uses = [parse_effect(text, vehicle.rotors.count) for text in texts]
+    bare = msgspec.structs.replace(vehicle, effects=())
+    return bare.with_effects(*[use for use in uses if not is_random(use.name)])
+
+
+def true_label(data: Dataset, campaign: Path, *, dt: float) -> Floats:
+    """(n, 6) true mean body accelerations over the next dt at the rows of a campaign's flights; NaN at their ends.
+
+    Raises DataError when the campaign kept no truth of one of the flights.
+    """
+    found = np.full((len(data.time), 6), np.nan)
+    for part in _true_flights(data, campaign, dt):
+        increments = mean_increment(np.hstack([part.flight["velocity"], part.flight["rate"]]), 1 / dt, dt)
+        inside = part.at < len(increments)
+        rows = part.rows[inside]
+        found[rows] = body_accelerations(increments[part.at[inside]], data.state[rows, 3:7])
+    return found
+
+
+def true_states(data: Dataset, campaign: Path, *, dt: float) -> Floats:
+    """(n, 13) true states at the rows of a campaign's flights; NaN where there is none. Raises DataError likewise."""
+    found = np.full((len(data.time), 13), np.nan)
+    for part in _true_flights(data, campaign, dt):
+        inside = part.at < len(part.flight)
+        names = ("position", "velocity", "attitude", "rate")
+        states = np.hstack([part.flight[name][part.at[inside]] for name in names])
+        found[part.rows[inside]] = states
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class _TrueFlight:
+    """flight: what was true. rows: (m,) of the data set. at: (m,) the same instants in the flight."""
+
+    flight: Flight
+    rows: NDArray[np.intp]
+    at: NDArray[np.intp]
+
+
+def _true_flights(data: Dataset, campaign: Path, dt: float) -> Iterator[_TrueFlight]:
+    for place, name in enumerate(data.flights):
+        path = campaign / FOLDER / name
+        if not path.exists():
+            raise DataError(f"{path} is missing: errors against the truth need a campaign's own flights and folder.")
+        flight = Flight.read(path, rate=1 / dt)
+        rows = np.flatnonzero(data.flight_of == place)
+        yield _TrueFlight(flight, rows, np.searchsorted(flight.time, data.time[rows] - 0.25 * dt))
