@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 from provenance import write_result
 
+from dynamics.arrays import Floats
 from flights import Flight, filters
-from flights.log import Floats
 from simulation.campaign import Campaign, CampaignOptions
 from training.data import kalman
 

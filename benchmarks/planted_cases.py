@@ -10,15 +10,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.data import channels
 from diagnosis.data.dataset import Dataset, make_dataset
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.evaluation import floors
 from diagnosis.selection.candidates import Candidate, make_predictor
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.regression import Regression, make_regression
+from dynamics.arrays import Floats
 from dynamics.effect import Parameter
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
@@ -30,7 +30,6 @@ from fixtures.rotorpy_flights import MADE, READ_WRONG, rotorpy_flights
 from flights import Flight
 from vehicles import FOLDER
 
-Floats = NDArray[np.float64]
 FLOWN = Path("build/planted_truth")
 EVERYTHING = {**CATALOGUE, **FOREIGN}
 BY_COMMAND = ("motor_lag", "battery_sag")  # with measured rotor speeds these have nothing to say
@@ -42,7 +41,7 @@ INSEPARABLE = (
     {"weak_rotor", "centre_of_mass", "rotor_speed_fault"}, {"wind", "gust"}, {"rotor_drag", "linear_drag"},
 )  # fmt: skip
 INSIDE = 0.1  # of a parameter's range that keeps away from its bounds
-SLOWEST_MOTORS = 0.045  # s of lag that the controllers bear
+MIN_MOTORS = 0.045  # s of lag that the controllers bear
 MOCK_CANNOT = ("motor_lag", "rotor_speed_fault")  # it always has a lag; its speed sensors fail by option only
 ROTORPY_CANNOT_SIZE = ("wind", "gust")  # they need a drag that the file knows
 
@@ -172,7 +171,7 @@ def planted(name: str, case: Case) -> EffectUse:
         size = case.strength / shown(regression, candidate, np.ones(1))
         values = {k: float(v * size) for k, v in candidate.at.items()}
         if name == "motor_lag":
-            values = {k: float(np.clip(v, 0.004, SLOWEST_MOTORS)) for k, v in values.items()}
+            values = {k: float(np.clip(v, 0.004, MIN_MOTORS)) for k, v in values.items()}
         return EffectUse(name, values, candidate.rotor)
     parameters = {p.name: p for p in candidate.effect.parameters}
     towards = np.array([direction(parameters[n], random) for n in candidate.free])
@@ -198,7 +197,7 @@ def direction(parameter: Parameter, random: np.random.Generator) -> float:
 def shown(regression: Regression, candidate: Candidate, towards: Floats) -> float:
     """RMS that a change of the candidate's coefficients makes, over the floor, at the kind that shows it best."""
     if candidate.effect.name in FOREIGN:
-        columns = [_foreign(regression, candidate, s) for s in regression.stretches]
+        columns = [_foreign(regression, candidate, s) for s in regression.segments]
     else:
         columns = [x[:, :, list(candidate.columns)] for x in regression.columns]
     made = np.vstack([x @ towards for x in columns])
@@ -210,6 +209,6 @@ def shown(regression: Regression, candidate: Candidate, towards: Floats) -> floa
     )
 
 
-def _foreign(regression: Regression, candidate: Candidate, stretch: Stretch) -> Floats:
-    predictor = make_predictor(regression.vehicle, EVERYTHING, candidate, stretch)
-    return channels.predicted(stretch, predictor.slopes(stretch, candidate.values))
+def _foreign(regression: Regression, candidate: Candidate, segment: Segment) -> Floats:
+    predictor = make_predictor(regression.vehicle, EVERYTHING, candidate, segment)
+    return channels.predicted(segment, predictor.slopes(segment, candidate.values))

@@ -15,7 +15,7 @@ NOTES = (
     "gyro, accelerometer and clock within specification (0.01 rad/s, 0.02 m/s^2, 1 ms) are hidden as well and count as "
     "missed, though diagnosis says nothing of them by intention.",
 )
-LARGEST_SET = 2  # of effects that may be named as not told apart
+MAX_SET = 2  # of effects that may be named as not told apart
 
 
 def first(r: Result) -> str:
@@ -30,7 +30,7 @@ def right(r: Result) -> bool:
 
 def near(r: Result) -> bool:
     """Whether it is, or stands in an ambiguity set of two."""
-    return right(r) or bool(r["names"] and r["rivals"][0][: LARGEST_SET - 1] == [r["effects"][0]])
+    return right(r) or bool(r["names"] and r["rivals"][0][: MAX_SET - 1] == [r["effects"][0]])
 
 
 def table(results: Sequence[Result]) -> str:

@@ -22,7 +22,7 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.data.filters import kept
 from diagnosis.data.hover_trim import read_trim
-from diagnosis.data.segment import stretches
+from diagnosis.data.segment import segments
 from diagnosis.diagnose import Findings, diagnose
 from diagnosis.estimation.evaluation import residuals
 from dynamics.effects import CATALOGUE
@@ -89,7 +89,7 @@ def diagnosed(title: str, logs: Sequence[Path], vehicle: Vehicle) -> str:
 
 def command_curve(logs: Sequence[Path], vehicle: Vehicle) -> CommandCurve:
     """The curve of all flights together."""
-    return fit_command_curve([s for log in logs for s in stretches(Flight.read(log), vehicle)], (), vehicle)
+    return fit_command_curve([s for log in logs for s in segments(Flight.read(log), vehicle)], (), vehicle)
 
 
 def effects_table(findings: Findings) -> str:
@@ -115,8 +115,8 @@ def lateral_drag(vehicle: Vehicle) -> str:
     dataset: Dataset = read_dataset(list(LEE), vehicle)
     rows = residuals(vehicle, CATALOGUE, dataset.everything)
     lines = ["| flight | along | drag over mass, 1/s | share explained |", "| --- | --- | --- | --- |"]
-    for stretch, row in zip(dataset.everything, rows, strict=True):
-        velocity = np.einsum("nji,nj->ni", stretch.to_world, stretch.smooth[:, 3:6])[kept(len(stretch), stretch.rate)]
+    for segment, row in zip(dataset.everything, rows, strict=True):
+        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, 3:6])[kept(len(segment), segment.rate)]
         for axis in range(2):
             if np.std(velocity[:, axis]) < 0.2:
                 continue
@@ -124,7 +124,7 @@ def lateral_drag(vehicle: Vehicle) -> str:
             felt = row[:, 3 + axis]
             theta = np.linalg.lstsq(columns, felt, rcond=None)[0]
             explained = 1 - np.var(felt - columns @ theta) / np.var(felt)
-            lines.append(f"| {Path(stretch.flight).name} | {'xy'[axis]} | {theta[0]:.3f} | {explained:.2f} |")
+            lines.append(f"| {Path(segment.flight).name} | {'xy'[axis]} | {theta[0]:.3f} | {explained:.2f} |")
     return "\n".join(lines)
 
 

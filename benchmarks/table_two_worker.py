@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
@@ -33,11 +34,10 @@ VEHICLE = "arpl_250g"
 DURATION, RAMP = 15.0, 3.0  # s of the reference that are flown, and of its beginning that do not count
 RATE = 100.0  # Hz
 PRIORITY, MOCKS_PRIORITY = 50, 30  # of SCHED_FIFO for the control thread and the mock, where it is granted
-MOST_REPEATS = 3  # of a flight during which the machine held up the mock's estimates
+MAX_REPEATS = 3  # of a flight during which the machine held up the mock's estimates
 LINEAR_BINS = np.linspace(0.0, 24.0, 49)  # m/s^2
 ANGULAR_BINS = np.linspace(0.0, 96.0, 49)  # rad/s^2
 PATH_STEP = 4  # every so many rows of a path are kept
-Floats = np.ndarray
 
 
 class Run(msgspec.Struct, frozen=True):
@@ -87,7 +87,7 @@ def fly(run: Run) -> Flown:
     was learned about the model: the flight is repeated.
     """
     flown = _tried(run)
-    while Event.ESTIMATE_STALE.value in flown.events and flown.repeats < MOST_REPEATS:
+    while Event.ESTIMATE_STALE.value in flown.events and flown.repeats < MAX_REPEATS:
         flown = msgspec.structs.replace(_tried(run), repeats=flown.repeats + 1)
     return flown
 

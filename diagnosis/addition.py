@@ -11,7 +11,6 @@ import msgspec
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.filters import Floats
 from diagnosis.diagnose import diagnose
 from diagnosis.estimation.acceptance import IMPROVEMENT
 from diagnosis.estimation.equation_error import Estimate, Fit, fit
@@ -23,6 +22,7 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.verdict import channel_errors
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import HistoryEntry, Vehicle

@@ -11,8 +11,8 @@ import numpy as np
 from diagnosis.data import channels
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.filters import EDGE, Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import EDGE
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.evaluation import floors, residuals
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
@@ -29,6 +29,7 @@ from diagnosis.regimes import (
 )
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -68,7 +69,7 @@ class Comparison(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """A comparison and what pictures of it need: residuals (m, 12) of each stretch, maps, spectrum, the regression."""
+    """A comparison and what pictures of it need: residuals (m, 12) of each segment, maps, spectrum, the regression."""
 
     comparison: Comparison
     residuals: list[Floats]
@@ -80,19 +81,19 @@ class Compared:
 
 def compare(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Compared:
     """Compare a vehicle's model with all flights of a data set. Raises DataError when they cannot answer."""
-    stretches = dataset.everything
-    require_answerable(stretches, vehicle)
+    segments = dataset.everything
+    require_answerable(segments, vehicle)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
-    rows = residuals(vehicle, catalogue, stretches)
+    rows = residuals(vehicle, catalogue, segments)
     floor = regression.noise.floor
-    maps = regime_maps(stretches, rows, floor, vehicle)
-    planes = regime_planes(stretches, rows, floor, vehicle)
+    maps = regime_maps(segments, rows, floor, vehicle)
+    planes = regime_planes(segments, rows, floor, vehicle)
     spectrum = residual_spectrum(rows, regression.noise, regression.rate)
     comparison = Comparison(
         axes=_axes(rows, regression),
         fails_where=worst_cells(maps),
-        worst=_worst(stretches, rows, regression),
-        open_loop=open_loop_errors(vehicle, catalogue, stretches),
+        worst=_worst(segments, rows, regression),
+        open_loop=open_loop_errors(vehicle, catalogue, segments),
         notes=dataset.notes,
         maps=tuple(map(regime_cells, maps)),
         planes=tuple(map(plane_cells, planes)),
@@ -113,9 +114,9 @@ def _axes(rows: Sequence[Floats], regression: Regression) -> tuple[AxisError, ..
 
 
 def worst_window(rows: Sequence[Floats], floor: Floats, rate: float) -> tuple[int, int, float]:
-    """Stretch and first row of the two seconds with the greatest error over floor, and that error.
+    """Segment and first row of the two seconds with the greatest error over floor, and that error.
 
-    rows: (m, 12) residuals of each stretch at rate Hz. floor: (12,).
+    rows: (m, 12) residuals of each segment at rate Hz. floor: (12,).
     """
     count, active = max(1, round(WORST * rate)), floor > 0
     found = []
@@ -127,7 +128,7 @@ def worst_window(rows: Sequence[Floats], floor: Floats, rate: float) -> tuple[in
     return max(found, key=lambda window: window[2])
 
 
-def _worst(stretches: Sequence[Stretch], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
+def _worst(segments: Sequence[Segment], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
     index, place, level = worst_window(rows, regression.noise.floor, regression.rate)
-    start = stretches[index].start + EDGE + place / regression.rate
-    return WorstSeconds(stretches[index].flight, round(start, 2), round(level, 2))
+    start = segments[index].start + EDGE + place / regression.rate
+    return WorstSeconds(segments[index].flight, round(start, 2), round(level, 2))

@@ -13,8 +13,8 @@ from diagnosis.report import FoundEffect
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
-MOST_ROUNDS = 3
-LEAST_SHARE = 0.01  # of the misfit that the first round took away, which a further round must bring
+MAX_ROUNDS = 3
+MIN_SHARE = 0.01  # of the misfit that the first round took away, which a further round must bring
 NO_VALUE = ("gust",)  # that a vehicle file could hold: random air motion
 
 
@@ -41,10 +41,10 @@ def complete(
     """
     first = findings = diagnose(dataset, vehicle, catalogue)
     added: list[FoundEffect] = []
-    for _ in range(MOST_ROUNDS):
+    for _ in range(MAX_ROUNDS):
         news = _missing(findings, vehicle)
         gain = findings.misfit_before - findings.misfit_after
-        least = LEAST_SHARE * (first.misfit_before - first.misfit_after) if added else 0.0
+        least = MIN_SHARE * (first.misfit_before - first.misfit_after) if added else 0.0
         if not news or gain < least or not findings.misfit_after < IMPROVEMENT * findings.misfit_before:
             break
         action = "added " + ", ".join(_key(effect) for effect in news)

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.filters import Floats
 from diagnosis.estimation.acceptance import accepted_fit
 from diagnosis.estimation.evaluation import misfit, residuals, typical_misfit
 from diagnosis.next_flight import next_flight
@@ -17,6 +16,7 @@ from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.residual_tests import Leftover, look
 from diagnosis.selection.search import Selection, select
 from diagnosis.verdict import channel_errors, found_effects, judge, not_excited
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -25,7 +25,7 @@ from dynamics.vehicle import Vehicle
 class Findings:
     """The diagnosis and what it was made from. vehicle: with the effects that were found at their fitted values.
 
-    before, after: (m, 12) residuals on the held-out stretches. notes: what the user should know of the data.
+    before, after: (m, 12) residuals on the held-out segments. notes: what the user should know of the data.
     """
 
     diagnosis: Diagnosis

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.channels import KINDS
-from diagnosis.data.filters import Floats, kept
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import kept
+from diagnosis.data.segment import Segment
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
 BINS = 6
-LEAST_ROWS = 25  # of a cell that counts as flown: one second
+MIN_ROWS = 25  # of a cell that counts as flown: one second
 FAILS = 1.5  # RMS over floor of a cell that is named
 TRAVELS = 0.3  # m/s, below which motion has no direction
 PLANES = (("speed m/s", "thrust over weight"), ("roll rate rad/s", "pitch rate rad/s"), ("east m", "north m"))
@@ -74,22 +75,22 @@ class PlaneCells(msgspec.Struct, frozen=True):
 
 
 def regime_maps(
-    stretches: Sequence[Stretch], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
+    segments: Sequence[Segment], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
 ) -> tuple[Regime, ...]:
     """Error over floor of each kind of channel along each quantity. rows: (m, 12) residuals; floor: (12,)."""
     squares = _over_floor(rows, floor)
     return tuple(
         Regime(name, edges, _cells(squares, place, len(edges) - 1))
-        for name, values in _common(stretches, vehicle).items()
+        for name, values in _common(segments, vehicle).items()
         for edges, place in [_placed(values)]
     )
 
 
 def regime_planes(
-    stretches: Sequence[Stretch], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
+    segments: Sequence[Segment], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
 ) -> tuple[Plane, ...]:
     """The same over two quantities at once: speed and thrust, roll and pitch rate, place."""
-    squares, values = _over_floor(rows, floor), _common(stretches, vehicle)
+    squares, values = _over_floor(rows, floor), _common(segments, vehicle)
     planes = []
     for across, up in PLANES:
         if across not in values or up not in values:
@@ -136,9 +137,9 @@ def _over_floor(rows: Sequence[Floats], floor: Floats) -> Floats:
     return np.asarray(squares / np.where(levels > 0, levels, np.nan))
 
 
-def _common(stretches: Sequence[Stretch], vehicle: Vehicle) -> dict[str, Floats]:
-    """The quantities that all stretches have, (m,) over all of them."""
-    values = [_quantities(s, vehicle) for s in stretches]
+def _common(segments: Sequence[Segment], vehicle: Vehicle) -> dict[str, Floats]:
+    """The quantities that all segments have, (m,) over all of them."""
+    values = [_quantities(s, vehicle) for s in segments]
     return {name: np.concatenate([v[name] for v in values]) for name in values[0] if all(name in v for v in values)}
 
 
@@ -156,7 +157,7 @@ def _cells(squares: Floats, place: NDArray[np.intp], count: int) -> Floats:
     result = np.full((len(KINDS), count), np.nan)
     for cell in range(count):
         inside = squares[place == cell]
-        if len(inside) >= LEAST_ROWS:
+        if len(inside) >= MIN_ROWS:
             result[:, cell] = np.sqrt(np.mean(inside, axis=0))
     return result
 
@@ -173,12 +174,12 @@ def _rounded(cells: Floats) -> list[Any]:
     return [round(float(cell), 3) if np.isfinite(cell) else None for cell in cells]
 
 
-def _quantities(stretch: Stretch, vehicle: Vehicle) -> dict[str, Floats]:
+def _quantities(segment: Segment, vehicle: Vehicle) -> dict[str, Floats]:
     """(m,) each, by name; without those that rest on what was not logged."""
-    rows = kept(len(stretch), stretch.rate)
-    thrust = (stretch.rotor_speed**2 @ vehicle.rotors.allocation[0])[rows]
-    rate = stretch.smooth[rows, 10:13]
-    found = {} if "velocity" in stretch.lacks else _motion(stretch.smooth[rows, 3:6])
+    rows = kept(len(segment), segment.rate)
+    thrust = (segment.rotor_speed**2 @ vehicle.rotors.allocation[0])[rows]
+    rate = segment.smooth[rows, 10:13]
+    found = {} if "velocity" in segment.lacks else _motion(segment.smooth[rows, 3:6])
     found |= {
         "thrust over weight": thrust / vehicle.weight,
         "body rate rad/s": np.linalg.norm(rate, axis=1),
@@ -186,12 +187,12 @@ def _quantities(stretch: Stretch, vehicle: Vehicle) -> dict[str, Floats]:
         "pitch rate rad/s": rate[:, 1],
         "yaw rate rad/s": rate[:, 2],
     }
-    if "position" not in stretch.lacks:
-        place = stretch.position[rows]
+    if "position" not in segment.lacks:
+        place = segment.position[rows]
         found |= {"height m": place[:, 2], "east m": place[:, 0], "north m": place[:, 1]}
-    found["time s"] = stretch.start + np.arange(len(stretch))[rows] / stretch.rate
-    if stretch.battery_ratio is not None:
-        found["battery voltage over full"] = stretch.battery_ratio[rows]
+    found["time s"] = segment.start + np.arange(len(segment))[rows] / segment.rate
+    if segment.battery_ratio is not None:
+        found["battery voltage over full"] = segment.battery_ratio[rows]
     return found
 
 

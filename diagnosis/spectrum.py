@@ -10,8 +10,9 @@ import numpy as np
 from scipy.signal import freqz, welch
 
 from diagnosis.data.channels import AXES, CHANNELS, KINDS
-from diagnosis.data.filters import CUTOFF, Floats
+from diagnosis.data.filters import CUTOFF
 from diagnosis.selection.noise import SEGMENT, NoiseModel
+from dynamics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +36,7 @@ class SpectrumLines(msgspec.Struct, frozen=True):
 
 
 def residual_spectrum(rows: Sequence[Floats], noise: NoiseModel, rate: float) -> Spectrum:
-    """Spectra below the filters' cutoff. rows: (m, 12) residuals of each stretch at rate Hz."""
+    """Spectra below the filters' cutoff. rows: (m, 12) residuals of each segment at rate Hz."""
     length = min(SEGMENT, *(len(r) for r in rows))
     found = [welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
     frequency = found[0][0]

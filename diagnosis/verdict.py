@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Estimate, Fit
 from diagnosis.estimation.evaluation import floor_norms, held_out_floor
 from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
@@ -16,12 +15,13 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.residual_tests import Leftover
 from diagnosis.selection.rivals import near_rivals, rivals_of
-from diagnosis.selection.search import LEAST_GAIN, Scored, Search, Selection
+from diagnosis.selection.search import MIN_GAIN, Scored, Search, Selection
+from dynamics.arrays import Floats
 from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 
 RESAMPLES = 40
-LARGEST_SET = 2  # effects that are named as not told apart; a third is as near as they are, and says no more
+MAX_SET = 2  # effects that are named as not told apart; a third is as near as they are, and says no more
 # Beyond these something is left; a share of what was there before is the effects' own imperfect form.
 LEFT_AGREEMENT, LEFT_LEARNABLE, LEFT_LINE = 5.5, 0.01, 10.0
 LEFT_MISFIT = 1.5
@@ -46,7 +46,7 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
             if p.name not in parameters
         }
         name = candidate.effect.name
-        close = tuple(s.candidates[-1].effect.name for s in near_rivals(search, others, rivals))[: LARGEST_SET - 1]
+        close = tuple(s.candidates[-1].effect.name for s in near_rivals(search, others, rivals))[: MAX_SET - 1]
         share = _confidence(search, rivals)
         effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
     if selection.blows:
@@ -109,7 +109,7 @@ def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
         specified = candidate.columns[0] in regression.biases.columns  # every flight has some of these
         if name in chosen.names or seen.get(name) or specified or not _is_usual(candidate, regression):
             continue
-        seen[name] = _usual_gain(regression, gram, candidate, chosen.columns) > LEAST_GAIN + search.penalty(candidate)
+        seen[name] = _usual_gain(regression, gram, candidate, chosen.columns) > MIN_GAIN + search.penalty(candidate)
     return tuple(name for name, shown in seen.items() if not shown)
 
 
@@ -143,11 +143,11 @@ def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
 
 
 def channel_errors(
-    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, held_out: Sequence[Stretch] = ()
+    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, held_out: Sequence[Segment] = ()
 ) -> dict[str, ChannelError]:
     """Error of each kind that there is, before and after, over its floor.
 
-    held_out: the stretches of before and after, whose floor is theirs; without them it is that of the fitted flights.
+    held_out: the segments of before and after, whose floor is theirs; without them it is that of the fitted flights.
     """
     level = held_out_floor(regression, held_out, after) if held_out else regression.noise.floor
     was, now, floor = channels.norms(before), channels.norms(after), floor_norms(level)

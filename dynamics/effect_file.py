@@ -11,7 +11,8 @@ from typing import Any
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, build_model
+from dynamics.model import ENVIRONMENT_DEFAULT, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 EXAMPLE = "See examples/my_effects.py."

@@ -19,9 +19,9 @@ from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Reading, Values
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
-RIGID_BODY_STATES = 13  # position (3), velocity_world (3), attitude (4), rate_body (3)
 ENVIRONMENT_DEFAULT = np.array([0.0, 1.0])  # ground_height m, battery_ratio
 
 

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import casadi as ca
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.vehicle import GRAVITY, Vehicle
 
-Array = NDArray[np.float64]
 ITERATIONS = 20
 HIGH_UP = 100.0  # m, where no ground is felt
 SAME = 1e-6  # relative difference that counts as none: a vehicle whose effects vanish in hover is left as it was
@@ -25,10 +24,10 @@ class Trim:
     """
 
     vehicle: Vehicle
-    rotor_speed: Array
+    rotor_speed: Floats
 
     @property
-    def shares(self) -> Array:
+    def shares(self) -> Floats:
         """(rotors,) speed of each rotor over the hover speed of the vehicle without effects."""
         return np.asarray(self.rotor_speed / self.vehicle.hover_speed)
 

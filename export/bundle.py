@@ -16,12 +16,13 @@ from pathlib import Path
 import casadi as ca
 import msgspec
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
-from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.model import Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from export.c_files import c_files, compiled
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
-from export.network import Floats
 from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from export.network import Floats, Network
+from dynamics.arrays import Floats
+from export.network import Network
 from export.reverse_split import Sweep
 
 ALIGNMENT = 16  # entries to which every row of weights is padded: one vector of floats on the widest processor

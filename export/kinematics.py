@@ -12,9 +12,10 @@ import casadi as ca
 import numpy as np
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.integrators import rk4
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
-from export.network import Floats
+from dynamics.model import ENVIRONMENT_DEFAULT
+from dynamics.state import RIGID_BODY_STATES
 from export.trained import ExportedModel
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.solver import substeps

@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 
-Floats = NDArray[np.float64]
 Frame = Literal["world", "body"]
 WIDEST_LAYER = 240  # the kernel counts active entries in bytes
 

@@ -12,7 +12,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 
 from dynamics.errors import DataError
-from dynamics.model import RIGID_BODY_STATES
+from dynamics.state import RIGID_BODY_STATES
 from export.symbolic import assembly_function, features_function
 from export.trained import ExportedModel
 

@@ -10,12 +10,13 @@ import msgspec
 import numpy as np
 import onnxruntime
 
+from dynamics.arrays import Floats
 from dynamics.codegen import CompiledFunction
 from dynamics.errors import DataError
 from dynamics.integrators import step_function
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
+from dynamics.model import ENVIRONMENT_DEFAULT
+from dynamics.state import RIGID_BODY_STATES
 from export.kinematics import roll_out
-from export.network import Floats
 from export.trained import SPEED_UNIT, ExportedModel, said_by_torch
 from runtime.control.rti.problem import fill_options
 from runtime.control.rti.solver import RtiSolver

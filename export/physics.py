@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from dynamics.integrators import rk4
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from dynamics.state import RIGID_BODY_STATES
 
 NAME = "alula_physics"
 

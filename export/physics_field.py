@@ -5,7 +5,8 @@ from __future__ import annotations
 import casadi as ca
 
 from dynamics import quaternion
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES
+from dynamics.model import ENVIRONMENT_DEFAULT
+from dynamics.state import RIGID_BODY_STATES
 from export.network import Network
 from export.symbolic import assembly_function, features_function
 from export.trained import ExportedModel

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import casadi as ca
 
 from dynamics import quaternion
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
 from export.network import Convolution, Network
 from export.physics import physics_function

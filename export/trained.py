@@ -10,13 +10,14 @@ import numpy as np
 import torch
 from torch import nn
 
+from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from export.integrator import settled_integrator
-from export.network import Convolution, Dense, Floats, Network
+from export.network import Convolution, Dense, Network
 from runtime.control.bundle import Integrator
 from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig

@@ -9,10 +9,10 @@ import msgspec
 import numpy as np
 
 from dynamics import quaternion
-from dynamics.model import RIGID_BODY_STATES
+from dynamics.arrays import Floats
 from dynamics.references import named_reference
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
-from export.network import Floats
 from export.trained import SPEED_UNIT, ExportedModel
 from training.data.dataset import make_dataset, settled_motors
 from training.data.recordings import find_logs, read_recordings

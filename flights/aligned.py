@@ -20,7 +20,7 @@ class AlignedFlight:
     exclusions: tuple[Exclusion, ...]
 
     def segments(self) -> tuple[Flight, ...]:
-        """The stretches of free flight."""
+        """The segments of free flight."""
         return self.flight.segments(exclude=excluded_rows(self.flight, self.exclusions))
 
 

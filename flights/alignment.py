@@ -12,18 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights import filters
-from flights.log import Floats, Log, Origin, Stream
+from flights.log import Log, Origin, Stream
 from flights.quantities import MOTION, ROTORS
 
 GAP_PERIODS = 5.0  # of a stream's own period without a sample are a gap,
-SHORTEST_GAP = 0.02  # s, but never less than this
+MIN_GAP = 0.02  # s, but never less than this
 JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
-HIGHEST_RATE = 2000.0  # Hz
+MAX_RATE = 2000.0  # Hz
 THINNING = 0.8  # of a stream's rate, below which a common clock would fold its noise back
 ROUNDING = 1e-9  # s by which a common clock may miss a stamp that is meant
-MOST_ROWS = 10_000_000  # 11 h at 250 Hz; more is read in pieces
+MAX_ROWS = 10_000_000  # 11 h at 250 Hz; more is read in pieces
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,7 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     if gyro is not None:  # its samples shall need no interpolation
         start = float(gyro.time[0]) - np.floor((float(gyro.time[0]) - start) * chosen + 1e-6) / chosen
     count = int(np.floor((end - start) * chosen + 1e-6)) + 1
-    if count > MOST_ROWS:
+    if count > MAX_ROWS:
         raise DataError(
             f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, give a lower rate, or "
             "read it with flights.read_pieces."
@@ -80,7 +81,7 @@ def _natural_rate(streams: list[Stream]) -> float:
     """The rate of the gyro, or of the fastest stream: whole hertz, so that its period is a short decimal."""
     named = {stream.name: stream.rate for stream in streams}
     fastest = named.get("rate") or max(named.values())
-    return float(min(max(round(fastest), 1), HIGHEST_RATE))
+    return float(min(max(round(fastest), 1), MAX_RATE))
 
 
 def is_uniform(time: Floats) -> bool:
@@ -121,7 +122,7 @@ def _between(stream: Stream, values: Floats, time: Floats) -> Floats:
     result[exact] = values[left[exact]]
     if stream.quantity.kind == "attitude":
         result = _on_sphere(result, exact)
-    limit = max(GAP_PERIODS * stream.period, SHORTEST_GAP)
+    limit = max(GAP_PERIODS * stream.period, MIN_GAP)
     result[_outside(share) | ((span > limit) & (share > 0) & (share < 1))] = np.nan
     return result
 

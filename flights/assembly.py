@@ -6,17 +6,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
-from flights.log import Floats, Reading, Repair, Stream
+from flights.log import Reading, Repair, Stream
 from flights.quantities import QUANTITIES
-from flights.source import LONGEST_STEP_BACK
+from flights.source import MAX_STEP_BACK
 
-MOST_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
+MAX_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
 STRAY_BY = 1.0  # s that a single stamp may lie away from those around it,
 STRAY_END = 3600.0  # s, and at the ends, where a late first or last word is nothing unusual
-MOST_STRAY = 0.02  # share of rows beyond which stamps are no damage any more
-_FEWEST_TO_JUDGE = 10
-LARGEST_VALUE = 1e12  # nothing that flies has a value beyond it
+MAX_STRAY = 0.02  # share of rows beyond which stamps are no damage any more
+_MIN_TO_JUDGE = 10
+MAX_VALUE = 1e12  # nothing that flies has a value beyond it
 LENGTH_TOLERANCE = 0.05  # of an attitude quaternion
 
 
@@ -93,7 +94,7 @@ class Assembly:
         if back.any():
             furthest = float(-steps.min())
             share = np.count_nonzero(back) / len(steps)
-            if share > MOST_DISORDER or furthest > LONGEST_STEP_BACK:
+            if share > MAX_DISORDER or furthest > MAX_STEP_BACK:
                 row = int(np.argmax(back)) + 2
                 raise DataError(
                     f"{what}: the time stamps go back in {np.count_nonzero(back)} of {len(time)} rows, by up to "
@@ -119,7 +120,7 @@ class Assembly:
     def _finite(self, values: Floats, what: str) -> Floats:
         """The same values with NaN for what cannot be a measurement."""
         with np.errstate(invalid="ignore"):
-            absurd = np.abs(values) > LARGEST_VALUE
+            absurd = np.abs(values) > MAX_VALUE
         if not absurd.any():
             return values
         count = int(np.count_nonzero(absurd.any(axis=1)))
@@ -168,7 +169,7 @@ class Assembly:
 def _stray(time: Floats) -> NDArray[np.bool_]:
     """Single rows whose stamp lies far from those around them, as a damaged byte makes it. time: (n,) s."""
     stray = np.zeros(len(time), dtype=bool)
-    if len(time) < _FEWEST_TO_JUDGE:
+    if len(time) < _MIN_TO_JUDGE:
         return stray
     around = np.stack([np.roll(time, shift) for shift in (-2, -1, 0, 1, 2)])
     off = np.abs(time - np.median(around, axis=0))
@@ -176,7 +177,7 @@ def _stray(time: Floats) -> NDArray[np.bool_]:
     stray[2:-2] = off[2:-2] > STRAY_BY + 20 * period  # in a clock that runs forwards a row is its own median
     for end, inner in ((slice(0, 2), time[2:5]), (slice(-2, None), time[-5:-2])):
         stray[end] = np.abs(time[end] - np.median(inner)) > STRAY_END + 1000 * period
-    return stray if stray.mean() < MOST_STRAY else np.zeros(len(time), dtype=bool)
+    return stray if stray.mean() < MAX_STRAY else np.zeros(len(time), dtype=bool)
 
 
 def _shifted(time: NDArray[np.float64], start: float) -> Floats:

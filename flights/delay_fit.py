@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import interpolate, linalg, signal, stats
 
+from dynamics.arrays import Floats
 from flights import filters
-from flights.log import Floats
 
 Band = tuple[float, float]
 Curve = Callable[[Floats], Floats]
@@ -25,9 +25,9 @@ OVERSAMPLING = 2.2  # rows compared per period of the highest frequency, so that
 AUTOREGRESSION = 6  # of the noise
 EARLIEST, LATEST, STEP = -0.12, 0.2, 0.01  # s searched for delays,
 LAGS = (0.002, 0.25)  # s, and for lags
-EDGE = 0.5  # s at the ends of each stretch that the filters spoil
+EDGE = 0.5  # s at the ends of each segment that the filters spoil
 BLOCK = 2.0  # s over which scores are summed
-LEAST_BLOCKS = 4
+MIN_BLOCKS = 4
 CALIBRATION = 1.1  # on the standard deviation
 CONFIDENCE = 0.95
 STAMPS = 0.00015  # s to which the middle of a sample is known at all
@@ -62,22 +62,22 @@ def fit_delay(
     if band[1] < NARROWEST * band[0]:
         return None  # logged too slowly to be compared at all
     known = usable & np.isfinite(np.hstack([answer, drive, beside])).all(axis=1)
-    stretches = [
-        _Stretch.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lagged=lagged)
+    segments = [
+        _Segment.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lagged=lagged)
         for start, stop in filters.runs(known)
         if (stop - start) / rate >= 2 * EDGE + BLOCK
     ]
-    count = sum(len(stretch.blocks) for stretch in stretches)
-    if count < LEAST_BLOCKS:
+    count = sum(len(segment.blocks) for segment in segments)
+    if count < MIN_BLOCKS:
         return None
     first, last = (EARLIEST, LATEST) if lagged is None else LAGS
     trials = np.arange(first, last + STEP / 2, STEP)
-    best = int(np.argmin([_misfit(stretches, float(trial)) for trial in trials]))
+    best = int(np.argmin([_misfit(segments, float(trial)) for trial in trials]))
     if best == len(trials) - 1 or (best == 0 and lagged is None):
         return None
     delay, std, unexplained = float(trials[best]), float("inf"), 1.0
     for _ in range(ITERATIONS):
-        change, std, unexplained = _gauss_newton(stretches, delay, whiten=whiten)
+        change, std, unexplained = _gauss_newton(segments, delay, whiten=whiten)
         delay = float(np.clip(delay + np.clip(change, -STEP, STEP), first, last))
         if abs(change) < 1e-6:
             break
@@ -88,8 +88,8 @@ def fit_delay(
 
 
 @dataclass(frozen=True, eq=False)
-class _Stretch:
-    """A stretch of flight without a gap. answer: (n, m), beside: (n, q), of the rows compared.
+class _Segment:
+    """A segment of flight without a gap. answer: (n, m), beside: (n, q), of the rows compared.
 
     blocks: first row of each block. driven: rows of what drives it (n, p), delayed or lagged by so many seconds.
     paired: whether each answer follows its own drive only.
@@ -102,7 +102,7 @@ class _Stretch:
     paired: bool
 
     @classmethod
-    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lagged: Curve | None) -> _Stretch:
+    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lagged: Curve | None) -> _Segment:
         """sides: answer, drive and beside, (n, .) each on a grid of a rate, Hz."""
         drive = sides[1]
         answer, beside = (_band(part, rate, band) for part in (sides[0], sides[2]))
@@ -166,33 +166,33 @@ class _Side:
         return _Side(white(self.answer), white(self.columns), white(self.slope))
 
 
-def _sides(stretches: list[_Stretch], delay: float, *, sloped: bool = True) -> list[_Side]:
-    """Every answer over all stretches, with what it is compared with at a delay. sloped: or else all slopes are 0."""
-    answer = np.concatenate([stretch.answer for stretch in stretches])
-    beside = np.concatenate([stretch.beside for stretch in stretches])
+def _sides(segments: list[_Segment], delay: float, *, sloped: bool = True) -> list[_Side]:
+    """Every answer over all segments, with what it is compared with at a delay. sloped: or else all slopes are 0."""
+    answer = np.concatenate([segment.answer for segment in segments])
+    beside = np.concatenate([segment.beside for segment in segments])
 
     def driven(seconds: float) -> Floats:
-        return np.concatenate([stretch.driven(seconds) for stretch in stretches])
+        return np.concatenate([segment.driven(seconds) for segment in segments])
 
     now = driven(delay)
     apart = 2 * DIFFERENCE
     slope = (driven(delay + DIFFERENCE) - driven(delay - DIFFERENCE)) / apart if sloped else np.zeros_like(now)
-    choose = [[k] if stretches[0].paired else slice(None) for k in range(answer.shape[1])]
+    choose = [[k] if segments[0].paired else slice(None) for k in range(answer.shape[1])]
     return [_Side(answer[:, k], np.hstack([now[:, c], beside]), slope[:, c]) for k, c in enumerate(choose)]
 
 
-def _misfit(stretches: list[_Stretch], delay: float) -> float:
+def _misfit(segments: list[_Segment], delay: float) -> float:
     """Sum of the log residual variances at a delay."""
-    return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(stretches, delay, sloped=False)))
+    return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(segments, delay, sloped=False)))
 
 
-def _gauss_newton(stretches: list[_Stretch], delay: float, *, whiten: bool) -> tuple[float, float, float]:
+def _gauss_newton(segments: list[_Segment], delay: float, *, whiten: bool) -> tuple[float, float, float]:
     """The next change of the delay, its standard deviation by the blocks' scores, s, and the unexplained share."""
     score, information, unexplained = 0.0, 0.0, 0.0
-    starts = np.concatenate([[0], np.cumsum([len(stretch.answer) for stretch in stretches])])
-    edges = np.concatenate([stretch.blocks + start for stretch, start in zip(stretches, starts, strict=False)])
+    starts = np.concatenate([[0], np.cumsum([len(segment.answer) for segment in segments])])
+    edges = np.concatenate([segment.blocks + start for segment, start in zip(segments, starts, strict=False)])
     sums = np.zeros(len(edges))
-    for raw in _sides(stretches, delay):
+    for raw in _sides(segments, delay):
         if float(np.mean(raw.residual**2)) < 1e-20:
             continue  # a channel that stands still says nothing
         side = raw.whitened(starts[1:-1]) if whiten else raw

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from flights import filters
 from flights.alignment import resample
 from flights.delay_fit import Band, Curve, fit_delay
 from flights.exclusion import Exclusion
-from flights.log import Floats, Log, Stream
+from flights.log import Log, Stream
 from flights.quantities import ROTORS
 
 GRID_RATE = 200.0  # Hz of the comparisons
@@ -32,11 +33,11 @@ VELOCITY_BAND = (0.2, 5.0)  # Hz: slower is tilt, faster the controller's answer
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 RESPONSE_BAND = (0.05, 10.0)  # Hz: where a vehicle moves; slower is its battery
-LEAST_COMMANDS = 20.0  # Hz at which commands must be logged to tell how they are followed
+MIN_COMMANDS = 20.0  # Hz at which commands must be logged to tell how they are followed
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
 # calibration of benchmarks/delay_estimation.py
 ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
-LARGEST_REACH = 0.008  # s of half an interval; a delay known less well than this is told and not removed
+MAX_REACH = 0.008  # s of half an interval; a delay known less well than this is told and not removed
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class Delay:
     @property
     def is_known(self) -> bool:
         """Whether the flight moved enough to tell it."""
-        return self.high - self.low <= 2 * LARGEST_REACH
+        return self.high - self.low <= 2 * MAX_REACH
 
     def __str__(self) -> str:
         value = f"{1e3 * self.seconds:.1f} ms ({1e3 * self.low:.1f} to {1e3 * self.high:.1f})"
@@ -76,7 +77,7 @@ class Delay:
 
 
 def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[Delay, ...]:
-    """Every delay that the log's streams can tell. exclusions: stretches to leave out, of the log's time."""
+    """Every delay that the log's streams can tell. exclusions: segments to leave out, of the log's time."""
     frame = _Frame.of(log, exclusions)
     if frame is None:
         return ()
@@ -199,7 +200,7 @@ def _rotor_clock(frame: _Frame, answers: Mapping[str, Floats], beside: Floats) -
 def _responses(frame: _Frame, name: str, answers: Mapping[str, Floats], beside: Floats) -> list[Delay | None]:
     """How thrust and turning follow a command, as a lag and as a delay each."""
     command = frame.get(name)
-    if command is None or frame.streams[name].rate < LEAST_COMMANDS:
+    if command is None or frame.streams[name].rate < MIN_COMMANDS:
         return []
     curve, band, found = _CURVES[name], frame.band(name, "rate", band=RESPONSE_BAND), []
     for against, answer in answers.items():

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.filters import runs
-from flights.flight import SHORTEST_SEGMENT, Flight
-from flights.log import Floats
+from flights.flight import MIN_SEGMENT, Flight
 
 Reason = Literal["ground", "impact", "crash"]
 Rows = NDArray[np.bool_]
@@ -42,7 +42,7 @@ RECOVERED = 1.0  # s of upright flight that end a crash
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A stretch that no fit may use. start, stop: s of the flight's time. detail: what was seen."""
+    """A segment that no fit may use. start, stop: s of the flight's time. detail: what was seen."""
 
     reason: Reason
     start: float
@@ -54,7 +54,7 @@ class Exclusion:
 
 
 def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
-    """Every stretch of a flight that is no free flight, in the order of time."""
+    """Every segment of a flight that is no free flight, in the order of time."""
     if len(flight) < 3:
         return ()
     seen = _Seen.of(flight)
@@ -72,14 +72,14 @@ def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
 
 
 def excluded_rows(flight: Flight, exclusions: Sequence[Exclusion]) -> Rows:
-    """(n,) whether a row of the flight lies in any of the stretches."""
+    """(n,) whether a row of the flight lies in any of the segments."""
     rows = np.zeros(len(flight), dtype=bool)
     for item in exclusions:
         rows |= (flight.time >= item.start) & (flight.time <= item.stop)
     return rows
 
 
-def free_flight(flight: Flight, *, shortest: float = SHORTEST_SEGMENT) -> tuple[Flight, ...]:
+def free_flight(flight: Flight, *, shortest: float = MIN_SEGMENT) -> tuple[Flight, ...]:
     """The segments of free flight: no gap, reset, disarmed vehicle, ground contact, impact or crash inside."""
     return flight.segments(exclude=excluded_rows(flight, find_exclusions(flight)), shortest=shortest)
 

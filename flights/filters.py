@@ -1,4 +1,4 @@
-"""Filters for flight data, applied to every stretch without a gap by itself.
+"""Filters for flight data, applied to every segment without a gap by itself.
 
 `lowpass` and `derivative` look ahead: they make labels and judgements, never the input of a network that shall fly.
 `causal_lowpass` looks back only.
@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import signal
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
-from flights.log import Floats
 
 ORDER = 4  # of the Butterworth filters, PI-TCN section IV-A
 PAPER_CUTOFF = 5.0  # Hz, PI-TCN section IV-A
@@ -23,35 +23,35 @@ ANTI_ALIAS = 0.4  # cutoff over the new rate when a stream is thinned out
 def lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
     """Zero-phase Butterworth low-pass: forward and backward, so that nothing is delayed.
 
-    values: (n,) or (n, k); NaN rows split it, stretches too short to filter become NaN. rate, cutoff: Hz.
+    values: (n,) or (n, k); NaN rows split it, segments too short to filter become NaN. rate, cutoff: Hz.
 
     Raises RequestError for a cutoff that the rate does not reach.
     """
     sections = _sections(rate, cutoff, order)
     padding = 3 * (2 * len(sections) + 1)
 
-    def both_ways(stretch: Floats) -> Floats:
-        if len(stretch) <= padding:
-            return np.full_like(stretch, np.nan)
-        return np.asarray(signal.sosfiltfilt(sections, stretch, axis=0))
+    def both_ways(segment: Floats) -> Floats:
+        if len(segment) <= padding:
+            return np.full_like(segment, np.nan)
+        return np.asarray(signal.sosfiltfilt(sections, segment, axis=0))
 
-    return each_stretch(values, both_ways)
+    return each_segment(values, both_ways)
 
 
 def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
     """The same Butterworth low-pass, forward only: what a network in flight may be given.
 
-    values: (n,) or (n, k), NaN rows split it. rate, cutoff: Hz. It starts settled at the first value of each stretch.
+    values: (n,) or (n, k), NaN rows split it. rate, cutoff: Hz. It starts settled at the first value of each segment.
     Raises RequestError for a cutoff that the rate does not reach.
     """
     sections = _sections(rate, cutoff, order)
     settled = signal.sosfilt_zi(sections)
 
-    def forward(stretch: Floats) -> Floats:
-        start = settled.reshape(*settled.shape, *[1] * (stretch.ndim - 1)) * stretch[0]
-        return np.asarray(signal.sosfilt(sections, stretch, axis=0, zi=start)[0])
+    def forward(segment: Floats) -> Floats:
+        start = settled.reshape(*settled.shape, *[1] * (segment.ndim - 1)) * segment[0]
+        return np.asarray(signal.sosfilt(sections, segment, axis=0, zi=start)[0])
 
-    return each_stretch(values, forward)
+    return each_segment(values, forward)
 
 
 def anti_aliased(values: Floats, rate: float, new_rate: float) -> Floats:
@@ -65,17 +65,17 @@ def anti_aliased(values: Floats, rate: float, new_rate: float) -> Floats:
 
 
 def derivative(values: Floats, period: float) -> Floats:
-    """Central differences, one-sided at the ends of each stretch. values: (n,) or (n, k). period: s."""
+    """Central differences, one-sided at the ends of each segment. values: (n,) or (n, k). period: s."""
 
-    def differences(stretch: Floats) -> Floats:
-        if len(stretch) < 2:
-            return np.full_like(stretch, np.nan)
-        return np.asarray(np.gradient(stretch, period, axis=0))
+    def differences(segment: Floats) -> Floats:
+        if len(segment) < 2:
+            return np.full_like(segment, np.nan)
+        return np.asarray(np.gradient(segment, period, axis=0))
 
-    return each_stretch(values, differences)
+    return each_segment(values, differences)
 
 
-def each_stretch(values: Floats, function: Callable[[Floats], Floats]) -> Floats:
+def each_segment(values: Floats, function: Callable[[Floats], Floats]) -> Floats:
     """A function of consecutive rows, applied to each run of rows without NaN; rows with NaN stay NaN."""
     if not len(values):
         return values

@@ -11,14 +11,15 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from flights import tables
 from flights.alignment import align
-from flights.log import Floats, Log, Origin, Provenance
+from flights.log import Log, Origin, Provenance
 from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
 from flights.reading import read_log
 
-SHORTEST_SEGMENT = 0.5  # s
+MIN_SEGMENT = 0.5  # s
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +137,8 @@ class Flight:
                 good &= np.isfinite(self[name]).all(axis=1)
         return good
 
-    def segments(
-        self, *, exclude: NDArray[np.bool_] | None = None, shortest: float = SHORTEST_SEGMENT
-    ) -> tuple[Self, ...]:
-        """The stretches without a gap, a disarmed vehicle or an estimator reset inside.
+    def segments(self, *, exclude: NDArray[np.bool_] | None = None, shortest: float = MIN_SEGMENT) -> tuple[Self, ...]:
+        """The segments without a gap, a disarmed vehicle or an estimator reset inside.
 
         exclude: (n,) further rows to leave out, as ground contact and crashes. shortest: s, shorter ones are dropped.
         """
@@ -150,8 +149,8 @@ class Flight:
         for name in RESET_COUNTERS:
             if name in self.columns:
                 breaks[1:] |= np.diff(_filled(self.columns[name])) != 0
-        stretch = np.cumsum(breaks | np.concatenate([[True], good[1:] != good[:-1]])) if len(good) else good
-        edges = np.flatnonzero(np.diff(stretch, prepend=-1, append=-1)) if len(good) else np.empty(0, dtype=int)
+        segment = np.cumsum(breaks | np.concatenate([[True], good[1:] != good[:-1]])) if len(good) else good
+        edges = np.flatnonzero(np.diff(segment, prepend=-1, append=-1)) if len(good) else np.empty(0, dtype=int)
         pieces = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
         least = max(2, round(shortest * self.rate))
         return tuple(self.rows(start, stop) for start, stop in pieces if good[start] and stop - start >= least)

@@ -11,11 +11,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from flights.quantities import QUANTITIES, Quantity
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,19 +13,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from flights.alignment import resample
-from flights.log import Floats, Stream
+from flights.log import Stream
 from flights.quantities import MOTION
 
 _GRID_RATE = 50.0  # Hz of the comparisons
 _LONGEST = 60_000  # rows compared at most
 _SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
-_LONGEST_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
-_FASTEST_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
-_LEAST_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
-_LEAST_SPEED = 0.15  # m/s rms
-_LEAST_ACCELERATION = 0.3  # m/s^2 rms
+_MAX_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
+_MAX_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
+_MIN_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
+_MIN_SPEED = 0.15  # m/s rms
+_MIN_ACCELERATION = 0.3  # m/s^2 rms
 _AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
 _NO_AGREEMENT = 0.2  # correlation about zero below which there is none
 _DEGREES = 180 / np.pi
@@ -67,7 +68,7 @@ def _grid(streams: list[Stream]) -> Floats:
 
 def _too_slow(first: dict[str, Stream]) -> Finding | None:
     """No log has its attitude or its gyro once a second: such a clock counts something shorter."""
-    for name, longest in _LONGEST_PERIOD.items():
+    for name, longest in _MAX_PERIOD.items():
         if name in first and longest < first[name].period < float("inf"):
             return Finding(
                 "time_unit",
@@ -81,7 +82,7 @@ def _impossible_rates(first: dict[str, Stream]) -> Finding | None:
     if "rate" not in first:
         return None
     largest = float(np.nanpercentile(np.abs(first["rate"].values), 99.5))
-    if largest <= _FASTEST_RATE:
+    if largest <= _MAX_RATE:
         return None
     return Finding(
         "rates_in_degrees",
@@ -104,7 +105,7 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
         return None
     turning, rate = turning[known], rate[known]
     speed = _rms(turning)
-    if speed < _LEAST_RATE:
+    if speed < _MIN_RATE:
         return None
     ratio = _rms(rate) / speed
     if 0.5 * _DEGREES < ratio < 2 * _DEGREES:
@@ -114,7 +115,7 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
         )
     for axis in range(3):
         a, b = turning[:, axis], rate[:, axis]
-        if min(_rms(a), _rms(b)) > _LEAST_RATE and _agreement(a, b) < -_AGREEMENT:
+        if min(_rms(a), _rms(b)) > _MIN_RATE and _agreement(a, b) < -_AGREEMENT:
             return Finding(
                 "rate_frame",
                 f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
@@ -162,7 +163,7 @@ def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Find
         return None
     for axis in range(3):
         a, b = moved[known, axis], velocity[known, axis]
-        if min(_rms(a), _rms(b)) > _LEAST_SPEED and _agreement(a, b) < -_AGREEMENT:
+        if min(_rms(a), _rms(b)) > _MIN_SPEED and _agreement(a, b) < -_AGREEMENT:
             return Finding(
                 "velocity_frame",
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
@@ -182,7 +183,7 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Find
     if np.count_nonzero(known) < 50:
         return None
     a, b = acceleration[known, :2], lean[known, :2]
-    if min(_rms(a), _rms(b)) < _LEAST_ACCELERATION:
+    if min(_rms(a), _rms(b)) < _MIN_ACCELERATION:
         return None
     agreement = _agreement(a, b)
     exchanged = _agreement(a, b[:, ::-1])
@@ -214,7 +215,7 @@ def _force_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Fin
     if np.count_nonzero(known) < 50:
         return None
     a, b = acceleration[known], felt[known] - np.median(felt[known])
-    if min(_rms(a), _rms(b)) < _LEAST_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
+    if min(_rms(a), _rms(b)) < _MIN_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
         return None
     return Finding(
         "velocity_frame",

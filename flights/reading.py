@@ -28,7 +28,7 @@ from flights.source import Source, Span, opened, sha256
 class Format:
     """A kind of log. declares_frames: whether its specification fixes units and frames, so that they need no proof.
 
-    reads_spans: whether its reader can keep to a stretch of a file; the others hold all of a flight's quantities.
+    reads_spans: whether its reader can keep to a segment of a file; the others hold all of a flight's quantities.
     """
 
     label: str
@@ -66,7 +66,7 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
 
 
 def read_pieces(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
-    """A log that is larger than memory as consecutive logs of so many seconds; stretches without data are passed over.
+    """A log that is larger than memory as consecutive logs of so many seconds; segments without data are passed over.
 
     The file is read once, and only one piece of it is held; of a ULog and a DataFlash log the flight's own quantities
     are held as a whole, which are a small part of the file. Raises what `read_log` raises, and RequestError for seconds
@@ -106,7 +106,7 @@ def _read(source: Source, name: str) -> Reading:
 
 
 def _cut(reading: Reading, span: Span) -> Reading:
-    """The stretch of a reading whose time starts at 0; the stretch's time does so too."""
+    """The segment of a reading whose time starts at 0; the segment's time does so too."""
     kept = [(stream, span.mask(stream.time)) for stream in reading.streams]
     start = min((float(stream.time[rows][0]) for stream, rows in kept if rows.any()), default=0.0)
     streams = tuple(

@@ -6,10 +6,10 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Rotors, Vehicle
 from flights.flight import Flight
-from flights.log import Floats
 from flights.quality.advice import faster_rotors
 
 RotorSource = Literal["measured", "speed_command", "command"]  # speeds asked for are taken at their word

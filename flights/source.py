@@ -20,17 +20,17 @@ from dynamics.errors import DataError, RequestError
 from flights.log import Repair
 
 HEAD_BYTES = 65_536
-LONGEST_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
+MAX_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
 _PIECE = 1 << 20
 _GZIP = b"\x1f\x8b"
 
 
 @dataclass
 class Span:
-    """A stretch of a log that is larger than memory: what lies before start or from end on is not kept.
+    """A segment of a log that is larger than memory: what lies before start or from end on is not kept.
 
     start, end: s since the log's first sample. origin: that sample's stamp on the file's own clock, once it is known.
-    place: where in the file its reader begins, and at last where the next stretch begins, in a form of the reader's
+    place: where in the file its reader begins, and at last where the next segment begins, in a form of the reader's
     own; None for the beginning. following: the earliest sample seen at or after the end, s.
     """
 
@@ -59,10 +59,10 @@ class Span:
 
     def is_past(self, elapsed: float) -> bool:
         """Whether nothing of it comes any more, as far as stamps may be out of order."""
-        return elapsed >= self.end + LONGEST_STEP_BACK
+        return elapsed >= self.end + MAX_STEP_BACK
 
     def next(self, seconds: float) -> Span:
-        """The stretch of so many seconds that the next sample lies in."""
+        """The segment of so many seconds that the next sample lies in."""
         start = max(self.end, math.floor(self.following / seconds) * seconds)
         end = max(start + seconds, math.nextafter(self.following, math.inf))
         return Span(start, end, self.origin, self.place)
@@ -72,7 +72,7 @@ class Span:
 class Source:
     """A log to read. path: as it was given. file: the same content unpacked, on disk. head: its first bytes.
 
-    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave. span: the stretch to
+    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave. span: the segment to
     keep, everything if None.
     """
 

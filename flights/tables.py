@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 import pyarrow.parquet as pa_parquet
 
+from dynamics.arrays import Floats
 from dynamics.files import write_whole
-from flights.log import Floats, Origin, Provenance
+from flights.log import Origin, Provenance
 from flights.quantities import quantity_of
 
 TIME = "t"

@@ -8,12 +8,12 @@ from typing import Literal
 import numpy as np
 
 from dynamics import quaternion
-from flights.log import Floats
+from dynamics.arrays import Floats
 
 _SPAN = 0.1  # s, over which positions are differenced
 _CLEARLY = 0.7  # one explanation's error must be below this share of the other's
 _FEWEST = 10  # samples
-_LEAST_DIFFERENCE = 0.05  # m/s rms between both readings, below which it does not matter
+_MIN_DIFFERENCE = 0.05  # m/s rms between both readings, below which it does not matter
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +33,7 @@ def velocity_world(time: Floats, position: Floats, attitude: Floats, velocity: F
     turned = quaternion.rotate(attitude, velocity)
     whole = np.isfinite(turned).all(axis=1) & np.isfinite(position).all(axis=1)
     difference = float(np.sqrt(np.mean((turned - velocity)[whole] ** 2))) if whole.any() else 0.0
-    if difference < _LEAST_DIFFERENCE or np.count_nonzero(whole) < _FEWEST:
+    if difference < _MIN_DIFFERENCE or np.count_nonzero(whole) < _FEWEST:
         return Judged(turned, "the body", "as nav_msgs/Odometry defines it; the motion is too small to prove it")
     order = np.flatnonzero(whole)[np.argsort(time[whole], kind="stable")]
     time, position = time[order], position[order]

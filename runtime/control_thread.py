@@ -40,7 +40,7 @@ from runtime.telemetry_buffer import Watch
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
 HORIZON_EVERY = 10  # ticks between recorded horizons
-MOST_DEFECTS = 10  # ticks in a row that may fail by a defect of ours until the stream is stopped
+MAX_DEFECTS = 10  # ticks in a row that may fail by a defect of ours until the stream is stopped
 LATE_SHARE = 0.2  # of the ticks from which lateness is an event
 News = Transition | Change | str
 
@@ -114,7 +114,7 @@ class ControlThread:
             except Exception as error:  # a defect of ours must degrade the flight, not end it
                 self._defects += 1
                 self.defect = f"tick {self._tick} failed: {error!r}"
-                if self._defects >= MOST_DEFECTS:
+                if self._defects >= MAX_DEFECTS:
                     self.news.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
             self._busy_before = time.thread_time() - self._busy_at_departure

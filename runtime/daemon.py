@@ -40,8 +40,8 @@ from runtime.record.records import EventRecord, ParameterRecord
 from runtime.telemetry_buffer import Watch
 from runtime.timing import TimingReport
 
-LEAST_RATE = 0.9  # of the rate of estimates that the flight wants
-HIGHEST_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200
+MIN_RATE = 0.9  # of the rate of estimates that the flight wants
+MAX_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
@@ -52,9 +52,9 @@ SLOW_STREAMS: Mapping[str, float] = {  # for the recording, and what may come la
 THRUST_CURVE = "THR_MDL_FAC"
 
 REHEARSED_TICKS = 20
-FARTHEST_START = 50.0  # m from the vehicle to the start of the reference
-LEAST_CLEARANCE = 0.15  # m of the reference above where the vehicle stands
-LONGEST_LOOK = 600.0  # s of the reference that are looked at before take-off
+MAX_START = 50.0  # m from the vehicle to the start of the reference
+MIN_CLEARANCE = 0.15  # m of the reference above where the vehicle stands
+MAX_LOOK = 600.0  # s of the reference that are looked at before take-off
 
 Announce = Callable[[str], None]
 
@@ -217,7 +217,7 @@ class Daemon:
             for refusal in (realtime.lock_memory(), realtime.raise_threads(BACKGROUND_PRIORITY, besides="link")):
                 if refusal:
                     self._note(Event.REALTIME_UNAVAILABLE, refusal)
-        asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, HIGHEST_ESTIMATE_RATE)}
+        asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
         request_rates(link, asked)
         thrust_map = self._thrust_map(link, controller.trim)
         mission = Mission(controller.trim, self._reference, request.plan)
@@ -249,19 +249,19 @@ class Daemon:
         estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
         if estimate is None:
             return  # the rates will say so, and refuse
-        span = min(self._reference.duration, LONGEST_LOOK)
+        span = min(self._reference.duration, MAX_LOOK)
         path = self._reference.states(np.arange(0.0, span, 0.02))[:, 0:3]
         distance = float(np.linalg.norm(path[0] - estimate.position_world))
-        if distance > FARTHEST_START:
+        if distance > MAX_START:
             raise self._infeasible(
                 f"the reference starts {distance:.0f} m from the vehicle, which is at "
-                f"{_place(estimate.position_world)} m (east, north, up). Begin nearer than {FARTHEST_START:g} m."
+                f"{_place(estimate.position_world)} m (east, north, up). Begin nearer than {MAX_START:g} m."
             )
         ground, lowest = float(estimate.position_world[2]), float(np.min(path[:, 2]))
-        if not link.status.armed and lowest < ground + LEAST_CLEARANCE:
+        if not link.status.armed and lowest < ground + MIN_CLEARANCE:
             raise self._infeasible(
                 f"the reference comes down to {lowest:.2f} m, the vehicle stands at {ground:.2f} m. Keep "
-                f"{LEAST_CLEARANCE:g} m above it: give the manoeuvre a height, as in lemniscate:height=1."
+                f"{MIN_CLEARANCE:g} m above it: give the manoeuvre a height, as in lemniscate:height=1."
             )
 
     def _infeasible(self, reason: str) -> RequestError:
@@ -320,9 +320,9 @@ class Daemon:
 
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
         found: dict[Event, str] = {}
-        rate, wanted = self._watch.estimate_rate(now), min(self._request.rate, HIGHEST_ESTIMATE_RATE)
-        self._orders.estimates_keep_up = rate >= LEAST_RATE * self._request.rate
-        if rate < LEAST_RATE * wanted:
+        rate, wanted = self._watch.estimate_rate(now), min(self._request.rate, MAX_ESTIMATE_RATE)
+        self._orders.estimates_keep_up = rate >= MIN_RATE * self._request.rate
+        if rate < MIN_RATE * wanted:
             found[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {wanted:.0f} Hz are wanted"
         if not link.peer.clock.is_valid(now):
             found[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"

@@ -20,7 +20,7 @@ from runtime.control.controller import Controller
 from runtime.flight.events import Event
 
 FILE = "flight_check.json"  # beside parity.json; not in the manifest, because it proves nothing about the files
-MOST_AWAY = 0.1  # share of the time that physics may have flown in the network's place
+MAX_AWAY = 0.1  # share of the time that physics may have flown in the network's place
 GENTLE = ("Ellipse_1:laps=1", "hover:laps=1")  # 9 and 10 s; the first that the vehicle can fly
 ADVICE = "Train with the physics-inspired loss on pulses and --input-noise 0.3, see docs/training.md."
 
@@ -43,7 +43,7 @@ class FlightCheck(msgspec.Struct, frozen=True):
     @property
     def held(self) -> bool:
         """Whether the network itself held the flight."""
-        return not self.ended and self.away <= MOST_AWAY and Event.MODEL_OSCILLATES.value not in self.events
+        return not self.ended and self.away <= MAX_AWAY and Event.MODEL_OSCILLATES.value not in self.events
 
     @property
     def text(self) -> str:

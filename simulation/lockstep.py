@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.errors import VehicleError
 from dynamics.references import Reference
 from dynamics.vehicle import EffectUse, Vehicle
@@ -22,7 +23,7 @@ from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Phase, Plan
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import Estimate
-from runtime.record.records import Array, ObservationRecord
+from runtime.record.records import ObservationRecord
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 
@@ -40,11 +41,11 @@ class Rows:
     away: whether something else flew than the controller's own model.
     """
 
-    estimate: list[tuple[float, Array]] = field(default_factory=list)
-    imu: list[tuple[float, Array]] = field(default_factory=list)
-    motors: list[tuple[float, Array]] = field(default_factory=list)
-    setpoint: list[tuple[float, Array]] = field(default_factory=list)
-    truth: list[tuple[float, Array]] = field(default_factory=list)
+    estimate: list[tuple[float, Floats]] = field(default_factory=list)
+    imu: list[tuple[float, Floats]] = field(default_factory=list)
+    motors: list[tuple[float, Floats]] = field(default_factory=list)
+    setpoint: list[tuple[float, Floats]] = field(default_factory=list)
+    truth: list[tuple[float, Floats]] = field(default_factory=list)
     away: list[bool] = field(default_factory=list)
 
 
@@ -103,7 +104,7 @@ def fly_reference(
     return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away), events)
 
 
-def _climb(plant: SimulatedVehicle, place: Array, yaw: float) -> None:
+def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:
     """Let the autopilot fly to a place and hold there."""
     target = ControlSetpoint("hold", position_world=place, yaw=yaw)
     for _ in range(round(CLIMB_PATIENCE / CLIMB_TIME)):
@@ -172,7 +173,7 @@ def _advance(
 
 
 def _keep(
-    rows: Rows, plant: SimulatedVehicle, since: float, setpoint: ControlSetpoint, reference: Array | None
+    rows: Rows, plant: SimulatedVehicle, since: float, setpoint: ControlSetpoint, reference: Floats | None
 ) -> None:
     true, seen = plant.truth, plant.estimate
     age = round(1000 * (plant.time - seen.time)) / 1000
@@ -207,7 +208,7 @@ def _truth(rows: Rows, name: str) -> Log:
     return Log(tuple(_streams(rows.truth, "truth", **parts)), _provenance(name, "true"))
 
 
-def _streams(rows: list[tuple[float, Array]], source: str, **parts: tuple[int, int]) -> list[Stream]:
+def _streams(rows: list[tuple[float, Floats]], source: str, **parts: tuple[int, int]) -> list[Stream]:
     since_start = [(stamp, values) for stamp, values in rows if stamp > -1e-6]
     if not since_start:
         return []

@@ -11,14 +11,13 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.colors import LogNorm
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
 from training.data.features import world_accelerations
 from training.evaluation import BASE, NOMINAL, PLANT, Judged
 
-Floats = NDArray[np.float64]
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#666666")  # Okabe and Ito
 LETTERS, LEGEND_MARK = 16.0, 8  # of a legend: letters to an inch, and what an entry needs besides its name
 SLICE = 3.0  # s of flight, as long as the paper's

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from diagnosis.comparison import AxisError
 from diagnosis.data.channels import AXES, KINDS, UNITS
 from diagnosis.report import ChannelError, Diagnosis
-from diagnosis.selection.search import IMPOSSIBLE, LEAST_GAIN, Scored
+from diagnosis.selection.search import IMPOSSIBLE, MIN_GAIN, Scored
 from diagnosis.spectrum import Spectrum
 from studio.evidence import Agreement, Likeness, Overlay, by_kind
 from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Choice, Picture, choosing, line, picture
@@ -121,7 +121,7 @@ def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, most: int = 14) -
         y=names, x=scores, orientation="h", marker_color=colours, customdata=[s.score for s in able],
         hovertemplate="%{y}: score %{customdata:.4g}<extra></extra>",
     ))  # fmt: skip
-    figure.add_vline(x=LEAST_GAIN, line={"color": FLOOR, "dash": "dash"})
+    figure.add_vline(x=MIN_GAIN, line={"color": FLOOR, "dash": "dash"})
     figure.update_xaxes(title_text="score (least that counts: dashed)", type="log", dtick=1, exponentformat="power")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect alone.")

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from diagnosis.comparison import WORST, worst_window
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.search import Scored
+from dynamics.arrays import Floats
 
-MOST_ROWS = 6000  # of the overlay: four minutes of flight
+MAX_ROWS = 6000  # of the overlay: four minutes of flight
 SHOWN_CANDIDATES = 14  # of the collinearity matrix
 PAUSE = 0.5  # s between flights that are shown one behind the other
 SCATTERED = 1500  # points a panel
@@ -28,7 +28,7 @@ class Overlay:
 
     time: (n,) s. measured, current, improved: (n, 12). begins: where each flight begins, s. names: of the flights.
     worst: first and last second of the two worst. missed: (12,) RMS over floor of the current model in them, 0 where a
-    channel is absent. left_out: stretches that were too many to show.
+    channel is absent. left_out: segments that were too many to show.
     """
 
     time: Floats
@@ -43,20 +43,20 @@ class Overlay:
 
 
 def overlay(
-    stretches: Sequence[Stretch], before: Sequence[Floats], after: Sequence[Floats], floor: Floats, rate: float
+    segments: Sequence[Segment], before: Sequence[Floats], after: Sequence[Floats], floor: Floats, rate: float
 ) -> Overlay:
-    """What stretches measured and what two models say, from their residuals (m, 12). floor: (12,). rate: Hz, of rows.
+    """What segments measured and what two models say, from their residuals (m, 12). floor: (12,). rate: Hz, of rows.
 
-    Of more than four minutes the worst stretches are shown.
+    Of more than four minutes the worst segments are shown.
     """
-    chosen = _worst_stretches(before, floor, rate)
+    chosen = _worst_segments(before, floor, rate)
     gap = np.full((1, channels.CHANNELS), np.nan)
     times: list[Floats] = []
     tables: tuple[list[Floats], ...] = ([], [], [])
     begins: list[float] = []
     now = 0.0
     for index in chosen:
-        measured = channels.measured(stretches[index])
+        measured = channels.measured(segments[index])
         begins.append(now)
         times.append(now + np.arange(len(measured) + 1) / rate)
         now = float(times[-1][-1]) + PAUSE
@@ -72,19 +72,19 @@ def overlay(
         current=np.vstack(tables[1]),
         improved=np.vstack(tables[2]),
         begins=tuple(begins),
-        names=tuple(Path(stretches[i].flight).name for i in chosen),
+        names=tuple(Path(segments[i].flight).name for i in chosen),
         worst=(start, start + WORST),
         missed=over_floor,
-        left_out=len(stretches) - len(chosen),
+        left_out=len(segments) - len(chosen),
     )
 
 
-def _worst_stretches(rows: Sequence[Floats], floor: Floats, rate: float) -> list[int]:
-    """Places of the stretches with the worst two seconds, in their order, as many as can be shown."""
+def _worst_segments(rows: Sequence[Floats], floor: Floats, rate: float) -> list[int]:
+    """Places of the segments with the worst two seconds, in their order, as many as can be shown."""
     worst_first = sorted(range(len(rows)), key=lambda i: -worst_window([rows[i]], floor, rate)[2])
     chosen: list[int] = []
     for index in worst_first:
-        if not chosen or sum(len(rows[i]) for i in chosen) + len(rows[index]) <= MOST_ROWS:
+        if not chosen or sum(len(rows[i]) for i in chosen) + len(rows[index]) <= MAX_ROWS:
             chosen.append(index)
     return sorted(chosen)
 

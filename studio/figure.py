@@ -11,9 +11,8 @@ import numpy as np
 import plotly.graph_objects as go
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from studio.page import embedded
-
-Floats = NDArray[np.float64]
 
 # Okabe and Ito's colours.
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
@@ -21,7 +20,7 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
 )  # fmt: skip
 MEASURED, BEFORE, AFTER, FLOOR = BLACK, VERMILION, BLUE, "#6b7280"
 GRID, UNFLOWN = "#e5e7eb", "#d4d8de"
-MOST_POINTS = 3000  # of a line
+MAX_POINTS = 3000  # of a line
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ def line(x: Floats, y: Floats, *, name: str, colour: str, unit: str, **more: Any
     )  # fmt: skip
 
 
-def thinned(lines: Sequence[Floats], most: int = MOST_POINTS) -> NDArray[np.intp]:
+def thinned(lines: Sequence[Floats], most: int = MAX_POINTS) -> NDArray[np.intp]:
     """Rows that draw lines (n,) of one clock so that every spike still shows: least and greatest of many pieces."""
     rows = len(lines[0])
     if rows <= most:

@@ -10,9 +10,10 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from studio.figure import AFTER, BEFORE, Floats, Picture, line, picture, thinned
+from dynamics.arrays import Floats
+from studio.figure import AFTER, BEFORE, Picture, line, picture, thinned
 
-MOST_POINTS = 1200  # of a line
+MAX_POINTS = 1200  # of a line
 REFERENCE = "#9ca3af"
 
 
@@ -62,7 +63,7 @@ def flight_view(flown: FlownComparison) -> Picture:
     for name, colour, (track,) in _sides([flown]):
         _path(figure, track.position, name, colour, 1.4)
         error = 100 * np.linalg.norm(track.position - track.reference, axis=1)
-        rows = thinned([error], MOST_POINTS)
+        rows = thinned([error], MAX_POINTS)
         drawn = line(track.time[rows], error[rows], name=name, colour=colour, unit="cm", showlegend=False)
         figure.add_trace(drawn, row=3, col=1)
         figure.add_hline(y=100 * track.position_rmse, line={"color": colour, "dash": "dash", "width": 1}, row=3, col=1)
@@ -94,7 +95,7 @@ def _sides(flown: Sequence[FlownComparison]) -> tuple[tuple[str, str, list[Flown
 def _path(figure: go.Figure, position: Floats, name: str, colour: str, width: float) -> None:
     """The same path from above (x, y) and from the side (x, z)."""
     for row, axis in ((1, 1), (2, 2)):
-        rows = thinned([position[:, 0], position[:, axis]], MOST_POINTS)
+        rows = thinned([position[:, 0], position[:, axis]], MAX_POINTS)
         drawn = line(
             position[rows, 0], position[rows, axis], name=name, colour=colour, unit="m", width=width,
             showlegend=row == 1, legendgroup=name,
@@ -103,6 +104,6 @@ def _path(figure: go.Figure, position: Floats, name: str, colour: str, width: fl
 
 
 def _curve(position: Floats, name: str, colour: str, width: float) -> Any:
-    rows = thinned([*position.T], MOST_POINTS)
+    rows = thinned([*position.T], MAX_POINTS)
     x, y, z = position[rows].astype(np.float32).T
     return go.Scatter3d(x=x, y=y, z=z, name=name, mode="lines", line={"color": colour, "width": width})

@@ -10,8 +10,8 @@ import numpy as np
 import plotly.graph_objects as go
 
 from diagnosis.data.channels import KINDS
-from diagnosis.data.filters import Floats
 from diagnosis.regimes import BINS, Plane, Regime
+from dynamics.arrays import Floats
 from studio.diagnosed import NAMES
 from studio.figure import UNFLOWN, Choice, Picture, choosing, picture
 from studio.numbers import quantity_shown

@@ -6,12 +6,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
 from training.data.features import outputs_from
 from training.prediction import member_outputs, predict
 
-Floats = NDArray[np.float64]
 WORST = 0.1  # share of the rows that disagreement should find
 
 

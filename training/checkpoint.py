@@ -25,9 +25,9 @@ from typing import Any
 import msgspec
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
@@ -37,7 +37,6 @@ from training.networks import build_network
 
 FORMAT, VERSION = "alula model", 1
 MAKE_ANEW = "Copy it again from where it is whole, or train it again."
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
@@ -22,7 +22,6 @@ from training.data.dataset import Dataset, labelled
 from training.data.labels import scaled_motors
 from training.physics import RowModel
 
-Floats = NDArray[np.float64]
 ROTOR_LAG = "motor_lag"  # of the catalogue
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences

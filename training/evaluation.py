@@ -8,8 +8,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
@@ -25,7 +25,6 @@ from training.open_loop import OpenLoop, Pulse, open_loop, pulse_responses
 from training.prediction import flight_errors, pooled, predict
 from training.recipe import FAST
 
-Floats = NDArray[np.float64]
 FEWEST = 50  # windows
 NOMINAL, PLANT = "NOM", "plant"
 BASE = "named effects alone"

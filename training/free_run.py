@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
+from dynamics.arrays import Floats
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig
 from training.data.features import accelerations_from, columns, world_accelerations
@@ -16,7 +16,6 @@ from training.prediction import gate_of
 from training.rollout import advanced
 from training.streaming import Stream
 
-Floats = NDArray[np.float64]
 WARM_UP = 40  # columns of recorded history that hidden states settle in: 0.4 s, eleven lags of 35 ms
 
 

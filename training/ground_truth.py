@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
@@ -21,7 +22,6 @@ from training.data.labels import mean_increment
 from training.data.recordings import CAMPAIGN
 from training.effects_fit import is_random
 
-Floats = NDArray[np.float64]
 FOLDER = "truth"  # of a campaign
 
 

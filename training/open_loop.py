@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
 from training.data.labels import scaled_motors
 from training.free_run import Simulation, warm_up
 
-Floats = NDArray[np.float64]
 HORIZONS = (0.1, 0.5, 1.0)  # s
 APART = 0.25  # s between starts of open-loop predictions
 PULSE = float(scaled_motors(np.array(200 * 2 * np.pi / 60)))  # 200 rpm, in 1000 rpm
@@ -46,7 +46,7 @@ class Pulse(msgspec.Struct, frozen=True):
 def open_loop(model: TrainedModel, data: Dataset, wanted: Floats) -> tuple[OpenLoop, ...]:
     """Errors of the model run from recorded states with recorded motors.
 
-    wanted: (n, 13) states that are compared with, NaN where unknown. Empty when no stretch is long enough.
+    wanted: (n, 13) states that are compared with, NaN where unknown. Empty when no segment is long enough.
     """
     dt = model.config.dt
     steps = [round(horizon / dt) for horizon in HORIZONS]
@@ -84,12 +84,12 @@ def pulse_responses(model: TrainedModel, plant: TrainedModel, data: Dataset) -> 
 
 
 def starts(model: TrainedModel, data: Dataset, *, ahead: int) -> NDArray[np.intp]:
-    """Rows with enough columns before them, and `ahead` rows after them, in one stretch without a gap."""
+    """Rows with enough columns before them, and `ahead` rows after them, in one segment without a gap."""
     behind = warm_up(model.config) - 1
     rows = np.arange(behind, len(data.time) - ahead)
     known = np.asarray(np.isfinite(np.hstack([data.position, data.state, data.motors])).all(axis=1))
     broken = np.concatenate([[0], np.cumsum(~known | _begins(data))])
-    # a stretch's first row may be the oldest column, so it does not count as a break of the window that begins there
+    # a segment's first row may be the oldest column, so it does not count as a break of the window that begins there
     whole = broken[rows + ahead + 1] - broken[rows - behind + 1] == 0
     begun: NDArray[np.intp] = rows[np.logical_and(whole, known[rows - behind])]
     return begun

@@ -10,17 +10,17 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.codegen import compile_functions
 from dynamics.effects import CATALOGUE
 from dynamics.integrators import rk4, with_unit_attitude
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model, build_model
+from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from training.config import Label, Motors
 
-Floats = NDArray[np.float64]
 BLOCK = 128  # rows a call
 
 

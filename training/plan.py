@@ -31,7 +31,7 @@ from training.recipe import Recipe
 from training.rollout import Rollout
 from training.trainer import Member, Task
 
-FEWEST_VALIDATION = 50  # windows
+MIN_VALIDATION = 50  # windows
 LIBRARIES = ("torch", "numpy", "casadi", "scipy")
 
 
@@ -50,7 +50,7 @@ class Plan:
     fingerprint: str
 
     def task(self, member: int, seed: int, *, device: torch.device, state_file: Path | None) -> Task:
-        """What one member learns from. Raises DataError when no stretch is long enough for its roll-outs."""
+        """What one member learns from. Raises DataError when no segment is long enough for its roll-outs."""
         training = Tensors.of(self.training, self.scaling, self.config.history, device)
         points = None if self.points is None else PointTensors.of(self.points, self.scaling, device)
         rollout = None
@@ -130,7 +130,7 @@ def make_plan(
         vehicle = fit_effects(config, vehicle, training)
         if config.base == "grey_box":
             training = make_dataset(config, vehicle, split.training)
-    validation = make_dataset(config, vehicle, split.validation, fewest=FEWEST_VALIDATION)
+    validation = make_dataset(config, vehicle, split.validation, fewest=MIN_VALIDATION)
     scaling = make_scaling(config, recipe, vehicle, training)
     points = None
     if recipe.physics_weight > 0:

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from training.card import FlightError
 from training.checkpoint import Reliability, TrainedModel
 from training.data.dataset import Dataset
 from training.data.features import accelerations_from
 
-Floats = NDArray[np.float64]
 EVALUATED = 8192  # windows at once
 FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
 AGREED = 0.25  # share of the rows, those of least disagreement, whose errors are what is left when members agree

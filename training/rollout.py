@@ -48,12 +48,12 @@ class Rollout:
         cls, config: ModelConfig, vehicle: Vehicle, data: Dataset, tensors: Tensors, scaling: Scaling, steps: int,
         noise: float,
     ) -> Rollout:  # fmt: skip
-        """Raises DataError when no stretch of the flights is as long as a roll-out."""
+        """Raises DataError when no segment of the flights is as long as a roll-out."""
         device = tensors.inputs.device
         ahead = data.ends + (steps - 1)
         starts = data.ends[np.isin(ahead, data.ends) & (_run_length(data.ends) >= steps)]
         if not len(starts):
-            raise DataError(f"no stretch of the flights has {steps} rows with labels after a whole history.")
+            raise DataError(f"no segment of the flights has {steps} rows with labels after a whole history.")
         world = world_accelerations(data.label, data.state[:, 3:7])
         base = np.zeros_like(data.label) if data.base_labelled is None else data.base_labelled
 

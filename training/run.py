@@ -39,7 +39,7 @@ from training.trainer import Member, Task, train
 from vehicles import vehicle_path
 
 POLL = 0.5  # s
-LARGEST_SEED = 2**31
+MAX_SEED = 2**31
 Progress = Callable[[Report], None]
 
 
@@ -128,8 +128,8 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
     """Definition and recipe with the options' changes. Raises RequestError for values that make no sense."""
     if options.ensemble < 1:
         raise RequestError(f"an ensemble of {options.ensemble} members: wanted 1 or more.")
-    if not 0 <= options.seed <= LARGEST_SEED:
-        raise RequestError(f"seed {options.seed}: wanted 0 to {LARGEST_SEED}.")
+    if not 0 <= options.seed <= MAX_SEED:
+        raise RequestError(f"seed {options.seed}: wanted 0 to {MAX_SEED}.")
     kind, recipe = named_kind(options.model), named_recipe(options.recipe)
     config = kind.config_for(recipe)
     changes = dict(options.config)

@@ -81,7 +81,7 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
     console.print(f"[bold {colour}]{inspection.sentence}[/]", highlight=False)
     console.print(
         f"{inspection.format}, {inspection.duration:.1f} s, {inspection.free_flight:.1f} s of free flight in "
-        f"{len(inspection.segments)} stretches",
+        f"{len(inspection.segments)} segments",
         highlight=False,
     )
     for item in inspection.exclusions:

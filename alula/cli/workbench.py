@@ -7,6 +7,11 @@ from contextlib import contextmanager
 
 from dynamics.errors import RequestError
 
+ROOMS = (
+    "alula", "diagnosis", "dynamics", "export", "flights", "runtime", "simulation", "sitl_mock", "studies", "studio",
+    "training", "vehicles",
+)  # fmt: skip
+
 
 @contextmanager
 def workbench(command: str) -> Iterator[None]:
@@ -17,7 +22,7 @@ def workbench(command: str) -> Iterator[None]:
     try:
         yield
     except ModuleNotFoundError as error:
-        if error.name is not None and error.name.split(".")[0] in ("alula", "flights", "dynamics"):
+        if error.name is not None and error.name.split(".")[0] in ROOMS:
             raise
         raise RequestError(
             f"{command} needs {error.name}, which the flight computer's install leaves out. Install alula[workbench]."

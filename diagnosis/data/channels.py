@@ -16,9 +16,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.data.filters import Floats, difference, kept, low_pass, simpson
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import difference, kept, low_pass, simpson
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Prediction
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
 KINDS = ("imu", "mocap", "angular", "attitude_rate")
@@ -27,53 +28,53 @@ AXES = 3
 CHANNELS = len(KINDS) * AXES
 
 
-def present(stretch: Stretch) -> tuple[bool, ...]:
-    """Which kinds a stretch has. Without a gyro the angular acceleration is that of the attitude."""
-    gyro = stretch.gyro is not None
-    return (stretch.specific_force is not None, stretch.has_pose, True, gyro and stretch.has_attitude)
+def present(segment: Segment) -> tuple[bool, ...]:
+    """Which kinds a segment has. Without a gyro the angular acceleration is that of the attitude."""
+    gyro = segment.gyro is not None
+    return (segment.specific_force is not None, segment.has_pose, True, gyro and segment.has_attitude)
 
 
-def measured(stretch: Stretch) -> Floats:
+def measured(segment: Segment) -> Floats:
     """(m, 12) what was measured, after the filter; zero where a kind is missing."""
-    rate, rows = stretch.rate, kept(len(stretch), stretch.rate)
-    nothing = np.zeros((len(stretch), 3))
-    _, posed, _, turns = present(stretch)
-    force = nothing if stretch.specific_force is None else low_pass(simpson(stretch.specific_force), rate)
-    world = low_pass(difference(stretch.velocity, rate), rate) + np.array([0.0, 0.0, GRAVITY])
-    felt = _into_body(stretch, world) if posed else nothing
-    angular = low_pass(difference(stretch.body_rate, rate), rate)
-    turning = low_pass(stretch.turning, rate) if turns else nothing
+    rate, rows = segment.rate, kept(len(segment), segment.rate)
+    nothing = np.zeros((len(segment), 3))
+    _, posed, _, turns = present(segment)
+    force = nothing if segment.specific_force is None else low_pass(simpson(segment.specific_force), rate)
+    world = low_pass(difference(segment.velocity, rate), rate) + np.array([0.0, 0.0, GRAVITY])
+    felt = _into_body(segment, world) if posed else nothing
+    angular = low_pass(difference(segment.body_rate, rate), rate)
+    turning = low_pass(segment.turning, rate) if turns else nothing
     return np.hstack([force[rows], felt[rows], angular[rows], turning[rows]])
 
 
-def predicted(stretch: Stretch, predictions: Sequence[Prediction]) -> Floats:
+def predicted(segment: Segment, predictions: Sequence[Prediction]) -> Floats:
     """(m, 12, k) what k predictions, or k slopes of one, say of the same channels."""
-    count, rate, rows = len(stretch), stretch.rate, kept(len(stretch), stretch.rate)
+    count, rate, rows = len(segment), segment.rate, kept(len(segment), segment.rate)
     raw = np.zeros((len(predictions), CHANNELS, count))
-    here = present(stretch)
+    here = present(segment)
     for prediction, channel in zip(predictions, raw, strict=True):
         if here[0]:
             channel[0:3] = prediction.specific_force.T
         if here[1]:
-            channel[3:6] = prediction.world_acceleration(stretch).T
+            channel[3:6] = prediction.world_acceleration(segment).T
         channel[6:9] = prediction.angular_acceleration.T
         if here[3]:
-            channel[9:12] = prediction.attitude_rate(stretch).T
+            channel[9:12] = prediction.attitude_rate(segment).T
     active = np.any(raw, axis=2)
     filtered = low_pass(simpson(raw[active].T), rate)[rows]
     result = np.zeros((len(filtered), CHANNELS, len(predictions)))
     result.transpose(2, 1, 0)[active] = filtered.T
-    result[:, 3:6] = np.einsum("nji,njk->nik", stretch.to_world[rows], result[:, 3:6])
+    result[:, 3:6] = np.einsum("nji,njk->nik", segment.to_world[rows], result[:, 3:6])
     return result
 
 
-def residual(stretch: Stretch, prediction: Prediction) -> Floats:
+def residual(segment: Segment, prediction: Prediction) -> Floats:
     """(m, 12) measured less predicted."""
-    return measured(stretch) - predicted(stretch, [prediction])[:, :, 0]
+    return measured(segment) - predicted(segment, [prediction])[:, :, 0]
 
 
-def _into_body(stretch: Stretch, world: Floats) -> Floats:
-    return np.asarray(np.einsum("nji,nj->ni", stretch.to_world, world))
+def _into_body(segment: Segment, world: Floats) -> Floats:
+    return np.asarray(np.einsum("nji,nj->ni", segment.to_world, world))
 
 
 def norms(residuals: Sequence[Floats]) -> dict[str, float]:

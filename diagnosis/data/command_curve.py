@@ -15,8 +15,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.data.filters import Floats, difference, kept, low_pass, simpson
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import difference, kept, low_pass, simpson
+from diagnosis.data.segment import Segment
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import GRAVITY, Vehicle
 
@@ -60,11 +61,11 @@ class CommandCurve:
         slope = np.maximum(b + 2 * c * inside, 0.0)
         return np.asarray(np.maximum(a + b * inside + c * inside**2 + slope * (said - inside), 0.0))
 
-    def applied(self, stretch: Stretch, vehicle: Vehicle) -> Stretch:
-        """The stretch with rotor speeds that give the thrust."""
+    def applied(self, segment: Segment, vehicle: Vehicle) -> Segment:
+        """The segment with rotor speeds that give the thrust."""
         hover = vehicle.hover_speed
-        said = (_scaled(stretch, self.gains[stretch.flight]).rotor_speed / hover) ** 2
-        return replace(stretch, rotor_speed=hover * np.sqrt(self.thrust(said)))
+        said = (_scaled(segment, self.gains[segment.flight]).rotor_speed / hover) ** 2
+        return replace(segment, rotor_speed=hover * np.sqrt(self.thrust(said)))
 
     def __str__(self) -> str:
         means = [gain.mean for gain in self.gains.values()]
@@ -80,10 +81,10 @@ class CommandCurve:
         )
 
 
-def fit_command_curve(fitted: Sequence[Stretch], held_out: Sequence[Stretch], vehicle: Vehicle) -> CommandCurve:
-    """The curve that explains the specific force along body z of the fitted stretches best.
+def fit_command_curve(fitted: Sequence[Segment], held_out: Sequence[Segment], vehicle: Vehicle) -> CommandCurve:
+    """The curve that explains the specific force along body z of the fitted segments best.
 
-    held_out: stretches whose flights need their own gains too, when nothing of them is fitted. Raises DataError for
+    held_out: segments whose flights need their own gains too, when nothing of them is fitted. Raises DataError for
     gains that no command of this vehicle can have.
     """
     logs = dict.fromkeys(s.flight for s in (*fitted, *held_out))
@@ -102,20 +103,20 @@ def fit_command_curve(fitted: Sequence[Stretch], held_out: Sequence[Stretch], ve
     return CommandCurve((a, b, c), gains, float(low), float(high), LAGS[best], explained, fits[0][1])
 
 
-def _gain(stretches: Sequence[Stretch], vehicle: Vehicle) -> FlightGain:
+def _gain(segments: Sequence[Segment], vehicle: Vehicle) -> FlightGain:
     """The gains of one flight: the mean force carries the weight, the mean moment is that of the mean motion."""
     inertia, allocation = np.array(vehicle.body.inertia), vehicle.rotors.allocation
-    squares = np.mean(np.concatenate([s.rotor_speed**2 for s in stretches]), axis=0)
-    force = float(np.mean(np.concatenate([_vertical(s) for s in stretches]))) * vehicle.body.mass
+    squares = np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
+    force = float(np.mean(np.concatenate([_vertical(s) for s in segments]))) * vehicle.body.mass
     mean = force / float(allocation[0] @ squares)
     if not GAINS[0] <= mean <= GAINS[1]:
         raise DataError(
-            f"{stretches[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file makes of their "
+            f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file makes of their "
             f"commands; wanted {GAINS[0]:g} to {GAINS[1]:g}. Check mass, thrust_constant, speed_max and thrust_curve "
             "of the file, and that it is this vehicle's."
         )
     moments = []
-    for s in stretches:
+    for s in segments:
         rate = low_pass(s.body_rate, s.rate)
         moments.append(inertia * difference(rate, s.rate) + np.cross(rate, inertia * rate))
     given = mean * squares
@@ -125,13 +126,13 @@ def _gain(stretches: Sequence[Stretch], vehicle: Vehicle) -> FlightGain:
     return FlightGain(mean, tuple(motors.tolist()))
 
 
-def _scaled(stretch: Stretch, gain: FlightGain) -> Stretch:
-    return replace(stretch, rotor_speed=stretch.rotor_speed * np.sqrt(gain.mean * np.array(gain.motors)))
+def _scaled(segment: Segment, gain: FlightGain) -> Segment:
+    return replace(segment, rotor_speed=segment.rotor_speed * np.sqrt(gain.mean * np.array(gain.motors)))
 
 
-def _fit(stretches: Sequence[Stretch], hover: float, wanted: Floats, lag: float) -> tuple[Floats, float]:
+def _fit(segments: Sequence[Segment], hover: float, wanted: Floats, lag: float) -> tuple[Floats, float]:
     """Terms of the curve at a lag and the share of variance that they explain; what air does is let free beside it."""
-    columns = np.concatenate([_columns(s, hover, lag) for s in stretches])
+    columns = np.concatenate([_columns(s, hover, lag) for s in segments])
     weight = np.sqrt(INDEPENDENT) / NOISE
     deviation = np.concatenate([USUAL, np.full(columns.shape[1] - 3, 1.0)])
     expected = np.zeros(columns.shape[1])
@@ -143,24 +144,24 @@ def _fit(stretches: Sequence[Stretch], hover: float, wanted: Floats, lag: float)
     return theta[:3], 1.0 - float(np.var(left) / max(np.var(wanted), 1e-12))
 
 
-def _columns(stretch: Stretch, hover: float, lag: float) -> Floats:
+def _columns(segment: Segment, hover: float, lag: float) -> Floats:
     """(m, 3 or 5) what a unit of each term gives along body z, m/s^2; drag of climbing and lift of travelling."""
-    said = (lagged(stretch.rotor_speed, stretch.rate, lag) / hover) ** 2
-    rows = kept(len(stretch), stretch.rate)
+    said = (lagged(segment.rotor_speed, segment.rate, lag) / hover) ** 2
+    rows = kept(len(segment), segment.rate)
     powers = [np.mean(said**k, axis=1) * GRAVITY for k in range(3)]
-    if stretch.has_pose:
-        velocity = np.einsum("nji,nj->ni", stretch.to_world, stretch.smooth[:, 3:6])
+    if segment.has_pose:
+        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, 3:6])
         powers += [-velocity[:, 2], velocity[:, 0] ** 2 + velocity[:, 1] ** 2]
-    return low_pass(simpson(np.column_stack(powers)), stretch.rate)[rows]
+    return low_pass(simpson(np.column_stack(powers)), segment.rate)[rows]
 
 
-def _vertical(stretch: Stretch) -> Floats:
+def _vertical(segment: Segment) -> Floats:
     """(m,) specific force along body z, of the accelerometer if there is one, m/s^2."""
-    rows = kept(len(stretch), stretch.rate)
-    if stretch.specific_force is not None:
-        return low_pass(simpson(stretch.specific_force[:, 2]), stretch.rate)[rows]
-    world = low_pass(difference(stretch.velocity, stretch.rate), stretch.rate) + np.array([0.0, 0.0, GRAVITY])
-    return np.asarray(np.einsum("nj,nj->n", stretch.to_world[:, :, 2], world)[rows])
+    rows = kept(len(segment), segment.rate)
+    if segment.specific_force is not None:
+        return low_pass(simpson(segment.specific_force[:, 2]), segment.rate)[rows]
+    world = low_pass(difference(segment.velocity, segment.rate), segment.rate) + np.array([0.0, 0.0, GRAVITY])
+    return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world)[rows])
 
 
 def lagged(values: Floats, rate: float, lag: float) -> Floats:

@@ -9,8 +9,9 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.data.command_curve import lagged
-from diagnosis.data.filters import Floats, difference, kept, low_pass
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import difference, kept, low_pass
+from diagnosis.data.segment import Segment
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import GRAVITY, Vehicle
 
@@ -23,37 +24,37 @@ AGREES, DISAGREES = 0.7, 0.4  # correlation of modelled with measured angular ac
 STANDS_OUT, APART = 0.45, 0.2  # the same of an order that fits less, but better than all others by as much
 OPPOSITE = -0.4  # the same, of rotors that turn the vehicle the other way than the file says
 ROTORS_TELL = 0.5  # share of the turning that rotors explain in some mixture, if not in the file's
-LEAST_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
-LEAST_YAWING = 0.3  # the same about z, where rotors push less
+MIN_TURNING = 0.5  # rad/s^2 RMS of angular acceleration that a correlation needs
+MIN_YAWING = 0.3  # the same about z, where rotors push less
 TURNING_RATIO = (0.2, 5.0)  # measured over modelled angular acceleration
 LEAN_RATIO = (0.2, 5.0)  # horizontal acceleration of the pose over what the vehicle's lean gives
-LEAST_LEAN = 0.3  # m/s^2 RMS of the latter that the ratio needs
+MIN_LEAN = 0.3  # m/s^2 RMS of the latter that the ratio needs
 STANDING = 0.1  # of hover speed, below which a rotor's reading is dead
-MOST_PERMUTED = 6  # rotors
+MAX_PERMUTED = 6  # rotors
 RESPONSES = (0.0, 0.03, 0.06, 0.1)  # s by which rotors may follow commands
 
 
-def require_answerable(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+def require_answerable(segments: Sequence[Segment], vehicle: Vehicle) -> None:
     """Raise DataError, with what to do, for flights too short or gentle or a vehicle file that cannot be theirs."""
-    duration = sum(s.duration for s in stretches)
+    duration = sum(s.duration for s in segments)
     if duration < SHORTEST:
         raise DataError(
             f"{duration:.0f} s of flight are too short to tell effects apart. Fly {SHORTEST:.0f} s or more."
         )
-    _require_motion(stretches)
-    _require_metres(stretches)
-    _require_live_rotors(stretches, vehicle)
-    _require_thrust(stretches, vehicle)
-    _require_turning(stretches, vehicle)
+    _require_motion(segments)
+    _require_metres(segments)
+    _require_live_rotors(segments, vehicle)
+    _require_thrust(segments, vehicle)
+    _require_turning(segments, vehicle)
 
 
-def _require_motion(stretches: Sequence[Stretch]) -> None:
-    rate = float(np.sqrt(np.mean(np.sum(np.vstack([low_pass(s.body_rate, s.rate) for s in stretches]) ** 2, axis=1))))
-    if all("velocity" in s.lacks for s in stretches):
-        pushed = float(np.std(np.concatenate([low_pass(_specific_thrust(s), s.rate) for s in stretches])))
+def _require_motion(segments: Sequence[Segment]) -> None:
+    rate = float(np.sqrt(np.mean(np.sum(np.vstack([low_pass(s.body_rate, s.rate) for s in segments]) ** 2, axis=1))))
+    if all("velocity" in s.lacks for s in segments):
+        pushed = float(np.std(np.concatenate([low_pass(_specific_thrust(s), s.rate) for s in segments])))
         gentle, seen = pushed < GENTLE_FORCE, f"{pushed:.2f} m/s^2 of change in thrust"
     else:
-        velocity = np.vstack([s.velocity[:, :2] for s in stretches])  # climbing alone tells little
+        velocity = np.vstack([s.velocity[:, :2] for s in segments])  # climbing alone tells little
         speed = float(np.sqrt(np.mean(np.sum((velocity - velocity.mean(axis=0)) ** 2, axis=1))))
         gentle, seen = speed < GENTLE_SPEED, f"{speed:.2f} m/s horizontally"
     if gentle and rate < GENTLE_RATE:
@@ -63,9 +64,9 @@ def _require_motion(stretches: Sequence[Stretch]) -> None:
         )
 
 
-def _require_metres(stretches: Sequence[Stretch]) -> None:
+def _require_metres(segments: Sequence[Segment]) -> None:
     """The pose must accelerate as the accelerometer feels it, or as the vehicle leans."""
-    posed = [s for s in stretches if s.has_pose]
+    posed = [s for s in segments if s.has_pose]
     if not posed:
         return
     moved, felt = [], []
@@ -74,7 +75,7 @@ def _require_metres(stretches: Sequence[Stretch]) -> None:
         moved.append(low_pass(difference(s.velocity, s.rate), s.rate)[:, :2])
         felt.append(low_pass(np.einsum("nij,nj->ni", s.to_world, force), s.rate)[:, :2])
     seen, wanted = (float(np.sqrt(np.mean(np.vstack(x) ** 2))) for x in (moved, felt))
-    if wanted < LEAST_LEAN or LEAN_RATIO[0] <= seen / wanted <= LEAN_RATIO[1]:
+    if wanted < MIN_LEAN or LEAN_RATIO[0] <= seen / wanted <= LEAN_RATIO[1]:
         return
     hint = "Check the units of position and velocity (m, m/s) and of the time (s)."
     if 0.5 < seen / wanted / 1000 < 2.0:
@@ -85,9 +86,9 @@ def _require_metres(stretches: Sequence[Stretch]) -> None:
     )
 
 
-def _require_live_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
-    for flight in dict.fromkeys(s.flight for s in stretches):
-        speeds = np.vstack([s.rotor_speed for s in stretches if s.flight == flight])
+def _require_live_rotors(segments: Sequence[Segment], vehicle: Vehicle) -> None:
+    for flight in dict.fromkeys(s.flight for s in segments):
+        speeds = np.vstack([s.rotor_speed for s in segments if s.flight == flight])
         dead = [i for i, speed in enumerate(np.median(speeds, axis=0)) if speed < STANDING * vehicle.hover_speed]
         if dead:
             raise DataError(
@@ -97,9 +98,9 @@ def _require_live_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> None
             )
 
 
-def _require_thrust(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
-    modelled = np.concatenate([s.rotor_speed**2 @ vehicle.rotors.allocation[0] for s in stretches])
-    wanted = np.concatenate([_specific_thrust(s) for s in stretches]) * vehicle.body.mass
+def _require_thrust(segments: Sequence[Segment], vehicle: Vehicle) -> None:
+    modelled = np.concatenate([s.rotor_speed**2 @ vehicle.rotors.allocation[0] for s in segments])
+    wanted = np.concatenate([_specific_thrust(s) for s in segments]) * vehicle.body.mass
     ratio = float(np.mean(modelled) / np.mean(wanted))
     if THRUST_RATIO[0] <= ratio <= THRUST_RATIO[1]:
         return
@@ -114,24 +115,24 @@ def _require_thrust(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
     )
 
 
-def _specific_thrust(stretch: Stretch) -> Floats:
+def _specific_thrust(segment: Segment) -> Floats:
     """(n,) specific force along body z that the motion has, m/s^2."""
-    if stretch.specific_force is not None:
-        return np.asarray(stretch.specific_force[:, 2])
-    world = low_pass(difference(stretch.velocity, stretch.rate), stretch.rate) + np.array([0, 0, GRAVITY])
-    return np.asarray(np.einsum("nj,nj->n", stretch.to_world[:, :, 2], world))
+    if segment.specific_force is not None:
+        return np.asarray(segment.specific_force[:, 2])
+    world = low_pass(difference(segment.velocity, segment.rate), segment.rate) + np.array([0, 0, GRAVITY])
+    return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world))
 
 
-def _require_turning(stretches: Sequence[Stretch], vehicle: Vehicle) -> None:
+def _require_turning(segments: Sequence[Segment], vehicle: Vehicle) -> None:
     """The vehicle must turn as the rotors push; if another order of rotors or other units fit, say which."""
-    measured, squares = _turning_and_rotors(stretches, vehicle)
+    measured, squares = _turning_and_rotors(segments, vehicle)
     rows = vehicle.rotors.allocation[1:]
-    if min(float(np.std(measured[:, 0])), float(np.std(measured[:, 1]))) >= LEAST_TURNING:
+    if min(float(np.std(measured[:, 0])), float(np.std(measured[:, 1]))) >= MIN_TURNING:
         own = _agreement(measured, squares, rows)
         _require_order(own, measured, squares, rows)
         if own > DISAGREES:
             _require_scale(measured[:, :2], squares @ rows[:2].T / np.array(vehicle.body.inertia[:2]))
-    if float(np.std(measured[:, 2])) >= LEAST_YAWING and _correlation(measured[:, 2], squares @ rows[2]) < OPPOSITE:
+    if float(np.std(measured[:, 2])) >= MIN_YAWING and _correlation(measured[:, 2], squares @ rows[2]) < OPPOSITE:
         raise DataError(
             "the rotors yaw the vehicle the other way than the vehicle file says (agreement "
             f"{_correlation(measured[:, 2], squares @ rows[2]):.2f}). Turn the signs of [rotors] spin, or check that "
@@ -143,7 +144,7 @@ def _require_order(own: float, measured: Floats, squares: Floats, rows: Floats) 
     count = squares.shape[1]
     if own > DISAGREES:
         return
-    if count <= MOST_PERMUTED:
+    if count <= MAX_PERMUTED:
         orders = list(itertools.permutations(range(count)))
         fits = [_agreement(measured, squares[:, list(order)], rows) for order in orders]
         best, second = np.argsort(fits)[::-1][:2].tolist()
@@ -154,7 +155,7 @@ def _require_order(own: float, measured: Floats, squares: Floats, rows: Floats) 
                 f"(agreement {fits[best]:.2f}). Reorder [rotors] position and spin, or the log's columns."
             )
     if own < OPPOSITE or _explained(measured[:, :2], squares) > ROTORS_TELL:
-        tried = "no other order of them fits" if count <= MOST_PERMUTED else "their orders are too many to try"
+        tried = "no other order of them fits" if count <= MAX_PERMUTED else "their orders are too many to try"
         raise DataError(
             f"the rotors do not turn the vehicle as the vehicle file says (agreement {own:.2f}), and {tried}. Check "
             "their order and [rotors] position (body FLU: x forward, y left), and that rates are body FLU."
@@ -176,14 +177,14 @@ def _require_scale(measured: Floats, modelled: Floats) -> None:
     )
 
 
-def _turning_and_rotors(stretches: Sequence[Stretch], vehicle: Vehicle) -> tuple[Floats, Floats]:
+def _turning_and_rotors(segments: Sequence[Segment], vehicle: Vehicle) -> tuple[Floats, Floats]:
     """(m, 3) angular acceleration and (m, rotors) squared speeds, as late behind commands as fits best."""
-    commanded = stretches[0].rotor_source != "measured"
-    turning = [low_pass(difference(s.body_rate, s.rate), s.rate)[kept(len(s), s.rate)] for s in stretches]
+    commanded = segments[0].rotor_source != "measured"
+    turning = [low_pass(difference(s.body_rate, s.rate), s.rate)[kept(len(s), s.rate)] for s in segments]
     measured = np.vstack(turning)
     found = []
     for response in RESPONSES if commanded else RESPONSES[:1]:
-        late = [replace(s, rotor_speed=lagged(s.rotor_speed, s.rate, response)) for s in stretches]
+        late = [replace(s, rotor_speed=lagged(s.rotor_speed, s.rate, response)) for s in segments]
         found.append(np.vstack([low_pass(s.rotor_speed**2, s.rate)[kept(len(s), s.rate)] for s in late]))
     explained = [_explained(measured[:, :2], squares) for squares in found]
     return measured, found[int(np.argmax(explained))]

@@ -1,4 +1,4 @@
-"""Logs into the stretches that are fitted and those that are held out."""
+"""Logs into the segments that are fitted and those that are held out."""
 
 from __future__ import annotations
 
@@ -10,33 +10,33 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.data.command_curve import fit_command_curve
-from diagnosis.data.segment import FASTEST, Stretch, fast, slow_ones, stretches
+from diagnosis.data.segment import FASTEST, Segment, fast, segments, slow_ones
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight, read_log
 
 HELD_OUT_SHARE = 0.2
-LEAST_FLIGHTS = 4  # that leaving one out needs; fewer are cut into parts
+MIN_FLIGHTS = 4  # that leaving one out needs; fewer are cut into parts
 PART = 6.0  # s, the shortest such part
 RESAMPLED = 250.0  # Hz, for logs that are faster than needed
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """fitted: stretches to learn from, flight_of: their flights, numbered from 0. held_out: stretches to judge on.
+    """fitted: segments to learn from, flight_of: their flights, numbered from 0. held_out: segments to judge on.
 
     hashes: sha256 of the logs that were fitted, by path. notes: what the user should know of the data.
     """
 
-    fitted: tuple[Stretch, ...]
+    fitted: tuple[Segment, ...]
     flight_of: tuple[int, ...]
-    held_out: tuple[Stretch, ...]
+    held_out: tuple[Segment, ...]
     hashes: dict[str, str]
     notes: tuple[str, ...]
 
     @property
-    def everything(self) -> tuple[Stretch, ...]:
-        """All stretches."""
+    def everything(self) -> tuple[Segment, ...]:
+        """All segments."""
         return (*self.fitted, *self.held_out)
 
 
@@ -63,7 +63,7 @@ def read_dataset(
 def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None) -> Dataset:
     """The data set of flights at one rate. Raises as `read_dataset`."""
     flights, notes = _distinct(flights)
-    parts = [stretches(flight, vehicle) for flight in flights]
+    parts = [segments(flight, vehicle) for flight in flights]
     empty = [f.provenance.path for f, p in zip(flights, parts, strict=True) if not p]
     if len(empty) == len(flights):
         raise DataError(
@@ -81,7 +81,7 @@ def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str |
     else:
         fitted = [list(p) for i, (_, p) in enumerate(flown) if i not in held]
         judged = [s for i, (_, p) in enumerate(flown) if i in held for s in p]
-    while len(fitted) < LEAST_FLIGHTS and (cut := _halved(fitted)) is not None:
+    while len(fitted) < MIN_FLIGHTS and (cut := _halved(fitted)) is not None:
         fitted = cut
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
     numbered = [(s, i) for i, group in enumerate(fitted) for s in group]
@@ -114,11 +114,11 @@ def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:
     return list(seen.values()), [f"left out as copies of another flight: {', '.join(copies)}"] if copies else []
 
 
-def _require_one_source(parts: Sequence[Sequence[Stretch]]) -> None:
+def _require_one_source(parts: Sequence[Sequence[Segment]]) -> None:
     """Raise DataError when some flights know the rotors' speeds and others what was commanded."""
     by_source: dict[str, list[str]] = {}
-    for stretches_of_one in parts:
-        first = stretches_of_one[0]
+    for segments_of_one in parts:
+        first = segments_of_one[0]
         by_source.setdefault(first.rotor_source.replace("_", " "), []).append(Path(first.flight).name)
     if len(by_source) > 1:
         told = "; ".join(f"{source}: {', '.join(names[:3])}" for source, names in by_source.items())
@@ -152,8 +152,8 @@ def _held_out(names: Sequence[str], pattern: str | None) -> set[int]:
     return found
 
 
-def _split_in_time(parts: Sequence[Stretch]) -> tuple[list[list[Stretch]], list[Stretch]]:
-    """One flight's stretches but the last fifth of its rows, and that fifth."""
+def _split_in_time(parts: Sequence[Segment]) -> tuple[list[list[Segment]], list[Segment]]:
+    """One flight's segments but the last fifth of its rows, and that fifth."""
     total = sum(len(s) for s in parts)
     limit = round((1 - HELD_OUT_SHARE) * total)
     fitted, judged, passed = [], [], 0
@@ -170,16 +170,16 @@ def _split_in_time(parts: Sequence[Stretch]) -> tuple[list[list[Stretch]], list[
     return [[s] for s in fitted], judged
 
 
-def _halved(groups: list[list[Stretch]]) -> list[list[Stretch]] | None:
+def _halved(groups: list[list[Segment]]) -> list[list[Segment]] | None:
     """The same with the longest group cut in two, None when all are too short for it."""
     longest = max(range(len(groups)), key=lambda i: max(len(s) for s in groups[i]))
     group = groups[longest]
     if len(group) > 1:
         half = len(group) // 2
         return [*groups[:longest], group[:half], group[half:], *groups[longest + 1 :]]
-    stretch = group[0]
-    if stretch.duration < 2 * PART:
+    segment = group[0]
+    if segment.duration < 2 * PART:
         return None
-    middle = len(stretch) // 2
-    halves = [[stretch.between(0, middle)], [stretch.between(middle, len(stretch))]]
+    middle = len(segment) // 2
+    halves = [[segment.between(0, middle)], [segment.between(middle, len(segment))]]
     return [*groups[:longest], *halves, *groups[longest + 1 :]]

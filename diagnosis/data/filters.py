@@ -5,10 +5,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
-Floats = NDArray[np.float64]
+from dynamics.arrays import Floats
 
 CUTOFF = 8.0  # Hz, of the filter on both sides
 SLOW = 1.5  # Hz, below which motion is no answer of the controller to turbulence

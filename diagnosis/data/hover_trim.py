@@ -18,17 +18,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from diagnosis.data.filters import Floats, difference, low_pass
+from diagnosis.data.filters import difference, low_pass
 from diagnosis.report import FoundEffect, ParameterValue, Verdict
+from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
 from flights.rotors import QUANTITIES
 
-LEAST_HOVER = 4.0  # s
-LEAST_SPELL = 0.5  # s of hover that count
-SLOWEST_ROTORS = 5.0  # Hz; means need no more
+MIN_HOVER = 4.0  # s
+MIN_SPELL = 0.5  # s of hover that count
+MIN_ROTORS = 5.0  # Hz; means need no more
 HOVER_SPEED, HOVER_RATE = 0.3, 0.5  # m/s, rad/s
 USUAL_SPREAD, WORTH = 0.02, 20  # of a rotor's share between normal flights (CrazyPAD, two vehicles); degrees of freedom
 FALSE_ALARMS = 0.05  # of normal flights, over all rotors, by Student's t alone
@@ -88,8 +89,8 @@ def hover_shares(flight: Flight, vehicle: Vehicle) -> HoverShares:
     effort = np.maximum(flight[quantity], 0.0) ** power
     rows = _hovering(flight) & np.isfinite(effort).all(axis=1)
     seconds = float(np.count_nonzero(rows)) * flight.period
-    if seconds < LEAST_HOVER:
-        raise DataError(f"{name} holds {seconds:.1f} s of hover. Wanted {LEAST_HOVER:.0f} s or more; hover longer.")
+    if seconds < MIN_HOVER:
+        raise DataError(f"{name} holds {seconds:.1f} s of hover. Wanted {MIN_HOVER:.0f} s or more; hover longer.")
     mean = effort[rows].mean(axis=0)
     return HoverShares(name, mean / mean.mean(), seconds, quantity)
 
@@ -162,7 +163,7 @@ def read_trim(logs: Sequence[Path], normal: Sequence[Path], vehicle: Vehicle, ma
 
 def _rate(flight: Flight, quantity: str) -> bool:
     origin = flight.origins.get(quantity)
-    return origin is None or origin.rate >= SLOWEST_ROTORS
+    return origin is None or origin.rate >= MIN_ROTORS
 
 
 def _hovering(flight: Flight) -> NDArray[np.bool_]:
@@ -174,14 +175,14 @@ def _hovering(flight: Flight) -> NDArray[np.bool_]:
         rows &= _smooth_norm(difference(np.nan_to_num(flight["position"]), flight.rate), flight.rate) < HOVER_SPEED
     if flight.has("rate"):
         rows &= _smooth_norm(flight["rate"], flight.rate) < HOVER_RATE
-    least = max(1, round(LEAST_SPELL * flight.rate))
+    least = max(1, round(MIN_SPELL * flight.rate))
     return np.asarray(ndimage.binary_opening(rows, structure=np.ones(least)))
 
 
 def _smooth_norm(values: Floats, rate: float) -> Floats:
     """(n,) length of what varies below 1 Hz, so that noise is no motion. values: (n, 3)."""
     known = np.nan_to_num(values)
-    smooth = low_pass(known, rate, 1.0, 2) if rate > SLOWEST_ROTORS and len(known) > rate else known
+    smooth = low_pass(known, rate, 1.0, 2) if rate > MIN_ROTORS and len(known) > rate else known
     return np.asarray(np.linalg.norm(smooth, axis=1))
 
 

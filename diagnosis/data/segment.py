@@ -1,4 +1,4 @@
-"""An uninterrupted stretch of flight as diagnosis needs it: measured motion, smoothed motion, rotors."""
+"""An uninterrupted segment of flight as diagnosis needs it: measured motion, smoothed motion, rotors."""
 
 from __future__ import annotations
 
@@ -8,8 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from diagnosis.data.filters import Floats, difference, low_pass
+from diagnosis.data.filters import difference, low_pass
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
@@ -17,7 +18,7 @@ from flights.exclusion import excluded_rows, find_exclusions
 from flights.rotors import SLOWEST, RotorSource, rotor_speeds
 
 FASTEST = 500.0  # Hz
-SLOWEST_LOGGED = 0.95 * SLOWEST  # Hz; clocks are not exact
+MIN_LOGGED = 0.95 * SLOWEST  # Hz; clocks are not exact
 SHORTEST = 3.0  # s
 FULL_CELL = 4.2  # V
 VOLTAGE_CUTOFF = 4.0  # Hz: voltage falls with every manoeuvre, and its noise would stand in the thrust
@@ -26,7 +27,7 @@ CONTACT = 60.0  # m/s^2 of specific force that only a crash or a landing has
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class Segment:
     """n rows at `rate` Hz. position, velocity: (n, 3) world. attitude: (n, 4). gyro: (n, 3) rad/s, None if not logged.
 
     specific_force: (n, 3) m/s^2, None if not logged. rotor_speed: (n, rotors) rad/s. battery_ratio: (n,) voltage over
@@ -100,7 +101,7 @@ class Stretch:
         ratio = np.ones(len(self)) if self.battery_ratio is None else self.battery_ratio
         return np.column_stack([np.zeros(len(self)), ratio])
 
-    def between(self, start: int, stop: int) -> Stretch:
+    def between(self, start: int, stop: int) -> Segment:
         """The rows from start to before stop."""
 
         def cut(values: Floats | None) -> Floats | None:
@@ -119,7 +120,7 @@ class Stretch:
         )
 
 
-def stretches(flight: Flight, vehicle: Vehicle) -> tuple[Stretch, ...]:
+def segments(flight: Flight, vehicle: Vehicle) -> tuple[Segment, ...]:
     """The parts of a flight in the air without gaps, each at least 3 s long.
 
     Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
@@ -134,13 +135,13 @@ def stretches(flight: Flight, vehicle: Vehicle) -> tuple[Stretch, ...]:
         raise DataError(lacking(flight))
     speed, _ = rotor_speeds(flight, vehicle)
     parts = flight.segments(exclude=_on_ground(flight, speed), shortest=SHORTEST)
-    return tuple(_stretch(part, vehicle) for part in parts)
+    return tuple(_segment(part, vehicle) for part in parts)
 
 
 def fast(flight: Flight, quantity: str) -> bool:
     """Whether a quantity was logged, and often enough for what it is used for."""
     origin = flight.origins.get(quantity)
-    return flight.has(quantity) and (origin is None or origin.rate >= SLOWEST_LOGGED)
+    return flight.has(quantity) and (origin is None or origin.rate >= MIN_LOGGED)
 
 
 def slow_ones(flight: Flight) -> list[str]:
@@ -176,7 +177,7 @@ def _on_ground(flight: Flight, speed: Floats) -> np.ndarray[tuple[int], np.dtype
     return np.asarray(np.convolve(ground, np.ones(width), mode="same") > 0)
 
 
-def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
+def _segment(part: Flight, vehicle: Vehicle) -> Segment:
     rate = part.rate
     speed, source = rotor_speeds(part, vehicle)
     position = part["position"] if part.has("position") else np.zeros((len(part), 3))
@@ -187,7 +188,7 @@ def _stretch(part: Flight, vehicle: Vehicle) -> Stretch:
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
     attitude = quaternion.normalise(part["attitude"]) if fast(part, "attitude") else upright
     known = {"position": part.has("position"), "velocity": moves, "attitude": fast(part, "attitude")}
-    return Stretch(
+    return Segment(
         flight=part.provenance.path,
         start=float(part.time[0]),
         rate=rate,

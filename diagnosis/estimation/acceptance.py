@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Fit, fit
 from diagnosis.estimation.evaluation import misfit, residuals, typical_misfit
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, rivals_of
 from diagnosis.selection.search import Search, Selection
+from dynamics.arrays import Floats
 
 IMPROVEMENT = 0.999  # share of the held-out misfit that must remain at most after adding an effect
 IDLE = 1.01  # times the misfit that may remain at most without an effect that others replace
@@ -94,8 +94,8 @@ def _best_form(regression: Regression, chosen: Sequence[Candidate], dataset: Dat
     return tuple(best)
 
 
-def _level(found: Fit, regression: Regression, stretches: Sequence[Stretch]) -> float:
-    return misfit(residuals(found.vehicle, regression.catalogue, stretches, regression.noise), regression.noise)
+def _level(found: Fit, regression: Regression, segments: Sequence[Segment]) -> float:
+    return misfit(residuals(found.vehicle, regression.catalogue, segments, regression.noise), regression.noise)
 
 
 def _held_out(found: Fit, regression: Regression, dataset: Dataset) -> list[Floats]:

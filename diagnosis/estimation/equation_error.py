@@ -13,13 +13,13 @@ import msgspec
 import numpy as np
 
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments
 from diagnosis.selection.errors_in_variables import perturbed
 from diagnosis.selection.noise import ORDER
 from diagnosis.selection.regression import SEED, Biases, Regression, marginal
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle
 
@@ -98,7 +98,7 @@ def _settle(problem: _Problem) -> tuple[Floats, Floats]:
 
 @dataclass(frozen=True, eq=False)
 class _Rows:
-    """A stretch's whitened residuals y (m, c), and slopes x and instruments z (m, c, k) with the biases behind them."""
+    """A segment's whitened residuals y (m, c), and slopes x and instruments z (m, c, k) with the biases behind them."""
 
     flight: int
     y: Floats
@@ -117,7 +117,7 @@ class _Problem:
         self._candidates = candidates
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
-        rate = regression.stretches[0].rate
+        rate = regression.segments[0].rate
         self.bounds = [_stable(c.effect, name, rate) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         self._predictor = Predictor(
@@ -125,11 +125,11 @@ class _Problem:
             with_candidates(regression.vehicle, candidates, {}).effects,
             regression.catalogue,
             self.linear,
-            speed_measured=regression.stretches[0].rotor_source == "measured",
+            speed_measured=regression.segments[0].rotor_source == "measured",
         )
         self._instrumented = [c.effect.physics is not None for c, _ in self.free]
         random = np.random.default_rng(SEED)
-        self._noisier = [perturbed(s, random) for s in regression.stretches]
+        self._noisier = [perturbed(s, random) for s in regression.segments]
 
     def start(self) -> Floats:
         """Values from the linear regression."""
@@ -189,10 +189,10 @@ class _Problem:
         return step, covariance, total
 
     def _rows(self, changed: Mapping[str, float]) -> Iterator[tuple[_Rows, tuple[Floats, Floats, Floats]]]:
-        """Each stretch's whitened rows, and what the sensors' noise added once more changes in y, x and z."""
+        """Each segment's whitened rows, and what the sensors' noise added once more changes in y, x and z."""
         r, off, count = self._regression, list(self._regression.biases.columns), len(self.free)
-        for stretch, noisier, columns, flight in zip(r.stretches, self._noisier, r.columns, r.flight_of, strict=True):
-            y, x, z = self._linear(stretch, changed)
+        for segment, noisier, columns, flight in zip(r.segments, self._noisier, r.columns, r.flight_of, strict=True):
+            y, x, z = self._linear(segment, changed)
             again_y, again_x, again_z = self._linear(noisier, changed)
             fixed = r.noise.whiten(columns[:, :, off])
             white = [np.concatenate([r.noise.whiten(part), fixed], axis=2) for part in (x, z)]
@@ -223,29 +223,29 @@ class _Problem:
             meat += summed.T @ summed
         return meat
 
-    def _linear(self, stretch: Stretch, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
+    def _linear(self, segment: Segment, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
         """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at values."""
-        base = channels.predicted(stretch, [self._predictor.predict(stretch, changed)])[:, :, 0]
+        base = channels.predicted(segment, [self._predictor.predict(segment, changed)])[:, :, 0]
         slopes: dict[str, Floats] = {}
         instruments: dict[str, Floats] = {}
         if self.linear:
-            plain = channels.predicted(stretch, self._predictor.slopes(stretch, changed))
+            plain = channels.predicted(segment, self._predictor.slopes(segment, changed))
             slopes = {name: plain[:, :, i] for i, name in enumerate(self.linear)}
             if any(self._instrumented):
-                speed = make_instruments(stretch, self._regression.vehicle).rotor_speed
-                found = channels.predicted(stretch, self._predictor.slopes(stretch, changed, rotor_speed=speed))
+                speed = make_instruments(segment, self._regression.vehicle).rotor_speed
+                found = channels.predicted(segment, self._predictor.slopes(segment, changed, rotor_speed=speed))
                 instruments = {name: found[:, :, i] for i, name in enumerate(self.linear)}
         x, z = [], []
         for (_, _), name, instrumented in zip(self.free, self.names, self._instrumented, strict=True):
-            slope = slopes[name] if name in slopes else self._difference(stretch, changed, name, base)
+            slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
-        return channels.measured(stretch) - base, np.stack(x, axis=2), np.stack(z, axis=2)
+        return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
 
-    def _difference(self, stretch: Stretch, changed: Mapping[str, float], name: str, base: Floats) -> Floats:
+    def _difference(self, segment: Segment, changed: Mapping[str, float], name: str, base: Floats) -> Floats:
         step = NUDGE * max(abs(changed[name]), 1e-3)
-        moved = self._predictor.predict(stretch, {**changed, name: changed[name] + step})
-        return np.asarray((channels.predicted(stretch, [moved])[:, :, 0] - base) / step)
+        moved = self._predictor.predict(segment, {**changed, name: changed[name] + step})
+        return np.asarray((channels.predicted(segment, [moved])[:, :, 0] - base) / step)
 
 
 def _free(candidate: Candidate) -> tuple[str, ...]:

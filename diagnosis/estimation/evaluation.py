@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor
 from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED, Regression
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -21,30 +21,30 @@ SPECIFIED_AT_MOST = 2.5  # standard deviations of a sensor's bias; what is beyon
 
 
 def residuals(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], noise: NoiseModel | None = None
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], noise: NoiseModel | None = None
 ) -> list[Floats]:
-    """(m, 12) of each stretch: what was measured less what the vehicle's model says.
+    """(m, 12) of each segment: what was measured less what the vehicle's model says.
 
-    noise: take out what the sensors are off by in each stretch, as far as they are specified to be; None for nothing.
+    noise: take out what the sensors are off by in each segment, as far as they are specified to be; None for nothing.
     """
-    measured = stretches[0].rotor_source == "measured"
+    measured = segments[0].rotor_source == "measured"
     predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
     found = []
-    for stretch in stretches:
-        said = predictor.predict(stretch)
-        rows = channels.residual(stretch, said)
-        found.append(rows if noise is None else _without_biases(stretch, said, rows, noise))
+    for segment in segments:
+        said = predictor.predict(segment)
+        rows = channels.residual(segment, said)
+        found.append(rows if noise is None else _without_biases(segment, said, rows, noise))
     return found
 
 
-def _without_biases(stretch: Stretch, said: Prediction, rows: Floats, noise: NoiseModel) -> Floats:
+def _without_biases(segment: Segment, said: Prediction, rows: Floats, noise: NoiseModel) -> Floats:
     count = len(rows)
     columns = np.zeros((count, channels.CHANNELS, 7))
     for axis in range(3):
         columns[:, axis, axis] = 1.0
         columns[:, 9 + axis, 3 + axis] = -1.0
     later = replace(said, pose_age=said.pose_age + CLOCK_OFFSET)
-    both = channels.predicted(stretch, [said, later])
+    both = channels.predicted(segment, [said, later])
     columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
     deviation = np.array([SPECIFIED["imu_bias"]] * 3 + [SPECIFIED["gyro_bias"]] * 3 + [CLOCK_OFFSET])
     white = noise.whiten(columns).reshape(-1, 7)
@@ -67,13 +67,13 @@ def typical_misfit(rows: Sequence[Floats], noise: NoiseModel, rate: float) -> fl
     return float(np.exp(np.mean(np.log(means))))
 
 
-def held_out_floor(regression: Regression, stretches: Sequence[Stretch], after: Sequence[Floats]) -> Floats:
-    """(12,) noise floor of stretches that were not fitted; after: (m, 12) what the fitted model leaves of them.
+def held_out_floor(regression: Regression, segments: Sequence[Segment], after: Sequence[Floats]) -> Floats:
+    """(12,) noise floor of segments that were not fitted; after: (m, 12) what the fitted model leaves of them.
 
     Turbulence of the rotors grows with their thrust, so that other flights have another floor. It is what all that the
     catalogue knows leaves, or less where the fitted model leaves less, and never redder than sensors are.
     """
-    made = [regression.pipeline.run(stretch) for stretch in stretches]
+    made = [regression.pipeline.run(segment) for segment in segments]
     left = [y - x @ regression.everything for y, x in made]
     active = regression.noise.active
     return np.minimum(noise_floor(left, regression.rate, active), noise_floor(after, regression.rate, active))

@@ -14,19 +14,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import REDUCED_RATE, Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import REDUCED_RATE
+from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import SETTLED, Estimate, Fit, bounds, with_candidates
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, Windows, healthy
 from diagnosis.selection.candidates import make_instruments
 from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
 WINDOW = 0.5  # s
-MOST_WINDOWS, FEWEST_WINDOWS = 300, 20
+MAX_WINDOWS, MIN_WINDOWS = 300, 20
 STEPS = 4
 SHRINKAGE = 0.1  # of the covariance towards its diagonal
 NUDGE = 1e-3  # relative step of the finite differences of the hidden states' starts
@@ -48,8 +49,8 @@ def refit(
     found: Fit,
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
-    fitted: Sequence[Stretch],
-    held_out: Sequence[Stretch],
+    fitted: Sequence[Segment],
+    held_out: Sequence[Segment],
 ) -> Refit | None:
     """Fit all parameters of an equation-error fit again by output error, beginning at its estimates.
 
@@ -62,7 +63,7 @@ def refit(
     names = [f"{c.key}.{name}" for c, name in free]
     instrumented = [c.effect.physics is not None for c, _ in free]
     problem, judge = (_Problem(found.vehicle, catalogue, part, names, instrumented) for part in (fitted, held_out))
-    if min(problem.count, judge.count * MOST_WINDOWS) < FEWEST_WINDOWS:
+    if min(problem.count, judge.count * MAX_WINDOWS) < MIN_WINDOWS:
         return None
     low, high = np.array([bounds(c.effect, name) for c, name in free]).T
     first = np.array([found.estimates[c.key, name].value for c, name in free])
@@ -93,22 +94,22 @@ def _moves(effect: Effect) -> bool:
 
 
 class _Problem:
-    """Residuals of windows and their slopes, stretch by stretch."""
+    """Residuals of windows and their slopes, segment by segment."""
 
     def __init__(
-        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], names: Sequence[str],
+        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], names: Sequence[str],
         instrumented: Sequence[bool],
     ) -> None:  # fmt: skip
-        measured = stretches[0].rotor_source == "measured"
-        self._vehicle, self._stretches = healthy(vehicle, catalogue, stretches)
+        measured = segments[0].rotor_source == "measured"
+        self._vehicle, self._segments = healthy(vehicle, catalogue, segments)
         self._predictor = Predictor(self._vehicle, self._vehicle.effects, catalogue, speed_measured=measured)
-        self._rate = stretches[0].rate
+        self._rate = segments[0].rate
         self._simulator = Simulator(self._predictor, self._rate, names, speed_measured=measured)
         self._names, self._instrumented = names, np.array(instrumented)
         self._steps, self._stride = round(WINDOW * self._rate), max(1, round(self._rate / REDUCED_RATE))
-        possible = sum((len(s) - 1) // self._steps for s in stretches)
-        apart = self._steps * max(1, round(possible / MOST_WINDOWS))
-        self._starts = [range(0, len(s) - self._steps, apart) for s in self._stretches]
+        possible = sum((len(s) - 1) // self._steps for s in segments)
+        apart = self._steps * max(1, round(possible / MAX_WINDOWS))
+        self._starts = [range(0, len(s) - self._steps, apart) for s in self._segments]
         self.count = sum(map(len, self._starts))
 
     def whitening(self, values: Floats) -> Floats:
@@ -125,11 +126,11 @@ class _Problem:
     def cost(self, values: Floats, white: Floats) -> float:
         """Squared white error of all windows with their own unknowns at their best."""
         total = 0.0
-        for stretch, starts in self._pairs():
-            windows = self._run(stretch, starts, values)
-            first = self._first(stretch, windows, values)[:, :, :START]
+        for segment, starts in self._pairs():
+            windows = self._run(segment, starts, values)
+            first = self._first(segment, windows, values)[:, :, :START]
             slopes = self._simulator.sensitivities(windows, self._parameters(values), first, held=True)
-            r, n = _whitened(white, self._errors(stretch, windows)), self._unknowns(windows, slopes, white)
+            r, n = _whitened(white, self._errors(segment, windows)), self._unknowns(windows, slopes, white)
             nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
             nr = np.einsum("wma,wm->wa", n, r)
             total += float(np.sum(r * r) - np.sum(nr * np.linalg.solve(nn, nr[:, :, None])[:, :, 0]))
@@ -139,9 +140,9 @@ class _Problem:
         """Gauss-Newton step and the covariance of the parameters, from the spread of the windows."""
         k = len(values)
         gram, scores = np.zeros((k, k)), []
-        for stretch, starts in self._pairs():
-            windows = self._run(stretch, starts, values)
-            r, n, j, z = self._white(stretch, windows, values, white)
+        for segment, starts in self._pairs():
+            windows = self._run(segment, starts, values)
+            r, n, j, z = self._white(segment, windows, values, white)
             nn = np.einsum("wma,wmb->wab", n, n) + np.diag(_information())
             nz = np.einsum("wma,wmb->wab", n, z)
             right = np.concatenate([np.einsum("wma,wmb->wab", n, j), np.einsum("wma,wm->wa", n, r)[:, :, None]], axis=2)
@@ -153,36 +154,36 @@ class _Problem:
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-8) / np.outer(scale, scale)
         return inverse @ score.sum(axis=0), inverse @ (score.T @ score) @ inverse.T
 
-    def _pairs(self) -> list[tuple[Stretch, range]]:
-        return [(s, starts) for s, starts in zip(self._stretches, self._starts, strict=True) if len(starts)]
+    def _pairs(self) -> list[tuple[Segment, range]]:
+        return [(s, starts) for s, starts in zip(self._segments, self._starts, strict=True) if len(starts)]
 
     def _parameters(self, values: Floats) -> Floats:
         return self._predictor.values(dict(zip(self._names, values.tolist(), strict=True)))
 
-    def _run(self, stretch: Stretch, starts: Sequence[int], values: Floats) -> Windows:
-        return self._simulator.run(stretch, starts, self._steps, self._parameters(values))
+    def _run(self, segment: Segment, starts: Sequence[int], values: Floats) -> Windows:
+        return self._simulator.run(segment, starts, self._steps, self._parameters(values))
 
-    def _errors(self, stretch: Stretch, windows: Windows) -> Floats:
+    def _errors(self, segment: Segment, windows: Windows) -> Floats:
         """(W, t, 9) measured less simulated at every kept step."""
         states, rows = windows.states[:, :: self._stride], windows.rows[:, :: self._stride]
-        away = quaternion.multiply(quaternion.conjugate(states[:, :, 6:10]), stretch.attitude[rows])
+        away = quaternion.multiply(quaternion.conjugate(states[:, :, 6:10]), segment.attitude[rows])
         attitude = quaternion.logarithm(np.where(away[:, :, :1] < 0, -away, away))
-        velocity = stretch.velocity[rows] - states[:, :, 3:6]
-        return np.concatenate([velocity, attitude, stretch.body_rate[rows] - states[:, :, 10:13]], axis=2)
+        velocity = segment.velocity[rows] - states[:, :, 3:6]
+        return np.concatenate([velocity, attitude, segment.body_rate[rows] - states[:, :, 10:13]], axis=2)
 
     def _white(
-        self, stretch: Stretch, windows: Windows, values: Floats, white: Floats
+        self, segment: Segment, windows: Windows, values: Floats, white: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Errors (W, m), slopes in a window's unknowns (W, m, 13), in parameters (W, m, k), instruments (W, m, k)."""
-        p, first = self._parameters(values), self._first(stretch, windows, values)
+        p, first = self._parameters(values), self._first(segment, windows, values)
         slopes = self._simulator.sensitivities(windows, p, first)
         theta = instruments = self._outputs(slopes, windows)[..., START:]
         if self._instrumented.any():
-            speed = make_instruments(stretch, self._vehicle).rotor_speed
+            speed = make_instruments(segment, self._vehicle).rotor_speed
             slow = (speed[windows.rows[:, :-1]] + speed[windows.rows[:, 1:]]) / 2
             other = self._outputs(self._simulator.sensitivities(windows, p, first, rotor_speed=slow), windows)
             instruments = np.where(self._instrumented, other[..., START:], theta)
-        errors = _whitened(white, self._errors(stretch, windows))
+        errors = _whitened(white, self._errors(segment, windows))
         unknowns = self._unknowns(windows, slopes, white)
         return errors, unknowns, _whitened(white, theta), _whitened(white, instruments)
 
@@ -191,7 +192,7 @@ class _Problem:
         own = self._outputs(slopes[..., :START], windows)
         return _whitened(white, np.concatenate([own, self._readings(windows)], axis=3))
 
-    def _first(self, stretch: Stretch, windows: Windows, values: Floats) -> Floats:
+    def _first(self, segment: Segment, windows: Windows, values: Floats) -> Floats:
         """(W, nx, 9 + k) slopes of the windows' first states in their own unknowns and in the parameters."""
         x = windows.states[:, 0]
         first = np.zeros((len(x), x.shape[1], START + len(values)))
@@ -201,7 +202,7 @@ class _Problem:
             for i in range(len(values)):
                 nudge = NUDGE * max(abs(values[i]), 1e-6)
                 moved = values + nudge * (np.arange(len(values)) == i)
-                states = self._predictor.states(stretch, self._parameters(moved))[windows.rows[:, 0]]
+                states = self._predictor.states(segment, self._parameters(moved))[windows.rows[:, 0]]
                 first[:, 13:, START + i] = (states[:, 13:] - x[:, 13:]) / nudge
         return first
 

@@ -7,9 +7,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from diagnosis.data.filters import Floats
+from dynamics.arrays import Floats
 
-BLOCK = 256  # rows that are evaluated at once, whatever the stretch's length: one function serves all
+BLOCK = 256  # rows that are evaluated at once, whatever the segment's length: one function serves all
 
 
 class RowFunction:

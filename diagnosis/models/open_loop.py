@@ -7,11 +7,11 @@ from collections.abc import Mapping, Sequence
 import msgspec
 import numpy as np
 
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, healthy
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -30,25 +30,25 @@ class HorizonError(msgspec.Struct, frozen=True):
 
 
 def open_loop_errors(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch]
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[HorizonError, ...]:
-    """Prediction errors of a vehicle's model over 0.1, 0.5 and 1 s, from starts all along the stretches.
+    """Prediction errors of a vehicle's model over 0.1, 0.5 and 1 s, from starts all along the segments.
 
-    None where the stretches hold no pose to start from.
+    None where the segments hold no pose to start from.
     """
-    if not all(s.has_pose for s in stretches):
+    if not all(s.has_pose for s in segments):
         return ()
-    rate, measured = stretches[0].rate, stretches[0].rotor_source == "measured"
-    vehicle, stretches = healthy(vehicle, catalogue, stretches)
+    rate, measured = segments[0].rate, segments[0].rotor_source == "measured"
+    vehicle, segments = healthy(vehicle, catalogue, segments)
     predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
     simulator = Simulator(predictor, rate, speed_measured=measured)
     found: dict[float, list[Floats]] = {horizon: [] for horizon in HORIZONS}
-    for stretch in stretches:
-        starts = np.arange(0, len(stretch) - round(HORIZONS[-1] * rate), max(1, round(EVERY * rate)))
-        windows = simulator.run(stretch, starts.tolist(), round(HORIZONS[-1] * rate), predictor.values())
+    for segment in segments:
+        starts = np.arange(0, len(segment) - round(HORIZONS[-1] * rate), max(1, round(EVERY * rate)))
+        windows = simulator.run(segment, starts.tolist(), round(HORIZONS[-1] * rate), predictor.values())
         for horizon, errors in found.items():
             step = round(horizon * rate)
-            errors.append(_difference(windows.states[:, step], stretch.smooth[windows.rows[:, step]]))
+            errors.append(_difference(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
     return tuple(_summary(horizon, np.vstack(errors)) for horizon, errors in found.items())
 
 

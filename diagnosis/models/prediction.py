@@ -12,11 +12,13 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-from diagnosis.data.filters import Floats, delayed
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import delayed
+from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
+from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
-from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.model import Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 SLOW_HIDDEN = 50.0  # Hz at which hidden states other than the rotors' speed are integrated: they swing more slowly
@@ -35,20 +37,20 @@ class Prediction:
     rate: Floats
     pose_age: float = 0.0
 
-    def world_acceleration(self, stretch: Stretch) -> Floats:
+    def world_acceleration(self, segment: Segment) -> Floats:
         """(n, 3) acceleration less gravity that the pose shows, world, m/s^2."""
-        force = delayed(self.true_force, stretch.rate, self.pose_age)
-        return np.asarray(np.einsum("nij,nj->ni", stretch.to_world, force))
+        force = delayed(self.true_force, segment.rate, self.pose_age)
+        return np.asarray(np.einsum("nij,nj->ni", segment.to_world, force))
 
-    def attitude_rate(self, stretch: Stretch) -> Floats:
+    def attitude_rate(self, segment: Segment) -> Floats:
         """(n, 3) body rate by which the attitude turns, rad/s."""
-        return delayed(self.rate, stretch.rate, self.pose_age)
+        return delayed(self.rate, segment.rate, self.pose_age)
 
     true_force: Floats = None  # type: ignore[assignment]
 
 
 class Predictor:
-    """A vehicle's model with effects, evaluated over whole stretches.
+    """A vehicle's model with effects, evaluated over whole segments.
 
     values: the parameters by the model's names. free: those in which slopes are wanted.
     """
@@ -85,15 +87,15 @@ class Predictor:
             p[self.model.parameter_index(name)] = value
         return p
 
-    def predict(self, stretch: Stretch, changed: Mapping[str, float] | None = None) -> Prediction:
-        """What the model says along a stretch."""
+    def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
+        """What the model says along a segment."""
         p = self.values(changed)
-        found = self._evaluate(*self._arguments(stretch, p, None, None))
+        found = self._evaluate(*self._arguments(segment, p, None, None))
         return Prediction(found[:, 0:3], found[:, 3:6], found[:, 6:9], float(self._age(p)), true_force=found[:, 9:12])
 
     def slopes(
         self,
-        stretch: Stretch,
+        segment: Segment,
         changed: Mapping[str, float] | None = None,
         *,
         rotor_speed: Floats | None = None,
@@ -102,7 +104,7 @@ class Predictor:
         """Derivatives of the prediction in each free parameter, at other rotor speeds than measured if given."""
         assert self._slopes is not None
         p = self.values(changed)
-        arguments = self._arguments(stretch, p, rotor_speed, rotor_acceleration)
+        arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
         found = self._slopes(*arguments)
         parts = found.reshape(len(found), len(self.free), 12)
         age = float(self._age(p))
@@ -110,38 +112,38 @@ class Predictor:
             Prediction(x[:, 0:3], x[:, 3:6], x[:, 6:9], age, true_force=x[:, 9:12]) for x in parts.transpose(1, 0, 2)
         ]
 
-    def states(self, stretch: Stretch, p: Floats | None = None) -> Floats:
+    def states(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, nx) measured motion, smoothed, and the hidden states that go with it. p: parameters if not its own."""
         values = self.values() if p is None else p
-        hidden = self._hidden(stretch, values) if self._advance is not None else np.zeros((len(stretch), 0))
-        return np.hstack([stretch.smooth, hidden])
+        hidden = self._hidden(segment, values) if self._advance is not None else np.zeros((len(segment), 0))
+        return np.hstack([segment.smooth, hidden])
 
     def _arguments(
-        self, stretch: Stretch, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
+        self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
     ) -> list[Floats]:
-        speed = stretch.rotor_speed if rotor_speed is None else rotor_speed
-        turning_up = stretch.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
-        return [self.states(stretch, p), stretch.body_rate, speed, turning_up, p, stretch.environment]
+        speed = segment.rotor_speed if rotor_speed is None else rotor_speed
+        turning_up = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
+        return [self.states(segment, p), segment.body_rate, speed, turning_up, p, segment.environment]
 
-    def _hidden(self, stretch: Stretch, p: Floats) -> Floats:
-        """(n, h) hidden states along the stretch, from their values in hover."""
+    def _hidden(self, segment: Segment, p: Floats) -> Floats:
+        """(n, h) hidden states along the segment, from their values in hover."""
         assert self._advance is not None
-        stride = 1 if self._follows_rotors else max(1, int(stretch.rate / SLOW_HIDDEN))
-        here = np.hstack([stretch.smooth, stretch.rotor_speed, stretch.environment])[::stride]
+        stride = 1 if self._follows_rotors else max(1, int(segment.rate / SLOW_HIDDEN))
+        here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
         steps = len(here) - 1
-        initial = _settled(self.model, stretch)
-        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / stretch.rate)
+        initial = _settled(self.model, segment)
+        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / segment.rate)
         found = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
-        return found if stride == 1 else _between(found, stride, len(stretch))
+        return found if stride == 1 else _between(found, stride, len(segment))
 
 
-def _settled(model: Model, stretch: Stretch) -> Floats:
+def _settled(model: Model, segment: Segment) -> Floats:
     """Hidden states at the start: those of hover, and rotors as fast as commanded then."""
     hidden = model.hidden_initial.copy()
     for item in model.effects:
         for name, place in item.hidden.items():
             if name == "rotor_speed":
-                hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = stretch.rotor_speed[0]
+                hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
     return hidden
 
 

@@ -13,10 +13,10 @@ import casadi as ca
 import msgspec
 import numpy as np
 
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
 from diagnosis.models.prediction import Predictor
+from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
 from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import Model, build_model
@@ -29,7 +29,7 @@ PARAMETERS, PERIOD = 3, 5  # places among the step's inputs that all rows share
 class Windows:
     """W windows of n steps. states: (W, n + 1, nx). inputs: (W, n, 2 rotors), speeds and accelerations.
 
-    environment: (W, n, 2). rows: (W, n + 1) rows of the stretch.
+    environment: (W, n, 2). rows: (W, n + 1) rows of the segment.
     """
 
     states: Floats
@@ -51,14 +51,14 @@ class Simulator:
         flat = ca.reshape(ca.densify(slopes), -1, 1)
         self._slopes = RowFunction(ca.Function("slopes", inputs, [flat]), shared=(PARAMETERS, PERIOD))
 
-    def run(self, stretch: Stretch, starts: Sequence[int], steps: int, p: Floats) -> Windows:
-        """Simulate from the measured states at rows `starts` of a stretch without faults."""
-        states = self.predictor.states(stretch, p)
+    def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> Windows:
+        """Simulate from the measured states at rows `starts` of a segment without faults."""
+        states = self.predictor.states(segment, p)
         rows = np.asarray(starts)[:, None] + np.arange(steps + 1)
         here, there = rows[:, :-1], rows[:, 1:]
-        speed = (stretch.rotor_speed[here] + stretch.rotor_speed[there]) / 2
-        acceleration = (stretch.rotor_speed[there] - stretch.rotor_speed[here]) * stretch.rate
-        inputs, environment = np.concatenate([speed, acceleration], axis=2), stretch.environment[here]
+        speed = (segment.rotor_speed[here] + segment.rotor_speed[there]) / 2
+        acceleration = (segment.rotor_speed[there] - segment.rotor_speed[here]) * segment.rate
+        inputs, environment = np.concatenate([speed, acceleration], axis=2), segment.environment[here]
         found = np.empty((len(rows), steps + 1, states.shape[1]))
         found[:, 0] = states[rows[:, 0]]
         half = speed.shape[2]
@@ -91,42 +91,42 @@ class Simulator:
 
 
 def healthy(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch]
-) -> tuple[Vehicle, list[Stretch]]:
-    """The vehicle without its sensors' faults, and stretches as healthy sensors would have read them."""
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
+) -> tuple[Vehicle, list[Segment]]:
+    """The vehicle without its sensors' faults, and segments as healthy sensors would have read them."""
     faults = [use for use in vehicle.effects if catalogue[use.name].measurement is not None]
     if not faults:
-        return vehicle, list(stretches)
+        return vehicle, list(segments)
     model = build_model(vehicle, effects=faults, catalogue=catalogue)
     rest = tuple(use for use in vehicle.effects if use not in faults)
-    return msgspec.structs.replace(vehicle, effects=rest), [_as_read_healthily(s, model) for s in stretches]
+    return msgspec.structs.replace(vehicle, effects=rest), [_as_read_healthily(s, model) for s in segments]
 
 
-def _as_read_healthily(stretch: Stretch, model: Model) -> Stretch:
+def _as_read_healthily(segment: Segment, model: Model) -> Segment:
     """Sensors read affinely, each axis and rotor for itself."""
     nothing, ones, p = np.zeros(3), np.ones(model.input_count), model.parameter_values
     _, rate, speed, age = (np.array(found).ravel() for found in model.measure(nothing, nothing, 0 * ones, p))
     gain = np.array(model.measure(nothing, nothing, ones, p)[2]).ravel() - speed
     return _in_time(
         replace(
-            stretch,
-            gyro=None if stretch.gyro is None else stretch.gyro - rate,
-            rotor_speed=(stretch.rotor_speed - speed) / gain,
+            segment,
+            gyro=None if segment.gyro is None else segment.gyro - rate,
+            rotor_speed=(segment.rotor_speed - speed) / gain,
         ),
         float(age[0]),
     )
 
 
-def _in_time(stretch: Stretch, age: float) -> Stretch:
-    """The stretch with its pose moved to when it was so; the last rows keep the pose that they have."""
-    time = np.arange(len(stretch)) / stretch.rate
+def _in_time(segment: Segment, age: float) -> Segment:
+    """The segment with its pose moved to when it was so; the last rows keep the pose that they have."""
+    time = np.arange(len(segment)) / segment.rate
 
     def moved(values: Floats) -> Floats:
         return np.stack([np.interp(time + age, time, column) for column in values.T], axis=1)
 
-    attitude = moved(stretch.attitude)
+    attitude = moved(segment.attitude)
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-    return replace(stretch, position=moved(stretch.position), velocity=moved(stretch.velocity), attitude=attitude)
+    return replace(segment, position=moved(segment.position), velocity=moved(segment.velocity), attitude=attitude)
 
 
 def _step(model: Model, speed_measured: bool) -> tuple[list[Expression], Expression]:

@@ -16,10 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import Floats, difference, slow
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import difference, slow
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.visibility import can_show
+from dynamics.arrays import Floats
 from dynamics.effect import Effect, Span
 from dynamics.vehicle import EffectUse, Vehicle
 
@@ -60,14 +61,14 @@ class Candidate:
 
 
 def make_candidates(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch]
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[Candidate, ...]:
     """All variants of all effects that these flights could show, in the order of the catalogue."""
-    span = _span(stretches)
+    span = _span(segments)
     found: list[Candidate] = []
     count = 0
     for effect in catalogue.values():
-        if effect.name == "gust" or not can_show(effect, stretches, vehicle, catalogue):
+        if effect.name == "gust" or not can_show(effect, segments, vehicle, catalogue):
             continue
         for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
             for at, free in _variants(effect, rotor, vehicle, span):
@@ -98,7 +99,7 @@ def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
 
 
 def make_predictor(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], candidate: Candidate, stretch: Stretch
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], candidate: Candidate, segment: Segment
 ) -> Predictor:
     """The model with a candidate in it, with slopes in its free parameters; it serves all variants."""
     return Predictor(
@@ -106,7 +107,7 @@ def make_predictor(
         [*without(vehicle, candidate), candidate.use()],
         catalogue,
         [f"{candidate.key}.{name}" for name in candidate.free],
-        speed_measured=stretch.rotor_source == "measured",
+        speed_measured=segment.rotor_source == "measured",
     )
 
 
@@ -119,21 +120,21 @@ class Instruments:
     reduced_rate: float
 
 
-def make_instruments(stretch: Stretch, vehicle: Vehicle) -> Instruments:
-    """Instruments of a stretch."""
+def make_instruments(segment: Segment, vehicle: Vehicle) -> Instruments:
+    """Instruments of a segment."""
     inertia = np.array(vehicle.body.inertia)
-    rate = slow(stretch.turning, stretch.rate)
-    moment = inertia * slow(difference(stretch.turning, stretch.rate), stretch.rate)
+    rate = slow(segment.turning, segment.rate)
+    moment = inertia * slow(difference(segment.turning, segment.rate), segment.rate)
     moment += np.cross(rate, inertia * rate)
     allocation = vehicle.rotors.allocation
-    squares = stretch.rotor_speed**2
+    squares = segment.rotor_speed**2
     wanted = np.column_stack([squares @ allocation[0], moment])
     speed = np.sqrt(np.maximum(wanted @ np.linalg.pinv(allocation).T, 0.0))
-    reduced = stretch.rate / max(1, round(stretch.rate / 25.0))
-    return Instruments(speed, slow(stretch.rotor_acceleration, stretch.rate), reduced)
+    reduced = segment.rate / max(1, round(segment.rate / 25.0))
+    return Instruments(speed, slow(segment.rotor_acceleration, segment.rate), reduced)
 
 
-def _span(stretches: Sequence[Stretch]) -> Span:
-    everything = np.vstack([s.position for s in stretches])
+def _span(segments: Sequence[Segment]) -> Span:
+    everything = np.vstack([s.position for s in segments])
     lowest, highest = everything.min(axis=0).tolist(), everything.max(axis=0).tolist()
     return Span((lowest[0], lowest[1], lowest[2]), (highest[0], highest[1], highest[2]))

@@ -1,4 +1,4 @@
-"""From a stretch to residuals and the columns of all candidates, with the models built once.
+"""From a segment to residuals and the columns of all candidates, with the models built once.
 
 Candidates that vanish at their neutral values do not disturb each other there, so that one model with all of them in it
 gives all their slopes at once; those that are tried at several values, bring hidden states or move the air stand in
@@ -13,10 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats, slow
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import slow
+from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.candidates import ANGULAR, Candidate, Instruments, make_instruments, make_predictor
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -33,10 +34,10 @@ class _Group:
 
 
 class Pipeline:
-    """The present model of a vehicle and all candidates beside it. example: any of the stretches."""
+    """The present model of a vehicle and all candidates beside it. example: any of the segments."""
 
     def __init__(
-        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], example: Stretch
+        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], example: Segment
     ) -> None:
         self._vehicle = vehicle
         self._width = max((i for c in candidates for i in c.columns), default=-1) + 1
@@ -56,19 +57,19 @@ class Pipeline:
                 shared[c.key, c.free] = make_predictor(vehicle, catalogue, c, example)
             self._groups.append(_Group((c,), shared[c.key, c.free], _scales_rotors(c)))
 
-    def run(self, stretch: Stretch, *, instrumented: bool = True) -> tuple[Floats, Floats]:
+    def run(self, segment: Segment, *, instrumented: bool = True) -> tuple[Floats, Floats]:
         """(m, 12) residuals of the present model, and (m, 12, k) columns; for detection if instrumented, else plain."""
-        base = channels.predicted(stretch, [self._present.predict(stretch)])
-        instruments = make_instruments(stretch, self._vehicle) if instrumented else None
+        base = channels.predicted(segment, [self._present.predict(segment)])
+        instruments = make_instruments(segment, self._vehicle) if instrumented else None
         found = np.empty((len(base), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []
         for group in self._groups:
-            waiting += _predictions(group, stretch, instruments)
-            if len(waiting) * len(stretch) > AT_ONCE:
-                _fill(found, stretch, waiting, base, instruments)
+            waiting += _predictions(group, segment, instruments)
+            if len(waiting) * len(segment) > AT_ONCE:
+                _fill(found, segment, waiting, base, instruments)
                 waiting = []
-        _fill(found, stretch, waiting, base, instruments)
-        return channels.measured(stretch) - base[:, :, 0], found
+        _fill(found, segment, waiting, base, instruments)
+        return channels.measured(segment) - base[:, :, 0], found
 
 
 def _stands_beside_others(candidate: Candidate, candidates: Sequence[Candidate]) -> bool:
@@ -96,28 +97,28 @@ def _joint(
 
 
 def _predictions(
-    group: _Group, stretch: Stretch, instruments: Instruments | None
+    group: _Group, segment: Segment, instruments: Instruments | None
 ) -> list[tuple[int, Prediction, Candidate]]:
     """(place of the column, slope or whole prediction, candidate) of a group's columns."""
     first = group.candidates[0]
     if first.whole:
-        return [(first.columns[0], group.predictor.predict(stretch, first.values), first)]
+        return [(first.columns[0], group.predictor.predict(segment, first.values), first)]
     speed = instruments.rotor_speed if instruments is not None and group.rotors else None
     acceleration = instruments.rotor_acceleration if instruments is not None else None
     values = {name: value for c in group.candidates for name, value in c.values.items()}
-    slopes = group.predictor.slopes(stretch, values, rotor_speed=speed, rotor_acceleration=acceleration)
+    slopes = group.predictor.slopes(segment, values, rotor_speed=speed, rotor_acceleration=acceleration)
     owners = [(place, c) for c in group.candidates for place in c.columns]
     return [(place, slope, c) for (place, c), slope in zip(owners, slopes, strict=True)]
 
 
 def _fill(
-    found: Floats, stretch: Stretch, waiting: Sequence[tuple[int, Prediction, Candidate]], base: Floats,
+    found: Floats, segment: Segment, waiting: Sequence[tuple[int, Prediction, Candidate]], base: Floats,
     instruments: Instruments | None,
 ) -> None:  # fmt: skip
     """Write filtered columns to their places in found (m, 12, k)."""
     if not waiting:
         return
-    columns = channels.predicted(stretch, [prediction for _, prediction, _ in waiting])
+    columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
     for i, (place, _, candidate) in enumerate(waiting):
         column = columns[:, :, i]
         if candidate.whole:

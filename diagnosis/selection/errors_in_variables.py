@@ -1,6 +1,6 @@
 """Errors in variables: the sensors' own noise stands in the columns too, and shrinks and mixes coefficients.
 
-A stretch with the sensors' noise added once more goes through the whole pipeline again; what that changes in the
+A segment with the sensors' noise added once more goes through the whole pipeline again; what that changes in the
 normal equations is what the noise had changed in them before, to first order (SIMEX).
 """
 
@@ -10,29 +10,29 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from dynamics import quaternion
+from dynamics.arrays import Floats
 
 
-def perturbed(stretch: Stretch, random: np.random.Generator) -> Stretch:
-    """The stretch with white noise of its sensors' estimated levels added."""
+def perturbed(segment: Segment, random: np.random.Generator) -> Segment:
+    """The segment with white noise of its sensors' estimated levels added."""
 
     def noisier(values: Floats) -> Floats:
         return values + white_level(values) * random.standard_normal(values.shape)
 
-    attitude = stretch.attitude
+    attitude = segment.attitude
     step = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-1]), attitude[1:]))
     level = float(np.std(np.diff(step, 2, axis=0))) / np.sqrt(20.0)
-    turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(stretch), 3))))
+    turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(segment), 3))))
     return replace(
-        stretch,
-        position=noisier(stretch.position),
-        velocity=noisier(stretch.velocity),
+        segment,
+        position=noisier(segment.position),
+        velocity=noisier(segment.velocity),
         attitude=np.asarray(turned),
-        gyro=None if stretch.gyro is None else noisier(stretch.gyro),
-        specific_force=None if stretch.specific_force is None else noisier(stretch.specific_force),
-        rotor_speed=noisier(stretch.rotor_speed) if stretch.rotor_source == "measured" else stretch.rotor_speed,
+        gyro=None if segment.gyro is None else noisier(segment.gyro),
+        specific_force=None if segment.specific_force is None else noisier(segment.specific_force),
+        rotor_speed=noisier(segment.rotor_speed) if segment.rotor_source == "measured" else segment.rotor_speed,
     )
 
 

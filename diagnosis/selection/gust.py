@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import Floats
 from diagnosis.selection.regression import Regression
+from dynamics.arrays import Floats
 
 HIGHEST, CORNER = 0.7, 0.15  # Hz, of the cosines and of the spectrum
 STRENGTHS = 25

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
 
-from diagnosis.data.filters import Floats
+from dynamics.arrays import Floats
 
 ORDER = 6
 CAP, REFERENCE = 1.5, 3.0  # Hz

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.data import channels
-from diagnosis.data.filters import Floats
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.errors_in_variables import perturbed
 from diagnosis.selection.noise import NoiseModel, estimate_noise
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
@@ -42,14 +42,14 @@ class Regression:
 
     gram: flights x (k, k), product: flights x (k,), both compensated for noise in the columns; plain_* are not. In
     all of them the flight's biases are marginalised; joint_gram and joint_product still hold them.
-    rows: channels: what was measured less the model, (m, 12) a stretch. columns: (m, 12, k) a stretch, for detection.
-    flight_of: the flight of each stretch. observations: a flight's number of whitened residuals.
-    pipeline: makes rows and columns of other stretches. everything: (k,) coefficients of all columns at once, ridged.
+    rows: channels: what was measured less the model, (m, 12) a segment. columns: (m, 12, k) a segment, for detection.
+    flight_of: the flight of each segment. observations: a flight's number of whitened residuals.
+    pipeline: makes rows and columns of other segments. everything: (k,) coefficients of all columns at once, ridged.
     """
 
     vehicle: Vehicle
     catalogue: Mapping[str, Effect]
-    stretches: Sequence[Stretch]
+    segments: Sequence[Segment]
     flight_of: Sequence[int]
     candidates: tuple[Candidate, ...]
     noise: NoiseModel
@@ -107,7 +107,7 @@ class Regression:
         return total
 
     def left_over(self, chosen: Sequence[int]) -> list[Floats]:
-        """(m, 12) residual of each stretch with the chosen columns and its flight's biases taken out."""
+        """(m, 12) residual of each segment with the chosen columns and its flight's biases taken out."""
         where, theta = list(chosen), self.solve(chosen)[0]
         off = []
         for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
@@ -121,17 +121,17 @@ class Regression:
 
 
 def make_regression(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], stretches: Sequence[Stretch], flight_of: Sequence[int]
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], flight_of: Sequence[int]
 ) -> Regression:
-    """The regression of all candidates over stretches of flights numbered from 0."""
-    candidates = make_candidates(vehicle, catalogue, stretches)
-    pipeline = Pipeline(vehicle, catalogue, candidates, stretches[0])
-    rows, columns = map(list, zip(*(pipeline.run(s) for s in stretches), strict=True))
-    kinds = np.all([channels.present(s) for s in stretches], axis=0)
+    """The regression of all candidates over segments of flights numbered from 0."""
+    candidates = make_candidates(vehicle, catalogue, segments)
+    pipeline = Pipeline(vehicle, catalogue, candidates, segments[0])
+    rows, columns = map(list, zip(*(pipeline.run(s) for s in segments), strict=True))
+    kinds = np.all([channels.present(s) for s in segments], axis=0)
     active = [3 * kind + axis for kind in range(4) for axis in range(3) if kinds[kind]]
-    rate = stretches[0].rate / max(1, round(stretches[0].rate / 25.0))
+    rate = segments[0].rate / max(1, round(segments[0].rate / 25.0))
     # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
-    mixed = stretches[0].rotor_source != "command"
+    mixed = segments[0].rotor_source != "command"
     everything = _everything(rows, columns, active)
     left = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
     noise = estimate_noise(left, rate, active, mixed=mixed)
@@ -142,9 +142,9 @@ def make_regression(
     plain_grams, plain_products = [g.copy() for g in grams], [b.copy() for b in products]
     observations = [0] * count
     random = np.random.default_rng(SEED)
-    for stretch, flight, y, x in zip(stretches, flight_of, rows, columns, strict=True):
+    for segment, flight, y, x in zip(segments, flight_of, rows, columns, strict=True):
         white_y, white_x = noise.whiten(y), noise.whiten(x)
-        again_y, again_x = pipeline.run(perturbed(stretch, random))
+        again_y, again_x = pipeline.run(perturbed(segment, random))
         error_y, error_x = noise.whiten(again_y - y), noise.whiten(again_x - x)
         gram, product = _normal(white_x, white_y)
         error_gram, error_product = _normal(error_x, error_y)
@@ -157,7 +157,7 @@ def make_regression(
     free = [marginal(g, b, biases) for g, b in zip(grams, products, strict=True)]
     plain = [marginal(g, b, biases) for g, b in zip(plain_grams, plain_products, strict=True)]
     return Regression(
-        vehicle, catalogue, stretches, flight_of, candidates, noise, rows, columns,
+        vehicle, catalogue, segments, flight_of, candidates, noise, rows, columns,
         [g for g, _ in free], [b for _, b in free], [g for g, _ in plain], [b for _, b in plain],
         grams, products, observations, rate, biases, pipeline, everything,
     )  # fmt: skip

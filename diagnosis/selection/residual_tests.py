@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.ndimage import median_filter
 
-from diagnosis.data.filters import Floats, kept
-from diagnosis.data.segment import Stretch
+from diagnosis.data.filters import kept
+from diagnosis.data.segment import Segment
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression
+from dynamics.arrays import Floats
 
 FEATURES = 120
 SMOOTH, FINE = 0.35, 1.5  # of a feature's direction, over the standard deviation of what it depends on
@@ -41,16 +42,16 @@ class Leftover:
 
 
 def look(regression: Regression, rows: Sequence[Floats], *, places: bool = False) -> Leftover:
-    """What is left in residuals (m, 12) of the regression's stretches.
+    """What is left in residuals (m, 12) of the regression's segments.
 
     places: whether to ask what comes back at the same places, which a gust does not.
     """
     total = max(regression.total, 1)
-    states = [_state(s) for s in regression.stretches]
+    states = [_state(s) for s in regression.segments]
     learnable = _learnable(regression, _features(states, SMOOTH), rows, regression.flight_of) / total
     returning = 0.0
     if places:
-        spots = [_place(s) for s in regression.stretches]
+        spots = [_place(s) for s in regression.segments]
         halves = [_halves(x) for x in _features(spots, FINE)], [_halves(r) for r in rows]
         features, parts = ([half for pair in found for half in pair] for found in halves)
         returning = _learnable(regression, features, parts, range(len(parts))) / total
@@ -125,17 +126,17 @@ def _crossed(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) 
     return gain
 
 
-def _state(stretch: Stretch) -> Floats:
+def _state(segment: Segment) -> Floats:
     """(m, k) what a missing force may depend on."""
-    velocity = np.einsum("nji,nj->ni", stretch.to_world, stretch.smooth[:, 3:6])
-    squares = stretch.rotor_speed**2
-    parts = [velocity, stretch.smooth[:, 10:13], squares, stretch.to_world[:, 2, :], stretch.smooth[:, 0:3]]
-    return np.hstack(parts)[kept(len(stretch), stretch.rate)]
+    velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, 3:6])
+    squares = segment.rotor_speed**2
+    parts = [velocity, segment.smooth[:, 10:13], squares, segment.to_world[:, 2, :], segment.smooth[:, 0:3]]
+    return np.hstack(parts)[kept(len(segment), segment.rate)]
 
 
-def _place(stretch: Stretch) -> Floats:
+def _place(segment: Segment) -> Floats:
     """(m, 3) where the vehicle is."""
-    return stretch.smooth[kept(len(stretch), stretch.rate), 0:3]
+    return segment.smooth[kept(len(segment), segment.rate), 0:3]
 
 
 def _line(rows: Sequence[Floats], rate: float) -> float:

@@ -29,6 +29,6 @@ def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Sc
     """Those of the rivals that the flights cannot tell from the first, by the linear regression."""
     own = rivals[0]
     margin = max(CLOSE_SCORE, CLOSE_SHARE * own.gain)
-    if search.regression.stretches[0].rotor_source == "command":
+    if search.regression.segments[0].rotor_source == "command":
         margin = max(margin, CLOSE_BY_COMMAND * (own.score - search.score(others).score))
     return [s for s in rivals[1:] if s.score > least_gain(s.candidates) and s.score > own.score - margin]

@@ -12,15 +12,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import Floats
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import Gust, gust_gain
 from diagnosis.selection.regression import Regression
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
-LEAST_GAIN = 40.0  # of score, below which nothing is claimed; feedback makes inertia reach 29 where nothing is hidden
-LEAST_FAULT = 15.0  # the same for what a sensor has beyond its specification, which feedback does not imitate
-LEAST_SHARE = 0.003  # of the first effect's gain that a further one must bring
+MIN_GAIN = 40.0  # of score, below which nothing is claimed; feedback makes inertia reach 29 where nothing is hidden
+MIN_FAULT = 15.0  # the same for what a sensor has beyond its specification, which feedback does not imitate
+MIN_SHARE = 0.003  # of the first effect's gain that a further one must bring
 PARSIMONY = 0.985  # share of the gain at which the effect with fewer coefficients is preferred
 CROSSED = 0.3  # share of an improvement that must also show on flights left out
 MOST = 3  # effects found in one go
@@ -29,7 +29,7 @@ BOUND_SLACK = 0.02  # of a parameter's usual deviation by which noise may push i
 WHOLE = (0.4, 1.9)  # amplitude of an effect regressed as a whole
 IMPOSSIBLE = -math.inf
 FAULTS = ("imu_bias", "gyro_bias", "time_delay")
-SMALLEST_WHOLE = {"motor_lag": 0.0025, "time_delay": 0.003}  # s; less is the clocks' own
+MIN_WHOLE = {"motor_lag": 0.0025, "time_delay": 0.003}  # s; less is the clocks' own
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Scored:
 def least_gain(candidates: Sequence[Candidate]) -> float:
     """Score below which these are not claimed."""
     faults = all(c.effect.name in FAULTS for c in candidates)
-    return LEAST_FAULT if faults else LEAST_GAIN
+    return MIN_FAULT if faults else MIN_GAIN
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +111,7 @@ class Search:
     def first(self, singles: Sequence[Scored]) -> Scored:
         """The best single effect, by flights left out among those that come close, the simpler one when equal."""
         top = singles[0]
-        if top.score > LEAST_GAIN:
+        if top.score > MIN_GAIN:
             near = [s for s in singles[:5] if s.score > 0.5 * top.score]
             top = max(near, key=lambda s: self.regression.crossed_gain(s.columns) - (s.gain - s.score))
         for other in singles:
@@ -127,7 +127,7 @@ class Search:
             trials = [self.score([*found.candidates, c]) for c in self._others(found)]
             if step == 0:
                 trials += self._pairs(singles)
-            need = max(LEAST_GAIN, LEAST_SHARE * first_gain)
+            need = max(MIN_GAIN, MIN_SHARE * first_gain)
             crossed = self.regression.crossed_gain(found.columns)
             better = None
             for trial in sorted(trials, key=lambda s: -s.score)[:12]:
@@ -169,7 +169,7 @@ def possible(candidate: Candidate, theta: Floats, vehicle: Vehicle) -> bool:
     """Whether coefficients lie within the physical bounds of their parameters, but for a little noise."""
     if candidate.whole:
         size = next(iter(candidate.at.values()))
-        least = SMALLEST_WHOLE.get(candidate.effect.name, 0.0)
+        least = MIN_WHOLE.get(candidate.effect.name, 0.0)
         return bool(WHOLE[0] < theta[0] < WHOLE[1] and theta[0] * size >= least)
     slack = {p.name: BOUND_SLACK * p.prior(vehicle).std for p in candidate.effect.parameters}
     bounds = {p.name: (p.lower - slack[p.name], p.upper + slack[p.name]) for p in candidate.effect.parameters}
@@ -185,14 +185,14 @@ def select(regression: Regression) -> Selection:
     singles = search.singles()
     before = gust_gain(regression, [])
     top = search.first(singles)
-    blows_first = before.score > max(top.score, LEAST_GAIN)
+    blows_first = before.score > max(top.score, MIN_GAIN)
     nothing = Scored((), 0.0, 0.0)
-    nothing_found = top.score < least_gain(top.candidates) and before.score < LEAST_GAIN
+    nothing_found = top.score < least_gain(top.candidates) and before.score < MIN_GAIN
     if nothing_found or (blows_first and top.score < 0.5 * before.score):
         return Selection(nothing, singles, before, before, blows_first)
     chosen = search.grow(top, singles)
     after = gust_gain(regression, chosen.columns)
-    blows = after.score > max(LEAST_GAIN, 0.10 * chosen.gain)
+    blows = after.score > max(MIN_GAIN, 0.10 * chosen.gain)
     return Selection(chosen, singles, before, after, blows)
 
 

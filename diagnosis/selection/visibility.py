@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 
 import casadi as ca
 
-from diagnosis.data.segment import Stretch
+from diagnosis.data.segment import Segment
 from dynamics.effect import Effect
-from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.model import Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 STATE_ROWS = {"position": range(3), "velocity": range(3, 6), "attitude": range(6, 10)}
@@ -17,18 +18,18 @@ GAIN_OF_COMMAND = ("mass", "thrust_constant")
 RATE_READ, POSE_AGE, VALUES = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
 
 
-def can_show(effect: Effect, stretches: Sequence[Stretch], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
-    """Whether the stretches hold what the effect acts through."""
-    source = stretches[0].rotor_source
+def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether the segments hold what the effect acts through."""
+    source = segments[0].rotor_source
     if effect.rotor_speed is not None:
         return source != "measured"  # what happens between command and speed does not matter where speed is known
     if effect.name == "rotor_speed_fault":
         return source == "measured"
     if effect.name in GAIN_OF_COMMAND and source == "command":
         return False
-    if effect.name == "battery_sag" and any(s.battery_ratio is None for s in stretches):
+    if effect.name == "battery_sag" and any(s.battery_ratio is None for s in segments):
         return False
-    lacks = frozenset[str]().union(*(s.lacks for s in stretches))
+    lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & looks_at(effect, vehicle, catalogue)
 
 

@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY, Vehicle
 
-Array = NDArray[np.float64]
-LEAST_SPECIFIC_THRUST = 0.5  # m/s^2; below it the attitude is undefined (free fall), rates are held finite
-_LEAST_ONE_PLUS_COSINE = 0.02  # of the tilt; below it (tilt above 168 degrees) the heading is undefined
+MIN_SPECIFIC_THRUST = 0.5  # m/s^2; below it the attitude is undefined (free fall), rates are held finite
+_MIN_ONE_PLUS_COSINE = 0.02  # of the tilt; below it (tilt above 168 degrees) the heading is undefined
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,22 +29,22 @@ class ReferenceSamples:
     or beyond the limits where the vehicle cannot follow. rotor_speed: (n, rotors) rad/s.
     """
 
-    time: Array
-    position: Array
-    velocity: Array
-    acceleration: Array
-    jerk: Array
-    snap: Array
-    yaw: Array
-    attitude: Array
-    rate_body: Array
-    rate_acceleration: Array
-    collective_thrust: Array
-    rotor_thrust: Array
-    rotor_speed: Array
+    time: Floats
+    position: Floats
+    velocity: Floats
+    acceleration: Floats
+    jerk: Floats
+    snap: Floats
+    yaw: Floats
+    attitude: Floats
+    rate_body: Floats
+    rate_acceleration: Floats
+    collective_thrust: Floats
+    rotor_thrust: Floats
+    rotor_speed: Floats
 
 
-def flat_motion(time: Array, flat: Array, vehicle: Vehicle) -> ReferenceSamples:
+def flat_motion(time: Floats, flat: Floats, vehicle: Vehicle) -> ReferenceSamples:
     """The motion that belongs to flat outputs on a vehicle without aerodynamic effects (PI-TCN eq. 1 and 2).
 
     time: (n,) s. flat: (n, 5, 4) derivatives of x, y, z (m) and yaw (rad), orders 0 to 4.
@@ -75,9 +74,9 @@ def flat_motion(time: Array, flat: Array, vehicle: Vehicle) -> ReferenceSamples:
     )
 
 
-def _thrust_axis(specific: Array, jerk: Array, snap: Array) -> tuple[Array, Array, Array]:
+def _thrust_axis(specific: Floats, jerk: Floats, snap: Floats) -> tuple[Floats, Floats, Floats]:
     """Body z in the world and its first two time derivatives. All: (n, 3)."""
-    size = np.maximum(np.linalg.norm(specific, axis=1, keepdims=True), LEAST_SPECIFIC_THRUST)
+    size = np.maximum(np.linalg.norm(specific, axis=1, keepdims=True), MIN_SPECIFIC_THRUST)
     axis = specific / size
     size_rate = np.sum(axis * jerk, axis=1, keepdims=True)
     axis_rate = (jerk - axis * size_rate) / size
@@ -86,23 +85,23 @@ def _thrust_axis(specific: Array, jerk: Array, snap: Array) -> tuple[Array, Arra
     return axis, axis_rate, axis_acceleration
 
 
-def _attitude(axis: Array, yaw: Array) -> Array:
+def _attitude(axis: Floats, yaw: Floats) -> Floats:
     """Least tilt onto the thrust axis after a turn by yaw. axis: (n, 3) unit, yaw: (n,). Returns (n, 4)."""
     a, b, c = axis.T
-    w = np.sqrt(np.maximum(1 + c, _LEAST_ONE_PLUS_COSINE) / 2)
+    w = np.sqrt(np.maximum(1 + c, _MIN_ONE_PLUS_COSINE) / 2)
     x, y = -b / (2 * w), a / (2 * w)
     cos, sin = np.cos(yaw / 2), np.sin(yaw / 2)
     attitude = np.stack([w * cos, x * cos + y * sin, y * cos - x * sin, w * sin], axis=1)
     return np.asarray(attitude / np.linalg.norm(attitude, axis=1, keepdims=True))
 
 
-def _body_rates(axis: tuple[Array, Array, Array], yaw: Array) -> tuple[Array, Array]:
+def _body_rates(axis: tuple[Floats, Floats, Floats], yaw: Floats) -> tuple[Floats, Floats]:
     """Body rates and their time derivatives (Watterson and Kumar, eq. for omega on the Hopf chart).
 
     axis: body z and two derivatives, (n, 3) each. yaw: (n, 3), orders 0 to 2. Returns two (n, 3).
     """
     (a, b, c), (a1, b1, c1), (a2, b2, c2) = (part.T for part in axis)
-    r = 1 / np.maximum(1 + c, _LEAST_ONE_PLUS_COSINE)
+    r = 1 / np.maximum(1 + c, _MIN_ONE_PLUS_COSINE)
     lean, lean_rate = c1 * r, c2 * r - (c1 * r) ** 2
     tilt_rate = np.stack([b * lean - b1, a1 - a * lean, (b * a1 - a * b1) * r])
     tilt_acceleration = np.stack(
@@ -127,7 +126,7 @@ def _body_rates(axis: tuple[Array, Array, Array], yaw: Array) -> tuple[Array, Ar
     return rate, acceleration
 
 
-def _rotor_thrust(thrust: Array, rate: Array, rate_acceleration: Array, vehicle: Vehicle) -> Array:
+def _rotor_thrust(thrust: Floats, rate: Floats, rate_acceleration: Floats, vehicle: Vehicle) -> Floats:
     """Thrust of every rotor, N, that gives the wrench with the least effort. Returns (n, rotors)."""
     inertia = np.array(vehicle.body.inertia)
     torque = inertia * rate_acceleration + np.cross(rate, inertia * rate)

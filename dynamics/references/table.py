@@ -14,18 +14,17 @@ import math
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.references.curve import FLAT, ORDERS, PiecewisePolynomial
 from dynamics.references.reference import Reference
 from dynamics.references.time_law import TimeLaw
 from dynamics.vehicle import Vehicle
 
-Array = NDArray[np.float64]
 REQUIRED = ("t", "position_x", "position_y", "position_z")
-LEAST_ROWS = 7
+MIN_ROWS = 7
 WINDOW, DEGREE = 9, 6  # of the local fits: rows, and degree of the polynomial
 AT_REST = 0.05  # m/s or rad/s
 RAMP = 2.0  # s
@@ -48,7 +47,7 @@ def read_table(path: Path, vehicle: Vehicle) -> Reference:
     return Reference(path.name, _joined(times, derivatives), law, vehicle)
 
 
-def _local_fits(times: Array, values: Array) -> Array:
+def _local_fits(times: Floats, values: Floats) -> Floats:
     """Values and four derivatives at every row. times: (n,). values: (n, 4). Returns (n, 5, 4)."""
     result = np.empty((times.size, ORDERS, FLAT))
     window = min(WINDOW, times.size)
@@ -63,13 +62,13 @@ def _local_fits(times: Array, values: Array) -> Array:
     return result
 
 
-def _joined(times: Array, derivatives: Array) -> PiecewisePolynomial:
+def _joined(times: Floats, derivatives: Floats) -> PiecewisePolynomial:
     steps = np.diff(times)
     pieces = [_piece(derivatives[i], derivatives[i + 1], step) for i, step in enumerate(steps)]
     return PiecewisePolynomial(times, np.stack(pieces))
 
 
-def _piece(start: Array, end: Array, duration: float) -> Array:
+def _piece(start: Floats, end: Floats, duration: float) -> Floats:
     """Coefficients (10, 4) of the polynomial with given derivatives (5, 4) at both ends of a duration, s."""
     scale = duration ** np.arange(ORDERS)[:, None]
     start, end = start * scale, end * scale
@@ -80,7 +79,7 @@ def _piece(start: Array, end: Array, duration: float) -> Array:
     return np.asarray(np.vstack([low, high]) / (duration**powers)[:, None])
 
 
-def _read_columns(path: Path) -> dict[str, Array]:
+def _read_columns(path: Path) -> dict[str, Floats]:
     try:
         with gzip.open(path, "rt") if path.suffix == ".gz" else path.open(encoding="utf-8", newline="") as file:
             rows = [row for row in csv.reader(file) if row and not row[0].startswith("#")]
@@ -97,7 +96,7 @@ def _read_columns(path: Path) -> dict[str, Array]:
     twice = {name for name in header if header.count(name) > 1}
     if twice:
         raise RequestError(f"the reference {path} has the column {', '.join(sorted(twice))} twice. {_WANTED}.")
-    columns: dict[str, Array] = {name: np.empty(len(rows) - 1) for name in header}
+    columns: dict[str, Floats] = {name: np.empty(len(rows) - 1) for name in header}
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
             raise RequestError(f"{path}, row {number}: {len(row)} values for {len(header)} columns.")
@@ -116,10 +115,10 @@ def _number(path: Path, row: int, column: str, text: str) -> float:
     return value
 
 
-def _check(path: Path, columns: dict[str, Array]) -> None:
+def _check(path: Path, columns: dict[str, Floats]) -> None:
     times = columns["t"]
-    if times.size < LEAST_ROWS:
-        raise RequestError(f"the reference {path} has {times.size} rows, at least {LEAST_ROWS} are needed.")
+    if times.size < MIN_ROWS:
+        raise RequestError(f"the reference {path} has {times.size} rows, at least {MIN_ROWS} are needed.")
     steps = np.diff(times)
     if np.any(steps <= 0):
         row = int(np.argmax(steps <= 0)) + 3
@@ -137,7 +136,7 @@ def _check(path: Path, columns: dict[str, Array]) -> None:
         raise RequestError(f"{path}, column yaw: values up to {np.abs(yaw).max():.0f} look like degrees. Give radians.")
 
 
-def _yaw(columns: dict[str, Array]) -> Array:
+def _yaw(columns: dict[str, Floats]) -> Floats:
     """Yaw along the table, unwrapped, rad."""
     if "yaw" in columns:
         return np.unwrap(columns["yaw"])

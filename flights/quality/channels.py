@@ -7,17 +7,18 @@ from collections.abc import Sequence
 import msgspec
 import numpy as np
 
-from flights.alignment import GAP_PERIODS, SHORTEST_GAP
-from flights.log import Floats, Log, Stream
+from dynamics.arrays import Floats
+from flights.alignment import GAP_PERIODS, MIN_GAP
+from flights.log import Log, Stream
 from flights.quality.findings import Finding
 from flights.quantities import MOTION, RESET_COUNTERS, ROTORS
 
-MOST_JITTER = 0.5  # of a period, for 1 in 20 samples
+MAX_JITTER = 0.5  # of a period, for 1 in 20 samples
 STUCK_TIME = 10.0  # s for which a moving quantity may keep a value
 STUCK_BATTERY = 20.0  # s of flight in which any battery's reading moves
-MOST_REPEATS = 0.4  # share of samples that equal the one before
+MAX_REPEATS = 0.4  # share of samples that equal the one before
 CLIPPED = 0.01  # share of samples that lie exactly at the extreme
-LEAST_CLIPPED = 5  # samples in a row
+MIN_CLIPPED = 5  # samples in a row
 
 
 class Channel(msgspec.Struct, frozen=True):
@@ -45,7 +46,7 @@ def channels_of(log: Log) -> tuple[Channel, ...]:
 
 
 def channel_findings(log: Log, flying: Sequence[tuple[float, float]]) -> list[Finding]:
-    """What is wrong with single streams. flying: stretches of free flight, s."""
+    """What is wrong with single streams. flying: segments of free flight, s."""
     found: list[Finding] = []
     for channel in channels_of(log):
         if channel.quantity in MOTION or channel.quantity in ROTORS:
@@ -64,7 +65,7 @@ def channel_findings(log: Log, flying: Sequence[tuple[float, float]]) -> list[Fi
 def _channel(stream: Stream) -> Channel:
     steps = np.diff(stream.time)
     period = stream.period
-    limit = max(GAP_PERIODS * period, SHORTEST_GAP) if len(steps) else np.inf
+    limit = max(GAP_PERIODS * period, MIN_GAP) if len(steps) else np.inf
     held = stream.quantity.kind == "step"
     gaps = steps[steps > limit] if not held else np.empty(0)
     missing = ~np.isfinite(stream.values).all(axis=1)
@@ -104,12 +105,12 @@ def _timing(channel: Channel) -> list[Finding]:
             "warning", "gaps", f"{where} has {channel.gaps} gaps, the longest of {channel.longest_gap:.2f} s",
             "they are masked; a faster card or fewer topics avoids them",
         ))  # fmt: skip
-    if channel.jitter * channel.rate > MOST_JITTER:
+    if channel.jitter * channel.rate > MAX_JITTER:
         found.append(Finding(
             "warning", "jitter", f"{where}: 1 in 20 periods is off by {1e3 * channel.jitter:.1f} ms at "
             f"{channel.rate:.0f} Hz", "use the stamps of the samples, not those of their arrival",
         ))  # fmt: skip
-    if channel.renewed < (1 - MOST_REPEATS) * channel.rate and name in MOTION:
+    if channel.renewed < (1 - MAX_REPEATS) * channel.rate and name in MOTION:
         found.append(Finding(
             "warning", "repeated_samples", f"{where} is logged at {channel.rate:.0f} Hz but changes only "
             f"{channel.renewed:.0f} times a second", "log it when it is measured",
@@ -167,4 +168,4 @@ def _share_in_rows(at_extreme: np.ndarray) -> float:
     """Share of samples in runs of several at the extreme."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at_extreme.astype(np.int8), [0]]))).reshape(-1, 2)
     lengths = edges[:, 1] - edges[:, 0]
-    return float(lengths[lengths >= LEAST_CLIPPED].sum() / len(at_extreme))
+    return float(lengths[lengths >= MIN_CLIPPED].sum() / len(at_extreme))

@@ -8,10 +8,10 @@ import msgspec
 import numpy as np
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from flights import filters
 from flights.exclusion import effort
 from flights.flight import Flight
-from flights.log import Floats
 
 SMOOTHING = 8.0  # Hz, as in the equation-error regression
 LOW = 0.5  # m above the ground, where it may act

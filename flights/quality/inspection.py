@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from flights import plausibility
-from flights.delays import LARGEST_REACH, Delay, estimate_delays
+from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
 from flights.log import Log, Repair
@@ -25,10 +25,10 @@ from flights.reading import read_log
 
 Verdict = Literal["good", "limited", "unusable"]
 
-LEAST_FLIGHT = 5.0  # s of free flight that can answer anything
-LEAST_ROTOR_RATE = 40.0  # Hz: what the lag of a small vehicle's motors needs, and the regression's own rate
+MIN_FLIGHT = 5.0  # s of free flight that can answer anything
+MIN_ROTOR_RATE = 40.0  # Hz: what the lag of a small vehicle's motors needs, and the regression's own rate
 GOOD_ROTOR_RATE = 95.0
-LEAST_MOTION_RATE = 40.0
+MIN_MOTION_RATE = 40.0
 NOTABLE_DELAY = 0.002  # s
 GOOD_SHARE = 0.6  # of the effects
 
@@ -36,7 +36,7 @@ GOOD_SHARE = 0.6  # of the effects
 class Inspection(msgspec.Struct, frozen=True):
     """Everything that is said of one log. Times are s since the log's start.
 
-    verdict: unusable when the data cannot answer anything. segments: stretches of free flight. free_flight: their
+    verdict: unusable when the data cannot answer anything. segments: segments of free flight. free_flight: their
     sum, s. delays: by which streams are late.
     """
 
@@ -112,7 +112,7 @@ def _ground_height(flight: Flight, exclusions: Sequence[Exclusion]) -> float:
 
 def _usable(log: Log) -> set[str]:
     """Quantities logged fast enough to be used for what they are."""
-    slow = dict.fromkeys(WRENCH, LEAST_ROTOR_RATE) | {"rate": LEAST_MOTION_RATE}
+    slow = dict.fromkeys(WRENCH, MIN_ROTOR_RATE) | {"rate": MIN_MOTION_RATE}
     streams = {name: log.stream(name) for name in log.names}
     return {name for name, stream in streams.items() if stream is not None and stream.rate >= slow.get(name, 0.0)}
 
@@ -137,9 +137,9 @@ def _actuation(log: Log) -> list[Finding]:
         return [Finding("error", "no_rotors", "neither rotor speeds nor commands are in this log", faster)]
     best = max(rates, key=lambda name: rates[name])
     told = f"{best} is logged at {rates[best]:.0f} Hz"
-    if rates[best] < LEAST_ROTOR_RATE:
+    if rates[best] < MIN_ROTOR_RATE:
         return [Finding(
-            "error", "rotors_too_slow", f"{told}, wanted {LEAST_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
+            "error", "rotors_too_slow", f"{told}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
             "moments can be told from it", faster,
         )]  # fmt: skip
     found = []
@@ -154,11 +154,11 @@ def _actuation(log: Log) -> list[Finding]:
 
 
 def _amount(measured: dict[str, float]) -> list[Finding]:
-    if measured["duration"] >= LEAST_FLIGHT:
+    if measured["duration"] >= MIN_FLIGHT:
         return []
     return [Finding(
         "error", "no_flight", f"only {measured['duration']:.1f} s of free flight are in this log, wanted "
-        f"{LEAST_FLIGHT:.0f} s at least", "fly longer, and log velocity, attitude and body rates without gaps",
+        f"{MIN_FLIGHT:.0f} s at least", "fly longer, and log velocity, attitude and body rates without gaps",
     )]  # fmt: skip
 
 
@@ -171,7 +171,7 @@ def _clocks(delays: Sequence[Delay]) -> list[Finding]:
     ]
     return found + [
         Finding(
-            "note", "uncertain_delay", f"{delay}: known less well than to {1e3 * LARGEST_REACH:.0f} ms, so that it is "
+            "note", "uncertain_delay", f"{delay}: known less well than to {1e3 * MAX_REACH:.0f} ms, so that it is "
             "not taken off", "fly more briskly, and where the air is still: gusts hide when rotors act",
         )
         for delay in clocks

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from flights.filters import runs
 from flights.flight import Flight
-from flights.log import Floats
 from flights.quality.findings import Finding
 
 FAR_OFF = 0.8  # of the peers' speed, below which no quadrotor flies with a rotor

@@ -17,18 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.frames import quaternion_from_xyzw
 from dynamics.vehicle import GRAVITY
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.source import Source, Span
 
 _MAGIC = 0xBC
 _CLOCKS = {1: ("<u4", 1_000), 2: ("<u8", 1_000_000)}
 _LETTERS = frozenset("bBhHiIqQefd?")
 _CRC_BYTES = 4
-_FIRST_RUN, _LONGEST_RUN = 64, 1 << 20  # records of one type looked at in one go
+_FIRST_RUN, _MAX_RUN = 64, 1 << 20  # records of one type looked at in one go
 _FULL_COMMAND = 65_535.0
 _DEGREE = np.pi / 180
 # Crazyflie's motors 1 front right, 2 back right, 3 back left, 4 front left in our order
@@ -137,8 +138,8 @@ def _end_of_records(data: mmap.mmap, header: Header, assembly: Assembly) -> int:
     if size < header.size + _CRC_BYTES:
         return size
     crc = 0
-    for start in range(0, size - _CRC_BYTES, _LONGEST_RUN):
-        crc = zlib.crc32(data[start : min(start + _LONGEST_RUN, size - _CRC_BYTES)], crc)
+    for start in range(0, size - _CRC_BYTES, _MAX_RUN):
+        crc = zlib.crc32(data[start : min(start + _MAX_RUN, size - _CRC_BYTES)], crc)
     if crc == int.from_bytes(data[-_CRC_BYTES:], "little"):
         return size - _CRC_BYTES
     assembly.repair("checksum_failed", "the CRC-32 at the end does not hold: the log was cut off or changed")
@@ -173,7 +174,7 @@ def _records(
                 return _joined_runs(found), None
         found.setdefault(kind.number, []).append(kept)
         position += whole * size
-        run = min(2 * run, _LONGEST_RUN) if whole == count else _FIRST_RUN
+        run = min(2 * run, _MAX_RUN) if whole == count else _FIRST_RUN
     return _joined_runs(found), position
 
 

@@ -12,10 +12,11 @@ import pyarrow as pa
 import pyarrow.csv as pa_csv
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle_file import nearest
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.quantities import QUANTITIES, known_columns, quantity_of
 from flights.source import Source, Span
 from flights.tables import TIME
@@ -23,7 +24,7 @@ from flights.tables import TIME
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
 _SECTION = 8 << 20  # bytes of a long file that are looked at together
-_MOST_TORN = 0.01  # share of rows with another number of cells than the header
+_MAX_TORN = 0.01  # share of rows with another number of cells than the header
 
 
 class Cut:
@@ -119,7 +120,7 @@ def read_columns(file: Path, layout: Layout, wanted: Sequence[str], assembly: As
     if not rows and layout.cut is None:
         raise DataError("it has a header but no rows. Wanted at least one sample.")
     if torn:
-        if len(torn) > max(1, _MOST_TORN * rows):
+        if len(torn) > max(1, _MAX_TORN * rows):
             raise DataError(f"{len(torn)} of {rows + len(torn)} rows have {torn[0]}. Wanted as many cells as columns.")
         assembly.repair("torn_rows", f"{len(torn)} rows with {torn[0]} dropped")
     return columns

@@ -12,9 +12,10 @@ import numpy as np
 from pymavlink.DFReader import DFReader_binary
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.readers.px4_rotors import QUAD_X, in_our_order
 from flights.source import Source
 

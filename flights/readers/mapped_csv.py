@@ -10,15 +10,16 @@ import re
 import numpy as np
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from flights import mapping as mappings
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.mapping import MappedStream, Mapping
 from flights.readers import csv
 from flights.source import Source
 
-_LONGEST_LINE = 60_000
+_MAX_LINE = 60_000
 
 
 def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]:
@@ -30,7 +31,7 @@ def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]
     else:
         delimiter = max(",;\t", key=line.count)
     names = tuple(name.strip().strip('"') for name in line.split(delimiter))
-    return names if len(names) > 1 and len(line) < _LONGEST_LINE else ()
+    return names if len(names) > 1 and len(line) < _MAX_LINE else ()
 
 
 def matches(source: Source) -> bool:

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from flights.assembly import Assembly
-from flights.log import Floats
 from flights.readers.px4_rotors import QUAD_X, QUADROTOR, commands_of_pulses, in_our_order, join_groups
 
 # Upstream's ESC_STATUS, which pymavlink's definitions lack: payload as it travels, and its CRC_EXTRA.

@@ -13,9 +13,10 @@ from mcap.records import Channel, Chunk, Footer, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 from zstandard import ZstdError
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.readers import rosbag
 from flights.readers.px4_rotors import QUAD_X, commands_of_pulses, in_our_order, join_groups
 from flights.source import Source, Span

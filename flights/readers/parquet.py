@@ -8,9 +8,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pa_parquet
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.quantities import quantity_of
 from flights.readers import csv
 from flights.source import Source

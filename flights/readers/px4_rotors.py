@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from flights.log import Floats
+from dynamics.arrays import Floats
 
 QUADROTOR = 2  # MAV_TYPE
 # PX4's quad x: motor 1 front right, 2 back left, 3 front left, 4 back right

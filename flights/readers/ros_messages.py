@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from dynamics import frames
-from flights.assembly import LARGEST_VALUE, Assembly
-from flights.log import Floats
+from dynamics.arrays import Floats
+from flights.assembly import MAX_VALUE, Assembly
 from flights.velocity_frame import velocity_world
 
 Message = Any  # an instance of a class that rosbags makes of a message's definition
@@ -65,7 +65,7 @@ class Samples:
         if self.unstamped and self.kind in CONVERTERS:
             assembly.note(f"{topic}: {self.unstamped} messages without a stamp have the time of their recording")
         values = np.array(self._numbers).reshape(len(self), -1)
-        values[~(np.abs(values) < LARGEST_VALUE)] = np.nan  # before anything is computed with damage
+        values[~(np.abs(values) < MAX_VALUE)] = np.nan  # before anything is computed with damage
         known = CONVERTERS.get(self.kind)
         if known is None:
             assembly.add("rotor_speed", time, np.abs(values) * _RPM, topic)

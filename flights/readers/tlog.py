@@ -25,7 +25,7 @@ _STAMP = struct.Struct(">Q")
 _V1, _V2 = 0xFE, 0xFD
 _HEADERS = {_V1: 6, _V2: 10}
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
-_LARGEST_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
+_MAX_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
 _PIECE = 1 << 20
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
@@ -153,7 +153,7 @@ def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, int
     """Place in the file, arrival and bytes of each frame; what is none is skipped and counted."""
     buffer, position, ended, before = bytearray(), 0, False, stream.tell()
     while True:
-        if len(buffer) - position < _STAMP.size + _LARGEST_FRAME and not ended:
+        if len(buffer) - position < _STAMP.size + _MAX_FRAME and not ended:
             del buffer[:position]
             before += position
             position = 0

@@ -16,16 +16,17 @@ from pyulog import ULog
 from pyulog.core import ULogException
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Floats, Reading
+from flights.log import Reading
 from flights.readers import ulog_rotors
 from flights.readers.ulog_topics import TOPIC_ALIASES, Topic, Topics
 from flights.source import Source
 
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
-_FARTHEST_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
+_MAX_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
 _SYNC = b"\x2f\x73\x13\x20\x25\x0c\xbb\x12"
 _ARMED_STATE = 2
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
@@ -71,7 +72,7 @@ class _Guarded(io.BufferedReader):
         before = self.tell()
         after = super().seek(target, whence)
         self._stepped_back += max(0, before - after)
-        if self._stepped_back > _FARTHEST_BACK:
+        if self._stepped_back > _MAX_BACK:
             raise ULogException("it is damaged in too many places")
         return after
 

@@ -6,8 +6,8 @@ import re
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from flights.assembly import Assembly
-from flights.log import Floats
 from flights.readers.px4_rotors import (
     FIRST_MOTOR_FUNCTION,
     LAST_MOTOR_FUNCTION,

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from flights.assembly import Assembly
-from flights.log import Floats
 
 # Today's name of a field to the names it had; "topic.field" where it holds for one topic only.
 FIELD_ALIASES: Mapping[str, tuple[str, ...]] = {

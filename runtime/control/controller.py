@@ -12,9 +12,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.arrays import Floats
+from dynamics.model import Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
@@ -23,9 +24,8 @@ from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.solver import RtiSolver
 
-Array = NDArray[np.float64]
 HISTORY = 64  # ticks of inputs kept for delay compensation
-LONGEST_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
+MAX_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
 
 
 class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -54,9 +54,9 @@ class Command:
     rotor_speed: (n,) rad/s, the optimal input behind them. status: the solver's, 0 when it solved its problem.
     """
 
-    rate_body: Array
+    rate_body: Floats
     collective_thrust: float
-    rotor_speed: Array
+    rotor_speed: Floats
     status: int
     seconds: float
 
@@ -73,7 +73,7 @@ class Controller:
         """bundle: of the model, whose kernel then solves. library: compiled code of the model, without a bundle."""
         self.model, self.options = model, options
         self.solver = RtiSolver(model, options.problem, library if bundle is None else bundle.kernel)
-        self._longest = LONGEST_STEP
+        self._longest = MAX_STEP
         self._columns: ColumnHistory | None = None
         if bundle is not None and bundle.manifest.learned:
             manifest = bundle.manifest
@@ -84,7 +84,7 @@ class Controller:
             self.health = ModelHealth(errors.get("linear", 0.0), errors.get("angular", 0.0), options.fit)
         self._acting = 0.0  # when the state of the last tick was
         self._thrust_constants = model.thrust_constants
-        self._offsets: Array = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
+        self._offsets: Floats = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
         trim = find_trim(model)
         self.trim = trim.vehicle
         self._hover, self._shares = trim.rotor_speed, trim.shares
@@ -123,12 +123,12 @@ class Controller:
         return self._columns is not None
 
     @property
-    def predicted_states(self) -> Array:
+    def predicted_states(self) -> Floats:
         """(N + 1, nx) states of the current prediction."""
         return self.solver.states
 
     @property
-    def predicted_inputs(self) -> Array:
+    def predicted_inputs(self) -> Floats:
         """(N, nu) rotor speeds of the current prediction, rad/s."""
         return self.solver.inputs
 
@@ -137,11 +137,11 @@ class Controller:
         """A learned model's running error over its error in training, NaN for a physical one."""
         return math.nan if self._columns is None else self.health.ratio
 
-    def node_times(self, time: float) -> Array:
+    def node_times(self, time: float) -> Floats:
         """(N + 1,) times of the reference that a tick at a time looks at: from when its command acts."""
         return time + self.options.delay + self._offsets
 
-    def reset(self, state: Array, time: float) -> None:
+    def reset(self, state: Floats, time: float) -> None:
         """Start anew from a state: hover inputs, no history."""
         self._times[:] = -np.inf
         self._inputs[:], self._hidden[:] = self._hover, self.model.hidden_initial
@@ -155,7 +155,7 @@ class Controller:
         self._acting = time
         self._remember(time, self._hover)
 
-    def compensate(self, state: Array, taken: float, now: float) -> Array:
+    def compensate(self, state: Floats, taken: float, now: float) -> Floats:
         """The whole state now of a rigid-body state (13,) taken earlier, by the model and the inputs since given.
 
         The array returned is used again by the next call.
@@ -170,7 +170,7 @@ class Controller:
         self._state[:RIGID_BODY_STATES] = state
         self._state[RIGID_BODY_STATES:] = self._hidden[tick % HISTORY]
         if self._has_hidden:  # they were left where that tick's command began to act
-            lag = min(taken - self._times[tick % HISTORY], LONGEST_STEP)
+            lag = min(taken - self._times[tick % HISTORY], MAX_STEP)
             self._propagate(self._inputs[tick % HISTORY], lag, taken - lag, keep=False)
             self._state[:RIGID_BODY_STATES] = state
         time = taken
@@ -181,7 +181,7 @@ class Controller:
         self._propagate(self._inputs[last], now + self.options.delay - time, time)
         return self._state
 
-    def feedback(self, state: Array, time: float) -> Command:
+    def feedback(self, state: Floats, time: float) -> Command:
         """The command for a state (nx,) as `compensate` gives it; the tick's urgent half."""
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
@@ -191,7 +191,7 @@ class Controller:
         thrust = float(self._thrust_constants @ (speed * speed))
         return Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
 
-    def prepare(self, states: Array, inputs: Array) -> None:
+    def prepare(self, states: Floats, inputs: Floats) -> None:
         """Linearise for the next tick. states: (N + 1, 13) and inputs: (N, nu), the reference from that tick on.
 
         Inputs are those of a vehicle without effects; each rotor's is scaled as its trim in hover asks for.
@@ -215,7 +215,7 @@ class Controller:
         self.solver.input_reference[:] = inputs * self._shares
         self.solver.prepare(expected)
 
-    def follow(self, other: Controller, state: Array, taken: float, now: float) -> None:
+    def follow(self, other: Controller, state: Floats, taken: float, now: float) -> None:
         """Keep up with another controller that flies in this one's place, so that either can take over without a step.
 
         state: (13,) taken at a time. Predictions are this one's own, inputs the other's.
@@ -239,19 +239,19 @@ class Controller:
         ratio = self.health.ratio
         return waiting, outside, f"{ratio:.1f} times the training error" if ratio > fit.ratio else ""
 
-    def _take(self, columns: ColumnHistory, taken: float, state: Array) -> Array:
+    def _take(self, columns: ColumnHistory, taken: float, state: Floats) -> Floats:
         """Enter a measured state (13,) into the history, and hold it against what was predicted for its time."""
         last, predicted = columns.last_measured, columns.prediction_at(taken)
         if last is not None and predicted is not None:
             self.health.compare(predicted, state, taken - last[0])
         return columns.measured(taken, state)
 
-    def _acted(self, state: Array, time: float, speed: Array) -> None:
+    def _acted(self, state: Floats, time: float, speed: Floats) -> None:
         self._state[:] = state
         self._acting = time + self.options.delay
         self._remember(self._acting, speed)
 
-    def _propagate(self, speed: Array, seconds: float, start: float, *, keep: bool = True) -> None:
+    def _propagate(self, speed: Floats, seconds: float, start: float, *, keep: bool = True) -> None:
         """Move the state on from a time; keep: its way goes into the history."""
         columns = self._columns
         while seconds > 1e-6:
@@ -263,7 +263,7 @@ class Controller:
             if columns is not None and keep:
                 columns.predicted(start, self._state[:RIGID_BODY_STATES])
 
-    def _remember(self, time: float, speed: Array) -> None:
+    def _remember(self, time: float, speed: Floats) -> None:
         slot = self._ticks % HISTORY
         self._times[slot] = time
         self._inputs[slot] = speed

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from dynamics.model import RIGID_BODY_STATES
+from dynamics.arrays import Floats
+from dynamics.state import RIGID_BODY_STATES
 
-Array = NDArray[np.float64]
 CAPACITY = 256  # rows kept; when they are used up the newer half moves to the front
 BRIDGED = 1.5  # columns between two measurements, from which on what was predicted in between stays
 WIDEST_GAP = 0.1  # s between two measurements, from which on the history begins anew
@@ -34,7 +33,7 @@ class ColumnHistory:
         self._known = self._count = self._commands = 0
         self._since = np.inf
 
-    def measured(self, time: float, state: Array) -> Array:
+    def measured(self, time: float, state: Floats) -> Floats:
         """Take a measured state (13,); predictions are forgotten. Returns it with its attitude's sign continuous."""
         last = self._known - 1
         if last >= 0 and time <= self._times[last]:
@@ -56,12 +55,12 @@ class ColumnHistory:
         self._known = self._count
         return np.asarray(kept)
 
-    def predicted(self, time: float, state: Array) -> None:
+    def predicted(self, time: float, state: Floats) -> None:
         """Take a prediction (13,) behind what is known."""
         if self._count and time > self._times[self._count - 1]:
             self._append(time, state)
 
-    def commanded(self, time: float, speed: Array) -> None:
+    def commanded(self, time: float, speed: Floats) -> None:
         """Rotor speeds (n,) rad/s that act from a time on."""
         if self._commands == CAPACITY:
             half = CAPACITY // 2
@@ -75,7 +74,7 @@ class ColumnHistory:
         first = end + self._offsets[0] if self.columns else end
         return self._known > 0 and self._commands > 0 and max(self._since, self._given[0]) <= first + 1e-9
 
-    def fill(self, end: float, out: Array) -> None:
+    def fill(self, end: float, out: Floats) -> None:
         """Write the columns (columns, 13 + rotors) before a time; where nothing is known, the oldest that is."""
         if not self.columns or self._count == 0:
             return
@@ -93,7 +92,7 @@ class ColumnHistory:
             acting = np.searchsorted(self._given[: self._commands], times + 1e-9, side="right") - 1
             out[:, RIGID_BODY_STATES:] = self._speeds[np.maximum(acting, 0)]
 
-    def prediction_at(self, time: float) -> Array | None:
+    def prediction_at(self, time: float) -> Floats | None:
         """What was predicted (13,) for a time from the last measurement, None where nothing reaches there."""
         first = self._known - 1
         rows = self._times[: self._count]
@@ -104,11 +103,11 @@ class ColumnHistory:
         return np.asarray(self._states[after - 1] + share * (self._states[after] - self._states[after - 1]))
 
     @property
-    def last_measured(self) -> tuple[float, Array] | None:
+    def last_measured(self) -> tuple[float, Floats] | None:
         """Time and state (13,) of the newest measurement."""
         return (float(self._times[self._known - 1]), self._states[self._known - 1]) if self._known else None
 
-    def _append(self, time: float, state: Array) -> None:
+    def _append(self, time: float, state: Floats) -> None:
         if self._count == CAPACITY:
             half = CAPACITY // 2
             self._times[:half], self._states[:half] = self._times[half:], self._states[half:].copy()

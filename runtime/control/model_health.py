@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from runtime.control.bundle import Bundle
 from runtime.running_mean import RunningMean
 
-Array = NDArray[np.float64]
 DOWN = np.array([0.0, 0.0, -1.0])
 
 
@@ -37,8 +36,8 @@ class TrainingRange:
 
     frame: str
     names: tuple[str, ...]
-    lowest: Array
-    highest: Array
+    lowest: Floats
+    highest: Floats
 
     @classmethod
     def of(cls, bundle: Bundle) -> TrainingRange:
@@ -46,7 +45,7 @@ class TrainingRange:
         low, high = bundle.range_limits
         return cls(bundle.manifest.frame, tuple(r.name for r in bundle.manifest.ranges), low, high)
 
-    def outside(self, state: Array, speed: Array, margin: float) -> str:
+    def outside(self, state: Floats, speed: Floats, margin: float) -> str:
         """Which input of a state (13,) and rotor speeds (n,) lies outside, empty when none does."""
         if not self.names:
             return ""
@@ -77,7 +76,7 @@ class ModelHealth:
         self._averaging = limits.averaging
         self.reset()
 
-    def compare(self, predicted: Array, measured: Array, elapsed: float) -> None:
+    def compare(self, predicted: Floats, measured: Floats, elapsed: float) -> None:
         """A prediction (13,) over `elapsed` s against what was then measured (13,)."""
         if elapsed < 1e-3:
             return

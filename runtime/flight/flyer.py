@@ -11,8 +11,8 @@ from math import inf, isfinite, isnan, nan
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
 from runtime.flight.engagement import Engagement, Facts, Request, Settings, State, Transition
@@ -26,7 +26,6 @@ from runtime.flight.thrust import EffectivenessEstimator, EstimatorSettings, Thr
 from runtime.link.estimate import Estimate
 from runtime.record.records import ObservationRecord
 
-Array = NDArray[np.float64]
 ZERO_RATE = np.zeros(3)
 SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
 DISARM_PATIENCE = 5.0  # s until landing is left to the autopilot
@@ -50,7 +49,7 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Decision:
     """What a tick came to. rate_body: (3,) rad/s, None: nothing may be sent. thrust: 0..1. newtons: N behind it."""
 
-    rate_body: Array | None = None
+    rate_body: Floats | None = None
     thrust: float = 0.0
     newtons: float = 0.0
     fallback: Fallback = Fallback.NONE
@@ -88,7 +87,7 @@ class Flyer:
         self._map = thrust_map
         self._rate_limit = vehicle.limits.rate
         self._thrust_limit = vehicle.thrust_limits[1]
-        self._sent: tuple[Array, float, float, float] | None = None
+        self._sent: tuple[Floats, float, float, float] | None = None
         self._chain = FallbackChain(settings.bounds)
         self._health = FlightHealth(vehicle, settings.health)
         self._hold = LevelHold(vehicle.weight)
@@ -101,8 +100,8 @@ class Flyer:
         self._before: Estimate | None = None
         self._force = nan
         self._solution: tuple[float, Command, Controller] | None = None
-        self._state: Array | None = None
-        self._last: tuple[Array, float] = (ZERO_RATE, 0.0)
+        self._state: Floats | None = None
+        self._last: tuple[Floats, float] = (ZERO_RATE, 0.0)
         self._asked_disarm = -inf
         self._prepared = False
         self._solved = -inf
@@ -123,7 +122,7 @@ class Flyer:
         return self._controller.fit_ratio
 
     @property
-    def horizon(self) -> tuple[Array, Array] | None:
+    def horizon(self) -> tuple[Floats, Floats] | None:
         """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
         if not self._prepared:
             return None
@@ -164,7 +163,7 @@ class Flyer:
         self._prepared = True
         self._prepare_nominal(window, time)
 
-    def _prepare_nominal(self, window: tuple[Array, Array], time: float) -> None:
+    def _prepare_nominal(self, window: tuple[Floats, Floats], time: float) -> None:
         """Keep the nominal controller ready beside a learned one, and while something is wrong."""
         if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
@@ -188,7 +187,7 @@ class Flyer:
         if unfit:
             self._found[Event.MODEL_UNHEALTHY] = unfit
 
-    def reference_now(self, time: float) -> Array | None:
+    def reference_now(self, time: float) -> Floats | None:
         """The state (13,) that is asked for at a time, None when nothing is tracked."""
         if not self.mission.airborne or self._state is None:
             return None
@@ -371,7 +370,7 @@ class Flyer:
             decision.newtons = self._hand_over.blend(decision.newtons, seen.time)
         self._watch_ground(seen, decision.newtons)
 
-    def _solve(self, time: float, decision: Decision) -> tuple[Array, float] | None:
+    def _solve(self, time: float, decision: Decision) -> tuple[Floats, float] | None:
         """Rates and thrust of a fresh solution; None when none may or could be had."""
         assert self._estimate is not None
         if decision.fallback is Fallback.SHIFTED_SOLUTION or not self._prepared:
@@ -414,7 +413,7 @@ class Flyer:
         self._last = (decision.rate_body, decision.newtons)
         self._sent = (decision.rate_body, decision.newtons, decision.thrust, seen.time)
 
-    def _window(self, controller: Controller, time: float) -> tuple[Array, Array]:
+    def _window(self, controller: Controller, time: float) -> tuple[Floats, Floats]:
         assert self._state is not None
         times = controller.node_times(time + self._settings.period)
         states, inputs = self.mission.window(times, self._state[6:10])

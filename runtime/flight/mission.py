@@ -13,14 +13,12 @@ from typing import Protocol
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.references.curve import REST_TO_REST_ACCELERATION, REST_TO_REST_SPEED, rest_to_rest
 from dynamics.references.flatness import flat_motion
 from dynamics.vehicle import Vehicle
-
-Array = NDArray[np.float64]
 
 
 class Phase(Enum):
@@ -39,7 +37,7 @@ class Phase(Enum):
 
 
 STILL = 0.3  # m/s
-LONGEST_BRAKE = 4.0  # s
+MAX_BRAKE = 4.0  # s
 AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.SHUTDOWN})
 
 
@@ -51,11 +49,11 @@ class Motion(Protocol):
         """Time until it rests, s; infinite if it never does."""
         ...
 
-    def states(self, times: Array) -> Array:
+    def states(self, times: Floats) -> Floats:
         """(n, 13) position and velocity (world), attitude, body rates."""
         ...
 
-    def inputs(self, times: Array) -> Array:
+    def inputs(self, times: Floats) -> Floats:
         """(n, rotors) rotor speeds, rad/s."""
         ...
 
@@ -63,7 +61,7 @@ class Motion(Protocol):
 class Transfer:
     """From rest to rest between two points, straight, with yaw turned along the way; tabulated on creation."""
 
-    def __init__(self, vehicle: Vehicle, start: Array, end: Array, duration: float) -> None:
+    def __init__(self, vehicle: Vehicle, start: Floats, end: Floats, duration: float) -> None:
         """start, end: (4,) x, y, z in m and yaw in rad. duration: s."""
         self.start, self.end, self.duration = start, end, duration
         # linear interpolation over 20 ms errs by 0.1 mm at 2 m/s^2; building 500 rows costs less than a millisecond
@@ -74,17 +72,17 @@ class Transfer:
         self._states = np.hstack([motion.position, motion.velocity, motion.attitude, motion.rate_body])
         self._inputs = motion.rotor_speed
 
-    def states(self, times: Array) -> Array:
+    def states(self, times: Floats) -> Floats:
         """(n, 13) position and velocity (world), attitude, body rates."""
         result = self._read(self._states, times)
         result[:, 6:10] /= np.sqrt(np.sum(result[:, 6:10] ** 2, axis=1))[:, None]
         return result
 
-    def inputs(self, times: Array) -> Array:
+    def inputs(self, times: Floats) -> Floats:
         """(n, rotors) rotor speeds, rad/s."""
         return self._read(self._inputs, times)
 
-    def _read(self, table: Array, times: Array) -> Array:
+    def _read(self, table: Floats, times: Floats) -> Floats:
         place = np.clip(times * ((len(table) - 1) / self.duration), 0.0, len(table) - 1.000001)
         row = place.astype(np.intp)
         return np.asarray(table[row] + (place - row)[:, None] * (table[row + 1] - table[row]))
@@ -95,7 +93,7 @@ class Descent:
 
     duration = math.inf
 
-    def __init__(self, vehicle: Vehicle, start: Array, speed: float) -> None:
+    def __init__(self, vehicle: Vehicle, start: Floats, speed: float) -> None:
         """start: (4,) x, y, z in m and yaw in rad. speed: m/s."""
         self._speed = speed
         self._hover_speed = vehicle.hover_speed
@@ -103,7 +101,7 @@ class Descent:
         self.start = start
         self._attitude = quaternion.from_euler(0.0, 0.0, start[3])
 
-    def states(self, times: Array) -> Array:
+    def states(self, times: Floats) -> Floats:
         """(n, 13) position and velocity (world), attitude, body rates."""
         result = np.zeros((times.size, 13))
         result[:, 0:3] = self.start[:3]
@@ -112,7 +110,7 @@ class Descent:
         result[:, 6:10] = self._attitude
         return result
 
-    def inputs(self, times: Array) -> Array:
+    def inputs(self, times: Floats) -> Floats:
         """(n, rotors) rotor speeds, rad/s."""
         return np.full((times.size, self._rotors), self._hover_speed)
 
@@ -163,23 +161,23 @@ class Mission:
         """When the present phase began, s."""
         return self._started
 
-    def ramp(self, state: Array, time: float) -> None:
+    def ramp(self, state: Floats, time: float) -> None:
         """Begin the take-off. state: (13,), standing on the ground."""
         self._home = self._pose(state)
         self._ground = float(self._home[2])
         self._home[2] += self._plan.height
         self._enter(Phase.RAMP, None, time)
 
-    def climb(self, state: Array, time: float) -> None:
+    def climb(self, state: Floats, time: float) -> None:
         """The vehicle left the ground: climb to the take-off height above where it stood."""
         self._go(Phase.CLIMB, self._pose(state), self._home, time)
 
-    def take_over(self, state: Array, time: float) -> None:
+    def take_over(self, state: Floats, time: float) -> None:
         """Begin in the air: brake, then fly on. state: (13,)."""
         self._home = self._pose(state)
         self._brake(state, time)
 
-    def land(self, reason: str, state: Array, time: float) -> None:
+    def land(self, reason: str, state: Floats, time: float) -> None:
         """Cut the flight short: brake and come down where the vehicle is. Does nothing twice or on the ground."""
         if self.landing_reason:
             return
@@ -193,12 +191,12 @@ class Mission:
         """The vehicle stands on the ground: take the thrust away and disarm."""
         self._enter(Phase.SHUTDOWN, None, time)
 
-    def shift(self, position: Array, yaw: float) -> None:
+    def shift(self, position: Floats, yaw: float) -> None:
         """Follow an estimator that moved its frame: position (3,) m, yaw rad. The vehicle feels nothing."""
         self._offset = self._offset + position
         self._yaw_offset += yaw
 
-    def update(self, state: Array, time: float) -> None:
+    def update(self, state: Floats, time: float) -> None:
         """Move on when the present motion is over. state: (13,)."""
         if self._motion is None or time - self._started < self._length(state):
             return
@@ -226,7 +224,7 @@ class Mission:
             case _:
                 pass
 
-    def window(self, times: Array, near: Array) -> tuple[Array, Array]:
+    def window(self, times: Floats, near: Floats) -> tuple[Floats, Floats]:
         """States (n, 13) and rotor speeds (n, rotors) to follow at times (n,) s, signs nearest to near (4,)."""
         if self._motion is None:
             raise ValueError(f"the phase {self.phase.value} has no reference")
@@ -250,7 +248,7 @@ class Mission:
     def _cut_short(self) -> bool:
         return self._plan.duration is not None and self._plan.duration < self._reference.duration
 
-    def _length(self, state: Array) -> float:
+    def _length(self, state: Floats) -> float:
         """How long the present phase lasts, s, hovering at its end included."""
         duration = self._motion.duration if self._motion else math.inf
         if self.phase is Phase.TRACK:
@@ -258,22 +256,22 @@ class Mission:
         if self.phase in (Phase.APPROACH, Phase.RETURN):
             return duration + self._plan.settle
         if self.phase is Phase.BRAKE and float(np.linalg.norm(state[3:6])) > STILL:
-            return duration + LONGEST_BRAKE
+            return duration + MAX_BRAKE
         return duration
 
-    def _approach(self, here: Array, time: float) -> None:
+    def _approach(self, here: Floats, time: float) -> None:
         self._go(Phase.APPROACH, here, _pose(self._reference.states(np.zeros(1))[0]), time)
 
-    def _return(self, here: Array, time: float) -> None:
+    def _return(self, here: Floats, time: float) -> None:
         self._go(Phase.RETURN, here, self._home, time)
 
-    def _descend(self, here: Array, time: float) -> None:
+    def _descend(self, here: Floats, time: float) -> None:
         low = here.copy()
         if self._ground is not None:
             low[2] = min(low[2], self._ground + self._plan.low)
         self._go(Phase.DESCEND, here, low, time, speed=self._plan.descent)
 
-    def _brake(self, state: Array, time: float) -> None:
+    def _brake(self, state: Floats, time: float) -> None:
         """Hold the point where the vehicle can come to rest."""
         point = self._pose(state)
         point[:3] += state[3:6] * float(np.linalg.norm(state[3:6])) / (2 * self._plan.acceleration)
@@ -281,7 +279,7 @@ class Mission:
             point[2] = max(point[2], self._ground + self._plan.low)
         self._enter(Phase.BRAKE, Transfer(self._vehicle, point, point, 1.0), time)
 
-    def _go(self, phase: Phase, start: Array, end: Array, time: float, speed: float = 0.0) -> None:
+    def _go(self, phase: Phase, start: Floats, end: Floats, time: float, speed: float = 0.0) -> None:
         end = end.copy()
         end[3] = start[3] + math.remainder(end[3] - start[3], math.tau)
         distance, turn = float(np.linalg.norm(end[:3] - start[:3])), abs(end[3] - start[3])
@@ -296,17 +294,17 @@ class Mission:
     def _enter(self, phase: Phase, motion: Motion | None, time: float) -> None:
         self.phase, self._motion, self._started = phase, motion, time
 
-    def _target(self, time: float) -> Array:
+    def _target(self, time: float) -> Floats:
         """The pose (4,) that the present motion asks for, in the frame of take-off: what follows begins there."""
         if self._motion is None:
             raise ValueError(f"the phase {self.phase.value} has no reference")
         return _pose(self._motion.states(np.array([time - self._started]))[0])
 
-    def _pose(self, state: Array) -> Array:
+    def _pose(self, state: Floats) -> Floats:
         """The pose (4,) of a measured state in the frame of take-off."""
         return np.asarray(_pose(state) - np.append(self._offset, self._yaw_offset))
 
 
-def _pose(state: Array) -> Array:
+def _pose(state: Floats) -> Floats:
     """Position and yaw, (4,), of a state (13,); yaw as the reference means it, turned before the tilt."""
     return np.append(state[0:3], 2 * math.atan2(state[9], state[6]))

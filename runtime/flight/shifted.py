@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
-
-Array = NDArray[np.float64]
 
 
 class ShiftedSolution:
@@ -34,7 +32,7 @@ class ShiftedSolution:
         """Whether the prediction covers a time, s."""
         return self._times.size > 1 and self._since <= time < self._times[-2]
 
-    def at(self, time: float) -> tuple[Array, float]:
+    def at(self, time: float) -> tuple[Floats, float]:
         """Rates (3,) rad/s and collective thrust, N, at a time: the last command plus what was predicted to change."""
         rate = np.array([np.interp(time, self._times, self._rates[:, axis]) for axis in range(3)])
         thrust = float(np.interp(time, self._times[:-1], self._thrusts))

@@ -7,7 +7,7 @@ from runtime.link.dialect import Message, mavlink, x25crc
 MAGIC_V1, MAGIC_V2 = 0xFE, 0xFD
 _HEADER_V1, _HEADER_V2, _CHECKSUM = 6, 10, 2
 _SIGNED = 0x01
-_SHORTEST_FRAME = _HEADER_V1 + _CHECKSUM
+_MIN_FRAME = _HEADER_V1 + _CHECKSUM
 _DECODER = mavlink.MAVLink(None)  # keeps no state between calls of decode
 
 
@@ -111,7 +111,7 @@ class FrameParser:
 
 def frame_length(data: bytes | bytearray, start: int) -> int | None:
     """Bytes of the frame whose magic byte stands at start, or None when too little of it is there to say."""
-    if len(data) - start < _SHORTEST_FRAME:
+    if len(data) - start < _MIN_FRAME:
         return None
     if data[start] == MAGIC_V1:
         return _HEADER_V1 + data[start + 1] + _CHECKSUM

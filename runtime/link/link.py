@@ -31,7 +31,7 @@ Answer = TypeVar("Answer")
 _RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128, PX4_FACTS: body rates and thrust count
 _STEP_ASIDE = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
-_LARGEST_BATCH = 32  # frames taken in before they are handled
+_MAX_BATCH = 32  # frames taken in before they are handled
 
 
 class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -275,7 +275,7 @@ class Link:
         """What has arrived, state estimates first: autopilots send in bursts, and the rest can wait."""
         batch: list[tuple[Frame, float, Address | None]] = []
         received = self._transport.receive()
-        while received is not None and len(batch) < _LARGEST_BATCH:
+        while received is not None and len(batch) < _MAX_BATCH:
             batch += [(frame, received.time, received.source) for frame in self.parser.feed(received.data)]
             try:
                 received = self._transport.receive(wait=False)

@@ -24,9 +24,7 @@ from runtime.link.telemetry import Battery, LinkEvent, Severity, Telemetry, Text
 from runtime.link.texts import TextAssembler
 
 _TOLD_AGAIN_AFTER = 1.0  # s until an event of the same name is told again
-_FARTHEST_STAMP = (
-    10.0  # s between a state's time and its arrival beyond which its stamp is not the synchronised clock's
-)
+_MAX_STAMP = 10.0  # s between a state's time and its arrival beyond which its stamp is not the synchronised clock's
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
 
@@ -125,7 +123,7 @@ class Peer:
         """Our time of a vehicle stamp, s, and whether the vehicle's clock gave it; never later than its arrival."""
         if self.clock.is_valid(received):
             time = self.clock.to_ours(remote)
-            if abs(received - time) < _FARTHEST_STAMP:
+            if abs(received - time) < _MAX_STAMP:
                 return min(time, received), True
         return received, False
 

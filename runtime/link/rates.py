@@ -10,7 +10,7 @@ import msgspec
 from runtime.link.dialect import MESSAGE_IDS, MESSAGE_NAMES
 
 WINDOW = 3.0  # s
-_LARGEST_WINDOW = 4000  # messages
+_MAX_WINDOW = 4000  # messages
 
 
 class StreamRate(msgspec.Struct, frozen=True):
@@ -37,7 +37,7 @@ class RateMeter:
         """One message arrived."""
         arrivals = self._arrivals.get(message_id)
         if arrivals is None:
-            arrivals = self._arrivals[message_id] = deque(maxlen=_LARGEST_WINDOW)
+            arrivals = self._arrivals[message_id] = deque(maxlen=_MAX_WINDOW)
         arrivals.append(received)
         while arrivals[0] < received - self._window:
             arrivals.popleft()

@@ -20,7 +20,7 @@ from runtime.link.connection import Endpoint
 Address = tuple[Any, ...]
 
 PATIENCE = 0.05  # s that one receive waits
-_LARGEST_READ = 65536
+_MAX_READ = 65536
 _TIMESPEC = struct.Struct("@ll")  # and timeval
 _SO_TIMESTAMPNS = 35  # Linux; Python's socket module does not name it
 _GONE = (errno.EIO, errno.ENODEV, errno.ENXIO, errno.EBADF, errno.ECONNRESET, errno.EPIPE, errno.ETIMEDOUT)
@@ -92,7 +92,7 @@ class UdpTransport:
                 raise _refused(endpoint, error) from None
         else:
             self._peer = address
-        self._view = memoryview(bytearray(_LARGEST_READ))
+        self._view = memoryview(bytearray(_MAX_READ))
         self._buffers = [self._view]
 
     @property
@@ -171,7 +171,7 @@ class TcpTransport:
             self._accept()
             return None
         try:
-            data = self._stream.recv(_LARGEST_READ)
+            data = self._stream.recv(_MAX_READ)
         except BlockingIOError:
             return None
         except OSError:
@@ -225,7 +225,7 @@ class SerialTransport:
         if not events:
             return None
         try:
-            data = os.read(self._descriptor, _LARGEST_READ)
+            data = os.read(self._descriptor, _MAX_READ)
         except BlockingIOError:
             return None
         except OSError as error:

@@ -14,12 +14,13 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from dynamics.arrays import Floats
+
 Seconds = Annotated[float, Meta(description="s")]
-Array = np.ndarray[Any, np.dtype[np.float64]]
-Metres = Annotated[Array, Meta(description="m, world ENU")]
-Velocity = Annotated[Array, Meta(description="m/s, world ENU")]
-Attitude = Annotated[Array, Meta(description="body FLU to world ENU, w x y z")]
-Rate = Annotated[Array, Meta(description="rad/s, body FLU")]
+Metres = Annotated[Floats, Meta(description="m, world ENU")]
+Velocity = Annotated[Floats, Meta(description="m/s, world ENU")]
+Attitude = Annotated[Floats, Meta(description="body FLU to world ENU, w x y z")]
+Rate = Annotated[Floats, Meta(description="rad/s, body FLU")]
 Newtons = Annotated[float, Meta(description="N")]
 
 
@@ -109,7 +110,7 @@ class HorizonRecord(msgspec.Struct, frozen=True):
     position_x: Metres
     position_y: Metres
     position_z: Metres
-    input_mean: Annotated[Array, Meta(description="mean rotor speed, rad/s")]
+    input_mean: Annotated[Floats, Meta(description="mean rotor speed, rad/s")]
 
 
 class PhaseRecord(msgspec.Struct, frozen=True):
@@ -143,7 +144,7 @@ class ImuRecord(msgspec.Struct, frozen=True):
     """One sample of the vehicle's inertial sensors."""
 
     time: Seconds
-    specific_force_body: Annotated[Array, Meta(description="m/s^2, body FLU")]
+    specific_force_body: Annotated[Floats, Meta(description="m/s^2, body FLU")]
     rate_body: Rate
 
 
@@ -152,14 +153,14 @@ class RotorRecord(msgspec.Struct, frozen=True):
 
     time: Seconds
     first: int
-    speed: Annotated[Array, Meta(description="rad/s")]
+    speed: Annotated[Floats, Meta(description="rad/s")]
 
 
 class MotorRecord(msgspec.Struct, frozen=True):
     """What the autopilot commands its outputs, in its own order."""
 
     time: Seconds
-    pulse: Annotated[Array, Meta(description="us, of SERVO_OUTPUT_RAW")]
+    pulse: Annotated[Floats, Meta(description="us, of SERVO_OUTPUT_RAW")]
 
 
 class BatteryRecord(msgspec.Struct, frozen=True):

@@ -13,8 +13,9 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.quaternion import rotate, to_euler
-from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, Vector
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 from sitl_mock.wire.dialect import Message
 from sitl_mock.wire.snapshot import ORIGIN_ALTITUDE, local_from_global
 from sitl_mock.wire.wire_axes import attitude_enu_flu, enu_from_ned, flu_from_frd
@@ -53,7 +54,7 @@ def _thrust(message: Message, mask: int) -> float:
     return thrust if math.isfinite(thrust) else 0.0
 
 
-def _attitude_setpoint(attitude_frd_ned: Vector, yaw_rate_frd: float, thrust: float) -> ControlSetpoint:
+def _attitude_setpoint(attitude_frd_ned: Floats, yaw_rate_frd: float, thrust: float) -> ControlSetpoint:
     length = math.sqrt(float(attitude_frd_ned @ attitude_frd_ned))
     if not math.isfinite(length) or length < 1e-6:
         # PX4's attitude loop then puts out NaN rates, which its rate loop takes for no control at all
@@ -67,7 +68,7 @@ def _attitude_setpoint(attitude_frd_ned: Vector, yaw_rate_frd: float, thrust: fl
     )
 
 
-def position_target(message: Message, attitude: Vector) -> ControlSetpoint | None:
+def position_target(message: Message, attitude: Floats) -> ControlSetpoint | None:
     """The setpoint of a SET_POSITION_TARGET_LOCAL_NED, None where PX4 refuses it.
 
     attitude: (4,) the vehicle's now, body to world, for velocities given in BODY_NED.
@@ -78,7 +79,7 @@ def position_target(message: Message, attitude: Vector) -> ControlSetpoint | Non
 
 
 def _position_setpoint(
-    message: Message, position_ned: tuple[float, float, float], frame: int, attitude: Vector
+    message: Message, position_ned: tuple[float, float, float], frame: int, attitude: Floats
 ) -> ControlSetpoint | None:
     mask = message.type_mask
     if mask & FORCE_SET:
@@ -115,7 +116,7 @@ def global_position_target(message: Message) -> ControlSetpoint | None:
     return _position_setpoint(message, (north, east, ORIGIN_ALTITUDE - above_sea), LOCAL_NED, np.zeros(4))
 
 
-def _masked(values: tuple[float, float, float], mask: int, shift: int) -> Vector:
+def _masked(values: tuple[float, float, float], mask: int, shift: int) -> Floats:
     return np.array([math.nan if mask >> (shift + axis) & 1 else values[axis] for axis in range(3)], dtype=float)
 
 

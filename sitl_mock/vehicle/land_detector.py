@@ -14,7 +14,7 @@ from sitl_mock.vehicle.vehicle_interface import MotionState
 CLIMB_MAX, SPEED_MAX, TURN_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
 CONTACT_TIME, MAYBE_TIME, LANDED_TIME = 0.35, 0.25, 0.30  # s
 THRUST_MIN = 0.12  # MPC_THR_MIN, as a share of full thrust
-LOW_THRUST, LEAST_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from the least to the hover thrust
+LOW_THRUST, MIN_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from the least to the hover thrust
 
 
 @dataclass(slots=True)
@@ -37,7 +37,7 @@ class LandDetector:
         still = abs(climb) < CLIMB_MAX and math.hypot(speed_x, speed_y) < SPEED_MAX
         quiet = math.hypot(turn_x, turn_y) < TURN_MAX
         # a landed vehicle is only believed to fly when its thrust comes near what flying takes
-        low, least = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, LEAST_THRUST)
+        low, least = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, MIN_THRUST)
         span = hover_thrust - THRUST_MIN
         contact = still and thrust < THRUST_MIN + low * span
         self.ground_contact = self._lasting("contact", contact, time, CONTACT_TIME, self.ground_contact)

@@ -15,7 +15,8 @@ import casadi as ca
 from dynamics import quaternion
 from dynamics.effect import Expression, Values
 from dynamics.integrators import rk4, with_unit_attitude
-from dynamics.model import RIGID_BODY_STATES, Model, build_model
+from dynamics.model import Model, build_model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
 from sitl_mock.vehicle.layout import Layout

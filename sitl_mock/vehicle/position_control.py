@@ -9,13 +9,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState, Tuning
-
-Vector = NDArray[np.float64]
 
 POSITION_GAIN = np.array([0.95, 0.95, 1.0])  # MPC_XY_P, MPC_Z_P, 1/s
 VELOCITY_GAIN = np.array([1.8, 1.8, 4.0])  # MPC_XY_VEL_P_ACC, MPC_Z_VEL_P_ACC, 1/s
@@ -29,7 +27,7 @@ TAKE_OFF_SPEED = 0.2  # upward speed wanted that makes a landed vehicle take off
 ARRIVED = 1.0  # m, closer to home than this the return becomes a landing
 
 
-def is_home(position: Vector, home: Vector) -> bool:
+def is_home(position: Floats, home: Floats) -> bool:
     """Whether a return that is here goes down. position, home: (3,) world, m."""
     return math.hypot(position[0] - home[0], position[1] - home[1]) < ARRIVED
 
@@ -50,7 +48,7 @@ class Demand:
 class PositionControl:
     """Flies one position mode at a time; entering a mode remembers where that happened."""
 
-    def __init__(self, home: Vector, tuning: Tuning) -> None:
+    def __init__(self, home: Floats, tuning: Tuning) -> None:
         """home: (3,) world ENU, m: where a return ends, on the ground."""
         self.home = home.copy()
         self.tuning = tuning
@@ -80,7 +78,7 @@ class PositionControl:
         self._integral[:] = 0.0
         self._velocity = now.velocity_world.copy()
 
-    def _target(self, setpoint: ControlSetpoint, now: MotionState) -> tuple[Vector, Vector]:
+    def _target(self, setpoint: ControlSetpoint, now: MotionState) -> tuple[Floats, Floats]:
         """Position to go to, NaN where only speed counts, and speed to go at besides."""
         if setpoint.kind == "land":
             return self._descend(self._anchor[0:2], now)
@@ -96,13 +94,13 @@ class PositionControl:
             moves, velocity, np.where(pushed, np.nan, 0.0)
         )
 
-    def _descend(self, place: Vector, now: MotionState) -> tuple[Vector, Vector]:
+    def _descend(self, place: Floats, now: MotionState) -> tuple[Floats, Floats]:
         height = now.position_world[2] - self.home[2]
         share = min(max((height - SLOW_AT) / (SLOW_FROM - SLOW_AT), 0.0), 1.0)
         speed = self.tuning.land_speed + share * (DESCENT_SPEED - self.tuning.land_speed)
         return np.array([place[0], place[1], math.nan]), np.array([0.0, 0.0, -speed])
 
-    def _return(self, now: MotionState) -> tuple[Vector, Vector]:
+    def _return(self, now: MotionState) -> tuple[Floats, Floats]:
         height = self.home[2] + self.tuning.return_altitude
         if is_home(now.position_world, self.home):
             return self._descend(self.home[0:2], now)
@@ -120,7 +118,7 @@ class PositionControl:
             self._yaw_rate = setpoint.yaw_rate
             self._yaw += setpoint.yaw_rate * dt
 
-    def _track(self, target: Vector, velocity: Vector, push: Vector, now: MotionState, dt: float) -> Demand:
+    def _track(self, target: Floats, velocity: Floats, push: Floats, now: MotionState, dt: float) -> Demand:
         """Position and velocity control with an acceleration besides; where the velocity is NaN, that alone."""
         pushed = np.isnan(velocity)
         velocity = np.where(pushed, now.velocity_world, velocity)

@@ -6,12 +6,10 @@ import ctypes
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.codegen import build_library, generate_c
 from sitl_mock.vehicle.plant import Plant
-
-Array = NDArray[np.float64]
 
 
 class StepLoop:
@@ -44,7 +42,7 @@ class StepLoop:
         self._scratch_addresses = tuple(array.ctypes.data for array in scratch)
         self._records_address = self.records.ctypes.data
 
-    def run(self, steps: int, first: int, noise: Array, noise_row: int) -> None:
+    def run(self, steps: int, first: int, noise: Floats, noise_row: int) -> None:
         """Advance by a number of steps, the first of which has the given number, with noise from the given row on.
 
         noise: (rows, noise size) of unit normal numbers, C-contiguous.

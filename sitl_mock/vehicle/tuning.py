@@ -27,7 +27,7 @@ ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
 DEFAULT_HOVER = 0.5  # MPC_THR_HOVER, which nobody changes for a hundredth
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 YAW_GAIN = 0.2  # a fifth of the yaw authority for 1 rad/s, PX4's default, where that is not too fast for the motors
-LEAST_YAW_FILTER = 0.016  # s: PX4 takes cutoffs up to 10 Hz (MC_YAW_TQ_CUTOFF)
+MIN_YAW_FILTER = 0.016  # s: PX4 takes cutoffs up to 10 Hz (MC_YAW_TQ_CUTOFF)
 YAW_SPEED = 0.3765  # yaw rate gain in units of 1 / (lag + torque filter)
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 
@@ -51,7 +51,7 @@ def default_tuning(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Tuning
     speed = TILT_SPEED / lag
     tilt_p = (speed / authority[0], speed / authority[1])
     yaw_p = min(YAW_GAIN, 0.5 * speed / max(authority[2], 1e-3))
-    yaw_filter = max(YAW_SPEED / max(yaw_p * authority[2], 1e-3) - lag, LEAST_YAW_FILTER)
+    yaw_filter = max(YAW_SPEED / max(yaw_p * authority[2], 1e-3) - lag, MIN_YAW_FILTER)
     attitude = min(ATTITUDE_SPEED * speed, ATTITUDE_GAIN_MAX)
     return Tuning(
         attitude_gain=(attitude, attitude, 2.8),

@@ -12,9 +12,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
@@ -27,8 +27,6 @@ from sitl_mock.vehicle.sensors import SensorErrors, quantised
 from sitl_mock.vehicle.step_loop import StepLoop
 from sitl_mock.vehicle.tuning import default_tuning
 from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
-
-Vector = NDArray[np.float64]
 
 NOISE_BLOCK = 512  # steps whose random numbers are drawn at once
 SUPERVISION = 8  # steps between two looks of position control and land detector
@@ -130,7 +128,7 @@ class SimulatedVehicle:
         return self._motion("truth", 0)
 
     @property
-    def plant_state(self) -> Vector:
+    def plant_state(self) -> Floats:
         """The flight model's whole state, hidden states of its effects included, in the model's order."""
         return self._loop.state[self.plant.state.places["plant"]].copy()
 
@@ -153,7 +151,7 @@ class SimulatedVehicle:
         return ImuSample(self.time, force / duration, rate / duration)
 
     @property
-    def rotor_speed(self) -> Vector:
+    def rotor_speed(self) -> Floats:
         """(rotors,) measured, rad/s, in the vehicle file's order."""
         measured = self._newest("rotor_speed_measured")
         for rotor, factor in self.options.rotor_speed_fault:
@@ -161,17 +159,17 @@ class SimulatedVehicle:
         return np.maximum(quantised(measured, self.options.sensors.rotor_speed_step), 0.0)
 
     @property
-    def true_rotor_speed(self) -> Vector:
+    def true_rotor_speed(self) -> Floats:
         """(rotors,) rad/s, as they turn."""
         return self._newest("rotor_speed")
 
     @property
-    def motor_signal(self) -> Vector:
+    def motor_signal(self) -> Floats:
         """(rotors,) 0..1, in the vehicle file's order."""
         return self._newest("motor_signal")
 
     @property
-    def rotor_position(self) -> Vector:
+    def rotor_position(self) -> Floats:
         """(rotors, 3) m, body FLU."""
         return np.array(self.vehicle.rotors.position)
 
@@ -196,8 +194,8 @@ class SimulatedVehicle:
     def _row(self, age: int) -> int:
         return (self._step - age) % self._loop.records.shape[0]
 
-    def _newest(self, name: str) -> Vector:
-        part: Vector = self._records[name][self._row(0)].copy()
+    def _newest(self, name: str) -> Floats:
+        part: Floats = self._records[name][self._row(0)].copy()
         return part
 
     def _motion(self, name: str, age: int) -> MotionState:
@@ -228,7 +226,7 @@ class SimulatedVehicle:
         }
         self._loop.constants[:] = self.plant.constants.fill(constants)
 
-    def _centre_of_mass(self) -> Vector:
+    def _centre_of_mass(self) -> Floats:
         """Where it really lies, body FLU, m."""
         moved = [item.values for item in self.plant.model.effects if item.effect.name == "centre_of_mass"]
         centre = np.array(self.vehicle.body.centre_of_mass)

@@ -10,17 +10,17 @@ from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-Vector = NDArray[np.float64]
+from dynamics.arrays import Floats
+
 ControlKind = Literal["idle", "rates", "attitude", "hold", "land", "rtl"]
 
 
-def _unset() -> Vector:
+def _unset() -> Floats:
     return np.full(3, np.nan)
 
 
-def _level() -> Vector:
+def _level() -> Floats:
     return np.array([1.0, 0.0, 0.0, 0.0])
 
 
@@ -39,12 +39,12 @@ class ControlSetpoint:
     """
 
     kind: ControlKind
-    attitude: Vector = field(default_factory=_level)
-    rate_body: Vector = field(default_factory=lambda: np.zeros(3))
+    attitude: Floats = field(default_factory=_level)
+    rate_body: Floats = field(default_factory=lambda: np.zeros(3))
     thrust: float = 0.0
-    position_world: Vector = field(default_factory=_unset)
-    velocity_world: Vector = field(default_factory=_unset)
-    acceleration_world: Vector = field(default_factory=_unset)
+    position_world: Floats = field(default_factory=_unset)
+    velocity_world: Floats = field(default_factory=_unset)
+    acceleration_world: Floats = field(default_factory=_unset)
     yaw: float = float("nan")
     yaw_rate: float = float("nan")
 
@@ -58,10 +58,10 @@ class MotionState:
     """
 
     time: float
-    position_world: Vector
-    velocity_world: Vector
-    attitude: Vector
-    rate_body: Vector
+    position_world: Floats
+    velocity_world: Floats
+    attitude: Floats
+    rate_body: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,8 +69,8 @@ class ImuSample:
     """One inertial measurement. specific_force_body: (3,) m/s^2. rate_body: (3,) rad/s. time: s."""
 
     time: float
-    specific_force_body: Vector
-    rate_body: Vector
+    specific_force_body: Floats
+    rate_body: Floats
 
 
 @dataclass(frozen=True, slots=True)
@@ -131,15 +131,15 @@ class Vehicle(Protocol):
         """The newest inertial measurement."""
 
     @property
-    def rotor_speed(self) -> Vector:
+    def rotor_speed(self) -> Floats:
         """(rotors,) rad/s, in the vehicle file's order."""
 
     @property
-    def motor_signal(self) -> Vector:
+    def motor_signal(self) -> Floats:
         """(rotors,) 0..1, in the vehicle file's order."""
 
     @property
-    def rotor_position(self) -> Vector:
+    def rotor_position(self) -> Floats:
         """(rotors, 3) m, body FLU."""
 
     @property

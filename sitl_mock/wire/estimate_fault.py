@@ -7,11 +7,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.quaternion import multiply
-from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState, Vector
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 
 
-def _heading(yaw: float) -> Vector:
+def _heading(yaw: float) -> Floats:
     return np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
 
 
@@ -25,14 +26,14 @@ class EstimateFault:
     """
 
     reset_counter: int = 9
-    shift: Vector = field(default_factory=lambda: np.zeros(3))
+    shift: Floats = field(default_factory=lambda: np.zeros(3))
     yaw: float = 0.0
     invalid: bool = False
     frozen: bool = False
     stopped: bool = False
     _kept: MotionState | None = None
 
-    def reset(self, shift: Vector, yaw: float) -> None:
+    def reset(self, shift: Floats, yaw: float) -> None:
         """Move the estimate by shift (m, ENU) and its heading by yaw (rad, about up), as EKF2's resets do."""
         self.shift = self.shift + shift
         self.yaw += yaw

@@ -13,8 +13,8 @@ from sitl_mock.wire.streams import Role, Streams, loop_delay
 
 GCS_TYPE = 6
 GCS_TIMEOUT = 2.5  # s, PX4's HEARTBEAT_TIMEOUT
-MOST_PARSERS = 32
-LONGEST_QUEUE = 20_000
+MAX_PARSERS = 32
+MAX_QUEUE = 20_000
 
 
 @dataclass(slots=True)
@@ -66,7 +66,7 @@ class Link:
         """The valid messages in bytes from a peer; whatever is malformed is counted and skipped."""
         parser = self._parsers.get(peer)
         if parser is None:
-            if len(self._parsers) >= MOST_PARSERS:
+            if len(self._parsers) >= MAX_PARSERS:
                 self._parsers.pop(next(iter(self._parsers)))
             parser = self._parsers[peer] = mavlink.MAVLink(None)
             parser.robust_parsing = True
@@ -94,7 +94,7 @@ class Link:
 
     def send(self, time: float, message: Message, frame: bytes | None = None) -> None:
         """Queue a message (or a finished frame) to leave at a time."""
-        if len(self._queue) < LONGEST_QUEUE:
+        if len(self._queue) < MAX_QUEUE:
             self._number += 1
             heapq.heappush(self._queue, _Queued(time, self._number, message, frame))
 

@@ -8,9 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.quaternion import nearest_sign
 from sitl_mock.vehicle.clock import VehicleClock
-from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, MotionState, Vector, Vehicle
+from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, MotionState, Vehicle
 from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.wire_axes import attitude_ned_frd, enu_from_ned, flu_from_frd
 
@@ -164,13 +165,13 @@ class Snapshot:
         return int(self.now * 1e6)
 
 
-def ned(vector_enu: Vector) -> list[float]:
+def ned(vector_enu: Floats) -> list[float]:
     """A world vector (3,) as the wire carries it."""
     numbers: list[float] = enu_from_ned(vector_enu).tolist()
     return numbers
 
 
-def frd(vector_flu: Vector) -> list[float]:
+def frd(vector_flu: Floats) -> list[float]:
     """A body vector (3,) as the wire carries it."""
     numbers: list[float] = flu_from_frd(vector_flu).tolist()
     return numbers
@@ -184,7 +185,7 @@ def _euler(w: float, x: float, y: float, z: float) -> tuple[float, float, float]
     return roll, pitch, math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
 
 
-def motor_order(rotor_position: Vector) -> list[int]:
+def motor_order(rotor_position: Floats) -> list[int]:
     """For each of PX4's motors, the index of ours.
 
     PX4's quadrotor: 1 front right, 2 back left, 3 front left, 4 back right. Other layouts keep the vehicle file's

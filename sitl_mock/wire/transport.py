@@ -18,9 +18,9 @@ import serial
 
 from dynamics.errors import RequestError
 
-LARGEST_READ = 4096  # bytes; the rest of a larger datagram is lost, as in PX4
+MAX_READ = 4096  # bytes; the rest of a larger datagram is lost, as in PX4
 PEER_MEMORY = 30.0  # s for which a UDP peer that has spoken is sent to
-MOST_PEERS = 8
+MAX_PEERS = 8
 RETRY_AFTER = 0.5  # s between two attempts at a lost TCP connection or serial port
 
 
@@ -63,7 +63,7 @@ class UdpTransport:
         """Datagrams with their senders' addresses."""
         while True:
             try:
-                data, address = self._socket.recvfrom(LARGEST_READ)
+                data, address = self._socket.recvfrom(MAX_READ)
             except BlockingIOError:
                 return
             except OSError:
@@ -73,7 +73,7 @@ class UdpTransport:
 
     def _note(self, address: tuple[str, int]) -> None:
         now = time.monotonic()
-        if address != self._remote and (address in self._heard or len(self._heard) < MOST_PEERS):
+        if address != self._remote and (address in self._heard or len(self._heard) < MAX_PEERS):
             self._heard[address] = now
         for peer in [peer for peer, heard in self._heard.items() if now - heard > PEER_MEMORY]:
             del self._heard[peer]
@@ -226,7 +226,7 @@ class SerialTransport:
         if self._port is None:
             return
         try:
-            data = os.read(self._port.fileno(), LARGEST_READ)
+            data = os.read(self._port.fileno(), MAX_READ)
         except BlockingIOError:
             return
         except OSError:
@@ -277,7 +277,7 @@ def _bind(handle: socket.socket, local: tuple[str, int], kind: str) -> None:
 def _read(handle: socket.socket) -> bytes | None:
     """What has arrived: nothing as b"", the end of the connection as None."""
     try:
-        return handle.recv(LARGEST_READ) or None
+        return handle.recv(MAX_READ) or None
     except BlockingIOError:
         return b""
     except OSError:

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from runtime.record.recording import Recording, read_recording
@@ -22,7 +23,6 @@ from studies.demo.run import DemoReport
 if TYPE_CHECKING:
     from studies.demo.learning import Learning
 
-Floats = np.ndarray[Any, np.dtype[np.float64]]
 LAST_TICKS = 0.03  # s before a phase's end, whose record may hold the next phase's reference already
 INK, SOFT, BEFORE, AFTER = "#1a1a1a", "#9a9a9a", "#d55e00", "#0072b2"  # Okabe and Ito: told apart by the colour-blind
 CHANNELS: Mapping[str, str] = {

@@ -12,7 +12,6 @@ import msgspec
 import numpy as np
 import onnxruntime
 import torch
-from numpy.typing import NDArray
 
 from dynamics.errors import RequestError
 from export.onnx_file import onnx_model
@@ -24,7 +23,6 @@ from training.physics import BLOCK, RowModel
 from training.run import one_thread
 from training.streaming import Stream
 
-Floats = NDArray[np.float64]
 REPEATS, WARM_UP = 300, 20
 COLUMNS = 200  # a call of the kernel, so that entering it does not count
 

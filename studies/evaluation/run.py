@@ -26,7 +26,7 @@ from vehicles import vehicle_path
 
 MODEL_SUFFIX = ".pt"
 VEHICLE_FILE = "vehicle file"
-MOST_PICTURES = 8  # flights
+MAX_PICTURES = 8  # flights
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +108,7 @@ def _figures(results: Results) -> list[tuple[str, Figure, str]]:
         title = "RMSE over NOM's"
         found.append(("rmse_over_nominal", figures.bars_figure(ratios, flights, title), f"{title}, by flight"))
     shown = [one for one in results.judged if one.evaluation.name != PLANT]
-    for error in results.judged[0].evaluation.label[:MOST_PICTURES]:
+    for error in results.judged[0].evaluation.label[:MAX_PICTURES]:
         if all(error.flight in [e.flight for e in one.evaluation.label] for one in shown):
             name = Path(error.flight).stem
             figure = figures.prediction_figure(shown, error.flight)

@@ -6,14 +6,13 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from studies import figures, paper
 from studies.sweep.cell import CellResult, grouped
 from studies.sweep.curves import Curve, history_figure, lambda_figure, search_figure
 from training.prediction import pooled
 
-Floats = NDArray[np.float64]
 HEATMAPS = {"inertia": ("Jxx", "Jzz"), "rotors": ("k_f", "k_tau")}
 SYMBOLS = {"Jxx": "$J_{xx}$", "Jzz": "$J_{zz}$", "k_f": "$k_f$", "k_tau": "$k_\\tau$"}
 MODELS = {"res_tcn": "RES-TCN", "pi_tcn": "PI-TCN"}

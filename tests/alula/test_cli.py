@@ -91,7 +91,7 @@ def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
 
 
 def test_starting_imports_nothing_of_the_desk():
-    code = "import sys, alula.cli; print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
+    code = "import sys, alula.cli.app; print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
 

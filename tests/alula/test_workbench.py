@@ -11,7 +11,7 @@ WITHOUT = (
     "import sys\n"
     "for name in ('scipy', 'pyarrow', 'plotly', 'jinja2', 'torch'): sys.modules[name] = None\n"
     "sys.argv = ['alula', *{arguments!r}]\n"
-    "from alula.cli import main\n"
+    "from alula.cli.app import main\n"
     "main()\n"
 )
 

@@ -140,14 +140,14 @@ def test_motor_lag_is_found_where_the_log_holds_commands(plain_flights, arpl_250
     assert found.effects[0].parameters["time_constant"].value == pytest.approx(0.035, rel=0.35)
 
 
-def test_perturbing_the_data_does_not_change_the_stretch(plain):
+def test_perturbing_the_data_does_not_change_the_segment(plain):
     from diagnosis.selection.errors_in_variables import perturbed
 
-    stretch = plain.fitted[0]
-    noisier = perturbed(stretch, np.random.default_rng(0))
-    assert dataclasses.replace(noisier, position=stretch.position).flight == stretch.flight
-    assert not np.array_equal(noisier.velocity, stretch.velocity)
-    assert np.std(noisier.velocity - stretch.velocity) < 0.05
+    segment = plain.fitted[0]
+    noisier = perturbed(segment, np.random.default_rng(0))
+    assert dataclasses.replace(noisier, position=segment.position).flight == segment.flight
+    assert not np.array_equal(noisier.velocity, segment.velocity)
+    assert np.std(noisier.velocity - segment.velocity) < 0.05
 
 
 def test_what_the_catalogue_does_not_know_is_called_unknown(plain, heavier):

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.command_curve import fit_command_curve
-from diagnosis.data.segment import stretches
+from diagnosis.data.segment import segments
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from flights import Flight
@@ -204,7 +204,7 @@ def test_a_hover_is_found_too_gentle_to_name_anything(run: Run) -> None:
     assert "too gentle: 0.22 m/s horizontally and 0.08 rad/s" in wrong
     assert "Fly straight accelerations" in wrong
     vehicle = read_vehicle(FOLDER / "px4_sih.toml")
-    (flown,) = stretches(Flight.read(log), vehicle)
+    (flown,) = segments(Flight.read(log), vehicle)
     assert flown.start + flown.duration < 54  # it touches down at 53.7 s and says so at 62 s
     (gain,) = fit_command_curve([flown], (), vehicle).gains.values()
     assert gain.mean == pytest.approx(1.0, abs=0.02)  # SIH's thrust is what the file says
@@ -217,7 +217,7 @@ def test_eight_rotors_with_commanded_thrusts_are_understood_and_found_too_short(
     code, _, wrong = run("diagnose", log, "--vehicle", file)
     assert code == 3
     assert re.search(r"\d+ s of flight are too few", wrong)
-    parts = stretches(Flight.read(log), read_vehicle(file))
+    parts = segments(Flight.read(log), read_vehicle(file))
     curve = fit_command_curve(parts, (), read_vehicle(file))
     (gain,) = curve.gains.values()
     assert gain.mean == pytest.approx(0.92, abs=0.05)  # 2.3 to 2.7 kg are carried by 2.7 kg of commanded thrust

@@ -20,22 +20,22 @@ WANTED = {
 
 
 @pytest.fixture(scope="module")
-def stretches(plain_flights, arpl_250g):
+def segments(plain_flights, arpl_250g):
     return make_dataset(plain_flights, arpl_250g).everything
 
 
-def failing_fast(stretch):
+def failing_fast(segment):
     """Residuals at their floor of 1, five times as large in the accelerometer above 1.5 m/s."""
-    rows = kept(len(stretch), stretch.rate)
-    fast = np.linalg.norm(stretch.smooth[rows, 3:6], axis=1) > 1.5
+    rows = kept(len(segment), segment.rate)
+    fast = np.linalg.norm(segment.smooth[rows, 3:6], axis=1) > 1.5
     found = np.ones((len(fast), 12))
     found[fast, 0:3] *= 5
     return found
 
 
-def test_every_regime_that_the_flights_have_is_mapped_and_the_planted_one_stands_out(stretches, arpl_250g):
-    rows = [failing_fast(s) for s in stretches]
-    maps = {m.name: m for m in regime_maps(stretches, rows, np.ones(12), arpl_250g)}
+def test_every_regime_that_the_flights_have_is_mapped_and_the_planted_one_stands_out(segments, arpl_250g):
+    rows = [failing_fast(s) for s in segments]
+    maps = {m.name: m for m in regime_maps(segments, rows, np.ones(12), arpl_250g)}
     assert set(maps) >= WANTED
     speed = maps["speed m/s"]
     above = speed.edges[:-1] > 1.5
@@ -44,9 +44,9 @@ def test_every_regime_that_the_flights_have_is_mapped_and_the_planted_one_stands
     np.testing.assert_allclose(speed.over_floor[2][np.isfinite(speed.over_floor[2])], 1.0)
 
 
-def test_planes_leave_what_was_not_flown_unmarked(stretches, arpl_250g):
-    rows = [failing_fast(s) for s in stretches]
-    planes = {(p.across, p.up): p for p in regime_planes(stretches, rows, np.ones(12), arpl_250g)}
+def test_planes_leave_what_was_not_flown_unmarked(segments, arpl_250g):
+    rows = [failing_fast(s) for s in segments]
+    planes = {(p.across, p.up): p for p in regime_planes(segments, rows, np.ones(12), arpl_250g)}
     plane = planes["speed m/s", "thrust over weight"]
     assert plane.over_floor.shape == (4, BINS, BINS)
     assert 0 < np.isnan(plane.over_floor[0]).sum() < BINS * BINS

@@ -8,8 +8,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.model import Model, build_model
 from dynamics.vehicle import Limits, Vehicle
 from export.kernel import kernel_recipe, kernel_solver
@@ -20,7 +20,6 @@ from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.control.rti.solver import RtiSolver
 from tests.support.networks import random_network
 
-Array = NDArray[np.float64]
 COMPILER, EMULATOR = shutil.which("aarch64-linux-gnu-gcc"), shutil.which("qemu-aarch64")
 PROGRAM = Path(__file__).parents[1] / "support" / "kernel_program.c"
 PROBLEM = Problem(nodes=10, horizon=0.5)
@@ -30,8 +29,8 @@ PROBLEM = Problem(nodes=10, horizon=0.5)
 class Case:
     """What a kernel was given at a tick, and what it answered: states, Hessian and gradient, then the new inputs."""
 
-    given: tuple[Array, ...]
-    answers: tuple[Array, ...]
+    given: tuple[Floats, ...]
+    answers: tuple[Floats, ...]
     acting: bool
 
 
@@ -88,7 +87,7 @@ def build_program(network: Network, model: Model, folder: Path) -> Path:
     return folder / "program"
 
 
-def answers_of(program: Path, model: Model, case: Case) -> tuple[Array, ...]:
+def answers_of(program: Path, model: Model, case: Case) -> tuple[Floats, ...]:
     """What the program answers in the emulator."""
     assert EMULATOR is not None
     given = bytes(fill_options(PROBLEM, model)) + b"".join(np.ascontiguousarray(part).tobytes() for part in case.given)

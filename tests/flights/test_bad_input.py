@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from dynamics import frames
+from dynamics.arrays import Floats
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import Flight, Log, read_folder, read_log
-from flights.log import Floats
 from tests.support.flight_files import Truth, crazyflie_log, flight_csv, manoeuvre, paper_bag, ros2_bag, tlog
 
 PX4 = Path(__file__).parents[1] / "data" / "px4_sih_offboard"

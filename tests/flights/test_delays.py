@@ -85,7 +85,7 @@ def test_what_was_found_is_taken_off_the_stamps(found: dict[str, Delay]) -> None
         assert np.median(stream.time - original.time) == pytest.approx(0.0, abs=0.003)
 
 
-def test_excluded_stretches_are_not_compared() -> None:
+def test_excluded_segments_are_not_compared() -> None:
     log = flown().log
     whole = estimate_delays(log)
     half = estimate_delays(log, exclusions=[Exclusion("crash", 10.0, 100.0, "")])

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from flights import Flight
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions, free_flight
-from flights.log import Floats, Provenance
+from flights.log import Provenance
 from tests.support.simulated_flight import flown, table
 
 RATE = 100.0

@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from flights import Flight, Provenance
-from flights.log import Floats
 from flights.quantities import QUANTITIES, known_columns, quantity_of
 from tests.support.flight_files import flight_csv, manoeuvre
 

@@ -12,10 +12,10 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from fixtures.ulog_file import Topic, ulog_file
 from flights import Flight, Log, read_log
 from flights.alignment import resample
-from flights.log import Floats
 from tests.support.flight_files import Truth, manoeuvre
 
 QUAD_X = {f"CA_ROTOR{i}_P{axis}": value for i, (x, y) in enumerate([(0.1, 0.1), (-0.1, -0.1), (0.1, -0.1), (-0.1, 0.1)])

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import StoragePlugin
@@ -16,9 +15,9 @@ from rosbags.rosbag2 import Writer as Writer2
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
-Floats = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 
 

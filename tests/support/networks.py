@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynamics import quaternion
-from export.network import Convolution, Dense, Floats, Frame, Network
+from dynamics.arrays import Floats
+from export.network import Convolution, Dense, Frame, Network
 
 HOVER_SPEED = 1240.0  # rad/s
 

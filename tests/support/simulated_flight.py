@@ -7,10 +7,11 @@ from functools import lru_cache
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from flights import Flight
-from flights.log import Floats, Log, Stream
+from flights.log import Log, Stream
 from simulation.lockstep import FlownReference, fly_reference
 from sitl_mock.vehicle.vehicle import VehicleOptions
 

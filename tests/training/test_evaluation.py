@@ -116,7 +116,7 @@ def test_pulse_responses_of_the_plant_itself_are_right_and_weaker_rotors_show(
     assert together.rate is None
 
 
-def test_no_stretch_is_long_enough_for_open_loop_predictions(
+def test_no_segment_is_long_enough_for_open_loop_predictions(
     recordings: tuple[Recording, ...], arpl_250g: Vehicle
 ) -> None:
     model = physical_model(NOMINAL, arpl_250g, named_kind("pi_tcn").config)

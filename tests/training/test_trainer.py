@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 import torch
 
+from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from fixtures.planted import noisy, planted_flights
-from flights.log import Floats
 from tests.training.conftest import EFFECTS, MakePlan
 from training.data.dataset import Dataset, make_dataset
 from training.data.recordings import Split, read_recordings

@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset
@@ -20,10 +20,9 @@ from training.data.labels import scaled_motors
 from training.physics import BatchModel, textbook
 from training.recipe import Recipe
 
-Floats = NDArray[np.float64]
 PULSE = 60.0  # rad/s, deviation of pulses on the rotors, of 10 ms and more
 SINGLE = 0.5  # share of pulses that are on one rotor alone
-MOST_SCALING = 1.6  # of recorded velocity and rates in plausible histories
+MAX_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,7 +133,7 @@ def _plausible(
     """
     first = random.choice(data.ends, count) - (config.history - 1)
     state = np.hstack([data.position[first], data.state[first]])
-    faster = random.uniform(1.0, MOST_SCALING, (count, 1))
+    faster = random.uniform(1.0, MAX_SCALING, (count, 1))
     state[:, 3:6] *= faster
     state[:, 10:13] *= faster
     forward = textbook(vehicle, dt=config.dt, label=config.label)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights.flight import Flight
@@ -22,8 +23,7 @@ from training.data.windows import windows
 from training.physics import RowModel, textbook
 from training.vehicle_fit import require_fit
 
-Floats = NDArray[np.float64]
-FEWEST_WINDOWS = 500
+MIN_WINDOWS = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +89,7 @@ def settled_motors(config: ModelConfig, recordings: Sequence[Recording], vehicle
 
 
 def make_dataset(
-    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[Recording], *, fewest: int = FEWEST_WINDOWS
+    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[Recording], *, fewest: int = MIN_WINDOWS
 ) -> Dataset:
     """Inputs, labels and models over all flights. fewest: windows that there must be.
 

@@ -7,13 +7,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY, Vehicle
 from training.config import ModelConfig
 
-Floats = NDArray[np.float64]
 UP = np.array([0.0, 0.0, 1.0])
 
 

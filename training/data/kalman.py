@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
-from flights.filters import each_stretch
-from flights.log import Floats
+from flights.filters import each_segment
 
 _START = 1e4  # variance of the first acceleration over that of the steady state: nothing is known of it
 
@@ -47,19 +47,19 @@ def rts_acceleration(velocity: Floats, rate: float, cutoff: float) -> Floats:
     velocity: (n, k), NaN rows split it. rate, cutoff: Hz. Returns (n, k). Also gives angular from body rates.
     """
     model = KinematicModel.with_cutoff(rate, cutoff)
-    return each_stretch(velocity, lambda stretch: _smooth(model, *_filter(model, stretch))[:, 1])
+    return each_segment(velocity, lambda segment: _smooth(model, *_filter(model, segment))[:, 1])
 
 
 def kalman_acceleration(velocity: Floats, rate: float, cutoff: float) -> Floats:
     """Acceleration by the Kalman filter alone: causal. velocity: (n, k). rate, cutoff: Hz. Returns (n, k)."""
     model = KinematicModel.with_cutoff(rate, cutoff)
-    return each_stretch(velocity, lambda stretch: _filter(model, stretch)[0][:, 1])
+    return each_segment(velocity, lambda segment: _filter(model, segment)[0][:, 1])
 
 
 def ukf_acceleration(velocity: Floats, rate: float, cutoff: float) -> Floats:
     """Acceleration by an unscented Kalman filter, as in PI-TCN section IV-A: causal. Arguments as above."""
     model = KinematicModel.with_cutoff(rate, cutoff)
-    return each_stretch(velocity, lambda stretch: _unscented(model, stretch))
+    return each_segment(velocity, lambda segment: _unscented(model, segment))
 
 
 def _filter(model: KinematicModel, velocity: Floats) -> tuple[Floats, Floats]:

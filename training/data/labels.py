@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from flights import filters
 from flights.flight import Flight
-from flights.log import Floats
 from training.data import kalman
 
 RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)

@@ -28,7 +28,7 @@ TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.sp
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """One flight's stretches of free flight without a gap, all at one rate. name: of its file (`names_of`)."""
+    """One flight's segments of free flight without a gap, all at one rate. name: of its file (`names_of`)."""
 
     name: str
     sha256: str
@@ -36,7 +36,7 @@ class Recording:
 
     @property
     def rows(self) -> int:
-        """Rows in all stretches."""
+        """Rows in all segments."""
         return sum(len(segment) for segment in self.segments)
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
@@ -16,8 +16,6 @@ from training.data.collocation import Points
 from training.data.dataset import Dataset
 from training.data.features import body_inertia
 from training.recipe import Recipe
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)

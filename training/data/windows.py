@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
-from flights.log import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,12 +8,13 @@ from typing import Any
 
 import msgspec
 
-from dynamics.model import RIGID_BODY_STATES, Model
+from dynamics.model import Model
+from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import Vector3
 
 # Rotors at rest cannot be linearised: thrust goes with the square of the speed, so at zero its derivative vanishes and
 # the solver would never turn them on again. At this share of hover speed a rotor gives 2 % of its hover thrust.
-LEAST_SPEED = 0.15
+MIN_SPEED = 0.15
 
 
 class Weights(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -77,7 +78,7 @@ def fill_options(problem: Problem, model: Model) -> ctypes.Structure:
     options.Q[:] = stage
     options.P[:] = [weights.terminal * weight for weight in stage]
     options.R[:] = [weights.input / vehicle.hover_speed**2] * inputs
-    options.u_lower[:] = [max(vehicle.rotors.speed_min, LEAST_SPEED * vehicle.hover_speed)] * inputs
+    options.u_lower[:] = [max(vehicle.rotors.speed_min, MIN_SPEED * vehicle.hover_speed)] * inputs
     options.u_upper[:] = [vehicle.rotors.speed_max] * inputs
     lower, upper = [-math.inf] * states, [math.inf] * states
     lower[10:13], upper[10:13] = [-rate for rate in vehicle.limits.rate], list(vehicle.limits.rate)

@@ -16,7 +16,8 @@ from dynamics.codegen import FLAGS, build_library, generate_c
 from dynamics.effect import Expression
 from dynamics.errors import RequestError
 from dynamics.integrators import rk4, with_unit_attitude
-from dynamics.model import ENVIRONMENT_DEFAULT, RIGID_BODY_STATES, Model
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from dynamics.state import RIGID_BODY_STATES
 from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.processor import Processor, native_processor
@@ -25,7 +26,7 @@ ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
     "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
 )  # fmt: skip
-LARGEST_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
+MAX_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
 
 
 class RtiReport(ctypes.Structure):
@@ -245,4 +246,4 @@ def substeps(model: Model, node: float) -> int:
     lags = [
         item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
     ]
-    return max([1, *(math.ceil(node / (LARGEST_STEP_IN_LAGS * lag)) for lag in lags)])
+    return max([1, *(math.ceil(node / (MAX_STEP_IN_LAGS * lag)) for lag in lags)])

@@ -9,7 +9,7 @@ import pytest
 
 from diagnosis.data.command_curve import fit_command_curve, lagged
 from diagnosis.data.dataset import make_dataset
-from diagnosis.data.segment import Stretch, stretches
+from diagnosis.data.segment import Segment, segments
 from diagnosis.selection.visibility import looks_at
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
@@ -31,9 +31,9 @@ def signalled(flight: Flight, vehicle: Vehicle, gain: float) -> Flight:
 
 
 @pytest.fixture(scope="module")
-def commanded(plain_flights: list[Flight], arpl_250g: Vehicle) -> list[Stretch]:
+def commanded(plain_flights: list[Flight], arpl_250g: Vehicle) -> list[Segment]:
     flights = [signalled(f, arpl_250g, 1.3 if i % 2 else 0.8) for i, f in enumerate(plain_flights)]
-    return [s for i, f in enumerate(flights) for s in stretches(named(f, i), arpl_250g)]
+    return [s for i, f in enumerate(flights) for s in segments(named(f, i), arpl_250g)]
 
 
 def named(flight: Flight, number: int) -> Flight:
@@ -41,7 +41,7 @@ def named(flight: Flight, number: int) -> Flight:
 
 
 def test_gains_and_curve_are_found_and_give_the_rotors_speeds_back(
-    commanded: list[Stretch], plain_flights: list[Flight], arpl_250g: Vehicle
+    commanded: list[Segment], plain_flights: list[Flight], arpl_250g: Vehicle
 ) -> None:
     curve = fit_command_curve(commanded, (), arpl_250g)
     means = [curve.gains[f"flight_{i}"].mean for i in range(6)]
@@ -50,13 +50,13 @@ def test_gains_and_curve_are_found_and_give_the_rotors_speeds_back(
     np.testing.assert_allclose(motors, MOTORS, atol=0.03)
     assert curve.lag <= 0.01  # the measured speeds stand for the commands
     assert curve.explained > 0.95
-    for stretch in commanded:
-        plain = stretches(plain_flights[int(stretch.flight[-1])], arpl_250g)[0]
-        found = curve.applied(stretch, arpl_250g).rotor_speed
+    for segment in commanded:
+        plain = segments(plain_flights[int(segment.flight[-1])], arpl_250g)[0]
+        found = curve.applied(segment, arpl_250g).rotor_speed
         assert np.sqrt(np.mean((found / plain.rotor_speed - 1) ** 2)) < 0.03
 
 
-def test_a_held_out_flight_gets_its_own_gain(commanded: list[Stretch], arpl_250g: Vehicle) -> None:
+def test_a_held_out_flight_gets_its_own_gain(commanded: list[Segment], arpl_250g: Vehicle) -> None:
     curve = fit_command_curve(commanded[:-1], commanded[-1:], arpl_250g)
     assert set(curve.gains) == {f"flight_{i}" for i in range(6)}
 
@@ -64,14 +64,14 @@ def test_a_held_out_flight_gets_its_own_gain(commanded: list[Stretch], arpl_250g
 def test_a_gain_that_no_command_has_is_the_vehicle_files_mistake(
     plain_flights: list[Flight], arpl_250g: Vehicle
 ) -> None:
-    part = stretches(signalled(plain_flights[4], arpl_250g, 2.5), arpl_250g)
+    part = segments(signalled(plain_flights[4], arpl_250g, 2.5), arpl_250g)
     with pytest.raises(DataError, match="Check mass, thrust_constant, speed_max and thrust_curve"):
         fit_command_curve(part, (), arpl_250g)
 
 
 def test_measured_speeds_are_left_alone(plain_flights: list[Flight], arpl_250g: Vehicle) -> None:
     dataset = make_dataset(plain_flights, arpl_250g)
-    np.testing.assert_array_equal(dataset.fitted[0].rotor_speed, stretches(plain_flights[0], arpl_250g)[0].rotor_speed)
+    np.testing.assert_array_equal(dataset.fitted[0].rotor_speed, segments(plain_flights[0], arpl_250g)[0].rotor_speed)
     assert not any("times the thrust" in note for note in dataset.notes)
 
 

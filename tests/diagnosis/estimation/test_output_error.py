@@ -35,20 +35,20 @@ def test_sensitivities_are_those_of_finite_differences(commanded, arpl_250g):
     vehicle = arpl_250g.with_effects(EffectUse("motor_lag"), EffectUse("slung_load"))
     name = "slung_load.mass"
     predictor = Predictor(vehicle, vehicle.effects, CATALOGUE, speed_measured=False)
-    stretch, p = commanded.fitted[0], predictor.values()
-    simulator = Simulator(predictor, stretch.rate, [name], speed_measured=False)
-    windows = simulator.run(stretch, [10, 200], 20, p)
+    segment, p = commanded.fitted[0], predictor.values()
+    simulator = Simulator(predictor, segment.rate, [name], speed_measured=False)
+    windows = simulator.run(segment, [10, 200], 20, p)
     nx = windows.states.shape[2]
     first = np.zeros((2, nx, 2))
     first[:, 4, 0] = 1.0  # of the velocity to the north
     found = simulator.sensitivities(windows, p, first)
     mass = p[predictor.model.parameter_index(name)]
-    moved = simulator.run(stretch, [10, 200], 20, predictor.values({name: mass + NUDGE}))
+    moved = simulator.run(segment, [10, 200], 20, predictor.values({name: mass + NUDGE}))
     first[:, :, 0] = (moved.states[:, 0] - windows.states[:, 0]) / NUDGE  # where hidden states begin depends on it, too
     both = simulator.sensitivities(windows, p, first)[:, -1].sum(axis=2)
     assert (moved.states[:, -1] - windows.states[:, -1]) / NUDGE == pytest.approx(both, rel=1e-3, abs=1e-3)
     assert found[:, -1, 4, 0] == pytest.approx(1.0, abs=0.01)  # nothing drags
-    assert found[:, -1, 1, 0] == pytest.approx(20 / stretch.rate, rel=0.01)
+    assert found[:, -1, 1, 0] == pytest.approx(20 / segment.rate, rel=0.01)
 
 
 def test_windows_end_where_the_vehicle_did_only_with_the_right_mass(plain, arpl_250g):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data import channels
-from diagnosis.data.segment import stretches
+from diagnosis.data.segment import segments
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import make_candidates
 from diagnosis.selection.noise import estimate_noise
@@ -15,8 +15,8 @@ from dynamics.vehicle import EffectUse
 
 
 @pytest.fixture(scope="module")
-def stretch(plain_flights, arpl_250g):
-    return stretches(plain_flights[4], arpl_250g)[0]
+def segment(plain_flights, arpl_250g):
+    return segments(plain_flights[4], arpl_250g)[0]
 
 
 def make(vehicle, name, values, free=(), rotor=None):
@@ -24,12 +24,12 @@ def make(vehicle, name, values, free=(), rotor=None):
     return Predictor(vehicle, [EffectUse(name, values, rotor)], CATALOGUE, keys, speed_measured=True)
 
 
-def test_a_prediction_is_the_models_at_every_row(stretch, arpl_250g):
+def test_a_prediction_is_the_models_at_every_row(segment, arpl_250g):
     predictor = make(arpl_250g, "rotor_drag", {"coefficient": 3e-5})
-    found = predictor.predict(stretch)
+    found = predictor.predict(segment)
     model = build_model(arpl_250g, effects=[EffectUse("rotor_drag", {"coefficient": 3e-5})])
     for row in (0, 100, 500):
-        arguments = (stretch.smooth[row], stretch.rotor_speed[row], model.parameter_values, stretch.environment[row])
+        arguments = (segment.smooth[row], segment.rotor_speed[row], model.parameter_values, segment.environment[row])
         force, angular, _ = model.observe(*arguments)
         np.testing.assert_allclose(found.specific_force[row], np.array(force).ravel(), rtol=1e-9)
         np.testing.assert_allclose(found.angular_acceleration[row], np.array(angular).ravel(), rtol=1e-9)
@@ -45,29 +45,29 @@ def test_a_prediction_is_the_models_at_every_row(stretch, arpl_250g):
         ("imu_bias", {"x": 0.1, "y": 0.0, "z": 0.0}, "z", None),
     ],
 )
-def test_slopes_are_derivatives(stretch, arpl_250g, name, at, free, rotor):
+def test_slopes_are_derivatives(segment, arpl_250g, name, at, free, rotor):
     predictor = make(arpl_250g, name, at, [free], rotor)
     key, step = predictor.free[0], 1e-5
-    slope = predictor.slopes(stretch)[0]
-    more, less = (predictor.predict(stretch, {key: at[free] + sign * step}) for sign in (1, -1))
+    slope = predictor.slopes(segment)[0]
+    more, less = (predictor.predict(segment, {key: at[free] + sign * step}) for sign in (1, -1))
     for part in ("specific_force", "angular_acceleration", "rate"):
         expected = (getattr(more, part) - getattr(less, part)) / (2 * step)
         np.testing.assert_allclose(getattr(slope, part), expected, rtol=1e-4, atol=1e-5)
 
 
-def test_a_faulty_speed_sensor_is_undone_before_the_model_sees_it(stretch, arpl_250g):
+def test_a_faulty_speed_sensor_is_undone_before_the_model_sees_it(segment, arpl_250g):
     import dataclasses
 
-    halved = dataclasses.replace(stretch, rotor_speed=stretch.rotor_speed * np.array([1, 1, 0.5, 1]))
+    halved = dataclasses.replace(segment, rotor_speed=segment.rotor_speed * np.array([1, 1, 0.5, 1]))
     healed = make(arpl_250g, "rotor_speed_fault", {"gain": 0.5}, rotor=2).predict(halved)
-    plain = Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(stretch)
+    plain = Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(segment)
     np.testing.assert_allclose(healed.specific_force, plain.specific_force, rtol=1e-9)
 
 
-def test_a_late_pose_shows_the_force_of_before(stretch, arpl_250g):
-    late = make(arpl_250g, "time_delay", {"delay": 0.05}).predict(stretch)
-    plain = Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(stretch)
-    np.testing.assert_allclose(late.attitude_rate(stretch)[5:], plain.rate[:-5], atol=1e-9)
+def test_a_late_pose_shows_the_force_of_before(segment, arpl_250g):
+    late = make(arpl_250g, "time_delay", {"delay": 0.05}).predict(segment)
+    plain = Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(segment)
+    np.testing.assert_allclose(late.attitude_rate(segment)[5:], plain.rate[:-5], atol=1e-9)
     np.testing.assert_allclose(late.specific_force, plain.specific_force)
 
 
@@ -75,14 +75,14 @@ def test_where_commands_are_all_there_is_their_gain_is_no_candidate_but_every_ot
     from tests.diagnosis.conftest import with_columns
 
     without = {f"rotor_speed_{i}": None for i in range(4)}
-    part = stretches(with_columns(plain_flights[0], without), arpl_250g)[0]
+    part = segments(with_columns(plain_flights[0], without), arpl_250g)[0]
     names = {c.effect.name for c in make_candidates(arpl_250g, CATALOGUE, [part])}
     assert names == set(CATALOGUE) - {"gust", "rotor_speed_fault", *GAIN_OF_COMMAND}
     assert part.rotor_source == "command"
 
 
-def test_channels_of_a_flight_that_hides_nothing_are_small(stretch, arpl_250g):
-    rows = channels.residual(stretch, Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(stretch))
+def test_channels_of_a_flight_that_hides_nothing_are_small(segment, arpl_250g):
+    rows = channels.residual(segment, Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(segment))
     errors = channels.norms([rows])
     assert errors["imu"] < 0.2
     assert errors["mocap"] < 0.3

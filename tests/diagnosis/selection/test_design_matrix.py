@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data import channels
-from diagnosis.data.segment import stretches
+from diagnosis.data.segment import segments
 from diagnosis.selection.candidates import make_candidates, make_instruments, make_predictor
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.noise import noise_floor
@@ -12,21 +12,21 @@ from dynamics.effects import CATALOGUE
 
 
 @pytest.fixture(scope="module")
-def stretch(plain_flights, arpl_250g):
-    return stretches(plain_flights[1], arpl_250g)[0]
+def segment(plain_flights, arpl_250g):
+    return segments(plain_flights[1], arpl_250g)[0]
 
 
-def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(stretch, arpl_250g):
-    candidates = make_candidates(arpl_250g, CATALOGUE, [stretch])
-    _, together = Pipeline(arpl_250g, CATALOGUE, candidates, stretch).run(stretch)
-    instruments = make_instruments(stretch, arpl_250g)
+def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(segment, arpl_250g):
+    candidates = make_candidates(arpl_250g, CATALOGUE, [segment])
+    _, together = Pipeline(arpl_250g, CATALOGUE, candidates, segment).run(segment)
+    instruments = make_instruments(segment, arpl_250g)
     for name in ("inertia", "weak_rotor", "rotor_gyroscopic", "imu_bias", "wind", "translational_lift"):
         candidate = next(c for c in candidates if c.effect.name == name)
         speed = instruments.rotor_speed if candidate.effect.physics is not None else None
-        slopes = make_predictor(arpl_250g, CATALOGUE, candidate, stretch).slopes(
-            stretch, candidate.values, rotor_speed=speed, rotor_acceleration=instruments.rotor_acceleration
+        slopes = make_predictor(arpl_250g, CATALOGUE, candidate, segment).slopes(
+            segment, candidate.values, rotor_speed=speed, rotor_acceleration=instruments.rotor_acceleration
         )
-        alone = channels.predicted(stretch, slopes)
+        alone = channels.predicted(segment, slopes)
         np.testing.assert_allclose(together[:, :, list(candidate.columns)], alone, atol=1e-9 * np.abs(alone).max())
 
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.filters import PAPER_CUTOFF, lowpass
-from flights.log import Floats
 from training.config import ModelConfig
 from training.data.dataset import make_dataset, settled_motors
 from training.data.labels import scaled_motors

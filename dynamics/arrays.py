@@ -1,0 +1,6 @@
+"""Array types shared by all rooms."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
