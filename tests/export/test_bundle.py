@@ -290,8 +290,8 @@ def test_a_kernel_finds_hpipm_where_it_lies_here(arpl_250g: Vehicle) -> None:
     library = build_library(recipe.sources, flags=flags, libraries=(str(hpipm.hpipm), str(hpipm.blasfeo)), entry=ENTRY)
     script = (
         "import sys; from pathlib import Path; from dynamics.model import build_model\n"
-        "from dynamics.vehicle_file import read_vehicle; from runtime.rti.problem import Problem\n"
-        "from runtime.rti.solver import RtiSolver\n"
+        "from dynamics.vehicle_file import read_vehicle; from runtime.control.rti.problem import Problem\n"
+        "from runtime.control.rti.solver import RtiSolver\n"
         "model = build_model(read_vehicle(sys.argv[1]), effects=())\n"
         "RtiSolver(model, Problem(nodes=2, horizon=0.02), Path(sys.argv[2]))\n"
     )

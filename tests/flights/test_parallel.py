@@ -47,7 +47,7 @@ def test_a_killed_process_is_named() -> None:
 ORPHANS = """
 import os, sys, time
 from pathlib import Path
-from alula.parallel import parallel_map
+from flights.parallel import parallel_map
 
 def work(folder):
     Path(folder, str(os.getpid())).touch()

@@ -185,9 +185,9 @@ SECOND = """
 import sys
 import numpy as np
 from dynamics.vehicle_file import read_vehicle
-from runtime.connection import parse_endpoint
+from runtime.link.connection import parse_endpoint
 from runtime.daemon import Daemon, FlightRequest
-from runtime.mission import Transfer
+from runtime.flight.mission import Transfer
 vehicle = read_vehicle(sys.argv[1])
 reference = Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
 request = FlightRequest(endpoint=parse_endpoint(sys.argv[2]))

@@ -83,8 +83,8 @@ def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(flown: tuple[Pat
 
 def test_it_goes_on_after_it_was_killed(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
     script = (
-        "import sys; from pathlib import Path; from alula.campaign import Campaign, CampaignOptions;"
-        "from tests.alula.test_campaign import SHORT;"
+        "import sys; from pathlib import Path; from simulation.campaign import Campaign, CampaignOptions;"
+        "from tests.simulation.test_campaign import SHORT;"
         "Campaign(CampaignOptions(Path(sys.argv[1]), seed=5, jobs=1), SHORT).run(lambda s: None)"
     )
     first = tmp_path / "train" / "small_circle.parquet"

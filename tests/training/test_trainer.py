@@ -203,9 +203,9 @@ from pathlib import Path
 from training.plan import make_plan
 from training.models import named_kind
 from training.recipe import FAST
-from training.recordings import read_recordings, split_recordings
+from training.data.recordings import read_recordings, split_recordings
 from training.trainer import train
-from training.parallel import leave_group
+from training.process_group import leave_group
 from dynamics.vehicle_file import read_vehicle
 from vehicles import vehicle_path
 import msgspec

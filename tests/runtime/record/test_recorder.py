@@ -103,8 +103,8 @@ WRITER = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from runtime.recorder import Recorder
-from runtime.records import SetpointRecord
+from runtime.record.recorder import Recorder
+from runtime.record.records import SetpointRecord
 recorder = Recorder(Path(sys.argv[1]), "flight", metadata={"seed": "7"})
 while True:
     now = time.monotonic()
