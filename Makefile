@@ -1,6 +1,6 @@
 # make demo   fly the embedded mock, find its hidden effect, write the report
 # make test   the whole test suite
-# make lint   ruff, mypy, import-linter
+# make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k goes on after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
@@ -27,6 +27,7 @@ lint: .venv/development.stamp
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python .ci/identifiers.py
 
 study: $(STUDIES) conformance
 
