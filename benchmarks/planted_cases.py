@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.evaluation import floors
+from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_predictor
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.regression import Regression, make_regression

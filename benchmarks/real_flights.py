@@ -21,10 +21,10 @@ from diagnosis.data.command_curve import CommandCurve, fit_command_curve
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.data.filters import kept
-from diagnosis.data.hover_trim import read_trim
 from diagnosis.data.segment import segments
 from diagnosis.diagnose import Findings, diagnose
 from diagnosis.estimation.evaluation import residuals
+from diagnosis.hover_trim import read_trim
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
 from dynamics.vehicle import Vehicle

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.filters import EDGE
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.evaluation import floors, residuals
+from diagnosis.models import channels
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
     Failure,

@@ -10,9 +10,9 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.channels import KINDS
 from diagnosis.data.filters import kept
 from diagnosis.data.segment import Segment
+from diagnosis.models.channels import KINDS
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 

@@ -9,8 +9,8 @@ import msgspec
 import numpy as np
 from scipy.signal import freqz, welch
 
-from diagnosis.data.channels import AXES, CHANNELS, KINDS
 from diagnosis.data.filters import CUTOFF
+from diagnosis.models.channels import AXES, CHANNELS, KINDS
 from diagnosis.selection.noise import SEGMENT, NoiseModel
 from dynamics.arrays import Floats
 

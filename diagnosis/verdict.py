@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Estimate, Fit
 from diagnosis.estimation.evaluation import floor_norms, held_out_floor
+from diagnosis.models import channels
 from diagnosis.report import ChannelError, FoundEffect, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from diagnosis.comparison import AxisError
-from diagnosis.data.channels import AXES, KINDS, UNITS
+from diagnosis.models.channels import AXES, KINDS, UNITS
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.search import IMPOSSIBLE, MIN_GAIN, Scored
 from diagnosis.spectrum import Spectrum

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.comparison import WORST, worst_window
-from diagnosis.data import channels
 from diagnosis.data.segment import Segment
+from diagnosis.models import channels
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.search import Scored
 from dynamics.arrays import Floats

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from diagnosis.data.channels import KINDS
+from diagnosis.models.channels import KINDS
 from diagnosis.regimes import BINS, Plane, Regime
 from dynamics.arrays import Floats
 from studio.diagnosed import NAMES

@@ -18,8 +18,8 @@ from studio.provenance import origin
 from vehicles import vehicle_path
 
 if TYPE_CHECKING:
-    from diagnosis.data.hover_trim import TrimComparison
     from diagnosis.diagnose import Findings
+    from diagnosis.hover_trim import TrimComparison
 
 Normal = Annotated[
     list[Path] | None,
@@ -63,7 +63,7 @@ def diagnose(
 
 def _compare_trim(logs: list[Path], normal: list[Path], vehicle: str, mapping: Path | None, json: Path | None) -> None:
     require_workbench()
-    from diagnosis.data.hover_trim import read_trim
+    from diagnosis.hover_trim import read_trim
 
     usual = [log for entry in normal for log in _logs_of(entry)]
     compared = read_trim(logs, usual, read_vehicle(vehicle_path(vehicle)), mapping)
@@ -87,7 +87,7 @@ def _logs_of(entry: Path) -> list[Path]:
 
 
 def _print_trim(compared: TrimComparison, console: Console) -> None:
-    from diagnosis.data.hover_trim import trim_sentence
+    from diagnosis.hover_trim import trim_sentence
 
     console.print(f"{compared.verdict}: {trim_sentence(compared)}", highlight=False)
     for note in compared.notes:

@@ -1,1 +1,1 @@
-"""Flights as diagnosis needs them: segments, channels, filters, and the checks on them."""
+"""Flights as diagnosis needs them: segments, filters, command curves, and the checks on them."""

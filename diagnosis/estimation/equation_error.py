@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.segment import Segment
+from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments
 from diagnosis.selection.errors_in_variables import perturbed

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.segment import Segment
+from diagnosis.models import channels
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor
 from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED, Regression

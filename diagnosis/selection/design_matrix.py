@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
+from diagnosis.models import channels
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.candidates import ANGULAR, Candidate, Instruments, make_instruments, make_predictor
 from dynamics.arrays import Floats

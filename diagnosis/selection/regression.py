@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data import channels
 from diagnosis.data.segment import Segment
+from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.errors_in_variables import perturbed

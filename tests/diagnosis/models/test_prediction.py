@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis.data import channels
 from diagnosis.data.segment import segments
+from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import make_candidates
 from diagnosis.selection.noise import estimate_noise

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from diagnosis.data import channels
 from diagnosis.data.segment import segments
+from diagnosis.models import channels
 from diagnosis.selection.candidates import make_candidates, make_instruments, make_predictor
 from diagnosis.selection.design_matrix import Pipeline
 from diagnosis.selection.noise import noise_floor

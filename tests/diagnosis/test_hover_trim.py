@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from diagnosis.data.hover_trim import compare_trim, hover_shares, judge_shares, trim_sentence
+from diagnosis.hover_trim import compare_trim, hover_shares, judge_shares, trim_sentence
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
