@@ -14,14 +14,17 @@ measurement   what a sensor says of the truth: faults of sensors are effects tha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from string import Formatter
+from typing import Any, Literal, get_args
 
+from dynamics.excitation import Excitation
 from dynamics.vehicle import Vehicle
 
 Expression = Any  # casadi.SX or casadi.MX
 Values = Mapping[str, Expression]
+ActsOn = Literal["motion", "command_gain", "rotor_speed_reading"]
 
 
 @dataclass(frozen=True)
@@ -141,11 +144,30 @@ class Wrench:
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect. source: where its formula comes from. per_rotor: it sits on one rotor, named by index.
+    """One physical effect: its formula and everything that the rest of the tree needs to know of it.
 
-    resists_air: it is a drag, through which wind acts on the vehicle. variants: values of the parameters in which the
-    effect is not linear, for diagnosis to try; the others are then found by linear regression, and an effect whose
-    parameters are all held is regressed as a whole.
+    name: as in vehicle files and on command lines.
+    summary: what it does, in a few words.
+    source: where its formula comes from.
+    parameters: its numbers.
+    hidden: its states behind the rigid body's.
+    physics, rotor_speed, wind, wrench, derivative, measurement: its hooks, see above.
+    grid: values of the parameters in which it is not linear, tried one by one; the others are then found by linear
+        regression, and with all of them held the size of the whole effect is.
+    refine: parameters of the grid that the final fit frees.
+    min_detectable: size below which it is not claimed where all parameters are on the grid, in their unit.
+    caveat: what a fit of it cannot settle; {parameter} stands for a fitted value.
+    time_constants: parameters, s, that bound the step with which its hidden states can be integrated.
+    per_rotor: it sits on one rotor, named by index.
+    resists_air: it is a drag, through which wind acts on the vehicle.
+    stochastic: noise drives its hidden states, so that no value in a vehicle file predicts them.
+    acts_on: "command_gain" is absorbed by the unknown gain of motor commands, "rotor_speed_reading" shows only where
+        rotor speeds are measured, "motion" is everything else.
+    sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
+    excitation: what a flight must hold to show it; None where nobody has said so.
+    confounded_with: effects with nearly the same signal in most flights.
+
+    Raises ValueError when it contradicts itself.
     """
 
     name: str
@@ -159,10 +181,85 @@ class Effect:
     wrench: Callable[[Conditions, Values, Values], Wrench] | None = None
     derivative: Callable[[Conditions, Values, Values, Values], Values] | None = None
     measurement: Callable[[Reading, Values, int | None], Reading] | None = None
-    variants: Callable[[Vehicle, Span], Sequence[Mapping[str, float]]] | None = None
+    grid: Callable[[Vehicle, Span], Sequence[Mapping[str, float]]] | None = None
+    refine: tuple[str, ...] = ()
+    min_detectable: float = 0.0
+    caveat: str = ""
+    time_constants: tuple[str, ...] = ()
     per_rotor: bool = False
     resists_air: bool = False
+    stochastic: bool = False
+    acts_on: ActsOn = "motion"
+    sensor_prior: float | None = None
+    excitation: Excitation | None = None
+    confounded_with: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for contradiction in _contradictions(self):
+            raise ValueError(f"effect {self.name!r}: {contradiction}.")
 
     def defaults(self, vehicle: Vehicle) -> dict[str, float]:
         """The usual value of each parameter on this vehicle."""
         return {p.name: min(max(p.prior(vehicle).mean, p.lower), p.upper) for p in self.parameters}
+
+    @property
+    def rotor_speed_state(self) -> str | None:
+        """Name of the hidden state that holds the rotors' real speed: the first one of each rotor, under a lag."""
+        if self.rotor_speed is None:
+            return None
+        return next((hidden.name for hidden in self.hidden if hidden.per_rotor), None)
+
+
+def _contradictions(effect: Effect) -> Iterator[str]:
+    """What cannot be true of an effect, one sentence each."""
+    names = [parameter.name for parameter in effect.parameters]
+    states = [hidden.name for hidden in effect.hidden]
+    hooks = (effect.physics, effect.rotor_speed, effect.wind, effect.wrench, effect.measurement)
+    if not effect.name.isidentifier():
+        yield "a name is letters, digits and underscores"
+    if not names:
+        yield "it has no parameter, so nothing of it could be fitted"
+    if all(hook is None for hook in hooks):
+        yield "it has none of physics, rotor_speed, wind, wrench and measurement, so it does nothing"
+    for kind, listed in (("parameter", names), ("hidden state", states)):
+        for name in {name for name in listed if listed.count(name) > 1}:
+            yield f"two {kind}s are called {name!r}"
+    for parameter in effect.parameters:
+        if not parameter.lower < parameter.upper:
+            yield f"{parameter.name}: lower {parameter.lower} is not below upper {parameter.upper}"
+    if bool(states) != (effect.derivative is not None):
+        yield "hidden states need a derivative, and a derivative hidden states"
+    if effect.rotor_speed is not None and effect.rotor_speed_state is None:
+        yield "rotor_speed needs a hidden state of each rotor (per_rotor=True) that holds the speed"
+    for field in ("refine", "time_constants"):
+        for name in set(getattr(effect, field)) - set(names):
+            yield f"{field} names {name!r}, which is none of its parameters ({', '.join(names)})"
+    yield from _contradicting_roles(effect)
+
+
+def _contradicting_roles(effect: Effect) -> Iterator[str]:
+    """What cannot be true of the fields that say how the rest of the tree treats an effect."""
+    for parameter in effect.parameters:
+        if parameter.name in effect.time_constants and not parameter.lower > 0:
+            yield f"time constant {parameter.name} has the lower bound {parameter.lower} s; it must be above 0"
+    if effect.time_constants and not effect.hidden:
+        yield "time_constants belong to hidden states, and it has none"
+    if effect.grid is None and (effect.refine or effect.min_detectable):
+        yield "refine and min_detectable belong to a grid, and it has none"
+    if effect.stochastic and not effect.hidden:
+        yield "stochastic effects have hidden states that noise drives, and it has none"
+    if effect.stochastic and effect.grid is not None:
+        yield "a stochastic effect is not regressed, so it needs no grid"
+    if effect.sensor_prior is not None and (effect.measurement is None or not effect.sensor_prior > 0):
+        yield "sensor_prior is a standard deviation above 0 of a fault of a sensor (measurement)"
+    if effect.acts_on not in get_args(ActsOn):
+        yield f"acts_on is {effect.acts_on!r}, not one of {', '.join(get_args(ActsOn))}"
+    if effect.acts_on == "rotor_speed_reading" and effect.measurement is None:
+        yield 'acts_on="rotor_speed_reading" needs a measurement'
+    if effect.acts_on == "command_gain" and effect.physics is None:
+        yield 'acts_on="command_gain" needs physics'
+    if effect.name in effect.confounded_with:
+        yield "confounded_with names the effect itself"
+    placeholders = {name for _, name, _, _ in Formatter().parse(effect.caveat) if name is not None}
+    for name in placeholders - {parameter.name for parameter in effect.parameters}:
+        yield f"caveat names {{{name}}}, which is none of its parameters"

@@ -84,7 +84,7 @@ def _variants(
     names = tuple(p.name for p in effect.parameters)
     neutral = {p.name: p.neutral for p in effect.parameters}
     known = next((u for u in vehicle.effects if u.name == effect.name and u.rotor == rotor), None)
-    tried = effect.variants(vehicle, span) if effect.variants is not None else [{}]
+    tried = effect.grid(vehicle, span) if effect.grid is not None else [{}]
     if known is not None:  # the model has it: regress how far off its values are
         at = {**effect.defaults(vehicle), **known.parameters}
         held = tried[0].keys()

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import FORCE, POSE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -29,4 +30,12 @@ EFFECT = Effect(
         Parameter("coefficient", "N s^2/(rad m)", "thrust lost per rotor speed and climb speed", 0.0, 1e-2, usual),
     ),
     wrench=wrench,
+    excitation=Excitation(
+        (FORCE, *POSE, WRENCH),
+        measure="climb_speed",
+        weak=0.3,
+        enough=0.8,
+        flight="climbs and descents: bob, Parabola",
+        manoeuvre="fast climbs and descents without tilt",
+    ),
 )

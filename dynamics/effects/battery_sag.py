@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Span, Values
+from dynamics.excitation import COMMAND, FORCE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -16,7 +17,7 @@ def physics(body: Physics, p: Values, environment: Environment, _: int | None) -
     return replace(body, thrust_constant=body.thrust_constant * factor)
 
 
-def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
     """Constants that hold at 4.2, 4.1 or 3.8 V a cell."""
     return [{"reference": volts / 4.2} for volts in (4.2, 4.1, 3.8)]
 
@@ -40,5 +41,15 @@ EFFECT = Effect(
         ),
     ),
     physics=physics,
-    variants=variants,
+    grid=grid,
+    caveat="the voltage at which the file's constants hold was tried, not fitted: {reference:.3g} of a full battery's",
+    confounded_with=("thrust_constant",),
+    excitation=Excitation(
+        (("battery_voltage",), COMMAND, FORCE),
+        measure="voltage_drop",
+        weak=0.03,
+        enough=0.08,
+        flight="a full battery until low",
+        manoeuvre="the same manoeuvre with a full and with a nearly empty battery",
+    ),
 )

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import DRIVE, POSE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -33,4 +34,12 @@ EFFECT = Effect(
         Parameter("coefficient", "N s^2/rad", "moment per rotor speed and crossing airspeed", -1e-3, 1e-3, usual),
     ),
     wrench=wrench,
+    excitation=Excitation(
+        (("rate",), *POSE, DRIVE),
+        measure="lateral_speed",
+        weak=0.5,
+        enough=1.5,
+        flight="aggressive level flight: Lemniscate",
+        manoeuvre="aggressive horizontal accelerations along both axes",
+    ),
 )

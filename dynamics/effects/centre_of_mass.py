@@ -6,6 +6,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Span, Values
+from dynamics.excitation import DRIVE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -25,7 +26,7 @@ def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics
     return replace(body, centre_of_mass=body.centre_of_mass + ca.vertcat(p["x"], p["y"], p["z"]))
 
 
-def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
     """At the height that the file says."""
     return [{"z": 0.0}]
 
@@ -40,5 +41,14 @@ EFFECT = Effect(
         Parameter("z", "m", "upwards", -0.5, 0.5, level),
     ),
     physics=physics,
-    variants=variants,
+    grid=grid,
+    confounded_with=("weak_rotor",),
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="thrust_range",
+        weak=0.05,
+        enough=0.15,
+        flight="climbs and descents: bob",
+        manoeuvre="thrust steps in hover, then the same with swapped propellers",
+    ),
 )

@@ -6,6 +6,7 @@ import casadi as ca
 
 from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Span, Values, Wrench
+from dynamics.excitation import FORCE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -28,7 +29,7 @@ def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
     return Wrench(force, moment)
 
 
-def variants(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
+def grid(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
     """Effective radii from 0.7 to 3 times the propeller's: the rotors of a vehicle help each other."""
     return [{"radius": ratio * vehicle.rotors.disc_radius} for ratio in (0.7, 1.0, 1.5, 2.0, 3.0)]
 
@@ -42,5 +43,15 @@ EFFECT = Effect(
         Parameter("radius", "m", "effective rotor radius", 0.005, 2.0, usual_radius, neutral=0.1),
     ),
     wrench=wrench,
-    variants=variants,
+    grid=grid,
+    caveat="gain and radius cannot be told apart: high above the ground only gain x radius^2 shows, here "
+    "{gain:.3g} x ({radius:.3g} m)^2; the radius was tried, not fitted",
+    excitation=Excitation(
+        (("position",), FORCE, WRENCH),
+        measure="low_flight",
+        weak=2.0,
+        enough=10.0,
+        flight="low_flight",
+        manoeuvre="low passes between 0.1 and 1 m above flat ground",
+    ),
 )

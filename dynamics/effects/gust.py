@@ -4,6 +4,7 @@ import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Values, Wrench
 from dynamics.effects.wind import COEFFICIENT, push
+from dynamics.excitation import FORCE, Excitation
 
 AXES = ("x", "y", "z")
 
@@ -42,4 +43,14 @@ EFFECT = Effect(
     wind=wind,
     wrench=wrench,
     derivative=derivative,
+    time_constants=("correlation_time",),
+    stochastic=True,
+    excitation=Excitation(
+        (FORCE,),
+        measure="duration",
+        weak=20.0,
+        enough=60.0,
+        flight="a minute of any flight",
+        manoeuvre="a minute of hover in one place",
+    ),
 )

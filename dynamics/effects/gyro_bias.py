@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Parameter, Prior, Reading, Values
+from dynamics.excitation import Excitation
 
 AXES = ("x", "y", "z")
 
@@ -22,4 +23,13 @@ EFFECT = Effect(
         Parameter(axis, "rad/s", f"bias about body {axis}", -2.0, 2.0, lambda _: Prior(0.02, 0.05)) for axis in AXES
     ),
     measurement=measurement,
+    sensor_prior=0.01,
+    excitation=Excitation(
+        (("rate",), ("attitude",)),
+        measure="duration",
+        weak=5.0,
+        enough=15.0,
+        flight="any flight",
+        manoeuvre="half a minute of quiet hover",
+    ),
 )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Parameter, Prior, Reading, Values
+from dynamics.excitation import POSE, Excitation
 
 AXES = ("x", "y", "z")
 
@@ -22,4 +23,13 @@ EFFECT = Effect(
         Parameter(axis, "m/s^2", f"bias along body {axis}", -20.0, 20.0, lambda _: Prior(0.1, 0.3)) for axis in AXES
     ),
     measurement=measurement,
+    sensor_prior=0.02,
+    excitation=Excitation(
+        (("specific_force",), *POSE),
+        measure="tilt",
+        weak=0.05,
+        enough=0.2,
+        flight="tilted flight in several headings: circle",
+        manoeuvre="hover with the nose turned to four directions",
+    ),
 )

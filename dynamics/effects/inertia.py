@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.excitation import DRIVE, QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -27,4 +28,12 @@ EFFECT = Effect(
         for axis in "xyz"
     ),
     physics=physics,
+    excitation=Excitation(
+        (("rate",), (*DRIVE, "torque_command")),
+        measure="tilting_acceleration",
+        weak=2.0,
+        enough=8.0,
+        flight=QUICK_TURNS,
+        manoeuvre="fast rolls, pitches and yaw steps",
+    ),
 )

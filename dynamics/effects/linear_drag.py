@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -23,4 +24,12 @@ EFFECT = Effect(
     parameters=(Parameter("coefficient", "N s/m", "force per airspeed", 0.0, 20.0, usual),),
     wrench=wrench,
     resists_air=True,
+    excitation=Excitation(
+        (FORCE, *POSE),
+        measure="lateral_speed",
+        weak=0.3,
+        enough=1.0,
+        flight="straight lines and circles",
+        manoeuvre="straight accelerations to top speed and back along both axes, level and vertical",
+    ),
 )

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values
+from dynamics.excitation import COMMAND, QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -16,7 +17,7 @@ def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
     return {"rotor_speed": (c.command - hidden["rotor_speed"]) / p["time_constant"]}
 
 
-def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
     """Time constants from 4 to 120 ms."""
     return [{"time_constant": seconds} for seconds in (0.004, 0.01, 0.018, 0.03, 0.045, 0.07, 0.12)]
 
@@ -31,5 +32,15 @@ EFFECT = Effect(
     hidden=(Hidden("rotor_speed", "rad/s", initial=lambda vehicle: vehicle.hover_speed, per_rotor=True),),
     rotor_speed=rotor_speed,
     derivative=derivative,
-    variants=variants,
+    grid=grid,
+    min_detectable=0.0025,  # s; less is the clocks' own
+    time_constants=("time_constant",),
+    excitation=Excitation(
+        (("rate", "specific_force"), COMMAND),
+        measure="tilting_acceleration",
+        weak=2.0,
+        enough=8.0,
+        flight=QUICK_TURNS,
+        manoeuvre="quick steps in thrust and body rates",
+    ),
 )

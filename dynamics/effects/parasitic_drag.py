@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -25,4 +26,12 @@ EFFECT = Effect(
     parameters=(Parameter("coefficient", "N s^2/m^2", "half of air density x drag area", 0.0, 5.0, usual),),
     wrench=wrench,
     resists_air=True,
+    excitation=Excitation(
+        (FORCE, *POSE),
+        measure="speed",
+        weak=2.0,
+        enough=4.0,
+        flight="straight accelerations to full speed: line:size=2",
+        manoeuvre="straight accelerations to top speed and back along both axes",
+    ),
 )

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import DRIVE, QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -22,4 +23,12 @@ EFFECT = Effect(
     source="Etkin and Reid, Dynamics of Flight, 1996 (rate derivatives); SIH_KDW of PX4's simulator",
     parameters=(Parameter("coefficient", "N m s/rad", "moment per body rate", 0.0, 1.0, usual),),
     wrench=wrench,
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="tilting_rate",
+        weak=0.3,
+        enough=1.0,
+        flight=QUICK_TURNS,
+        manoeuvre="fast rolls, pitches and yaw turns without travelling",
+    ),
 )

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import DRIVE, Excitation
 
 
 def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
@@ -28,4 +29,12 @@ EFFECT = Effect(
     ),
     wrench=wrench,
     per_rotor=True,
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="thrust_range",
+        weak=0.05,
+        enough=0.15,
+        flight="climbs and descents: bob",
+        manoeuvre="thrust steps in hover and slow yaw turns",
+    ),
 )

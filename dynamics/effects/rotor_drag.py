@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import DRIVE, FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -33,4 +34,12 @@ EFFECT = Effect(
     ),
     wrench=wrench,
     resists_air=True,
+    excitation=Excitation(
+        (FORCE, *POSE, DRIVE),
+        measure="lateral_speed",
+        weak=0.3,
+        enough=1.0,
+        flight="yaw spins while flying sideways, fast circles",
+        manoeuvre="yaw spins while flying circles at 2 to 4 m/s",
+    ),
 )

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import DRIVE, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -28,4 +29,12 @@ EFFECT = Effect(
     source="Bouabdallah, Design and control of quadrotors, EPFL 2007, eq. 2.30",
     parameters=(Parameter("inertia", "kg m^2", "of a rotor about its axis", 0.0, 1e-2, usual),),
     wrench=wrench,
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="tilting_rate",
+        weak=0.8,
+        enough=2.0,
+        flight="quick rolls while yawing",
+        manoeuvre="fast rolls and pitches during strong yaw accelerations",
+    ),
 )

@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Parameter, Prior, Reading, Values
+from dynamics.excitation import COMMAND, Excitation
 
 
 def measurement(reading: Reading, p: Values, rotor: int | None) -> Reading:
@@ -23,4 +24,13 @@ EFFECT = Effect(
     ),
     measurement=measurement,
     per_rotor=True,
+    acts_on="rotor_speed_reading",
+    excitation=Excitation(
+        (("rotor_speed",), ("rate", *COMMAND)),
+        measure="duration",
+        weak=5.0,
+        enough=15.0,
+        flight="hover",
+        manoeuvre="thrust steps in hover with the motor commands logged beside the measured speeds",
+    ),
 )

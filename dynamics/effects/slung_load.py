@@ -7,6 +7,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values, Wrench
+from dynamics.excitation import FORCE, Excitation
 from dynamics.vehicle import Vehicle
 
 AXES = ("x", "y", "z")
@@ -35,7 +36,7 @@ def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
     return Wrench(quaternion.rotate_inverse(c.attitude, tension * along), ca.SX.zeros(3))
 
 
-def variants(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
+def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
     """Lines of 0.2 to 1.2 m."""
     return [{"length": float(length)} for length in np.geomspace(0.2, 1.2, 8)]
 
@@ -68,5 +69,15 @@ EFFECT = Effect(
     ),
     wrench=wrench,
     derivative=derivative,
-    variants=variants,
+    grid=grid,
+    refine=("length",),
+    confounded_with=("mass",),
+    excitation=Excitation(
+        (FORCE, ("attitude",)),
+        measure="acceleration",
+        weak=0.5,
+        enough=1.5,
+        flight="stops and starts: line",
+        manoeuvre="a stop from 3 m/s, then hover while the load swings out",
+    ),
 )

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.excitation import FORCE, WRENCH, Excitation
 
 
 def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics:
@@ -18,4 +19,14 @@ EFFECT = Effect(
         Parameter("ratio", "1", "real k_f over the file's", 0.3, 3.0, lambda _: Prior(0.92, 0.15), neutral=1.0),
     ),
     physics=physics,
+    acts_on="command_gain",
+    confounded_with=("mass",),
+    excitation=Excitation(
+        (FORCE, WRENCH),
+        measure="duration",
+        weak=5.0,
+        enough=15.0,
+        flight="hover",
+        manoeuvre="fast rolls and pitches: a wrong thrust constant also shows in torque, a wrong mass does not",
+    ),
 )

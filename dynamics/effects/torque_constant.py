@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.excitation import DRIVE, Excitation
 
 
 def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics:
@@ -18,4 +19,13 @@ EFFECT = Effect(
         Parameter("ratio", "1", "real k_tau over the file's", 0.2, 5.0, lambda _: Prior(1.2, 0.3), neutral=1.0),
     ),
     physics=physics,
+    confounded_with=("inertia",),
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="yaw_acceleration",
+        weak=0.3,
+        enough=1.0,
+        flight="yaw_spin with quick starts",
+        manoeuvre="yaw steps in both directions",
+    ),
 )

@@ -3,6 +3,7 @@
 import casadi as ca
 
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.excitation import FORCE, POSE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle
 
 
@@ -27,4 +28,12 @@ EFFECT = Effect(
     source="momentum theory of forward flight linearised about hover; Leishman, Principles of Helicopter Aerodynamics",
     parameters=(Parameter("coefficient", "N s^2/m^2", "thrust per crossing airspeed squared", 0.0, 1.0, usual),),
     wrench=wrench,
+    excitation=Excitation(
+        (FORCE, *POSE, WRENCH),
+        measure="lateral_speed",
+        weak=1.0,
+        enough=2.0,
+        flight="fast level flight: circle, line",
+        manoeuvre="level flight at several speeds",
+    ),
 )

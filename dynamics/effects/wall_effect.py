@@ -7,6 +7,7 @@ import casadi as ca
 
 from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Span, Values, Wrench
+from dynamics.excitation import FORCE, Excitation
 from dynamics.vehicle import Vehicle
 
 HEADINGS = (0.0, math.pi / 2, math.pi, -math.pi / 2)
@@ -24,7 +25,7 @@ def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
     return Wrench(quaternion.rotate_inverse(c.attitude, force), ca.SX.zeros(3))
 
 
-def variants(_: Vehicle, span: Span) -> Sequence[dict[str, float]]:
+def grid(_: Vehicle, span: Span) -> Sequence[dict[str, float]]:
     """A wall where the flights came farthest, in each of the four directions of the axes."""
     distances = (span.highest[0], span.highest[1], -span.lowest[0], -span.lowest[1])
     return [
@@ -47,5 +48,12 @@ EFFECT = Effect(
         Parameter("scale", "m", "distance over which the force fades to 37 %", 0.02, 5.0, lambda _: Prior(0.3, 0.2), 1),
     ),
     wrench=wrench,
-    variants=variants,
+    grid=grid,
+    refine=("scale",),
+    excitation=Excitation(
+        (("position",), FORCE),
+        unlogged="where walls are",
+        flight="slow passes along the wall",
+        manoeuvre="slow passes at several distances from each wall",
+    ),
 )

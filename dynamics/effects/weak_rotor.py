@@ -5,6 +5,7 @@ from dataclasses import replace
 import casadi as ca
 
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
+from dynamics.excitation import DRIVE, Excitation
 
 
 def physics(body: Physics, p: Values, _: Environment, rotor: int | None) -> Physics:
@@ -21,4 +22,13 @@ EFFECT = Effect(
     parameters=(Parameter("loss", "1", "share of thrust lost", 0.0, 0.9, lambda _: Prior(0.1, 0.1)),),
     physics=physics,
     per_rotor=True,
+    confounded_with=("centre_of_mass",),
+    excitation=Excitation(
+        (("rate",), DRIVE),
+        measure="duration",
+        weak=5.0,
+        enough=15.0,
+        flight="hover",
+        manoeuvre="thrust steps in hover, then the same with the payload moved",
+    ),
 )

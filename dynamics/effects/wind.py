@@ -11,6 +11,7 @@ import casadi as ca
 from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Span, Values, Wrench
 from dynamics.effects import rotor_drag
+from dynamics.excitation import FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle
 
 COEFFICIENT = Parameter(
@@ -43,7 +44,7 @@ def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
     return push(c, p, wind(p, hidden))
 
 
-def variants(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
+def grid(vehicle: Vehicle, _: Span) -> Sequence[dict[str, float]]:
     """Level wind through a usual drag: without a drag in the model only the product of the two shows."""
     return [{"z": 0.0, "coefficient": rotor_drag.usual(vehicle).mean}]
 
@@ -60,5 +61,14 @@ EFFECT = Effect(
     ),
     wind=wind,
     wrench=wrench,
-    variants=variants,
+    grid=grid,
+    caveat="in a model without drag only velocity x coefficient shows: the coefficient is that of a usual rotor drag",
+    excitation=Excitation(
+        (FORCE, *POSE),
+        measure="duration",
+        weak=20.0,
+        enough=60.0,
+        flight="hover and slow circles for a minute",
+        manoeuvre="hover with the nose turned to four directions, and known drag in the vehicle file",
+    ),
 )

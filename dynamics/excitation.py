@@ -1,0 +1,44 @@
+"""What a flight must hold to show an effect: logged quantities, and motion of some size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+Group = tuple[str, ...]
+
+# Groups of logged quantities that serve the same purpose: one of a group is enough.
+FORCE: Group = ("specific_force", "velocity", "acceleration")
+DRIVE: Group = ("rotor_speed", "rotor_speed_command", "rotor_thrust_command", "rotor_command")
+WRENCH: Group = (*DRIVE, "collective_thrust_command")
+COMMAND: Group = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
+POSE: tuple[Group, ...] = (("velocity",), ("attitude",))
+
+QUICK_TURNS = "quick rolls and pitches: Lemniscate, ExtendedLemniscate"
+
+
+@dataclass(frozen=True)
+class Excitation:
+    """What a flight must hold to show an effect of usual size above the sensors' noise.
+
+    channels: groups of logged quantities, of each group at least one.
+    measure: the motion that shows it, one of `flights.quality.excitation.measures`.
+    weak: size of the measure from which the effect shows weakly.
+    enough: size from which it shows well.
+    flight: what to fly where the measure is too small.
+    manoeuvre: what separates it from other effects.
+    unlogged: what it depends on and no log holds, such as "where walls are"; no measure is needed then.
+    """
+
+    channels: tuple[Group, ...]
+    measure: str = ""
+    weak: float = 0.0
+    enough: float = 0.0
+    flight: str = "more aggressive flight"
+    manoeuvre: str = "more aggressive flight"
+    unlogged: str = ""
+
+    def __post_init__(self) -> None:
+        if bool(self.measure) == bool(self.unlogged):
+            raise ValueError("Excitation: give either a measure that shows the effect or what is unlogged.")
+        if not 0.0 <= self.weak <= self.enough:
+            raise ValueError(f"Excitation: 0 <= weak <= enough is required, not {self.weak} and {self.enough}.")
