@@ -22,7 +22,8 @@ from provenance import write_result
 
 from dynamics.errors import AlulaError
 from studies.demo.flights import DemoOptions
-from studies.demo.run import DemoReport, run_demo
+from studies.demo.result import DemoReport
+from studies.demo.run import run_demo
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
 EFFECTS = (

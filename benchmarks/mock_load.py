@@ -20,7 +20,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from provenance import write_result
 
-from fixtures.mock_process import mock_process
+from simulation.mock_process import mock_process
 from sitl_mock.mock import MockOptions, build_autopilot
 from sitl_mock.wire.dialect import mavlink
 from vehicles import FOLDER

@@ -23,8 +23,8 @@ from runtime.daemon import Daemon
 from runtime.flight.events import Event
 from runtime.flight_setup import FlightSetup, exported_bundle, prepare_flight
 from runtime.record.recording import Recording, read_recording
-from simulation.embedded_mock import embedded_mock
 from simulation.lockstep import fly_reference
+from simulation.mock_process import mock_process
 from studies.demo.flights import BRISK, FINDING_PATIENCE
 from studies.demo.report import tracked
 from training.data.labels import RATE_CUTOFF, VELOCITY_CUTOFF
@@ -116,10 +116,10 @@ def _over_link(run: Run) -> Flown:
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
         with _ahead_of_others(MOCKS_PRIORITY):
-            link = stack.enter_context(embedded_mock(VEHICLE, [*hidden, "--seed", str(run.seed)]))
+            mock = stack.enter_context(mock_process(*hidden, "--seed", str(run.seed), vehicle=VEHICLE))
         bundled = Path(run.path).is_dir()
         setup = FlightSetup(
-            link=link, reference=run.manoeuvre, duration=DURATION, rate=RATE, record=Path(folder),
+            link=mock.url, reference=run.manoeuvre, duration=DURATION, rate=RATE, record=Path(folder),
             timeout=FINDING_PATIENCE, priority=PRIORITY, vehicle=None if bundled else run.path,
             bundle=Path(run.path) if bundled else None,
         )  # fmt: skip

@@ -20,7 +20,8 @@ from rich.table import Table
 
 from studies.demo import report as told
 from studies.demo.flights import DemoOptions
-from studies.demo.run import DemoReport, absent_libraries, check_options, run_demo
+from studies.demo.result import DemoReport
+from studies.demo.run import absent_libraries, check_options, run_demo
 from studies.paper import TRACKING_NOMINAL
 
 USUAL = DemoOptions(folder=Path("reports/demo"))

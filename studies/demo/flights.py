@@ -18,7 +18,8 @@ from runtime.control.controller import Controller
 from runtime.daemon import Daemon
 from runtime.flight.mission import Plan
 from runtime.flight_setup import FlightSetup, prepare_flight
-from simulation.embedded_mock import embedded_mock
+from simulation.mock_process import mock_process
+from studies.demo.result import FlownManoeuvre
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 from vehicles import vehicle_path
 
@@ -56,17 +57,6 @@ class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return IN_LOCKSTEP if self.lockstep else OVER_LINK
 
 
-class FlownManoeuvre(msgspec.Struct, frozen=True):
-    """How one manoeuvre went. Position errors against the reference, m; paper_rmse: with its model of the same kind."""
-
-    name: str
-    speed_max: float
-    position_rmse: float
-    position_max: float
-    paper_rmse: float | None
-    recording: str
-
-
 class Pilot(Protocol):
     """Flies one manoeuvre with the model of a vehicle file."""
 
@@ -85,8 +75,8 @@ def pilot(options: DemoOptions, announce: Announce) -> Iterator[Pilot]:
         yield lambda name, vehicle, model: _in_lockstep(name, vehicle, model, options)
         return
     hidden = [part for text in options.effects for part in ("--effect", text)]
-    with embedded_mock(options.vehicle, [*hidden, "--seed", str(options.seed)]) as link:
-        yield lambda name, vehicle, model: _over_link(name, vehicle, model, link, options, announce)
+    with mock_process(*hidden, "--seed", str(options.seed), vehicle=options.vehicle) as mock:
+        yield lambda name, vehicle, model: _over_link(name, vehicle, model, mock.url, options, announce)
 
 
 def _over_link(

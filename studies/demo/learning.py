@@ -1,4 +1,4 @@
-"""The demo's second half on the desk: what the first flights show to be missing, and the next vehicle file."""
+"""The demo's second half, on the workbench: diagnose the first flights and write the next vehicle file."""
 
 from __future__ import annotations
 
@@ -15,13 +15,18 @@ from diagnosis.report import sentence
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle_file import read_vehicle
 from studies.demo.flights import DemoOptions
-from studies.demo.run import Learned, PredictionError
+from studies.demo.result import Learned, PredictionError
 from vehicles import vehicle_path
 
 
 @dataclass(frozen=True, eq=False)
 class Learning:
-    """What was learned, what from and how. learned: the same for the report, without the flights that follow."""
+    """The second half before its flights.
+
+    learned: for the report, without flights yet.
+    dataset: what it was learned from.
+    completion: the diagnoses and the vehicle with what was added.
+    """
 
     learned: Learned
     dataset: Dataset
@@ -33,16 +38,16 @@ def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "")
 
     Raises DataError when the recordings cannot answer, RequestError when the file cannot be written.
     """
-    given = vehicle_path(options.vehicle)
-    vehicle = read_vehicle(given)
+    file = vehicle_path(options.vehicle)
+    vehicle = read_vehicle(file)
     dataset = read_dataset(recordings, vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     completion = complete(dataset, vehicle, CATALOGUE, date=today, command=command)
     diagnosis, after = completion.first.diagnosis, completion.last.diagnosis.channels
-    written = write_next_version(completion.vehicle, options.folder / given.name) if completion.added else ""
+    written = write_next_version(completion.vehicle, options.folder / file.name) if completion.added else ""
     learned = Learned(
         verdict=diagnosis.verdict,
-        said=sentence(diagnosis),
+        sentence=sentence(diagnosis),
         added=tuple(effect.name for effect in completion.added),
         channels={k: PredictionError(e.before, after[k].after, e.floor, e.unit) for k, e in diagnosis.channels.items()},
         vehicle_file=str(written),

@@ -17,8 +17,7 @@ from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from runtime.record.recording import Recording, read_recording
-from studies.demo.flights import FlownManoeuvre
-from studies.demo.run import DemoReport
+from studies.demo.result import DemoReport, FlownManoeuvre
 
 if TYPE_CHECKING:
     from studies.demo.learning import Learning
@@ -117,7 +116,7 @@ def closing_lines(report: DemoReport) -> list[str]:
     if report.learned is None:
         return []
     learned = report.learned
-    lines = [f"Diagnosis ({learned.verdict}): {learned.said}"]
+    lines = [f"Diagnosis ({learned.verdict}): {learned.sentence}"]
     if not learned.vehicle_file:
         return [*lines, "Nothing was added, so nothing was flown again."]
     lines.append(f"Added: {', '.join(learned.added)}. The vehicle file with it: {learned.vehicle_file}")

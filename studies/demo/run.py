@@ -1,19 +1,20 @@
-"""The main job end to end on a simulated vehicle: fly the textbook model on one that hides an effect, diagnose these
-flights, add what was found, fly the same with it in the controller's model.
+"""The main job end to end on a simulated vehicle: fly the nominal model on one with a hidden effect, diagnose these
+flights, add the effects, fly the same with them in the controller's model.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from importlib import util
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 
 from dynamics.errors import RequestError
 from dynamics.references import named_reference
 from dynamics.vehicle_file import parse_effect, read_vehicle
-from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, FlownManoeuvre, pilot
+from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot
+from studies.demo.result import DemoReport, FlownManoeuvre
 from vehicles import vehicle_path
 
 if TYPE_CHECKING:
@@ -21,54 +22,6 @@ if TYPE_CHECKING:
 
 Started = Callable[[str], None]
 NEEDED = ("scipy", "pyarrow")  # for diagnosis, which a flight computer's install leaves out
-
-
-class PredictionError(msgspec.Struct, frozen=True):
-    """RMS of one channel over three axes on a flight that nothing was fitted on, and the sensors' noise of the same."""
-
-    before: float
-    after: float
-    floor: float
-    unit: str
-
-
-class Learned(msgspec.Struct, frozen=True):
-    """The second half. verdict: diagnosis' word for the first flights. said: the same in a sentence.
-
-    added: effects, the most important first. channels: prediction error with the textbook model and with them.
-    vehicle_file: the next version, empty when there was nothing to add; then nothing is flown again. flown: with it.
-    diagnosis: as `alula diagnose --json` writes it.
-    """
-
-    verdict: str
-    said: str
-    added: tuple[str, ...]
-    channels: dict[str, PredictionError]
-    vehicle_file: str
-    flown: tuple[FlownManoeuvre, ...]
-    diagnosis: dict[str, Any]
-
-
-class DemoReport(msgspec.Struct, frozen=True):
-    """What the demo measured, and where it wrote it. nominal: flights with the textbook model.
-
-    learned: None when there was no second half; missing: what it would have needed.
-    """
-
-    vehicle: str
-    hidden_effects: tuple[str, ...]
-    seed: int
-    nominal: tuple[FlownManoeuvre, ...]
-    lockstep: bool = False
-    learned: Learned | None = None
-    missing: tuple[str, ...] = ()
-    files: tuple[str, ...] = ()
-
-    @property
-    def pairs(self) -> tuple[tuple[FlownManoeuvre, FlownManoeuvre | None], ...]:
-        """Each manoeuvre with the textbook model and, if it was flown again, with the learned one."""
-        after = self.learned.flown if self.learned is not None else ()
-        return tuple((before, after[i] if i < len(after) else None) for i, before in enumerate(self.nominal))
 
 
 def check_options(options: DemoOptions) -> None:
@@ -96,16 +49,17 @@ def check_options(options: DemoOptions) -> None:
 
 
 def absent_libraries() -> tuple[str, ...]:
-    """What the second half needs and this install has not."""
+    """Libraries that the second half needs and this install lacks."""
     return tuple(name for name in NEEDED if util.find_spec(name) is None)
 
 
 def run_demo(
     options: DemoOptions, announce: Announce, started: Started, *, command: str = ""
 ) -> tuple[DemoReport, Learning | None]:
-    """Fly, diagnose, add, fly again. started: is told the name of each part as it begins. command: for the history.
+    """Fly, diagnose, add, fly again; the first half alone without the workbench's libraries or `learn`.
 
-    Without the desk's libraries, or told not to learn, only the first half; then there is no Learning.
+    started: called with the name of each part as it begins.
+    command: for the vehicle file's history.
 
     Raises RequestError for options that make no sense, VehicleError when a flight does not end as it should, DataError
     when the flights cannot be diagnosed.

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from fixtures.mock_process import free_port, mock_process
+from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
 RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap"

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from alula.cli.app import main
-from fixtures.mock_process import free_port
+from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
 

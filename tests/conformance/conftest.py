@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fixtures.mock_process import MockProcess, mock_process
+from simulation.mock_process import MockProcess, mock_process
 from tests.conformance.raw_link import RawLink
 
 

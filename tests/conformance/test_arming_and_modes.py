@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from fixtures.mock_process import mock_process
+from simulation.mock_process import mock_process
 from tests.conformance.raw_link import HOLD, LAND, OFFBOARD, SET_MODE, RawLink, attitude_target
 
 ACCEPTED, TEMPORARILY_REJECTED = 0, 1

@@ -13,7 +13,7 @@ from collections.abc import Callable
 import psutil
 import pytest
 
-from fixtures.mock_process import MockProcess, free_port, mock_process
+from simulation.mock_process import MockProcess, free_port, mock_process
 from tests.conformance.raw_link import RawLink, attitude_target, mavlink
 
 GET_INTERVAL, ODOMETRY = 510, 331

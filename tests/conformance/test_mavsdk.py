@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from fixtures.mock_process import MockProcess, mock_process
+from simulation.mock_process import MockProcess, mock_process
 
 mavsdk = pytest.importorskip("mavsdk", minversion="4", reason="MAVSDK's Python binding is not installed")
 

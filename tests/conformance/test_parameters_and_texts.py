@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from fixtures.mock_process import MockProcess
+from simulation.mock_process import MockProcess
 from tests.conformance.raw_link import RawLink, mavlink
 
 INT32, REAL32 = 6, 9

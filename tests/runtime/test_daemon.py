@@ -22,7 +22,6 @@ import pytest
 from dynamics.errors import VehicleError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
-from fixtures.mock_process import free_port, mock_process
 from runtime import daemon as daemon_module
 from runtime.daemon import Daemon, FlightReport, FlightRequest
 from runtime.flight.engagement import Settings
@@ -34,6 +33,7 @@ from runtime.link.connection import parse_endpoint
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
 from runtime.record.replay import replay
+from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
 VEHICLE_FILE = FOLDER / "px4_sih.toml"

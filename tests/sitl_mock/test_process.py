@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from alula.cli.app import main
-from fixtures.mock_process import MockProcess, free_port, mock_process
+from simulation.mock_process import MockProcess, free_port, mock_process
 from sitl_mock.wire.dialect import mavlink
 from sitl_mock.wire.link_spec import default_links, parse_link
 from vehicles import FOLDER

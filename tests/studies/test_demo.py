@@ -1,11 +1,9 @@
 """The demo flies, diagnoses its own flights, adds what it found and flies again; it always ends cleanly."""
 
 import csv
-import time
 from pathlib import Path
 
 import msgspec
-import psutil
 import pytest
 from typer.testing import CliRunner
 
@@ -15,11 +13,12 @@ from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from runtime.flight_setup import FlightSetup, prepare_flight
 from runtime.record.recording import read_recording
-from simulation.embedded_mock import embedded_mock
+from simulation.mock_process import mock_process
 from studies.demo import run as demo_module
-from studies.demo.flights import DemoOptions, FlownManoeuvre
+from studies.demo.flights import DemoOptions
 from studies.demo.report import closing_lines, tracked, write_report
-from studies.demo.run import DemoReport, check_options, run_demo
+from studies.demo.result import DemoReport, FlownManoeuvre
+from studies.demo.run import check_options, run_demo
 from vehicles import vehicle_path
 
 
@@ -195,13 +194,19 @@ def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Pa
 
 def test_a_mock_that_dies_is_named_as_the_cause_of_the_flights_end() -> None:
     def fly_until_it_is_gone() -> None:
-        with embedded_mock("arpl_250g", ["--effect", "rotor_dragg"]):
-            deadline = time.monotonic() + 30
-            while not any(child.status() == psutil.STATUS_ZOMBIE for child in psutil.Process().children()):
-                assert time.monotonic() < deadline
-                time.sleep(0.05)
+        with mock_process(vehicle="arpl_250g") as mock:
+            mock.process.kill()
+            mock.process.wait()
             raise VehicleError("no vehicle was heard")
 
-    with pytest.raises(VehicleError, match=r"(?s)the mock ended by itself with exit code 2.*rotor_dragg") as caught:
+    with pytest.raises(VehicleError, match=r"the mock ended by itself with exit code -9") as caught:
         fly_until_it_is_gone()
     assert "no vehicle was heard" in str(caught.value.__cause__)
+
+
+def test_a_mock_that_does_not_start_is_an_error_with_its_own_words() -> None:
+    with (
+        pytest.raises(VehicleError, match=r"(?s)the mock ended by itself with exit code 2.*rotor_dragg"),
+        mock_process("--effect", "rotor_dragg", vehicle="arpl_250g"),
+    ):
+        pass

@@ -11,9 +11,9 @@ import pytest
 from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics.errors import RequestError, VehicleError
-from fixtures.mock_process import free_port
 from runtime.link.connection import Endpoint
 from runtime.link.link_check import LinkReport, check_link
+from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
 WINDOW = 0.5
