@@ -15,6 +15,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
+IMPOSED = frozenset({"tell"})  # by Python's file objects
 PARTS, WHOLE = "## Words that no part of an identifier is", "## Words that are no name by themselves"
 
 
@@ -60,7 +61,7 @@ def main() -> int:
             words = parts_of(name) & refused_parts
             if name.strip("_").lower() in whole:
                 words.add(name)
-            if words and not name.startswith("test_"):
+            if words and name not in IMPOSED and not name.startswith("test_"):
                 count += 1
                 print(f"{path}:{line}: {name}: {', '.join(sorted(words))} is replaced in docs/glossary.md")
     return int(count > 0)

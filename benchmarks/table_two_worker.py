@@ -22,7 +22,7 @@ from runtime.control.controller import Controller
 from runtime.daemon import Daemon
 from runtime.flight.events import Event
 from runtime.flight_setup import FlightSetup, exported_bundle, prepare_flight
-from runtime.record.recording import Recording, read_recording
+from runtime.record.recording import FlightRecording, read_recording
 from simulation.lockstep import fly_reference
 from simulation.mock_process import mock_process
 from studies.demo.flights import BRISK, FINDING_PATIENCE
@@ -136,7 +136,7 @@ def _over_link(run: Run) -> Flown:
     )  # fmt: skip
 
 
-def _of_recording(recording: Recording) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _of_recording(recording: FlightRecording) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Times (n,) s since tracking began; position, its setpoint, velocity and body rates (n, 3)."""
     times, position, asked = tracked(recording)
     began = _tracking(recording)[0]
@@ -149,14 +149,14 @@ def _at(times: Floats, stamps: Floats, values: Floats) -> Floats:
     return np.column_stack([np.interp(times, stamps, axis) for axis in values.T])
 
 
-def _tracking(recording: Recording) -> tuple[float, float]:
+def _tracking(recording: FlightRecording) -> tuple[float, float]:
     """When tracking began and ended, s."""
     phases = recording.table("/phase")
     first = int(np.flatnonzero(phases["phase"] == "track")[0])
     return float(phases["time"][first]), float(phases["time"][first + 1])
 
 
-def _fallbacks(recording: Recording) -> dict[str, float | int | None]:
+def _fallbacks(recording: FlightRecording) -> dict[str, float | int | None]:
     began, ended = _tracking(recording)
     ticks = recording.table("/tick")
     rows = (ticks["time"] >= began + RAMP) & (ticks["time"] < ended)

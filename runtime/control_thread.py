@@ -16,12 +16,12 @@ import msgspec
 import numpy as np
 
 from runtime import realtime
-from runtime.flight.engagement import Request, Transition
-from runtime.flight.events import POLICIES, Change, Event
+from runtime.flight.engagement import AutopilotRequest, Transition
+from runtime.flight.events import POLICIES, Event, EventChange
 from runtime.flight.flyer import Decision, Flyer
 from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
-from runtime.link.estimate import Estimate
+from runtime.link.estimate import StateEstimate
 from runtime.link.link import Link
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -36,17 +36,17 @@ from runtime.record.records import (
     TextRecord,
     TickRecord,
 )
-from runtime.telemetry_buffer import Watch
+from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
 HORIZON_EVERY = 10  # ticks between recorded horizons
 MAX_DEFECTS = 10  # ticks in a row that may fail by a defect of ours until the stream is stopped
 LATE_SHARE = 0.2  # of the ticks from which lateness is an event
-News = Transition | Change | str
+Notification = Transition | EventChange | str
 
 
 @dataclass
-class Orders:
+class Requests:
     """What the other threads want of the control thread; plain attributes, each written by one of them only."""
 
     engage: bool = False
@@ -62,9 +62,9 @@ class ControlThread:
     def __init__(
         self,
         link: Link,
-        watch: Watch,
+        telemetry: TelemetryBuffer,
         flyer: Flyer,
-        orders: Orders,
+        requests: Requests,
         *,
         period: float,
         priority: int | None = None,
@@ -74,14 +74,14 @@ class ControlThread:
         """period: s. priority: of SCHED_FIFO, None for none. processor: to stay on, None for any."""
         self.deadlines = Deadlines(period)
         self.tracking = Tracking()
-        self.requests: queue.SimpleQueue[Request] = queue.SimpleQueue()
-        self.news: queue.SimpleQueue[News] = queue.SimpleQueue()
+        self.autopilot_requests: queue.SimpleQueue[AutopilotRequest] = queue.SimpleQueue()
+        self.notifications: queue.SimpleQueue[Notification] = queue.SimpleQueue()
         self.first_setpoint = nan
         self.defect = ""
-        self._link, self._watch, self._flyer, self._orders = link, watch, flyer, orders
+        self._link, self._telemetry, self._flyer, self._requests = link, telemetry, flyer, requests
         self._period, self._priority, self._processor = period, priority, processor
         self._recorder = recorder
-        self._estimate: Estimate | None = None
+        self._estimate: StateEstimate | None = None
         self._free = self._busy_before = self._busy_at_departure = 0.0
         self._tick = self._defects = 0
         self._preparation = 0.0
@@ -100,11 +100,11 @@ class ControlThread:
     def _run(self) -> None:
         if self._priority is not None:
             for refusal in realtime.schedule_thread(self._priority, self._processor):
-                self.news.put(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
+                self.notifications.put(f"{POLICIES[Event.REALTIME_UNAVAILABLE].text}: {refusal}")
         start = self._free = time.monotonic()
         schedule = Schedule(self._period, start=start)
-        while not self._orders.stop and not self._flyer.over:
-            schedule.estimates_keep_up = self._orders.estimates_keep_up
+        while not self._requests.stop and not self._flyer.over:
+            schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
             woken, busy = time.monotonic(), time.thread_time()
             schedule.ticked(due, woken)
@@ -115,7 +115,7 @@ class ControlThread:
                 self._defects += 1
                 self.defect = f"tick {self._tick} failed: {error!r}"
                 if self._defects >= MAX_DEFECTS:
-                    self.news.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
+                    self.notifications.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
             self._busy_before = time.thread_time() - self._busy_at_departure
             self._free = time.monotonic()
@@ -132,19 +132,19 @@ class ControlThread:
                 return newest.received, False
 
     def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float) -> None:
-        seen = self._observe(woken)
+        observation = self._observe(woken)
         estimate = self._estimate
-        decision = self._flyer.step(seen, estimate)
+        decision = self._flyer.step(observation, estimate)
         if decision.rate_body is not None:
             self._send(decision)
         departed, self._busy_at_departure = time.monotonic(), time.thread_time()
         busy = self._busy_at_departure - busy_at_start
         times = TickTimes(due, woken, departed, self._free, busy, self._busy_before, by_clock)
         cause = self.deadlines.add(times) if decision.rate_body is not None else Cause.NONE
-        self._flyer.prepare(seen.time)
+        self._flyer.prepare(observation.time)
         self._preparation = time.monotonic() - departed
-        self._tell(decision)
-        self._record(seen, estimate, decision, times, cause)
+        self._publish(decision)
+        self._record(observation, estimate, decision, times, cause)
         self._tick += 1
 
     def _send(self, decision: Decision) -> None:
@@ -155,13 +155,13 @@ class ControlThread:
             self.first_setpoint = time.monotonic()
 
     def _observe(self, now: float) -> ObservationRecord:
-        status, found = self._link.status, self._watch.take()
-        findings = {**found.events, **self._orders.slow_findings}
+        status, update = self._link.status, self._telemetry.take()
+        findings = {**update.events, **self._requests.slow_findings}
         if not self._link.is_connected(now):
             findings[Event.LINK_LOST] = f"for {now - status.last_heard:.1f} s"
         if self.deadlines.recent_share > LATE_SHARE:
             findings[Event.DEADLINES_MISSED] = f"{self.deadlines.recent_share:.0%} of the last hundred"
-        engage, self._orders.engage = self._orders.engage, False
+        engage, self._requests.engage = self._requests.engage, False
         return ObservationRecord(
             tick=self._tick,
             time=now,
@@ -172,38 +172,43 @@ class ControlThread:
             mode=status.mode,
             landed=status.landed == "on_ground",
             findings=_as_text(findings),
-            reset=found.reset,
-            reset_position=found.reset_position,
-            reset_yaw=found.reset_yaw,
-            specific_force_z=found.specific_force_z,
+            reset=update.reset,
+            reset_position=update.reset_position,
+            reset_yaw=update.reset_yaw,
+            specific_force_z=update.specific_force_z,
             engage=engage,
-            leave=self._orders.leave,
+            leave=self._requests.leave,
         )
 
-    def _tell(self, decision: Decision) -> None:
+    def _publish(self, decision: Decision) -> None:
         for request in decision.requests:
-            self.requests.put(request)
+            self.autopilot_requests.put(request)
         for transition in decision.transitions:
-            self.news.put(transition)
-        for change in decision.changes:
-            self.news.put(change)
+            self.notifications.put(transition)
+        for change in decision.event_changes:
+            self.notifications.put(change)
 
     def _record(
-        self, seen: ObservationRecord, estimate: Estimate | None, decision: Decision, times: TickTimes, cause: Cause
+        self,
+        observation: ObservationRecord,
+        estimate: StateEstimate | None,
+        decision: Decision,
+        times: TickTimes,
+        cause: Cause,
     ) -> None:
-        flyer, now = self._flyer, seen.time
+        flyer, now = self._flyer, observation.time
         reference = flyer.reference_now(estimate.time) if estimate is not None else None
         if reference is not None and estimate is not None:
             self.tracking.add(flyer.mission.phase, estimate, reference)
         if self._recorder is None:
             return
-        self._put(seen, now)
-        self._put(self._tick_record(seen, estimate, decision, times, cause), now)
+        self._put(observation, now)
+        self._put(self._tick_record(observation, estimate, decision, times, cause), now)
         if reference is not None and estimate is not None:
             parts = (reference[0:3], reference[3:6], reference[6:10], reference[10:13])
             self._put(ReferenceRecord(estimate.time, *parts), now)
         if decision.rate_body is not None:
-            numbers = (decision.newtons, decision.thrust, flyer.effectiveness.value)
+            numbers = (decision.collective_thrust, decision.thrust, flyer.effectiveness.value)
             self._put(SetpointRecord(now, decision.rate_body, *numbers), now)
         if flyer.horizon is not None and self._tick % HORIZON_EVERY == 0:
             states, inputs = flyer.horizon
@@ -214,7 +219,7 @@ class ControlThread:
     def _record_changes(self, decision: Decision, now: float) -> None:
         for step in decision.transitions:
             self._put(StateRecord(step.time, step.before.value, step.after.value, step.reason), now)
-        for change in decision.changes:
+        for change in decision.event_changes:
             severity = int(POLICIES[change.event].severity)
             self._put(EventRecord(change.time, change.event.value, change.active, severity, change.text), now)
         if self.defect:
@@ -225,14 +230,19 @@ class ControlThread:
             self._put(PhaseRecord(now, phase.value, self._flyer.mission.describe()), now)
 
     def _tick_record(
-        self, seen: ObservationRecord, estimate: Estimate | None, decision: Decision, times: TickTimes, cause: Cause
+        self,
+        observation: ObservationRecord,
+        estimate: StateEstimate | None,
+        decision: Decision,
+        times: TickTimes,
+        cause: Cause,
     ) -> TickRecord:
         return TickRecord(
-            tick=seen.tick,
-            time=seen.time,
+            tick=observation.tick,
+            time=observation.time,
             trigger="clock" if times.by_clock else "estimate",
             estimate_time=estimate.time if estimate is not None else nan,
-            estimate_age=seen.time - estimate.time if estimate is not None else nan,
+            estimate_age=observation.time - estimate.time if estimate is not None else nan,
             state=self._flyer.engagement.state.value,
             phase=self._flyer.mission.phase.value,
             fallback=decision.fallback.name.lower(),

@@ -1,7 +1,7 @@
 """The daemon: link, control thread, recorder and a supervisor that talks to the vehicle and to the user.
 
 The supervisor, in the caller's thread, does all that may take its time: it asks for rates, modes and arming, judges
-the slow things, tells the news, and turns SIGINT and SIGTERM into a landing.
+the slow things, publishes notifications, and turns SIGINT and SIGTERM into a landing.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.control.bundle import Bundle
 from runtime.control.controller import Controller, ControllerOptions
-from runtime.control_thread import ControlThread, News, Orders
-from runtime.flight.engagement import Request, State, Transition
-from runtime.flight.events import POLICIES, Change, Event, Severity
+from runtime.control_thread import ControlThread, Notification, Requests
+from runtime.flight.engagement import AutopilotRequest, State, Transition
+from runtime.flight.events import POLICIES, Event, EventChange, Severity
 from runtime.flight.flyer import Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Motion, Plan
 from runtime.flight.thrust import ThrustMap
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import Confirmation, request_rates, set_armed, set_mode
 from runtime.link.connection import Endpoint
-from runtime.link.link import Link, LinkSettings, Taps
+from runtime.link.link import Link, LinkSettings
 from runtime.link.parameters import read_parameter
 from runtime.link.telemetry import VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
-from runtime.telemetry_buffer import Watch
+from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import TimingReport
 
 MIN_RATE = 0.9  # of the rate of estimates that the flight wants
-MAX_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz when asked for 200
+MAX_ESTIMATE_RATE = 100.0  # Hz that a faster flight still needs no more of: PX4 gives 124 Hz on a request for 200
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until everything must speak for engaging
@@ -51,7 +51,7 @@ SLOW_STREAMS: Mapping[str, float] = {  # for the recording, and what may come la
 }  # fmt: skip
 THRUST_CURVE = "THR_MDL_FAC"
 
-REHEARSED_TICKS = 20
+WARM_UP_TICKS = 20
 MAX_START = 50.0  # m from the vehicle to the start of the reference
 MIN_CLEARANCE = 0.15  # m of the reference above where the vehicle stands
 MAX_LOOK = 600.0  # s of the reference that are looked at before take-off
@@ -107,28 +107,28 @@ class Daemon:
         self, request: FlightRequest, vehicle: Vehicle, reference: Motion, announce: Announce, *,
         bundle: Bundle | None = None,
     ) -> None:  # fmt: skip
-        """announce: takes one line of news, called from the thread that calls `fly`. bundle: of the model to fly."""
+        """announce: takes one line of text, called from the thread that calls `fly`. bundle: of the model to fly."""
         self._bundle = bundle
         self._request, self._vehicle, self._reference = request, vehicle, reference
         self._announce = announce
         self._began = time.monotonic()
-        self._orders = Orders()
+        self._requests = Requests()
         self._left_at = float("inf")
         self._engaging = False
         self._refusal = ""
         self._recorder: Recorder | None = None
-        self._watch = Watch()
+        self._telemetry = TelemetryBuffer()
 
     def interrupt(self, name: str) -> None:
         """Land, told by a signal's name; told again, stop streaming at once. For signal handlers.
 
-        Raises KeyboardInterrupt while nothing has been asked of the vehicle yet.
+        Raises KeyboardInterrupt before anything is requested of the vehicle.
         """
         if not self._engaging:
             raise KeyboardInterrupt
-        if self._orders.leave:
-            self._orders.stop = True
-        self._orders.leave = self._orders.leave or name
+        if self._requests.leave:
+            self._requests.stop = True
+        self._requests.leave = self._requests.leave or name
 
     def fly(self) -> FlightReport:
         """Find the vehicle, fly, land. Raises VehicleError when it cannot be reached or engaged."""
@@ -137,17 +137,15 @@ class Daemon:
             if request.record is not None:
                 self._recorder = self._open_recorder(request.record)
                 stack.callback(self._recorder.close)
-            self._watch = Watch(self._recorder)
-            watch = self._watch
-            taps = Taps(frame=watch.frame, reset=watch.reset, reaction=watch.reaction, event=watch.event)
+            self._telemetry = TelemetryBuffer(self._recorder)
             settings = LinkSettings(target_system=request.system, priority=request.priority)
-            link = stack.enter_context(Link(request.endpoint, settings, taps))
+            link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             controller, nominal = self._controllers()  # while the link listens
             for each in (controller, nominal):
                 if each is not None:
-                    self._rehearse(each)
+                    self._warm_up(each)
             status = link.wait_for_vehicle(request.timeout)
-            self._greet(status)
+            self._check_autopilot(status)
             stack.callback(realtime.lower_thread)
             control = self._start(link, controller, nominal)
             stack.callback(self._stop, control)
@@ -165,7 +163,7 @@ class Daemon:
                 f"cannot record {name} in {folder}: {error.strerror}. Give --record a folder that can be written."
             ) from None
 
-    def _greet(self, status: VehicleStatus) -> None:
+    def _check_autopilot(self, status: VehicleStatus) -> None:
         self._announce(f"vehicle {status.system}: {status.kind} with {status.autopilot}, mode {status.mode}")
         if status.autopilot != "px4":
             raise VehicleError(
@@ -180,14 +178,14 @@ class Daemon:
             return Controller.build(self._vehicle, options), None
         return Controller.of_bundle(self._bundle, options), Controller.beside(self._bundle, options)
 
-    def _rehearse(self, controller: Controller) -> None:
+    def _warm_up(self, controller: Controller) -> None:
         """Fly some ticks on paper: what a process does for the first time takes tens of milliseconds."""
         state = self._reference.states(np.zeros(1))[0]
         mission = Mission(controller.trim, self._reference, self._request.plan)
         mission.ramp(state, 0.0)
         mission.climb(state, 0.0)
         controller.reset(state, 0.0)
-        for tick in range(REHEARSED_TICKS):
+        for tick in range(WARM_UP_TICKS):
             now = tick / self._request.rate
             states, inputs = mission.window(controller.node_times(now), state[6:10])
             controller.prepare(states, inputs[:-1])
@@ -217,19 +215,19 @@ class Daemon:
             for refusal in (realtime.lock_memory(), realtime.raise_threads(BACKGROUND_PRIORITY, besides="link")):
                 if refusal:
                     self._note(Event.REALTIME_UNAVAILABLE, refusal)
-        asked = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
-        request_rates(link, asked)
+        rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
+        request_rates(link, rates)
         thrust_map = self._thrust_map(link, controller.trim)
         mission = Mission(controller.trim, self._reference, request.plan)
         self._flyer = Flyer(controller.trim, controller, mission, thrust_map, self._settings(), nominal=nominal)
-        self._check_place(link)
-        self._orders.slow_findings = self._slow_findings(link, time.monotonic())
+        self._check_start(link)
+        self._requests.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(
-            link, self._watch, self._flyer, self._orders, period=1.0 / request.rate, priority=request.priority,
+            link, self._telemetry, self._flyer, self._requests, period=1.0 / request.rate, priority=request.priority,
             processor=request.processor, recorder=self._recorder,
         )  # fmt: skip
         self._engaging = True
-        self._orders.engage = True
+        self._requests.engage = True
         control.start()
         threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()
         return control
@@ -244,7 +242,7 @@ class Daemon:
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
         return ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, factor)
 
-    def _check_place(self, link: Link) -> None:
+    def _check_start(self, link: Link) -> None:
         """Refuse a reference that leads from here into the ground or far away."""
         estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
         if estimate is None:
@@ -280,86 +278,87 @@ class Daemon:
 
     def _serve(self, link: Link, control: ControlThread) -> None:
         """Supervise until the control thread is done."""
-        servant = threading.Thread(target=self._ask, args=(link, control), name="requests", daemon=True)
-        servant.start()
+        worker = threading.Thread(target=self._forward_requests, args=(link, control), name="requests", daemon=True)
+        worker.start()
         patience = time.monotonic() + READINESS_PATIENCE
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
-            self._orders.slow_findings = self._slow_findings(link, now)
-            self._tell(link, control)
+            self._requests.slow_findings = self._slow_findings(link, now)
+            self._publish(link, control)
             engagement = self._flyer.engagement
-            waiting = engagement.state in (State.DISCONNECTED, State.STANDBY) and engagement.wanted
+            waiting = engagement.state in (State.DISCONNECTED, State.STANDBY) and engagement.requested
             if waiting and now > patience:
-                self._orders.leave = self._orders.leave or f"not engaged: {engagement.refusal or 'no estimate came'}"
-            if self._orders.leave:
+                reason = engagement.refusal or "no estimate came"
+                self._requests.leave = self._requests.leave or f"not engaged: {reason}"
+            if self._requests.leave:
                 self._left_at = min(self._left_at, now)
             if now - self._left_at > LEAVING_PATIENCE:
                 self._announce(f"not landed within {LEAVING_PATIENCE:g} s, the autopilot's failsafe acts")
-                self._orders.stop = True
-        self._tell(link, control)
+                self._requests.stop = True
+        self._publish(link, control)
 
-    def _ask(self, link: Link, control: ControlThread) -> None:
+    def _forward_requests(self, link: Link, control: ControlThread) -> None:
         """Pass the flight logic's requests on to the vehicle, one at a time, until the control thread is done."""
-        ask: Mapping[Request, Callable[[], Confirmation]] = {
-            Request.OFFBOARD: lambda: set_mode(link, "OFFBOARD", timeout=2.0),
-            Request.ARM: lambda: set_armed(link, True, timeout=2.0),
-            Request.DISARM: lambda: set_armed(link, False, timeout=2.0),
-            Request.LAND: lambda: set_mode(link, "LAND", timeout=2.0),
+        ask: Mapping[AutopilotRequest, Callable[[], Confirmation]] = {
+            AutopilotRequest.OFFBOARD: lambda: set_mode(link, "OFFBOARD", timeout=2.0),
+            AutopilotRequest.ARM: lambda: set_armed(link, True, timeout=2.0),
+            AutopilotRequest.DISARM: lambda: set_armed(link, False, timeout=2.0),
+            AutopilotRequest.LAND: lambda: set_mode(link, "LAND", timeout=2.0),
         }
         while True:
             try:
-                request = control.requests.get(timeout=SUPERVISION_PERIOD)
+                request = control.autopilot_requests.get(timeout=SUPERVISION_PERIOD)
             except queue.Empty:
                 if control.join(0.0):
                     return
                 continue
-            while not control.requests.empty():  # the newest one counts, the logic repeats what it still wants
-                request = control.requests.get()
+            while not control.autopilot_requests.empty():  # the newest counts
+                request = control.autopilot_requests.get()
             answer = ask[request]()
             self._refusal = "" if answer.confirmed else answer.reason
 
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
-        found: dict[Event, str] = {}
-        rate, wanted = self._watch.estimate_rate(now), min(self._request.rate, MAX_ESTIMATE_RATE)
-        self._orders.estimates_keep_up = rate >= MIN_RATE * self._request.rate
-        if rate < MIN_RATE * wanted:
-            found[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {wanted:.0f} Hz are wanted"
+        present: dict[Event, str] = {}
+        rate, required = self._telemetry.estimate_rate(now), min(self._request.rate, MAX_ESTIMATE_RATE)
+        self._requests.estimates_keep_up = rate >= MIN_RATE * self._request.rate
+        if rate < MIN_RATE * required:
+            present[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {required:.0f} Hz are wanted"
         if not link.peer.clock.is_valid(now):
-            found[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"
+            present[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"
         if self._recorder is not None and self._recorder.trouble:
             event = Event.RECORDER_OVERRUN if self._recorder.still_writing else Event.DISK_FULL
-            found[event] = self._recorder.trouble
-        return found
+            present[event] = self._recorder.trouble
+        return present
 
-    def _tell(self, link: Link, control: ControlThread) -> None:
-        while self._watch.news:
-            event = self._watch.news.popleft()
+    def _publish(self, link: Link, control: ControlThread) -> None:
+        while self._telemetry.notifications:
+            event = self._telemetry.notifications.popleft()
             self._announce(f"link: {event.text}")
-        while self._watch.texts:
-            self._announce(f"vehicle: {self._watch.texts.popleft()}")
-        while not control.news.empty():
-            self._tell_news(link, control.news.get())
+        while self._telemetry.texts:
+            self._announce(f"vehicle: {self._telemetry.texts.popleft()}")
+        while not control.notifications.empty():
+            self._publish_notification(link, control.notifications.get())
 
-    def _tell_news(self, link: Link, news: News) -> None:
-        match news:
+    def _publish_notification(self, link: Link, notification: Notification) -> None:
+        match notification:
             case Transition():
-                self._announce(f"{news}" + (f" ({self._refusal})" if self._refusal else ""))
-                link.send_text(f"alula: {news.after.value}: {news.reason}", Severity.NOTICE)
-            case Change():
-                policy = POLICIES[news.event]
-                word = "" if news.active else "over: "
-                self._announce(f"{word}{news.text}")
-                if news.active and policy.severity <= Severity.NOTICE:
-                    link.send_text(f"alula: {news.text}", policy.severity)
+                self._announce(f"{notification}" + (f" ({self._refusal})" if self._refusal else ""))
+                link.send_text(f"alula: {notification.after.value}: {notification.reason}", Severity.NOTICE)
+            case EventChange():
+                policy = POLICIES[notification.event]
+                word = "" if notification.active else "over: "
+                self._announce(f"{word}{notification.text}")
+                if notification.active and policy.severity <= Severity.NOTICE:
+                    link.send_text(f"alula: {notification.text}", policy.severity)
             case str():
-                self._announce(news)
-                link.send_text(f"alula: {news}", Severity.WARNING)
+                self._announce(notification)
+                link.send_text(f"alula: {notification}", Severity.WARNING)
 
     # --- after the flight
 
     def _stop(self, control: ControlThread) -> None:
         """No setpoint leaves after this, whatever ended the flight."""
-        self._orders.stop = True
+        self._requests.stop = True
         control.join(1.0)
 
     def _report(self, link: Link, control: ControlThread) -> FlightReport:
@@ -376,12 +375,12 @@ class Daemon:
         return FlightReport(
             outcome=outcome,
             landed=landed,
-            completed=landed and cut_short in ("", self._orders.leave),
+            completed=landed and cut_short in ("", self._requests.leave),
             landing_reason=cut_short,
             recording=str(self._recorder.path) if self._recorder is not None else None,
             tracking=control.tracking.report(),
             timing=control.deadlines.report(),
-            estimate_rate=self._watch.estimate_rate(time.monotonic()),
+            estimate_rate=self._telemetry.estimate_rate(time.monotonic()),
             events={event.value: count for event, count in flyer.events.counts.items() if count},
             effectiveness=flyer.effectiveness.value,
             start_up=-1.0 if isnan(start_up) else start_up,

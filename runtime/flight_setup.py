@@ -20,11 +20,11 @@ from dynamics.vehicle_file import parse_vehicle
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
 from runtime.daemon import FlightRequest
-from runtime.flight.engagement import Settings
+from runtime.flight.engagement import EngagementSettings
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.link.connection import parse_endpoint
-from runtime.record.recording import Recording
+from runtime.record.recording import FlightRecording
 from vehicles import vehicle_path
 
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
@@ -81,7 +81,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         endpoint=endpoint,
         rate=setup.rate,
         plan=Plan(height=setup.height, duration=setup.duration),
-        settings=FlyerSettings(engagement=Settings(arm=setup.arm, resume=setup.resume)),
+        settings=FlyerSettings(engagement=EngagementSettings(arm=setup.arm, resume=setup.resume)),
         record=setup.record,
         system=setup.system,
         timeout=setup.timeout,
@@ -119,7 +119,7 @@ def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
 
 
 def recorded_flight(
-    recording: Recording, vehicle: str | None, bundle: Path | None
+    recording: FlightRecording, vehicle: str | None, bundle: Path | None
 ) -> tuple[Vehicle, Reference, Bundle | None]:
     """Vehicle (another one if given), reference and bundle of a recording.
 

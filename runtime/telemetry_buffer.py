@@ -15,10 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from runtime.flight.events import Event
-from runtime.link.estimate import Estimate, ResetStep
-from runtime.link.link import Direction
+from runtime.link.estimate import ResetStep, StateEstimate
+from runtime.link.link import Direction, LinkCallbacks
 from runtime.link.peer import Reaction
-from runtime.link.telemetry import Battery, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
+from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
     BatteryRecord,
@@ -31,7 +31,7 @@ from runtime.record.records import (
 )
 
 # what the link finds, as events of the flight; other names are news without a consequence
-FINDINGS: Mapping[str, Event] = {
+LINK_EVENTS: Mapping[str, Event] = {
     "estimate_not_finite": Event.INPUT_NOT_FINITE,
     "estimate_frame_refused": Event.INPUT_NOT_FINITE,
     "estimate_time_backwards": Event.CLOCK_BACKWARDS,
@@ -49,7 +49,7 @@ RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
 LOW_CHARGE = 0.1  # of the battery
 
 
-class Finding(msgspec.Struct, frozen=True):
+class LinkUpdate(msgspec.Struct, frozen=True):
     """What was collected since the last tick. reset: an estimator was reset, which moved its frame by the next two.
 
     reset_position: (3,) m. reset_yaw: rad. specific_force_z: m/s^2.
@@ -62,7 +62,7 @@ class Finding(msgspec.Struct, frozen=True):
     specific_force_z: float
 
 
-class Watch:
+class TelemetryBuffer:
     """Collects from the link's thread, hands over to the control thread."""
 
     def __init__(self, recorder: Recorder | None = None) -> None:
@@ -72,7 +72,12 @@ class Watch:
         self._resets: deque[tuple[NDArray[np.float64], float]] = deque(maxlen=64)
         self._force = nan
         self.texts: deque[str] = deque(maxlen=64)
-        self.news: deque[LinkEvent] = deque(maxlen=256)
+        self.notifications: deque[LinkEvent] = deque(maxlen=256)
+
+    @property
+    def callbacks(self) -> LinkCallbacks:
+        """What the link calls."""
+        return LinkCallbacks(frame=self.frame, reset=self.reset, reaction=self.reaction, event=self.event)
 
     def frame(self, direction: Direction, time: float, data: bytes) -> None:
         """A raw frame of either direction."""
@@ -82,7 +87,7 @@ class Watch:
     def event(self, event: LinkEvent) -> None:
         """Something happened on the link."""
         self._events.append(event)
-        self.news.append(event)
+        self.notifications.append(event)
         self._put(TextRecord(event.time, "link", SEVERITIES[event.severity], f"{event.name}: {event.text}"), event.time)
 
     def reset(self, step: ResetStep) -> None:
@@ -103,21 +108,21 @@ class Watch:
         """Estimates per second over the last RATE_WINDOW seconds."""
         return sum(arrival > now - RATE_WINDOW for arrival in tuple(self._arrivals)) / RATE_WINDOW
 
-    def take(self) -> Finding:
+    def take(self) -> LinkUpdate:
         """What came since the last call."""
         events: dict[Event, str] = {}
         while self._events:
-            told = self._events.popleft()
-            if told.name in FINDINGS:
-                events[FINDINGS[told.name]] = told.text
+            event = self._events.popleft()
+            if event.name in LINK_EVENTS:
+                events[LINK_EVENTS[event.name]] = event.text
         reset, position, yaw = bool(self._resets), STILL, 0.0
         while self._resets:
             moved, turned = self._resets.popleft()
             position, yaw = position + moved, yaw + turned
         force, self._force = self._force, nan
-        return Finding(events, reset, position, yaw, force)
+        return LinkUpdate(events, reset, position, yaw, force)
 
-    def _estimate(self, estimate: Estimate) -> None:
+    def _estimate(self, estimate: StateEstimate) -> None:
         self._arrivals.append(estimate.received)
         state = estimate.state
         record = EstimateRecord(
@@ -136,7 +141,7 @@ class Watch:
                 self._put(RotorRecord(sample.time, sample.first, np.array(sample.speed)), sample.received)
             case MotorOutputs(source="SERVO_OUTPUT_RAW"):
                 self._put(MotorRecord(sample.time, np.array(sample.value)), sample.received)
-            case Battery():
+            case BatterySample():
                 charge = (sample.voltage, sample.current, sample.remaining)
                 self._put(BatteryRecord(sample.received, *charge), sample.received)
                 if sample.remaining < LOW_CHARGE:

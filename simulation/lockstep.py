@@ -17,12 +17,12 @@ from dynamics.references import Reference
 from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
 from runtime.control.controller import Controller
-from runtime.flight.engagement import Settings
+from runtime.flight.engagement import EngagementSettings
 from runtime.flight.events import Fallback
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Phase, Plan
 from runtime.flight.thrust import ThrustMap
-from runtime.link.estimate import Estimate
+from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
@@ -96,7 +96,7 @@ def fly_reference(
     controller = controller or Controller.build(vehicle)
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
-    settings = FlyerSettings(period=PERIOD, engagement=Settings(resume=True))
+    settings = FlyerSettings(period=PERIOD, engagement=EngagementSettings(resume=True))
     flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
@@ -147,7 +147,7 @@ def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tupl
 def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Decision:
     seen = plant.estimate
     state = np.concatenate([seen.position_world, seen.velocity_world, seen.attitude, seen.rate_body])
-    estimate = Estimate(round(1000 * seen.time) / 1000, now, state, 0, True, "ODOMETRY")
+    estimate = StateEstimate(round(1000 * seen.time) / 1000, now, state, 0, True, "ODOMETRY")
     observation = ObservationRecord(
         tick=tick, time=now, estimate_arrival=now, connected=True, armed=True, offboard=True, mode="OFFBOARD",
         landed=plant.on_ground, findings="", reset=False, reset_position=np.zeros(3), reset_yaw=0.0,

@@ -87,6 +87,6 @@ def _streams(report: LinkReport) -> Table:
     for stream in report.streams:
         after = stream.after
         intervals = [f"{value * 1e3:.1f}" for value in (after.p1, after.median, after.p99)]
-        row = [f"{stream.before:.1f}", f"{stream.asked:.0f}", stream.answer, f"{after.rate:.1f}", *intervals]
+        row = [f"{stream.before:.1f}", f"{stream.requested:.0f}", stream.answer, f"{after.rate:.1f}", *intervals]
         table.add_row(stream.name, *row)
     return table

@@ -25,7 +25,7 @@ class State(Enum):
     FALLBACK = "FALLBACK"
 
 
-class Request(Enum):
+class AutopilotRequest(Enum):
     """What the shell is to ask of the vehicle now."""
 
     OFFBOARD = "offboard"
@@ -63,7 +63,7 @@ class Transition:
         return f"{self.before.value} -> {self.after.value}: {self.reason}"
 
 
-class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class EngagementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How engagement is negotiated. All times in s.
 
     stream_time: streamed before OFFBOARD is asked for (PX4 documents more than 1 s). repeat: between requests.
@@ -81,15 +81,15 @@ class Settings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Engagement:
     """The state machine."""
 
-    def __init__(self, settings: Settings) -> None:
+    def __init__(self, settings: EngagementSettings) -> None:
         self.state = State.DISCONNECTED
         self.refusal = ""
         self._settings = settings
-        self._wanted = False
-        self._found_armed: bool | None = None
+        self._requested = False
+        self._initially_armed: bool | None = None
         self._entered = 0.0
-        self._asked = -float("inf")
-        self._requests: tuple[Request, ...] = ()
+        self._last_request = -float("inf")
+        self._requests: tuple[AutopilotRequest, ...] = ()
 
     @property
     def streaming(self) -> bool:
@@ -102,36 +102,36 @@ class Engagement:
         return self.state in (State.ENGAGED, State.FALLBACK)
 
     @property
-    def wanted(self) -> bool:
+    def requested(self) -> bool:
         """Whether it was told to take control and has not given it up or refused since."""
-        return self._wanted
+        return self._requested
 
     @property
-    def found_armed(self) -> bool:
+    def initially_armed(self) -> bool:
         """Whether the vehicle was armed already when it was first heard."""
-        return bool(self._found_armed)
+        return bool(self._initially_armed)
 
     @property
-    def requests(self) -> tuple[Request, ...]:
+    def requests(self) -> tuple[AutopilotRequest, ...]:
         """What the last update wants asked of the vehicle."""
         return self._requests
 
     def engage(self) -> None:
         """Told to take control; holds until control is given up for whatever reason."""
-        self._wanted = True
+        self._requested = True
         self.refusal = ""
 
     def release(self, reason: str, time: float) -> tuple[Transition, ...]:
         """Give control up on purpose: stop streaming, or do not begin to."""
-        self._wanted = False
+        self._requested = False
         self.refusal = reason
         return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()
 
     def update(self, facts: Facts, time: float) -> tuple[Transition, ...]:
         """Apply the rules to what is known now. Returns the transitions, in order."""
         self._requests = ()
-        if facts.connected and self._found_armed is None:
-            self._found_armed = facts.armed
+        if facts.connected and self._initially_armed is None:
+            self._initially_armed = facts.armed
         step = self._rules(facts, time)
         if step is None:
             return ()
@@ -144,13 +144,13 @@ class Engagement:
         transition = Transition(time, self.state, after, reason)
         if after in (State.STANDBY, State.DISCONNECTED) and self.streaming:
             # control was given up, on purpose or not: only being told again may take it back
-            self._wanted = self._wanted and keep
+            self._requested = self._requested and keep
             self.refusal = reason
         if after is State.STREAMING:
             self.refusal = ""
         self.state = after
         self._entered = time
-        self._asked = -float("inf")
+        self._last_request = -float("inf")
         return transition
 
     def _rules(self, facts: Facts, time: float) -> tuple[State, str] | None:
@@ -170,10 +170,10 @@ class Engagement:
         return State.STANDBY, f"vehicle heard, {armed} in {facts.mode}"
 
     def _standby(self, facts: Facts, time: float) -> tuple[State, str] | None:
-        if not self._wanted:
+        if not self._requested:
             return None
-        if self._found_armed and not self._settings.resume:
-            self._wanted = False
+        if self._initially_armed and not self._settings.resume:
+            self._requested = False
             self.refusal = (
                 f"the vehicle was already armed when it was found (mode {facts.mode}); control is not taken from "
                 "whoever has it. Land and disarm it, or say --resume"
@@ -182,26 +182,26 @@ class Engagement:
         if facts.refusal:
             self.refusal = facts.refusal
             return None
-        return State.STREAMING, "told to engage"
+        return State.STREAMING, "engagement requested"
 
     def _streaming(self, facts: Facts, time: float) -> tuple[State, str] | None:
         if facts.refusal:
             return State.STANDBY, facts.refusal
         if facts.fallback >= Fallback.LEVEL_HOLD:
             return State.STANDBY, facts.reason or facts.fallback.name.lower()
-        streamed = time - self._entered
-        if facts.offboard and facts.armed and streamed >= self._settings.stream_time:
+        streaming_time = time - self._entered
+        if facts.offboard and facts.armed and streaming_time >= self._settings.stream_time:
             return State.ENGAGED, "HEARTBEAT shows OFFBOARD and armed"
-        waited = streamed - self._settings.stream_time
+        waited = streaming_time - self._settings.stream_time
         if waited > self._settings.patience:
             missing = "OFFBOARD" if not facts.offboard else "arming"
             return State.STANDBY, f"HEARTBEAT did not show {missing} within {self._settings.patience:g} s"
-        if waited >= 0 and time - self._asked >= self._settings.repeat:
-            self._asked = time
+        if waited >= 0 and time - self._last_request >= self._settings.repeat:
+            self._last_request = time
             if not facts.offboard:
-                self._requests = (Request.OFFBOARD,)
+                self._requests = (AutopilotRequest.OFFBOARD,)
             elif self._settings.arm:
-                self._requests = (Request.ARM,)
+                self._requests = (AutopilotRequest.ARM,)
         return None
 
     def _engaged(self, facts: Facts, time: float) -> tuple[State, str] | None:

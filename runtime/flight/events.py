@@ -140,7 +140,7 @@ POLICIES: Mapping[Event, Policy] = {
 
 
 @dataclass(frozen=True)
-class Change:
+class EventChange:
     """An event raised (active) or cleared at a time, with what was seen."""
 
     time: float
@@ -191,34 +191,34 @@ class EventMonitor:
         """Why the mission has to end with a landing, empty when it may go on."""
         return self._text_of(lambda policy: policy.lands)
 
-    def update(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
+    def update(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
         """Take what the checks of one tick found, event to detail. Returns what was raised and cleared."""
         if not present and not self._active and not self._present_since:
             return ()  # the rule in flight, and cheap
-        changes = []
+        raised = []
         for event, detail in present.items():
             self._last_present[event] = time
             since = self._present_since.setdefault(event, time)
             if event not in self._active and time - since >= POLICIES[event].onset:
                 self._active[event] = detail
                 self.counts[event] += 1
-                changes.append(Change(time, event, True, detail))
+                raised.append(EventChange(time, event, True, detail))
         for event in [event for event in self._present_since if event not in present]:
             del self._present_since[event]
-        return (*changes, *self._clear(present, time))
+        return (*raised, *self._clear(present, time))
 
-    def _clear(self, present: Mapping[Event, str], time: float) -> tuple[Change, ...]:
+    def _clear(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
         absent = [event for event in self._active if event not in present]
         over = [event for event in absent if time - self._last_present[event] >= POLICIES[event].clear_after]
-        return tuple(Change(time, event, False, self._active.pop(event)) for event in over)
+        return tuple(EventChange(time, event, False, self._active.pop(event)) for event in over)
 
-    def rearm(self, time: float) -> tuple[Change, ...]:
+    def rearm(self, time: float) -> tuple[EventChange, ...]:
         """Clear what only engaging anew may clear; what is still present comes back with the next update."""
         latched = [event for event in self._active if POLICIES[event].clear_after == NEVER]
-        return tuple(Change(time, event, False, self._active.pop(event)) for event in latched)
+        return tuple(EventChange(time, event, False, self._active.pop(event)) for event in latched)
 
     def _text_of(self, concerned: Callable[[Policy], bool]) -> str:
         for event, detail in self._active.items():
             if concerned(POLICIES[event]):
-                return Change(0.0, event, True, detail).text
+                return EventChange(0.0, event, True, detail).text
         return ""

@@ -18,7 +18,7 @@ from runtime.flight.events import Fallback
 UP = np.array([0.0, 0.0, 1.0])
 
 
-class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class FallbackBounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """How long each fallback may last. shifted_ticks: ticks. level_hold: s. recovery: s of health that refill both."""
 
     shifted_ticks: int = 10
@@ -29,7 +29,7 @@ class Bounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class FallbackChain:
     """Escalates from what the events ask for to what is available and not used up."""
 
-    def __init__(self, bounds: Bounds) -> None:
+    def __init__(self, bounds: FallbackBounds) -> None:
         self._bounds = bounds
         self._shifted = 0
         self._held = 0.0
@@ -38,7 +38,7 @@ class FallbackChain:
         self.current = Fallback.NONE
 
     def choose(
-        self, wanted: Fallback, *, time: float, estimate_usable: bool, solution_left: bool, nominal_available: bool
+        self, required: Fallback, *, time: float, estimate_usable: bool, solution_left: bool, nominal_available: bool
     ) -> Fallback:
         """The fallback to fly now: the mildest at or after the wanted one that is possible.
 
@@ -47,7 +47,7 @@ class FallbackChain:
         """
         elapsed = 0.0 if self._last_time is None else max(time - self._last_time, 0.0)
         self._last_time = time
-        if wanted is Fallback.NONE:
+        if required is Fallback.NONE:
             self._refill(time)
             self.current = Fallback.NONE
             return self.current
@@ -60,7 +60,7 @@ class FallbackChain:
             Fallback.LEVEL_HOLD: self._held < self._bounds.level_hold,
             Fallback.STOP_STREAMING: True,
         }
-        self.current = next(fallback for fallback, can in possible.items() if fallback >= wanted and can)
+        self.current = next(fallback for fallback, can in possible.items() if fallback >= required and can)
         self._shifted += self.current is Fallback.SHIFTED_SOLUTION
         return self.current
 
@@ -88,15 +88,15 @@ def level_rate(attitude: NDArray[np.float64], *, gain: float, limit: float) -> N
     return np.asarray(axis / sine * min(gain * angle, limit))
 
 
-def level_thrust(attitude: NDArray[np.float64], weight: float, *, greatest_gain: float = 1.5) -> float:
+def level_thrust(attitude: NDArray[np.float64], weight: float, *, max_gain: float = 1.5) -> float:
     """Collective thrust that holds the weight at a tilt, N; upside down none.
 
-    attitude: (4,). weight: N. greatest_gain: most thrust per weight, for large tilts.
+    attitude: (4,). weight: N. max_gain: most thrust per weight, for large tilts.
     """
     cosine = float(quaternion.rotate(attitude, UP)[2])
     if cosine <= 0.0:
         return 0.0
-    return weight * min(1.0 / cosine, greatest_gain)
+    return weight * min(1.0 / cosine, max_gain)
 
 
 class LevelHold:

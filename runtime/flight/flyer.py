@@ -15,15 +15,15 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
-from runtime.flight.engagement import Engagement, Facts, Request, Settings, State, Transition
-from runtime.flight.events import Change, Event, EventMonitor, Fallback
-from runtime.flight.failsafe import Bounds, FallbackChain, LevelHold
+from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
+from runtime.flight.events import Event, EventChange, EventMonitor, Fallback
+from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold
 from runtime.flight.health import FlightHealth, HealthLimits
 from runtime.flight.mission import Mission, Phase
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
-from runtime.flight.thrust import EffectivenessEstimator, EstimatorSettings, ThrustMap, specific_force_z
-from runtime.link.estimate import Estimate
+from runtime.flight.thrust import EffectivenessEstimator, EffectivenessSettings, ThrustMap, specific_force_z
+from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
@@ -39,10 +39,10 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Everything that decides how a flight is flown, besides vehicle, controller and mission. period: s."""
 
     period: float = 0.01
-    engagement: Settings = Settings()
-    bounds: Bounds = Bounds()
+    engagement: EngagementSettings = EngagementSettings()
+    bounds: FallbackBounds = FallbackBounds()
     health: HealthLimits = HealthLimits()
-    thrust: EstimatorSettings = EstimatorSettings()
+    thrust: EffectivenessSettings = EffectivenessSettings()
 
 
 @dataclass
@@ -51,13 +51,13 @@ class Decision:
 
     rate_body: Floats | None = None
     thrust: float = 0.0
-    newtons: float = 0.0
+    collective_thrust: float = 0.0
     fallback: Fallback = Fallback.NONE
     solver_status: int = -1
     feedback_seconds: float = 0.0
-    requests: tuple[Request, ...] = ()
+    requests: tuple[AutopilotRequest, ...] = ()
     transitions: list[Transition] = field(default_factory=list)
-    changes: list[Change] = field(default_factory=list)
+    event_changes: list[EventChange] = field(default_factory=list)
 
 
 class Flyer:
@@ -95,21 +95,21 @@ class Flyer:
         self._landing = LandingDetector(vehicle.weight)
         self._shifted = ShiftedSolution(vehicle)
         self._hand_over: HandOver | None = None
-        self._found: dict[Event, str] = {}
-        self._estimate: Estimate | None = None
-        self._before: Estimate | None = None
+        self._present: dict[Event, str] = {}
+        self._estimate: StateEstimate | None = None
+        self._before: StateEstimate | None = None
         self._force = nan
         self._solution: tuple[float, Command, Controller] | None = None
         self._state: Floats | None = None
         self._last: tuple[Floats, float] = (ZERO_RATE, 0.0)
-        self._asked_disarm = -inf
+        self._last_disarm_request = -inf
         self._prepared = False
         self._solved = -inf
 
     @property
     def over(self) -> bool:
         """Whether there is nothing left to fly: it was flown and given up, or refused."""
-        return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.wanted
+        return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
 
     @property
     def landed(self) -> bool:
@@ -128,19 +128,19 @@ class Flyer:
             return None
         return self._controller.predicted_states, self._controller.predicted_inputs
 
-    def step(self, seen: ObservationRecord, estimate: Estimate | None) -> Decision:
+    def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
         """Decide what to send now. estimate: the newest believed one, the same object while there is no newer."""
         decision = Decision()
         fresh = estimate is not None and estimate is not self._estimate
-        if seen.engage:
-            decision.changes += self.events.rearm(seen.time)
+        if observation.engage:
+            decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
-        self._take_estimate(seen, estimate, fresh)
-        decision.changes += self.events.update(self._findings(seen, estimate), seen.time)
-        decision.fallback = self._choose_fallback(seen.time)
-        self._engage(seen, decision)
+        self._take_estimate(observation, estimate, fresh)
+        decision.event_changes += self.events.update(self._findings(observation, estimate), observation.time)
+        decision.fallback = self._choose_fallback(observation.time)
+        self._engage(observation, decision)
         if self.engagement.streaming:
-            self._command(seen, decision)
+            self._command(observation, decision)
         else:
             self._health.rest()
         return decision
@@ -169,10 +169,10 @@ class Flyer:
             self._nominal_ready = False
             return
         # what a model asked for that goes astray says nothing of what the vehicle did: physics begins without it
-        astray = Event.MODEL_OSCILLATES in self._found and Event.MODEL_OSCILLATES not in self.events.active
-        if (astray or not self._nominal_ready) and self._state is not None:
+        diverging = Event.MODEL_OSCILLATES in self._present and Event.MODEL_OSCILLATES not in self.events.active
+        if (diverging or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
-        if not astray and self._estimate is not None and self._flies is not self._nominal:
+        if not diverging and self._estimate is not None and self._flies is not self._nominal:
             self._nominal.follow(self._controller, self._estimate.state, self._estimate.time, time)
         self._nominal.prepare(*window)
         self._nominal_ready = True
@@ -181,11 +181,11 @@ class Flyer:
         """Whether a learned model may be believed at the next tick."""
         waiting, outside, unfit = self._controller.distrust(time)
         if waiting:
-            self._found[Event.MODEL_WAITING] = waiting
+            self._present[Event.MODEL_WAITING] = waiting
         if outside:
-            self._found[Event.MODEL_OUTSIDE] = outside
+            self._present[Event.MODEL_OUTSIDE] = outside
         if unfit:
-            self._found[Event.MODEL_UNHEALTHY] = unfit
+            self._present[Event.MODEL_UNHEALTHY] = unfit
 
     def reference_now(self, time: float) -> Floats | None:
         """The state (13,) that is asked for at a time, None when nothing is tracked."""
@@ -196,23 +196,23 @@ class Flyer:
 
     # --- what is known
 
-    def _take_estimate(self, seen: ObservationRecord, estimate: Estimate | None, fresh: bool) -> None:
-        if seen.reset:
-            self.mission.shift(seen.reset_position, seen.reset_yaw)
-        self._force = seen.specific_force_z
+    def _take_estimate(self, observation: ObservationRecord, estimate: StateEstimate | None, fresh: bool) -> None:
+        if observation.reset:
+            self.mission.shift(observation.reset_position, observation.reset_yaw)
+        self._force = observation.specific_force_z
         self._before, self._estimate = self._estimate, estimate
         if estimate is not None and fresh:
             self._state = estimate.state
-            if self._health.is_current(estimate, seen.time):
+            if self._health.is_current(estimate, observation.time):
                 self._hold.observe(estimate.attitude)
 
     def _remember_sent(self) -> None:
         if self._sent is None:
             return
-        rate_body, newtons, thrust, time = self._sent
+        rate_body, collective_thrust, thrust, time = self._sent
         self._sent = None
-        self.effectiveness.command(self._map.newtons(thrust), time)
-        self._health.sent(rate_body, newtons, time)
+        self.effectiveness.command(self._map.collective_thrust(thrust), time)
+        self._health.sent(rate_body, collective_thrust, time)
 
     def _learn(self, time: float) -> None:
         """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
@@ -222,7 +222,7 @@ class Flyer:
         now, before = self._estimate, self._before
         if now is None or now is before:
             return
-        self._found |= self._health.flight(now.state, time, learned=self._controller.is_learned)
+        self._present |= self._health.flight(now.state, time, learned=self._controller.is_learned)
         if self.mission.phase is Phase.TOUCHDOWN:
             return  # the ground carries a part of the weight
         force = self._force
@@ -231,16 +231,16 @@ class Flyer:
             force = specific_force_z(before.velocity_world, now.velocity_world, elapsed, now.attitude)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
 
-    def _findings(self, seen: ObservationRecord, estimate: Estimate | None) -> dict[Event, str]:
-        present, self._found = self._found, {}
-        if seen.findings:
-            present |= {Event(name): text for name, text in msgspec.json.decode(seen.findings).items()}
-        present |= self._health.estimate_age(estimate, seen.time)
+    def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
+        present, self._present = self._present, {}
+        if observation.findings:
+            present |= {Event(name): text for name, text in msgspec.json.decode(observation.findings).items()}
+        present |= self._health.estimate_age(estimate, observation.time)
         if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
-            if not seen.armed:
+            if not observation.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
-            elif not seen.offboard:
-                present[Event.MODE_CHANGED] = f"to {seen.mode}"
+            elif not observation.offboard:
+                present[Event.MODE_CHANGED] = f"to {observation.mode}"
         return present
 
     def _choose_fallback(self, time: float) -> Fallback:
@@ -261,40 +261,40 @@ class Flyer:
 
     # --- who has control
 
-    def _engage(self, seen: ObservationRecord, decision: Decision) -> None:
+    def _engage(self, observation: ObservationRecord, decision: Decision) -> None:
         was_flying = self.engagement.flying
-        if was_flying and self.mission.phase in ON_THE_GROUND and not seen.armed:
-            self.mission.shut_down(seen.time)  # an autopilot that notices the landing first disarms by itself
-            decision.transitions += self.engagement.release("landed and disarmed", seen.time)
+        if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
+            self.mission.shut_down(observation.time)  # an autopilot that notices the landing first disarms by itself
+            decision.transitions += self.engagement.release("landed and disarmed", observation.time)
         facts = Facts(
-            connected=seen.connected,
-            armed=seen.armed,
-            offboard=seen.offboard,
-            mode=seen.mode,
+            connected=observation.connected,
+            armed=observation.armed,
+            offboard=observation.offboard,
+            mode=observation.mode,
             refusal=self.events.refusal,
             fallback=decision.fallback,
             reason=self.events.reason,
         )
-        decision.transitions += self.engagement.update(facts, seen.time)
+        decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
         if self.engagement.state is State.ENGAGED and not was_flying:
-            self._begin(seen)
+            self._begin(observation)
         if self.engagement.flying and self._state is not None:
-            reason = seen.leave or self.events.landing_reason
+            reason = observation.leave or self.events.landing_reason
             if reason:
-                self.mission.land(reason, self._state, seen.time)
-        elif seen.leave:
-            decision.transitions += self.engagement.release(seen.leave, seen.time)
+                self.mission.land(reason, self._state, observation.time)
+        elif observation.leave:
+            decision.transitions += self.engagement.release(observation.leave, observation.time)
 
-    def _begin(self, seen: ObservationRecord) -> None:
+    def _begin(self, observation: ObservationRecord) -> None:
         """Control was just taken: from the ground by the ramp, in the air at once."""
         if self._state is None:
             return
-        if seen.landed or not self.engagement.found_armed:
-            self.mission.ramp(self._state, seen.time)
+        if observation.landed or not self.engagement.initially_armed:
+            self.mission.ramp(self._state, observation.time)
         else:
-            self.mission.take_over(self._state, seen.time)
-            self._start_controller(seen.time)
+            self.mission.take_over(self._state, observation.time)
+            self._start_controller(observation.time)
 
     def _start_controller(self, time: float) -> None:
         assert self._state is not None
@@ -305,70 +305,71 @@ class Flyer:
 
     # --- what to send
 
-    def _command(self, seen: ObservationRecord, decision: Decision) -> None:
+    def _command(self, observation: ObservationRecord, decision: Decision) -> None:
         if not self.engagement.flying:
             self._stand_by(decision)
         elif decision.fallback is Fallback.LEVEL_HOLD and self.mission.airborne:
-            decision.rate_body, decision.newtons = self._hold.command(self._settings.period)
+            decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
         elif self.mission.phase is Phase.RAMP:
-            self._take_off(seen, decision)
+            self._take_off(observation, decision)
         elif self.mission.phase is Phase.SHUTDOWN:
-            self._shut_down(seen, decision)
+            self._shut_down(observation, decision)
         if self.engagement.flying and self.mission.airborne and decision.rate_body is None:
-            self._fly(seen, decision)
-        self._finish(seen, decision)
+            self._fly(observation, decision)
+        self._finish(observation, decision)
 
     def _stand_by(self, decision: Decision) -> None:
         """Setpoints for the time before control is taken: idle on the ground, level and hovering in the air."""
-        if self.engagement.found_armed:
-            decision.rate_body, decision.newtons = self._hold.command(0.0)
+        if self.engagement.initially_armed:
+            decision.rate_body, decision.collective_thrust = self._hold.command(0.0)
         else:
-            decision.rate_body, decision.newtons = ZERO_RATE, 0.0
+            decision.rate_body, decision.collective_thrust = ZERO_RATE, 0.0
 
-    def _take_off(self, seen: ObservationRecord, decision: Decision) -> None:
+    def _take_off(self, observation: ObservationRecord, decision: Decision) -> None:
         assert self._state is not None
         decision.rate_body = ZERO_RATE
         if decision.fallback >= Fallback.LEVEL_HOLD:
-            self.mission.land(self.events.reason, self._state, seen.time)
+            self.mission.land(self.events.reason, self._state, observation.time)
             return
-        decision.newtons = self._ramp.update(seen.time, float(self._state[2]), float(self._state[5]))
+        decision.collective_thrust = self._ramp.update(observation.time, float(self._state[2]), float(self._state[5]))
         if self._ramp.failed:
-            self._found[Event.TAKEOFF_FAILED] = f"{self._ramp.thrust:.2f} N asked for"
+            self._present[Event.TAKEOFF_FAILED] = f"{self._ramp.thrust:.2f} N asked for"
         if not self._ramp.lifted:
             return
         settings = self._settings.thrust
         self.effectiveness.start(self._ramp.effectiveness(settings.delay + settings.response_time))
-        self._hand_over = HandOver(seen.time, self._ramp.thrust * self.effectiveness.value)
-        self.mission.climb(self._state, seen.time)
-        self._start_controller(seen.time)
-        decision.newtons = self._hand_over.thrust
+        self._hand_over = HandOver(observation.time, self._ramp.thrust * self.effectiveness.value)
+        self.mission.climb(self._state, observation.time)
+        self._start_controller(observation.time)
+        decision.collective_thrust = self._hand_over.thrust
 
-    def _shut_down(self, seen: ObservationRecord, decision: Decision) -> None:
-        since = seen.time - self.mission.time_in_phase_began
+    def _shut_down(self, observation: ObservationRecord, decision: Decision) -> None:
+        since = observation.time - self.mission.time_in_phase_began
         decision.rate_body = ZERO_RATE
-        decision.newtons = max(0.0, 1.0 - since / SHUTDOWN_TIME) * min(self._last[1], 0.5 * self._vehicle.weight)
+        share = max(0.0, 1.0 - since / SHUTDOWN_TIME)
+        decision.collective_thrust = share * min(self._last[1], 0.5 * self._vehicle.weight)
         if since > DISARM_PATIENCE:
-            decision.requests = (Request.LAND,)
-            decision.transitions += self.engagement.release("landed, left to the autopilot to disarm", seen.time)
-        elif since > SHUTDOWN_TIME and seen.time - self._asked_disarm > 1.0:
-            self._asked_disarm = seen.time
-            decision.requests = (Request.DISARM,)
+            decision.requests = (AutopilotRequest.LAND,)
+            decision.transitions += self.engagement.release("landed, left to the autopilot to disarm", observation.time)
+        elif since > SHUTDOWN_TIME and observation.time - self._last_disarm_request > 1.0:
+            self._last_disarm_request = observation.time
+            decision.requests = (AutopilotRequest.DISARM,)
 
-    def _fly(self, seen: ObservationRecord, decision: Decision) -> None:
-        command = self._solve(seen.time, decision)
+    def _fly(self, observation: ObservationRecord, decision: Decision) -> None:
+        command = self._solve(observation.time, decision)
         if command is not None:
-            decision.rate_body, decision.newtons = command
-        elif self._shifted.reaches(seen.time):
+            decision.rate_body, decision.collective_thrust = command
+        elif self._shifted.reaches(observation.time):
             decision.fallback = max(decision.fallback, Fallback.SHIFTED_SOLUTION)
-            decision.rate_body, decision.newtons = self._shifted.at(seen.time)
+            decision.rate_body, decision.collective_thrust = self._shifted.at(observation.time)
         elif not self._prepared and self._hand_over is not None:
-            decision.rate_body, decision.newtons = ZERO_RATE, self._hand_over.thrust
+            decision.rate_body, decision.collective_thrust = ZERO_RATE, self._hand_over.thrust
         else:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
-            decision.rate_body, decision.newtons = self._hold.command(self._settings.period)
+            decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
         if self._hand_over is not None:
-            decision.newtons = self._hand_over.blend(decision.newtons, seen.time)
-        self._watch_ground(seen, decision.newtons)
+            decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
+        self._watch_ground(observation, decision.collective_thrust)
 
     def _solve(self, time: float, decision: Decision) -> tuple[Floats, float] | None:
         """Rates and thrust of a fresh solution; None when none may or could be had."""
@@ -383,35 +384,35 @@ class Flyer:
         finite = isfinite(float(command.rate_body.sum()) + command.collective_thrust)
         if command.status != 0 or not finite:
             what = f"status {command.status}" if finite else "a solution that is not finite"
-            self._found[Event.SOLVER_FAILED] = what
+            self._present[Event.SOLVER_FAILED] = what
             return None
         self._solution, self._flies = (time, command, controller), controller
         self._solved = time
         return command.rate_body, command.collective_thrust
 
-    def _watch_ground(self, seen: ObservationRecord, newtons: float) -> None:
+    def _watch_ground(self, observation: ObservationRecord, collective_thrust: float) -> None:
         assert self._state is not None
         if self.mission.phase not in (Phase.DESCEND, Phase.TOUCHDOWN):
             return
-        says_landed = seen.landed and self.mission.phase is Phase.TOUCHDOWN
+        reported_landed = observation.landed and self.mission.phase is Phase.TOUCHDOWN
         climb_rate = float(self._state[5])
-        long = seen.time - self.mission.time_in_phase_began > TOUCHDOWN_PATIENCE
-        if self._landing.update(seen.time, climb_rate, newtons, vehicle_says_landed=says_landed):
-            self.mission.shut_down(seen.time)
+        long = observation.time - self.mission.time_in_phase_began > TOUCHDOWN_PATIENCE
+        if self._landing.update(observation.time, climb_rate, collective_thrust, reported_landed=reported_landed):
+            self.mission.shut_down(observation.time)
         elif long and self.mission.phase is Phase.TOUCHDOWN:
-            self._found[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
+            self._present[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
 
-    def _finish(self, seen: ObservationRecord, decision: Decision) -> None:
-        """Clip to what the vehicle may be asked for and convert newtons to the autopilot's 0..1."""
+    def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
+        """Clip to what the vehicle may be asked for and convert collective_thrust to the autopilot's 0..1."""
         if decision.rate_body is None or not self.engagement.streaming:
             decision.rate_body = None
             return
-        asked = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
-        decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in asked])
-        decision.newtons = min(max(decision.newtons, 0.0), self._thrust_limit)
-        decision.thrust = self._map.setpoint(decision.newtons, self.effectiveness.value)
-        self._last = (decision.rate_body, decision.newtons)
-        self._sent = (decision.rate_body, decision.newtons, decision.thrust, seen.time)
+        limited = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
+        decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in limited])
+        decision.collective_thrust = min(max(decision.collective_thrust, 0.0), self._thrust_limit)
+        decision.thrust = self._map.setpoint(decision.collective_thrust, self.effectiveness.value)
+        self._last = (decision.rate_body, decision.collective_thrust)
+        self._sent = (decision.rate_body, decision.collective_thrust, decision.thrust, observation.time)
 
     def _window(self, controller: Controller, time: float) -> tuple[Floats, Floats]:
         assert self._state is not None

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dynamics.vehicle import Vehicle
 from runtime.flight.events import Event
-from runtime.link.estimate import Estimate
+from runtime.link.estimate import StateEstimate
 from runtime.running_mean import RunningMean
 
 
@@ -74,11 +74,11 @@ class FlightHealth:
         self._forget()
         self._thrust = 0.0
 
-    def is_current(self, estimate: Estimate, time: float) -> bool:
+    def is_current(self, estimate: StateEstimate, time: float) -> bool:
         """Whether what an estimate says can be carried to now by the model."""
         return time - estimate.received <= self.limits.stale and time - estimate.time <= self.limits.oldest
 
-    def estimate_age(self, estimate: Estimate | None, time: float) -> dict[Event, str]:
+    def estimate_age(self, estimate: StateEstimate | None, time: float) -> dict[Event, str]:
         """Whether estimates still arrive, and in time. estimate: the newest, None before the first."""
         if estimate is None:
             return {Event.ESTIMATE_STALE: "none has arrived yet"}
@@ -91,19 +91,19 @@ class FlightHealth:
 
     def flight(self, state: NDArray[np.float64], time: float, *, learned: bool = False) -> dict[Event, str]:
         """What a fresh state (13,) of a vehicle in the air shows. learned: its controller has a learned model."""
-        found = self._position(state[0:3])
+        present = self._position(state[0:3])
         if self._thrust > 0.99 * self._thrust_max:
-            found[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
+            present[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
         self._compare(state[10:13], time)
         if self._miss.value > self.limits.unfollowed:
             missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
-            found[Event.SETPOINT_REFUSED] = missed
+            present[Event.SETPOINT_REFUSED] = missed
         chatter, swing = self.oscillation
         if learned and chatter > self.limits.chatter:
-            found[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"
+            present[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"
         elif learned and swing > self.limits.swing:
-            found[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
-        return found
+            present[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
+        return present
 
     def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
         if self._box is None:
@@ -116,11 +116,11 @@ class FlightHealth:
         return {event: f"{outside:.1f} m outside of the box"}
 
     def _compare(self, rate_body: NDArray[np.float64], time: float) -> None:
-        asked = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
-        if asked is None:
+        setpoint = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
+        if setpoint is None:
             return
         elapsed = 0.0 if self._miss_time is None else time - self._miss_time
         self._miss_time = time
-        miss = float(np.linalg.norm(rate_body - asked))
+        miss = float(np.linalg.norm(rate_body - setpoint))
         self._miss.add(miss, elapsed)
         self._swing.add(miss, elapsed)

@@ -18,7 +18,7 @@ class RampSettings:
 
     rise: float = 1.5
     spool: float = 0.1
-    greatest: float = 1.6
+    max_thrust: float = 1.6
     patience: float = 1.0
     height: float = 0.04
     climb_rate: float = 0.15
@@ -31,7 +31,7 @@ class TakeoffRamp:
         """weight, thrust_max: N."""
         self._settings = settings or RampSettings()
         self._weight = weight
-        self._greatest = min(self._settings.greatest * weight, 0.95 * thrust_max)
+        self._max_thrust = min(self._settings.max_thrust * weight, 0.95 * thrust_max)
         self._started: float | None = None
         self._ground = 0.0
         self._rising = 0
@@ -50,14 +50,14 @@ class TakeoffRamp:
             return self.thrust
         elapsed = time - self._started
         ramp = (settings.spool + (1 - settings.spool) * elapsed / settings.rise) * self._weight
-        self.thrust = min(ramp, self._greatest)
+        self.thrust = min(ramp, self._max_thrust)
         rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
         self._rising = self._rising + 1 if rising else 0
         # one estimate may be noise; below half the weight nothing lifts off
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
         self.lifted = self._rising >= 3 and self.thrust > 0.5 * self._weight
-        time_at_greatest = settings.rise * (self._greatest / self._weight - settings.spool) / (1 - settings.spool)
-        self.failed = not self.lifted and elapsed > time_at_greatest + settings.patience
+        time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
+        self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience
         return self.thrust
 
     def effectiveness(self, response_time: float) -> float:
@@ -68,7 +68,7 @@ class TakeoffRamp:
         """
         settings = self._settings
         since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + response_time
-        slope = (1 - settings.spool) * self._weight / settings.rise if self.thrust < self._greatest else 0.0
+        slope = (1 - settings.spool) * self._weight / settings.rise if self.thrust < self._max_thrust else 0.0
         return self._weight / max(self.thrust - slope * since, 0.3 * self._weight)
 
 
@@ -98,9 +98,9 @@ class LandingDetector:
         self._hold = hold
         self._since: float | None = None
 
-    def update(self, time: float, climb_rate: float, thrust: float, *, vehicle_says_landed: bool) -> bool:
-        """Take one tick. climb_rate: m/s. thrust: asked for, N. vehicle_says_landed: its landed state."""
-        if vehicle_says_landed:
+    def update(self, time: float, climb_rate: float, thrust: float, *, reported_landed: bool) -> bool:
+        """Take one tick. climb_rate: m/s. thrust: asked for, N. reported_landed: its landed state."""
+        if reported_landed:
             return True
         standing = abs(climb_rate) < self._climb_rate and thrust < self._thrust * self._weight
         if not standing:

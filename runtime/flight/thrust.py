@@ -45,7 +45,7 @@ class ThrustMap:
         share = min(max(collective_thrust / (self.thrust_max * effectiveness), 0.0), 1.0)
         return curve(curve_inverse(share, self.vehicle_curve), self.autopilot_curve)
 
-    def newtons(self, setpoint: float, effectiveness: float = 1.0) -> float:
+    def collective_thrust(self, setpoint: float, effectiveness: float = 1.0) -> float:
         """The thrust that a setpoint of 0..1 makes, N: the inverse of `setpoint`."""
         signal = curve_inverse(min(max(setpoint, 0.0), 1.0), self.autopilot_curve)
         return self.thrust_max * effectiveness * curve(signal, self.vehicle_curve)
@@ -66,7 +66,7 @@ def specific_force_z(
     return float(quaternion.rotate_inverse(attitude, acceleration)[2])
 
 
-class EstimatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Of the effectiveness filter. Standard deviations; process_noise per sqrt(s); times in s.
 
     delay, response_time: how thrust follows a setpoint: pure delay, then first order. timing: uncertainty of that
@@ -82,8 +82,8 @@ class EstimatorSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     speed: float = 3.0
     gate: float = 3.0
     patience: float = 1.0  # of rejection until the filter doubts itself
-    least: float = 0.4
-    greatest: float = 1.8
+    minimum: float = msgspec.field(default=0.4, name="least")
+    maximum: float = msgspec.field(default=1.8, name="greatest")
 
 
 class EffectivenessEstimator:
@@ -93,10 +93,10 @@ class EffectivenessEstimator:
     k F / m is linear in the effectiveness k. Pure: times are arguments.
     """
 
-    def __init__(self, mass: float, settings: EstimatorSettings | None = None) -> None:
+    def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
         """mass: kg, as the controller believes it; a wrong one is part of the effectiveness."""
         self._mass = mass
-        self._settings = settings or EstimatorSettings()
+        self._settings = settings or EffectivenessSettings()
         self._commands: deque[tuple[float, float]] = deque(maxlen=64)
         self.start(1.0)
 
@@ -162,4 +162,4 @@ class EffectivenessEstimator:
             self._rejected_since = None
 
     def _bounded(self, value: float) -> float:
-        return min(max(value, self._settings.least), self._settings.greatest)
+        return min(max(value, self._settings.minimum), self._settings.maximum)

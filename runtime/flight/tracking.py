@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from runtime.flight.mission import Phase
-from runtime.link.estimate import Estimate
+from runtime.link.estimate import StateEstimate
 
 
 class TrackingReport(msgspec.Struct, frozen=True):
@@ -30,14 +30,14 @@ class Tracking:
 
     def __init__(self) -> None:
         self.samples = 0
-        self.greatest = 0.0
-        self.fastest = 0.0
+        self.position_max = 0.0
+        self.speed_max = 0.0
         self._position = np.zeros(3)
         self._velocity = 0.0
         self._attitude = 0.0
-        self._last: Estimate | None = None
+        self._last: StateEstimate | None = None
 
-    def add(self, phase: Phase, estimate: Estimate, reference: NDArray[np.float64]) -> None:
+    def add(self, phase: Phase, estimate: StateEstimate, reference: NDArray[np.float64]) -> None:
         """Take an estimate and the reference's state (13,) at the estimate's time."""
         if phase is not Phase.TRACK or estimate is self._last:
             return
@@ -45,8 +45,8 @@ class Tracking:
         self.samples += 1
         error = estimate.position_world - reference[0:3]
         self._position += error * error
-        self.greatest = max(self.greatest, float(np.linalg.norm(error)))
-        self.fastest = max(self.fastest, float(np.linalg.norm(estimate.velocity_world)))
+        self.position_max = max(self.position_max, float(np.linalg.norm(error)))
+        self.speed_max = max(self.speed_max, float(np.linalg.norm(estimate.velocity_world)))
         self._velocity += float(np.sum((estimate.velocity_world - reference[3:6]) ** 2))
         self._attitude += float(quaternion.angle_between(estimate.attitude, reference[6:10])) ** 2
 
@@ -58,8 +58,8 @@ class Tracking:
             samples=self.samples,
             position_rmse=sqrt(float(np.sum(self._position)) / count),
             position_rmse_axes=(float(axes[0]), float(axes[1]), float(axes[2])),
-            position_max=self.greatest,
+            position_max=self.position_max,
             velocity_rmse=sqrt(self._velocity / count),
             attitude_rmse=sqrt(self._attitude / count),
-            speed_max=self.fastest,
+            speed_max=self.speed_max,
         )

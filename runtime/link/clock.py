@@ -26,9 +26,9 @@ class ClockLimits(msgspec.Struct, frozen=True):
     outlier: float = 5.0  # innovation in standard deviations beyond which a sample is not believed
     jump_samples: int = 5  # consecutive outliers that agree with each other are a new truth
     slow_factor: float = 3.0  # round trips longer than this many medians are ignored
-    minimum_samples: int = 5
-    largest_uncertainty: float = 5e-3
-    longest_silence: float = 3.0
+    min_samples: int = 5
+    max_uncertainty: float = 5e-3
+    max_silence: float = 3.0
 
 
 class VehicleClock:
@@ -74,7 +74,7 @@ class VehicleClock:
 
     def handle_one_way(self, received: float, remote: float) -> Verdict | None:
         """A stamp of the vehicle that came without a round trip, used only while no exchange is answered."""
-        if received - self._latest_two_way < self._limits.longest_silence:
+        if received - self._latest_two_way < self._limits.max_silence:
             return None
         if received <= self._updated:
             return "out_of_order"
@@ -88,7 +88,7 @@ class VehicleClock:
 
     def _handle_stamp(self, ours: float, remote: float, noise: float, slow: bool) -> Verdict:
         measured = remote - ours
-        if self.samples and remote < self._latest_remote - noise - self._limits.largest_uncertainty:
+        if self.samples and remote < self._latest_remote - noise - self._limits.max_uncertainty:
             self._start_again(ours, remote, noise)
             return "ran_backwards"
         if slow:
@@ -123,7 +123,7 @@ class VehicleClock:
         measured, limits = remote - ours, self._limits
         if self._outliers:
             time, previous = self._outliers[-1]
-            if abs(measured - previous) > 2 * noise + limits.initial_drift * (ours - time) + limits.largest_uncertainty:
+            if abs(measured - previous) > 2 * noise + limits.initial_drift * (ours - time) + limits.max_uncertainty:
                 self._outliers.clear()
         self._outliers.append((ours, measured))
         if len(self._outliers) < limits.jump_samples:
@@ -172,10 +172,10 @@ class VehicleClock:
         return now < self._valid_until
 
     def _find_valid_until(self) -> float:
-        limits, end = self._limits, self._updated + self._limits.longest_silence
-        if self.samples < limits.minimum_samples or self.uncertainty(self._updated) >= limits.largest_uncertainty:
+        limits, end = self._limits, self._updated + self._limits.max_silence
+        if self.samples < limits.min_samples or self.uncertainty(self._updated) >= limits.max_uncertainty:
             return float("-inf")
-        while self.uncertainty(end) >= limits.largest_uncertainty:
+        while self.uncertainty(end) >= limits.max_uncertainty:
             end -= 0.1
         return end
 

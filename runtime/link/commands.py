@@ -121,8 +121,8 @@ def _confirm(
     what: str,
     timeout: float,
 ) -> Confirmation:
-    asked = time.monotonic()
-    deadline, refused_until = asked + timeout, float("inf")
+    started = time.monotonic()
+    deadline, refused_until = started + timeout, float("inf")
     acknowledgements: list[str] = []
 
     def read(message: Message) -> str | None:
@@ -132,7 +132,7 @@ def _confirm(
 
     with link.listening(read) as answers:
         link.send(command_message(link, command, 0, *parameters))
-        attempt, resend = 0, asked + 0.5
+        attempt, resend = 0, started + 0.5
         while (now := time.monotonic()) < min(deadline, refused_until):
             try:
                 answer = answers.get(timeout=max(0.0, min(deadline, refused_until, resend) - now))

@@ -54,10 +54,10 @@ def parse_endpoint(text: str) -> Endpoint:
 
     text: any spelling listed in ACCEPTED. Raises RequestError for everything else.
     """
-    given = text.strip()
-    if given.startswith("/dev/") or re.fullmatch(r"COM\d+([,:]\d+)?", given):
-        return _serial_endpoint(text, given)
-    match = _SCHEME.fullmatch(given)
+    stripped = text.strip()
+    if stripped.startswith("/dev/") or re.fullmatch(r"COM\d+([,:]\d+)?", stripped):
+        return _serial_endpoint(text, stripped)
+    match = _SCHEME.fullmatch(stripped)
     if match is None or match["scheme"].lower() not in _KINDS:
         raise _refusal(text, "it names no kind of connection known here")
     kind = _KINDS[match["scheme"].lower()]

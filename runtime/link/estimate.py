@@ -14,7 +14,7 @@ from dynamics import frames, quaternion
 from runtime.link.dialect import Message, mavlink
 
 Source = Literal["ODOMETRY", "LOCAL_POSITION_NED"]
-Finding = Literal[
+EstimateEvent = Literal[
     "estimate_frame_refused",
     "estimate_not_finite",
     "estimate_time_backwards",
@@ -63,7 +63,7 @@ def read_odometry(payload: bytes) -> Odometry:
     return Odometry(fields[0] * 1e-6, fields[1:14], *fields[14:17])
 
 
-class Estimate(msgspec.Struct, frozen=True, gc=False):
+class StateEstimate(msgspec.Struct, frozen=True, gc=False):
     """The vehicle's state as it estimated it.
 
     time: when it held; received: when its bytes arrived; both s on our monotonic clock. state: (13,) position_world m,
@@ -110,8 +110,8 @@ class ResetStep(msgspec.Struct, frozen=True):
 class Judgement(msgspec.Struct, frozen=True):
     """What became of one message: the estimate if it is believed, and the finding if there is something to tell."""
 
-    estimate: Estimate | None
-    finding: Finding | None = None
+    estimate: StateEstimate | None
+    event: EstimateEvent | None = None
     text: str = ""
     step: ResetStep | None = None
 
@@ -122,8 +122,8 @@ class EstimateLimits(msgspec.Struct, frozen=True):
     position_noise: float = 0.3  # m
     velocity_noise: float = 1.5  # m/s
     attitude_noise: float = 0.3  # rad
-    largest_acceleration: float = 80.0  # m/s^2
-    largest_rate: float = 35.0  # rad/s
+    max_acceleration: float = 80.0  # m/s^2
+    max_rate: float = 35.0  # rad/s
     attitude_length: float = 0.05  # deviation of the quaternion's length from 1
     moved_samples: int = 10  # consecutive jumps that agree with each other are where the vehicle is now
     forgotten_after: float = 1.0  # s of silence after which nothing is compared any more
@@ -139,8 +139,8 @@ class EstimateMonitor:
 
     def reset(self) -> None:
         """Forgets the past, as after a reboot of the vehicle."""
-        self.latest: Estimate | None = None
-        self._doubted: list[Estimate] = []
+        self.latest: StateEstimate | None = None
+        self._doubted: list[StateEstimate] = []
         self._odometry_received = float("-inf")
         self._local_position: tuple[float, Message] | None = None
 
@@ -197,7 +197,7 @@ class EstimateMonitor:
             factor = -factor
         values[6:10] = [factor * value for value in values[6:10]]
         state = np.array(values)
-        estimate = Estimate(time, received, state, reset_counter, is_synchronised, source)
+        estimate = StateEstimate(time, received, state, reset_counter, is_synchronised, source)
         if latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source:
             return self._believe(estimate)
         if time <= latest.time:
@@ -208,12 +208,12 @@ class EstimateMonitor:
             return self._believe(estimate)
         return self._doubt(estimate, latest, jump)
 
-    def _believe(self, estimate: Estimate) -> Judgement:
+    def _believe(self, estimate: StateEstimate) -> Judgement:
         self.latest = estimate
         self._doubted.clear()
         return Judgement(estimate)
 
-    def _judge_time(self, estimate: Estimate, latest: Estimate) -> Judgement:
+    def _judge_time(self, estimate: StateEstimate, latest: StateEstimate) -> Judgement:
         if latest.is_synchronised != estimate.is_synchronised:
             return self._believe(estimate)  # the clock has just been found, or lost
         if latest.time - estimate.time < 1e-3:
@@ -221,7 +221,7 @@ class EstimateMonitor:
         text = f"The estimate's time went back by {latest.time - estimate.time:.3f} s."
         return Judgement(None, "estimate_time_backwards", text)
 
-    def _judge_reset(self, estimate: Estimate, latest: Estimate) -> Judgement:
+    def _judge_reset(self, estimate: StateEstimate, latest: StateEstimate) -> Judgement:
         step = _step(latest, estimate)
         text = (
             f"The estimator was reset: position moved by {np.linalg.norm(step.position_world):.2f} m, "
@@ -230,7 +230,7 @@ class EstimateMonitor:
         self._believe(estimate)
         return Judgement(estimate, "estimator_reset", text, step)
 
-    def _doubt(self, estimate: Estimate, latest: Estimate, jump: str) -> Judgement:
+    def _doubt(self, estimate: StateEstimate, latest: StateEstimate, jump: str) -> Judgement:
         if self._doubted and self._jump(self._doubted[-1], estimate) is not None:
             self._doubted.clear()
         self._doubted.append(estimate)
@@ -240,7 +240,7 @@ class EstimateMonitor:
         text = f"The estimate has moved for good, without a reset being told: {jump}."
         return Judgement(estimate, "estimate_moved", text, _step(latest, estimate))
 
-    def _jump(self, before: Estimate, after: Estimate) -> str | None:
+    def _jump(self, before: StateEstimate, after: StateEstimate) -> str | None:
         """What moved further from one estimate to the next than physics allows, or None."""
         limits, elapsed = self._limits, abs(after.time - before.time)
         a, b = before.state.tolist(), after.state.tolist()
@@ -250,11 +250,11 @@ class EstimateMonitor:
         )
         velocity = hypot(b[3] - a[3], b[4] - a[4], b[5] - a[5])
         attitude = 2.0 * acos(min(1.0, abs(_dot(a[6:10], b[6:10]))))
-        if position > limits.position_noise + 0.25 * limits.largest_acceleration * elapsed**2:
+        if position > limits.position_noise + 0.25 * limits.max_acceleration * elapsed**2:
             return f"position by {position:.2f} m in {elapsed * 1e3:.0f} ms"
-        if velocity > limits.velocity_noise + limits.largest_acceleration * elapsed:
+        if velocity > limits.velocity_noise + limits.max_acceleration * elapsed:
             return f"velocity by {velocity:.2f} m/s in {elapsed * 1e3:.0f} ms"
-        if attitude > limits.attitude_noise + limits.largest_rate * elapsed:
+        if attitude > limits.attitude_noise + limits.max_rate * elapsed:
             return f"attitude by {degrees(attitude):.0f} degrees in {elapsed * 1e3:.0f} ms"
         return None
 
@@ -267,7 +267,7 @@ def _dot(a: list[float], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]
 
 
-def _step(before: Estimate, after: Estimate) -> ResetStep:
+def _step(before: StateEstimate, after: StateEstimate) -> ResetStep:
     """What a reset moved, the vehicle's own motion in between taken out."""
     elapsed = max(0.0, after.time - before.time)
     travelled = elapsed * before.velocity_world
@@ -280,8 +280,8 @@ def _step(before: Estimate, after: Estimate) -> ResetStep:
     )
 
 
-def _refused_frame(field: str, given: int, wanted: str) -> Judgement:
-    entry = mavlink.enums["MAV_FRAME"].get(given)
+def _refused_frame(field: str, value: int, required: str) -> Judgement:
+    entry = mavlink.enums["MAV_FRAME"].get(value)
     name = entry.name.removeprefix("MAV_FRAME_") if entry is not None else "unknown"
-    text = f"ODOMETRY {field} is {given} ({name}), wanted {wanted}: the estimate's axes are not known."
+    text = f"ODOMETRY {field} is {value} ({name}), required {required}: the estimate's axes are not known."
     return Judgement(None, "estimate_frame_refused", text)

@@ -18,10 +18,10 @@ from dynamics.errors import AlulaError, VehicleError
 from runtime import realtime
 from runtime.link.connection import Endpoint
 from runtime.link.dialect import Message, mavlink
-from runtime.link.estimate import Estimate, ResetStep
+from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.framing import Frame, FrameParser
 from runtime.link.peer import Peer, Reaction
-from runtime.link.telemetry import LinkEvent, Severity, VehicleStatus
+from runtime.link.telemetry import LinkEvent, LinkSeverity, VehicleStatus
 from runtime.link.texts import text_messages
 from runtime.link.transport import Address, Transport, TransportLostError, open_transport
 
@@ -47,7 +47,7 @@ class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: int | None = None  # of SCHED_FIFO for the link's thread; no setpoint is earlier than its estimate
 
 
-class Taps(msgspec.Struct, frozen=True):
+class LinkCallbacks(msgspec.Struct, frozen=True):
     """Who else wants to see what passes; called from the link's and the sender's threads, must return quickly.
 
     frame: every raw frame with its direction and our monotonic time, s. message: every decoded message with its
@@ -69,20 +69,22 @@ class Link:
     is the event link_lost, and opened again when it comes back.
     """
 
-    def __init__(self, endpoint: Endpoint, settings: LinkSettings | None = None, taps: Taps | None = None) -> None:
+    def __init__(
+        self, endpoint: Endpoint, settings: LinkSettings | None = None, callbacks: LinkCallbacks | None = None
+    ) -> None:
         self.endpoint = endpoint
         self.settings = settings or LinkSettings()
         self.peer = Peer(self.settings.target_system)
         self.parser = FrameParser()
-        self._taps = taps or Taps()
+        self._callbacks = callbacks or LinkCallbacks()
         self._transport: Transport = open_transport(endpoint)
         self._sequence = itertools.count()
         # two packers, so that the control thread shares no lock with anybody
         self._packer, self._setpoint_packer = mavlink.MAVLink(None), mavlink.MAVLink(None)
         self._send_lock = threading.Lock()
-        self._estimate: Estimate | None = None
+        self._estimate: StateEstimate | None = None
         self._waiting: list[threading.Lock] = []
-        self._found = threading.Event()
+        self._vehicle_found = threading.Event()
         self._listeners: tuple[Callable[[Message], None], ...] = ()
         self._text_identities = itertools.count(1)
         self._next_heartbeat = self._next_timesync = float("-inf")
@@ -130,11 +132,11 @@ class Link:
     # --- estimates
 
     @property
-    def estimate(self) -> Estimate | None:
+    def estimate(self) -> StateEstimate | None:
         """The newest believed estimate."""
         return self._estimate
 
-    def wait_for_estimate(self, newer_than: Estimate | None, deadline: float) -> Estimate | None:
+    def wait_for_estimate(self, newer_than: StateEstimate | None, deadline: float) -> StateEstimate | None:
         """The newest estimate as soon as it is another one than newer_than, or None at the deadline, monotonic s."""
         while True:
             # a lock per wait, as in threading.Condition, without the Python around it that costs a tenth of the latency
@@ -153,11 +155,11 @@ class Link:
 
         Raises VehicleError after timeout seconds, telling what was heard instead.
         """
-        if not self._found.wait(timeout):
-            raise VehicleError(self._silence_explained(timeout))
+        if not self._vehicle_found.wait(timeout):
+            raise VehicleError(self._explain_silence(timeout))
         return self.peer.status
 
-    def _silence_explained(self, timeout: float) -> str:
+    def _explain_silence(self, timeout: float) -> str:
         heard = self.peer.heard
         who = ", ".join(f"{system}/{component} ({what})" for (system, component), what in sorted(heard.items()))
         if self.settings.target_system is not None and heard:
@@ -206,8 +208,8 @@ class Link:
         packer.seq = next(self._sequence) & 0xFF
         data = message.pack(packer)
         sent = self._transport.send(data)
-        if sent and self._taps.frame is not None:
-            self._taps.frame("out", time.monotonic(), data)
+        if sent and self._callbacks.frame is not None:
+            self._callbacks.frame("out", time.monotonic(), data)
         return sent
 
     # --- questions and answers
@@ -256,20 +258,21 @@ class Link:
     def _run(self) -> None:
         if self.settings.priority is not None:
             for refusal in realtime.schedule_thread(self.settings.priority):
-                self._tell(time.monotonic(), "realtime_unavailable", "warning", f"The link's thread: {refusal}.")
+                text = f"The link's thread: {refusal}."
+                self._publish_event(time.monotonic(), "realtime_unavailable", "warning", text)
         while not self._stop.is_set():
-            self._speak(time.monotonic())
+            self._send_due(time.monotonic())
             try:
                 batch = self._receive()
             except TransportLostError as error:
-                self._tell(time.monotonic(), "link_lost", "error", str(error))
+                self._publish_event(time.monotonic(), "link_lost", "error", str(error))
                 self._reopen()
                 continue
             for frame, received, source in batch:
                 try:
                     self._handle(frame, received, source)
                 except Exception as error:  # a defect of ours must not take the link down in flight
-                    self._tell(received, "link_defect", "error", f"Handling a message failed: {error!r}")
+                    self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
 
     def _receive(self) -> list[tuple[Frame, float, Address | None]]:
         """What has arrived, state estimates first: autopilots send in bursts, and the rest can wait."""
@@ -287,22 +290,22 @@ class Link:
 
     def _handle(self, frame: Frame, received: float, source: Address | None) -> None:
         reaction = self.peer.handle(frame, received)
-        if reaction.reset is not None and self._taps.reset is not None:
-            self._taps.reset(reaction.reset)
+        if reaction.reset is not None and self._callbacks.reset is not None:
+            self._callbacks.reset(reaction.reset)
         if reaction.estimate is not None:
-            self._publish(reaction.estimate)
+            self._publish_estimate(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
             self._transport.answer(source)
-            if not self._found.is_set():
-                self._found.set()
+            if not self._vehicle_found.is_set():
+                self._vehicle_found.set()
                 self._next_heartbeat = float("-inf")  # only now does anybody hear it
             for answer in reaction.answers:
                 self.send(answer)
             for listener in self._listeners:
                 listener(frame.message)
-        self._pass_on(frame, received, reaction)
+        self._call_back(frame, received, reaction)
 
-    def _publish(self, estimate: Estimate) -> None:
+    def _publish_estimate(self, estimate: StateEstimate) -> None:
         self._estimate = estimate
         waiting, self._waiting = self._waiting, []
         for woken in waiting:
@@ -310,23 +313,23 @@ class Link:
         if waiting:
             time.sleep(_STEP_ASIDE)
 
-    def _pass_on(self, frame: Frame, received: float, reaction: Reaction) -> None:
-        if self._taps.frame is not None:
-            self._taps.frame("in", received, frame.data)
-        if self._taps.message is not None and frame.is_known:
-            self._taps.message(frame.message, received)
-        if self._taps.reaction is not None:
-            self._taps.reaction(reaction)
-        if self._taps.event is not None:
+    def _call_back(self, frame: Frame, received: float, reaction: Reaction) -> None:
+        if self._callbacks.frame is not None:
+            self._callbacks.frame("in", received, frame.data)
+        if self._callbacks.message is not None and frame.is_known:
+            self._callbacks.message(frame.message, received)
+        if self._callbacks.reaction is not None:
+            self._callbacks.reaction(reaction)
+        if self._callbacks.event is not None:
             for event in reaction.events:
-                self._taps.event(event)
+                self._callbacks.event(event)
 
-    def _tell(self, now: float, name: str, severity: Severity, text: str) -> None:
-        if self._taps.event is not None:
-            for event in self.peer.tell(now, name, severity, text):
-                self._taps.event(event)
+    def _publish_event(self, now: float, name: str, severity: LinkSeverity, text: str) -> None:
+        if self._callbacks.event is not None:
+            for event in self.peer.limit_event(now, name, severity, text):
+                self._callbacks.event(event)
 
-    def _speak(self, now: float) -> None:
+    def _send_due(self, now: float) -> None:
         """Sends what is due, and notices when the vehicle fell silent or speaks again."""
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + self.settings.heartbeat_period
@@ -339,9 +342,9 @@ class Link:
             self._silent = silent
             if silent:
                 text = f"Nothing was heard of the vehicle for {self.settings.silence:g} s."
-                self._tell(now, "vehicle_silent", "error", text)
+                self._publish_event(now, "vehicle_silent", "error", text)
             else:
-                self._tell(now, "vehicle_heard_again", "info", "The vehicle speaks again.")
+                self._publish_event(now, "vehicle_heard_again", "info", "The vehicle speaks again.")
 
     def _send_heartbeats(self) -> None:
         active, no_autopilot = mavlink.MAV_STATE_ACTIVE, mavlink.MAV_AUTOPILOT_INVALID
@@ -360,5 +363,5 @@ class Link:
             except AlulaError:
                 continue
             self.parser = FrameParser()
-            self._tell(time.monotonic(), "link_restored", "warning", f"{self.endpoint} is open again.")
+            self._publish_event(time.monotonic(), "link_restored", "warning", f"{self.endpoint} is open again.")
             return

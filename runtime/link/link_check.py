@@ -14,8 +14,8 @@ from dynamics import quaternion
 from runtime.link import commands
 from runtime.link.connection import Endpoint
 from runtime.link.dialect import mavlink
-from runtime.link.estimate import Estimate
-from runtime.link.link import Link, LinkSettings, Taps
+from runtime.link.estimate import StateEstimate
+from runtime.link.link import Link, LinkCallbacks, LinkSettings
 from runtime.link.parameters import Parameter, read_parameters
 from runtime.link.rates import WINDOW, StreamRate
 from runtime.link.telemetry import ImuSample, LinkEvent, VehicleStatus
@@ -25,7 +25,7 @@ PARAMETERS = (
     "MPC_THR_HOVER", "THR_MDL_FAC", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_DISARM_PRFLT",
     "MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX", "MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P",
 )  # fmt: skip
-SLOWEST = 0.9  # of the rate asked for
+MIN_RATE_SHARE = 0.9  # of the rate asked for
 _GRAVITY = 9.81
 _REST = 0.3  # m/s and rad/s below which the accelerometer shows gravity alone
 _ACK_WINDOW = 0.3  # s in which a second acknowledgement follows the first
@@ -36,7 +36,7 @@ class StreamCheck(msgspec.Struct, frozen=True):
 
     name: str
     before: float
-    asked: float
+    requested: float = msgspec.field(name="asked")
     answer: str
     after: StreamRate
 
@@ -59,7 +59,7 @@ class AttitudeCheck(msgspec.Struct, frozen=True):
     tilt_error_degrees: float
 
 
-class Problem(msgspec.Struct, frozen=True):
+class LinkProblem(msgspec.Struct, frozen=True):
     """Something found: an error would keep a flight from being engaged, a warning should be understood first."""
 
     severity: Literal["error", "warning"]
@@ -81,7 +81,7 @@ class LinkReport(msgspec.Struct, frozen=True):
     parameters: dict[str, float | str]
     acknowledgements_of_mode: int
     events: tuple[LinkEvent, ...]
-    problems: tuple[Problem, ...]
+    problems: tuple[LinkProblem, ...]
     frames: int
     unknown_frames: int
     skipped_bytes: int
@@ -106,15 +106,15 @@ def check_link(
     Raises VehicleError when no vehicle speaks, RequestError for a message that does not exist.
     """
     events: list[LinkEvent] = []
-    with Link(endpoint, LinkSettings(target_system=target_system), Taps(event=events.append)) as link:
+    with Link(endpoint, LinkSettings(target_system=target_system), LinkCallbacks(event=events.append)) as link:
         link.wait_for_vehicle(timeout)
         time.sleep(window)
         before = {name: link.peer.rates.rate(name, time.monotonic(), window).rate for name in streams}
         answers = commands.request_rates(link, streams)
-        asked = time.monotonic()
+        requested_at = time.monotonic()
         parameters = read_parameters(link, PARAMETERS)
         acknowledgements = _count_acknowledgements(link)
-        time.sleep(max(0.0, window - (time.monotonic() - asked)) + 0.1)
+        time.sleep(max(0.0, window - (time.monotonic() - requested_at)) + 0.1)
         now = time.monotonic()
         checks = tuple(
             StreamCheck(name, before[name], rate, answers[name], link.peer.rates.rate(name, now, window))
@@ -181,7 +181,7 @@ def _frame_names(frames: tuple[int, int] | None) -> tuple[str, str] | None:
     return first, second
 
 
-def _check_attitude(estimate: Estimate, imu: ImuSample) -> AttitudeCheck | None:
+def _check_attitude(estimate: StateEstimate, imu: ImuSample) -> AttitudeCheck | None:
     """Where the specific force points in the world, which at rest is up; None while the vehicle moves."""
     if hypot(*estimate.velocity_world) > _REST or hypot(*estimate.rate_body) > _REST:
         return None
@@ -210,86 +210,86 @@ def _count_acknowledgements(link: Link) -> int:
             count, patience = count + 1, _ACK_WINDOW
 
 
-def _stream_problems(streams: tuple[StreamCheck, ...], estimate: Estimate | None) -> list[Problem]:
+def _stream_problems(streams: tuple[StreamCheck, ...], estimate: StateEstimate | None) -> list[LinkProblem]:
     problems = []
     if estimate is None:
         text = (
             "No state estimate arrived. PX4 sends ODOMETRY on its offboard link once its estimator has a position: "
             "check GPS, motion capture or optical flow, and EKF2's status."
         )
-        problems.append(Problem("error", text))
+        problems.append(LinkProblem("error", text))
     for stream in streams:
-        if stream.after.rate < SLOWEST * stream.asked:
+        if stream.after.rate < MIN_RATE_SHARE * stream.requested:
             severity: Literal["error", "warning"] = "error" if stream.name == "ODOMETRY" else "warning"
             text = (
-                f"{stream.name} comes at {stream.after.rate:.0f} Hz, {stream.asked:.0f} Hz were asked for (answer: "
+                f"{stream.name} comes at {stream.after.rate:.0f} Hz, {stream.requested:.0f} Hz were asked for (answer: "
                 f"{stream.answer}). Raise the link's baud rate or MAV_n_RATE; PX4 in simulation only has rates that "
                 "divide 250 Hz."
             )
-            problems.append(Problem(severity, text))
+            problems.append(LinkProblem(severity, text))
     return problems
 
 
-def _clock_problems(clock: ClockCheck) -> list[Problem]:
+def _clock_problems(clock: ClockCheck) -> list[LinkProblem]:
     if not clock.answered:
-        return [Problem("error", "TIMESYNC is not answered: the age of an estimate cannot be known.")]
+        return [LinkProblem("error", "TIMESYNC is not answered: the age of an estimate cannot be known.")]
     if not clock.settled:
         text = (
             f"The vehicle's clock is not settled: uncertain by {clock.uncertainty * 1e3:.1f} ms, "
             f"round trip {clock.round_trip * 1e3:.1f} ms, drift {clock.drift * 1e3:.2f} ms/s."
         )
-        return [Problem("error", text)]
+        return [LinkProblem("error", text)]
     if clock.round_trip > 0.02:
         text = f"The round trip takes {clock.round_trip * 1e3:.0f} ms; on serial adapters look for a latency timer."
-        return [Problem("warning", text)]
+        return [LinkProblem("warning", text)]
     return []
 
 
-def _vehicle_problems(status: VehicleStatus, attitude: AttitudeCheck | None) -> list[Problem]:
+def _vehicle_problems(status: VehicleStatus, attitude: AttitudeCheck | None) -> list[LinkProblem]:
     problems = []
     if status.autopilot != "px4":
         text = f"The autopilot is {status.autopilot}; this runtime knows PX4's modes and rules only."
-        problems.append(Problem("error", text))
+        problems.append(LinkProblem("error", text))
     if status.system_status in ("critical", "emergency", "flight_termination", "calibrating", "boot"):
-        problems.append(Problem("error", f"The vehicle reports the state {status.system_status}."))
+        problems.append(LinkProblem("error", f"The vehicle reports the state {status.system_status}."))
     if status.armed:
-        problems.append(Problem("warning", f"The vehicle is armed, in mode {status.mode}."))
+        problems.append(LinkProblem("warning", f"The vehicle is armed, in mode {status.mode}."))
     if isnan(status.battery_voltage):
-        problems.append(Problem("warning", "No battery voltage: thrust cannot be corrected for a sagging battery."))
+        problems.append(LinkProblem("warning", "No battery voltage: thrust cannot be corrected for a sagging battery."))
     if attitude is not None and abs(attitude.specific_force - _GRAVITY) > 1.0:
         text = f"The accelerometer reads {attitude.specific_force:.1f} m/s^2 at rest, wanted about {_GRAVITY}."
-        problems.append(Problem("warning", text))
+        problems.append(LinkProblem("warning", text))
     if attitude is not None and attitude.tilt_error_degrees > 10.0:
         text = (
             f"At rest the attitude puts gravity {attitude.tilt_error_degrees:.0f} degrees off the vertical: "
             "wrong frames, or an estimator that has not converged."
         )
-        problems.append(Problem("error", text))
+        problems.append(LinkProblem("error", text))
     return problems
 
 
-def _parameter_problems(values: Mapping[str, float | str]) -> list[Problem]:
+def _parameter_problems(values: Mapping[str, float | str]) -> list[LinkProblem]:
     problems = []
     missing = [name for name, value in values.items() if isinstance(value, str)]
     if missing:
         text = f"Not known to the vehicle: {', '.join(missing)}; the defaults of PX4 are assumed."
-        problems.append(Problem("warning", text))
+        problems.append(LinkProblem("warning", text))
     loss, action = values.get("COM_OF_LOSS_T"), values.get("COM_OBL_RC_ACT")
     if isinstance(loss, float) and loss > 2.0:
         text = f"COM_OF_LOSS_T is {loss:g} s: that long a dead companion would fly on with its last setpoint."
-        problems.append(Problem("warning", text))
+        problems.append(LinkProblem("warning", text))
     if action in (6, 7):
         what = "terminates the flight" if action == 6 else "disarms in the air"
         text = f"COM_OBL_RC_ACT is {action}: losing the companion {what}. 4 lands, 5 holds."
-        problems.append(Problem("warning", text))
+        problems.append(LinkProblem("warning", text))
     return problems
 
 
-def _event_problems(events: tuple[LinkEvent, ...]) -> list[Problem]:
+def _event_problems(events: tuple[LinkEvent, ...]) -> list[LinkProblem]:
     expected = ("mode_changed", "vehicle_found", "landed_state", "armed", "disarmed", "vehicle_heard_again")
     texts = {event.name: event for event in events if event.name not in expected}
     return [
-        Problem(
+        LinkProblem(
             "error" if event.severity == "error" or event.name == "estimate_frame_refused" else "warning", event.text
         )
         for event in texts.values()

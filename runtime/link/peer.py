@@ -10,20 +10,20 @@ from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
 from runtime.link.dialect import Message, mavlink
 from runtime.link.estimate import (
-    Estimate,
     EstimateLimits,
     EstimateMonitor,
     Judgement,
     Odometry,
     ResetStep,
+    StateEstimate,
     read_odometry,
 )
 from runtime.link.framing import Frame
 from runtime.link.rates import RateMeter
-from runtime.link.telemetry import Battery, LinkEvent, Severity, Telemetry, Text, VehicleStatus
+from runtime.link.telemetry import BatterySample, LinkEvent, LinkSeverity, Telemetry, Text, VehicleStatus
 from runtime.link.texts import TextAssembler
 
-_TOLD_AGAIN_AFTER = 1.0  # s until an event of the same name is told again
+_EVENT_PERIOD = 1.0  # s until an event of the same name is told again
 _MAX_STAMP = 10.0  # s between a state's time and its arrival beyond which its stamp is not the synchronised clock's
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
@@ -31,7 +31,7 @@ _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, ma
 class Reaction(msgspec.Struct):
     """What follows from one message: answers to send, and what is new for the rest of the runtime."""
 
-    estimate: Estimate | None = None
+    estimate: StateEstimate | None = None
     reset: ResetStep | None = None
     telemetry: Telemetry | None = None
     answers: list[Message] = []
@@ -51,7 +51,7 @@ class Peer:
         self.address: tuple[int, int] | None = None  # system and component of the vehicle once it is found
         self._status = VehicleStatus()
         self._texts = TextAssembler()
-        self._told: dict[str, tuple[float, int]] = {}
+        self._published: dict[str, tuple[float, int]] = {}
         self.last_heard = float("-inf")
         self.heard: dict[tuple[int, int], str] = {}
         self.clock = VehicleClock()
@@ -102,18 +102,18 @@ class Peer:
             self._keep(sample)
             reaction.telemetry = sample
 
-    def tell(self, time: float, name: str, severity: Severity, text: str) -> list[LinkEvent]:
+    def limit_event(self, time: float, name: str, severity: LinkSeverity, text: str) -> list[LinkEvent]:
         """The event to pass on: none while one of the same name was told less than a second ago."""
-        told, repeats = self._told.get(name, (float("-inf"), 0))
-        if time - told < _TOLD_AGAIN_AFTER:
-            self._told[name] = (told, repeats + 1)
+        published, repeats = self._published.get(name, (float("-inf"), 0))
+        if time - published < _EVENT_PERIOD:
+            self._published[name] = (published, repeats + 1)
             return []
-        self._told[name] = (time, 0)
+        self._published[name] = (time, 0)
         return [LinkEvent(time, name, severity, text, repeats)]
 
     def _keep(self, sample: Telemetry) -> None:
         self.latest[type(sample)] = sample
-        if isinstance(sample, Battery) and sample.voltage > 0:
+        if isinstance(sample, BatterySample) and sample.voltage > 0:
             self._status = msgspec.structs.replace(self._status, battery_voltage=sample.voltage)
 
     def _time_of(self, remote: float, received: float) -> float:
@@ -138,10 +138,10 @@ class Peer:
             self._status = VehicleStatus(system=system, component=component, autopilot=autopilot, kind=kind)
             self.address = (system, component)
             text = f"Vehicle {system}, component {component}: {kind} with {autopilot}."
-            reaction.events += self.tell(received, "vehicle_found", "info", text)
+            reaction.events += self.limit_event(received, "vehicle_found", "info", text)
         elif (system, component) != self.address:
             text = f"Vehicle {system} is on this link as well; following {self._status.system} only."
-            reaction.events += self.tell(received, "other_vehicle", "warning", text)
+            reaction.events += self.limit_event(received, "other_vehicle", "warning", text)
 
     def _handle_heartbeat(self, message: Message, received: float, reaction: Reaction) -> None:
         before = self._status
@@ -194,10 +194,10 @@ class Peer:
         match self.clock.handle(sent, received, message.tc1 * 1e-9):
             case "jumped":
                 text = f"The vehicle's clock jumped by {self.clock.offset(received) - offset:.3f} s."
-                reaction.events += self.tell(received, "clock_jumped", "warning", text)
+                reaction.events += self.limit_event(received, "clock_jumped", "warning", text)
             case "ran_backwards":
                 text = f"The vehicle's clock ran backwards by {offset - self.clock.offset(received):.3f} s: a reboot?"
-                reaction.events += self.tell(received, "clock_ran_backwards", "error", text)
+                reaction.events += self.limit_event(received, "clock_ran_backwards", "error", text)
                 self.estimates.reset()
 
     def _handle_odometry(self, odometry: Odometry, received: float, reaction: Reaction) -> None:
@@ -216,5 +216,5 @@ class Peer:
 
     def _take(self, judgement: Judgement, received: float, reaction: Reaction) -> None:
         reaction.estimate, reaction.reset = judgement.estimate, judgement.step
-        if judgement.finding is not None:
-            reaction.events += self.tell(received, judgement.finding, "warning", judgement.text)
+        if judgement.event is not None:
+            reaction.events += self.limit_event(received, judgement.event, "warning", judgement.text)

@@ -20,7 +20,7 @@ _IMU_WINDOW = 0.005  # s over which PX4 averages a sample (IMU_INTEG_RATE 200 Hz
 LandedState = Literal["undefined", "on_ground", "in_air", "taking_off", "landing"]
 _LANDED: tuple[LandedState, ...] = ("undefined", "on_ground", "in_air", "taking_off", "landing")
 
-Severity = Literal["info", "warning", "error"]
+LinkSeverity = Literal["info", "warning", "error"]
 Vector = tuple[float, float, float]
 
 
@@ -29,7 +29,7 @@ class LinkEvent(msgspec.Struct, frozen=True):
 
     time: float
     name: str
-    severity: Severity
+    severity: LinkSeverity
     text: str
     repeats: int = 0
 
@@ -84,7 +84,7 @@ class ImuSample(msgspec.Struct, frozen=True, gc=False):
     rate_body: Vector
 
 
-class Battery(msgspec.Struct, frozen=True, gc=False):
+class BatterySample(msgspec.Struct, frozen=True, gc=False):
     """Voltage, V, current, A, and remaining charge, 0..1; nan where the vehicle does not measure it."""
 
     time: float
@@ -102,7 +102,7 @@ class Text(msgspec.Struct, frozen=True):
     text: str
 
 
-Telemetry = RotorSpeeds | MotorOutputs | ImuSample | Battery
+Telemetry = RotorSpeeds | MotorOutputs | ImuSample | BatterySample
 ToOurs = Callable[[float, float], float]
 
 
@@ -139,9 +139,9 @@ def _imu(message: Message, received: float, to_ours: ToOurs) -> ImuSample:
     )
 
 
-def _battery(message: Message, received: float, to_ours: ToOurs) -> Battery:
+def _battery(message: Message, received: float, to_ours: ToOurs) -> BatterySample:
     cells = [v for v in (*message.voltages, *message.voltages_ext) if v not in (0, _UNKNOWN_VOLTAGE)]
-    return Battery(
+    return BatterySample(
         received,
         received,
         sum(cells) * 1e-3 if cells else nan,
@@ -150,8 +150,8 @@ def _battery(message: Message, received: float, to_ours: ToOurs) -> Battery:
     )
 
 
-def _system_battery(message: Message, received: float, to_ours: ToOurs) -> Battery:
-    return Battery(
+def _system_battery(message: Message, received: float, to_ours: ToOurs) -> BatterySample:
+    return BatterySample(
         received,
         received,
         message.voltage_battery * 1e-3 if message.voltage_battery not in (0, _UNKNOWN_VOLTAGE) else nan,

@@ -6,13 +6,13 @@ from runtime.link.dialect import Message, mavlink
 from runtime.link.telemetry import Text
 
 CHUNK = 50
-_LONGEST = CHUNK * 255
+_MAX_LENGTH = CHUNK * 255
 _PATIENCE = 1.0  # s to wait for a missing chunk
 
 
 def text_messages(text: str, severity: int, identity: int) -> list[Message]:
     """The messages that carry a text. identity: 1..65535, different for texts sent close together."""
-    data = text.encode("ascii", "replace")[:_LONGEST]
+    data = text.encode("ascii", "replace")[:_MAX_LENGTH]
     if len(data) <= CHUNK:
         return [mavlink.MAVLink_statustext_message(severity, data)]
     chunks = [data[at : at + CHUNK] for at in range(0, len(data), CHUNK)]

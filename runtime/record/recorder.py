@@ -47,7 +47,7 @@ class SafeFile:
         self.failure = ""
         self._stream = opener(path)
         self._pending = bytearray()
-        self._kept = 0
+        self._written = 0
 
     def write(self, data: bytes) -> int:
         """Take bytes; they reach the disk with `flush`."""
@@ -57,7 +57,7 @@ class SafeFile:
 
     def tell(self) -> int:
         """Bytes written and pending."""
-        return self._kept + len(self._pending)
+        return self._written + len(self._pending)
 
     def flush(self) -> None:
         """Write what is pending in full, or cut the file back to the last flush and note why."""
@@ -68,14 +68,14 @@ class SafeFile:
             view = memoryview(pending)
             while view:
                 view = view[self._stream.write(view) or 0 :]
-            self._kept += len(pending)
+            self._written += len(pending)
         except OSError as error:
             self.failure = f"{self.path}: {error.strerror or error}"
             self._cut()
 
     def _cut(self) -> None:
         with contextlib.suppress(OSError):  # the reader copes with a torn last record
-            self._stream.truncate(self._kept)
+            self._stream.truncate(self._written)
 
     def close(self) -> None:
         """Flush and close, never raising."""

@@ -19,11 +19,11 @@ from zstandard import ZstdError
 from dynamics.errors import DataError
 from runtime.record.records import TOPICS, Record
 
-Table = Mapping[str, NDArray[Any]]
+Columns = Mapping[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Recording:
+class FlightRecording:
     """A recording's content; complete: it was closed in order. messages: topic to rows as they were written."""
 
     path: Path
@@ -68,7 +68,7 @@ def _parts(path: Path) -> Iterator[McapRecord]:
             return  # the last chunk is incomplete: the writer was killed or the disk was full
 
 
-def read_recording(path: Path) -> Recording:
+def read_recording(path: Path) -> FlightRecording:
     """Read a recording by scanning it, so that a missing index does not matter.
 
     Raises DataError when the file is no MCAP file or holds nothing of ours.
@@ -98,4 +98,4 @@ def read_recording(path: Path) -> Recording:
         raise DataError(f"cannot read {path}: {error.strerror}. Give a .mcap file that `alula fly` wrote.") from None
     if not metadata:
         raise DataError(f"{path} is no recording of ours. Give a .mcap file that `alula fly --record` wrote.")
-    return Recording(path, metadata, attachments, messages, complete)
+    return FlightRecording(path, metadata, attachments, messages, complete)

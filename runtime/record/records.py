@@ -21,7 +21,7 @@ Metres = Annotated[Floats, Meta(description="m, world ENU")]
 Velocity = Annotated[Floats, Meta(description="m/s, world ENU")]
 Attitude = Annotated[Floats, Meta(description="body FLU to world ENU, w x y z")]
 Rate = Annotated[Floats, Meta(description="rad/s, body FLU")]
-Newtons = Annotated[float, Meta(description="N")]
+Force = Annotated[float, Meta(description="N")]
 
 
 class EstimateRecord(msgspec.Struct, frozen=True):
@@ -51,7 +51,7 @@ class SetpointRecord(msgspec.Struct, frozen=True):
 
     time: Seconds
     rate_body: Rate
-    collective_thrust: Newtons
+    collective_thrust: Force
     thrust: Annotated[float, Meta(description="0..1 of SET_ATTITUDE_TARGET")]
     effectiveness: Annotated[float, Meta(description="thrust per modelled thrust, 1")]
 

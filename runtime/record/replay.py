@@ -12,8 +12,8 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Motion, Plan
 from runtime.flight.thrust import ThrustMap
-from runtime.link.estimate import Estimate
-from runtime.record.recording import Recording
+from runtime.link.estimate import StateEstimate
+from runtime.record.recording import FlightRecording
 from runtime.record.records import EstimateRecord, ObservationRecord, ParameterRecord, SetpointRecord, StateRecord
 
 THRUST_CURVE = "THR_MDL_FAC"
@@ -45,7 +45,9 @@ class ReplayReport(msgspec.Struct, frozen=True):
         return self.compared == self.identical and not self.unmatched and self.states_agree
 
 
-def replay(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None) -> ReplayReport:
+def replay(
+    recording: FlightRecording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None
+) -> ReplayReport:
     """Fly a recording's estimates and observations again. Raises DataError when it does not hold what that needs.
 
     bundle: of the model to fly, instead of the vehicle's own.
@@ -56,17 +58,17 @@ def replay(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bu
     if not observations:
         raise DataError(f"{recording.path} holds no ticks of a flight: was it recorded with `alula fly --record`?")
     decisions: list[tuple[float, Decision]] = []
-    for seen in observations:
-        if not np.isnan(seen.estimate_arrival) and seen.estimate_arrival not in estimates:
+    for observation in observations:
+        if not np.isnan(observation.estimate_arrival) and observation.estimate_arrival not in estimates:
             continue  # the recorder had to drop the estimate: neither side can be held to this tick
-        decisions.append((seen.time, flyer.step(seen, estimates.get(seen.estimate_arrival))))
-        flyer.prepare(seen.time)
-    ticks = [seen.tick for seen in observations]
+        decisions.append((observation.time, flyer.step(observation, estimates.get(observation.estimate_arrival))))
+        flyer.prepare(observation.time)
+    ticks = [observation.tick for observation in observations]
     lost = ticks[-1] - ticks[0] + 1 - len(decisions)
     return _compare(recording, decisions, lost)
 
 
-def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None) -> Flyer:
+def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None) -> Flyer:
     metadata = recording.metadata
     missing = [name for name in NEEDED if name not in metadata]
     if missing:
@@ -82,12 +84,12 @@ def _flyer(recording: Recording, vehicle: Vehicle, reference: Motion, bundle: Bu
     return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings, nominal=nominal)
 
 
-def _estimate(record: EstimateRecord) -> Estimate:
+def _estimate(record: EstimateRecord) -> StateEstimate:
     parts = (record.position_world, record.velocity_world, record.attitude, record.rate_body)
-    return Estimate(record.time, record.arrival, np.concatenate(parts), record.reset_counter, True, "ODOMETRY")
+    return StateEstimate(record.time, record.arrival, np.concatenate(parts), record.reset_counter, True, "ODOMETRY")
 
 
-def _compare(recording: Recording, decisions: list[tuple[float, Decision]], lost: int) -> ReplayReport:
+def _compare(recording: FlightRecording, decisions: list[tuple[float, Decision]], lost: int) -> ReplayReport:
     recorded = {record.time: record for record in recording.records(SetpointRecord)}
     rate_difference = thrust_difference = 0.0
     compared = identical = unmatched = 0
@@ -105,6 +107,8 @@ def _compare(recording: Recording, decisions: list[tuple[float, Decision]], lost
             identical += 1
         elif first is None:
             first = time - decisions[0][0]
+    steps = [step for _, decision in decisions for step in decision.transitions]
+    flown = [(step.time, step.before.value, step.after.value) for step in steps]
     return ReplayReport(
         ticks=len(decisions),
         lost=lost,
@@ -114,9 +118,10 @@ def _compare(recording: Recording, decisions: list[tuple[float, Decision]], lost
         rate_difference=rate_difference,
         thrust_difference=thrust_difference,
         first_difference=first,
-        states_agree=_states(recording) == [str(step) for _, decision in decisions for step in decision.transitions],
+        states_agree=_transitions(recording) == flown,
     )
 
 
-def _states(recording: Recording) -> list[str]:
-    return [f"{row.before} -> {row.after}: {row.reason}" for row in recording.records(StateRecord)]
+def _transitions(recording: FlightRecording) -> list[tuple[float, str, str]]:
+    """Time, before and after of each recorded transition; its reason is prose, which another version may word anew."""
+    return [(row.time, row.before, row.after) for row in recording.records(StateRecord)]

@@ -16,7 +16,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
-from runtime.record.recording import Recording, read_recording
+from runtime.record.recording import FlightRecording, read_recording
 from studies.demo.result import DemoReport, FlownManoeuvre
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def flown_and_asked(path: Path) -> tuple[Floats, Floats, Floats]:
     return flight.time[rows] - flight.time[0], flight["position"][rows], flight["position_setpoint"][rows]
 
 
-def tracked(recording: Recording) -> tuple[Floats, Floats, Floats]:
+def tracked(recording: FlightRecording) -> tuple[Floats, Floats, Floats]:
     """Times (n,) s since tracking began, flown and asked positions (n, 3) m, while the reference was tracked."""
     phases = recording.table("/phase")
     first = int(np.flatnonzero(phases["phase"] == "track")[0])

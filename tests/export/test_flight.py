@@ -63,7 +63,7 @@ def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(
     flight.run(1.0)
     assert flight.flyer.engagement.state is State.ENGAGED
     sent = np.array([decision.rate_body for decision in flight.story.decisions[-210:]])
-    thrust = np.array([decision.newtons for decision in flight.story.decisions[-210:]])
+    thrust = np.array([decision.collective_thrust for decision in flight.story.decisions[-210:]])
     assert np.abs(np.diff(sent, axis=0)).max() < 0.2  # rad/s from one tick to the next
     assert np.abs(np.diff(thrust)).max() < 0.05 * bundle.vehicle.weight
 

@@ -24,8 +24,8 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime import daemon as daemon_module
 from runtime.daemon import Daemon, FlightReport, FlightRequest
-from runtime.flight.engagement import Settings
-from runtime.flight.failsafe import Bounds
+from runtime.flight.engagement import EngagementSettings
+from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan, Transfer
@@ -39,8 +39,8 @@ from vehicles import FOLDER
 VEHICLE_FILE = FOLDER / "px4_sih.toml"
 # a test machine that is busy starves the mock, which is not what is tested here
 PATIENT = FlyerSettings(
-    health=HealthLimits(stale=0.15, oldest=0.5), bounds=Bounds(shifted_ticks=30, level_hold=3.0),
-    engagement=Settings(patience=20.0),
+    health=HealthLimits(stale=0.15, oldest=0.5), bounds=FallbackBounds(shifted_ticks=30, level_hold=3.0),
+    engagement=EngagementSettings(patience=20.0),
 )  # fmt: skip
 PLAN = Plan(height=1.0, settle=0.3, speed=2.0, acceleration=3.0)
 
@@ -54,7 +54,7 @@ def reference_of(vehicle: Vehicle) -> Transfer:
     return Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
 
 
-class News(list[str]):
+class Announcements(list[str]):
     """What a daemon announced; calls what waits for a word of it."""
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class News(list[str]):
         for word in [word for word in self.waiting if word in text]:
             self.waiting.pop(word)()
 
-    def tells(self, word: str) -> bool:
+    def contain(self, word: str) -> bool:
         return any(word in text for text in self)
 
 
@@ -75,8 +75,8 @@ def request_for(url: str, **options: object) -> FlightRequest:
     return FlightRequest(endpoint=parse_endpoint(url), **{**defaults, **options})  # type: ignore[arg-type]
 
 
-def fly(vehicle: Vehicle, news: News, request: FlightRequest) -> FlightReport:
-    return Daemon(request, vehicle, reference_of(vehicle), news).fly()
+def fly(vehicle: Vehicle, announcements: Announcements, request: FlightRequest) -> FlightReport:
+    return Daemon(request, vehicle, reference_of(vehicle), announcements).fly()
 
 
 def scenario(folder: Path, *faults: str) -> list[str]:
@@ -86,10 +86,10 @@ def scenario(folder: Path, *faults: str) -> list[str]:
 
 
 def test_it_flies_and_its_recording_replays_bit_for_bit(vehicle: Vehicle, tmp_path: Path) -> None:
-    news = News()
+    announcements = Announcements()
     with mock_process(vehicle=VEHICLE_FILE) as mock:
-        report = fly(vehicle, news, request_for(mock.url, record=tmp_path, name="flight"))
-    assert report.landed, news
+        report = fly(vehicle, announcements, request_for(mock.url, record=tmp_path, name="flight"))
+    assert report.landed, announcements
     assert report.tracking.position_rmse < 0.2
     assert report.timing.ticks > 500
     assert 0 < report.start_up < 20
@@ -132,39 +132,39 @@ def test_a_bad_day_is_flown_through_and_an_interrupt_lands(
         'kind = "estimator_reset"\nat = 3.0\nafter = "takeoff"\nshift = [1.0, -0.5, 0.2]\nyaw = 0.3',
         'kind = "clock_jump"\nat = 4.5\nafter = "takeoff"\nseconds = -1.0',
     )
-    news = News()
+    announcements = Announcements()
     with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
         request = request_for(mock.url, record=tmp_path, name="flight")
-        daemon = Daemon(request, vehicle, reference_of(vehicle), news)
+        daemon = Daemon(request, vehicle, reference_of(vehicle), announcements)
         interrupt = threading.Timer(6.0, lambda: daemon.interrupt("SIGINT"))
-        news.waiting["in_air"] = interrupt.start
+        announcements.waiting["in_air"] = interrupt.start
         report = daemon.fly()
         interrupt.cancel()
-    assert report.landed, news
+    assert report.landed, announcements
     assert report.landing_reason == "SIGINT"
     assert {"input_not_finite", "estimator_reset", "disk_full"} <= set(report.events)
-    assert news.tells("ran backwards"), news
-    assert news.tells("No space left"), news
+    assert announcements.contain("ran backwards"), announcements
+    assert announcements.contain("No space left"), announcements
     assert len(read_recording(tmp_path / "flight.mcap").messages["/estimate"]) > 100
 
 
 def test_estimates_that_stop_end_in_silence_and_the_autopilot_s_failsafe(vehicle: Vehicle, tmp_path: Path) -> None:
     arguments = scenario(tmp_path, 'kind = "estimate_stop"\nat = 1.0\nafter = "takeoff"')
-    news = News()
+    announcements = Announcements()
     with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
-        report = fly(vehicle, news, request_for(mock.url))
+        report = fly(vehicle, announcements, request_for(mock.url))
     assert not report.landed
     assert "failsafe" in report.outcome
     assert "armed" in report.outcome
-    assert news.tells("ENGAGED -> FALLBACK")
+    assert announcements.contain("ENGAGED -> FALLBACK")
 
 
-def test_a_refused_mode_is_told_and_nothing_takes_off(vehicle: Vehicle, tmp_path: Path) -> None:
+def test_a_refused_mode_is_reported_and_nothing_takes_off(vehicle: Vehicle, tmp_path: Path) -> None:
     arguments = scenario(tmp_path, 'kind = "refuse_offboard"\nat = 0.0')
-    settings = FlyerSettings(engagement=Settings(patience=2.0))
-    news = News()
+    settings = FlyerSettings(engagement=EngagementSettings(patience=2.0))
+    announcements = Announcements()
     with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
-        report = fly(vehicle, news, request_for(mock.url, settings=settings))
+        report = fly(vehicle, announcements, request_for(mock.url, settings=settings))
     assert not report.landed
     assert "HEARTBEAT did not show OFFBOARD" in report.outcome
     assert "rejected" in report.outcome
@@ -173,9 +173,9 @@ def test_a_refused_mode_is_told_and_nothing_takes_off(vehicle: Vehicle, tmp_path
 def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(daemon_module, "READINESS_PATIENCE", 3.0)
     arguments = scenario(tmp_path, 'kind = "packet_loss"\nat = 0.0\nprobability = 0.4')
-    news = News()
+    announcements = Announcements()
     with mock_process(*arguments, vehicle=VEHICLE_FILE) as mock:
-        report = fly(vehicle, news, request_for(mock.url))
+        report = fly(vehicle, announcements, request_for(mock.url))
     assert not report.landed
     assert "streams are too slow" in report.outcome
     assert report.timing.latency["median"] != report.timing.latency["median"]  # no setpoint ever left
@@ -202,8 +202,8 @@ def test_killed_in_the_air_and_restarted_it_holds_back(vehicle: Vehicle) -> None
             assert first.stdout is not None
             assert any("in_air" in line for line in first.stdout)
             first.send_signal(signal.SIGKILL)
-        news = News()
-        report = fly(vehicle, news, request_for(mock.url))
+        announcements = Announcements()
+        report = fly(vehicle, announcements, request_for(mock.url))
     # OFFBOARD is still on: one setpoint would have been obeyed
     assert "already armed" in report.outcome
     assert "--resume" in report.outcome
@@ -247,43 +247,43 @@ def serial_cable() -> Iterator[tuple[str, str, Callable[[], None]]]:
 
 def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: Vehicle) -> None:
     with serial_cable() as (far, near, unplug), mock_process("--link", f"serial:{far}:921600") as mock:
-        news = News()
-        news.waiting["in_air"] = unplug
-        report = fly(vehicle, news, request_for(f"serial:{near}:921600"))
+        announcements = Announcements()
+        announcements.waiting["in_air"] = unplug
+        report = fly(vehicle, announcements, request_for(f"serial:{near}:921600"))
         assert mock.process.poll() is None
     assert not report.landed
-    assert news.tells(near), news
+    assert announcements.contain(near), announcements
     assert "nothing arrives" in report.outcome or "failsafe" in report.outcome
 
 
-def test_a_link_that_never_speaks_is_told_with_what_to_check(vehicle: Vehicle) -> None:
+def test_a_link_that_never_speaks_is_reported_with_what_to_check(vehicle: Vehicle) -> None:
     with pytest.raises(VehicleError, match="Nobody spoke MAVLink"):
-        fly(vehicle, News(), request_for(f"udpin:127.0.0.1:{free_port()}", timeout=0.5))
+        fly(vehicle, Announcements(), request_for(f"udpin:127.0.0.1:{free_port()}", timeout=0.5))
 
 
-def test_a_wrong_system_id_is_told_with_the_ones_that_are_there(vehicle: Vehicle) -> None:
+def test_a_wrong_system_id_is_reported_with_the_ones_that_are_there(vehicle: Vehicle) -> None:
     with mock_process(vehicle=VEHICLE_FILE) as mock, pytest.raises(VehicleError, match=r"system id 42.*Heard"):
-        fly(vehicle, News(), request_for(mock.url, system=42, timeout=3.0))
+        fly(vehicle, Announcements(), request_for(mock.url, system=42, timeout=3.0))
 
 
-def test_a_port_in_use_is_told(vehicle: Vehicle) -> None:
+def test_a_port_in_use_is_reported(vehicle: Vehicle) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
         other.bind(("127.0.0.1", 0))
         port = other.getsockname()[1]
         with pytest.raises(VehicleError, match=str(port)):
-            fly(vehicle, News(), request_for(f"udpin:127.0.0.1:{port}", timeout=0.5))
+            fly(vehicle, Announcements(), request_for(f"udpin:127.0.0.1:{port}", timeout=0.5))
 
 
 def test_a_second_interrupt_stops_streaming_at_once(vehicle: Vehicle) -> None:
-    news = News()
+    announcements = Announcements()
     with mock_process(vehicle=VEHICLE_FILE) as mock:
-        daemon = Daemon(request_for(mock.url), vehicle, reference_of(vehicle), news)
+        daemon = Daemon(request_for(mock.url), vehicle, reference_of(vehicle), announcements)
 
         def twice() -> None:
             daemon.interrupt("SIGINT")
             daemon.interrupt("SIGINT")
 
-        news.waiting["in_air"] = twice
+        announcements.waiting["in_air"] = twice
         began = time.monotonic()
         report = daemon.fly()
         assert time.monotonic() - began < 30.0

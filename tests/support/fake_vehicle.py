@@ -29,7 +29,7 @@ class FakeVehicle:
         self.acknowledgements: dict[int, list[int]] = {}  # results per command, in turn; the last one stays
         self.obeys = True
         self.parameters: dict[str, tuple[float, int]] = {}
-        self.seen: list[Any] = []
+        self.received: list[Any] = []
         self.lose_next = 0  # requests to leave unanswered
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
@@ -64,7 +64,7 @@ class FakeVehicle:
         self.send(odometry(time_usec=int(self.clock() * 1e6), **changes))
 
     def count(self, name: str) -> int:
-        return sum(message.get_type() == name for message in list(self.seen))
+        return sum(message.get_type() == name for message in list(self.received))
 
     def _run(self) -> None:
         next_heartbeat = 0.0
@@ -77,7 +77,7 @@ class FakeVehicle:
             except (TimeoutError, ConnectionRefusedError):
                 continue
             for message in self.parser.parse_buffer(data) or []:
-                self.seen.append(message)
+                self.received.append(message)
                 if self.speaks:
                     self._answer(message)
 

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from dynamics import quaternion
 from dynamics.vehicle import GRAVITY, Vehicle
 from runtime.control.controller import Controller
-from runtime.flight.engagement import Request, State, Transition
-from runtime.flight.events import Change, Event
+from runtime.flight.engagement import AutopilotRequest, State, Transition
+from runtime.flight.events import Event, EventChange
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Motion, Phase, Plan
 from runtime.flight.thrust import ThrustMap
-from runtime.link.estimate import Estimate
+from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 PERIOD = 0.01
@@ -44,7 +44,7 @@ class RateControlledVehicle:
 
     def step(self, rate_body: NDArray[np.float64], thrust: float, dt: float) -> None:
         """dt seconds under a setpoint."""
-        target = self.effectiveness * self._map.newtons(thrust)
+        target = self.effectiveness * self._map.collective_thrust(thrust)
         self.force += (target - self.force) * min(dt / 0.04, 1.0)
         x = self.state
         x[10:13] += (rate_body - x[10:13]) * min(dt / 0.04, 1.0)
@@ -63,13 +63,13 @@ class Story:
     """What happened in a flight, tick by tick."""
 
     transitions: list[Transition] = field(default_factory=list)
-    changes: list[Change] = field(default_factory=list)
+    changes: list[EventChange] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     states: list[NDArray[np.float64]] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
-    observations: list[tuple[ObservationRecord, Estimate | None]] = field(default_factory=list)
+    observations: list[tuple[ObservationRecord, StateEstimate | None]] = field(default_factory=list)
 
     @property
     def after(self) -> list[State]:
@@ -97,7 +97,7 @@ class Flight:
         self.time = 100.0
         self.tick = 0
         self.connected, self.armed, self.mode = True, False, "HOLD"
-        self.grants: set[Request] = set(Request)
+        self.grants: set[AutopilotRequest] = set(AutopilotRequest)
         self.findings: dict[str, str] = {}
         self.frozen = False  # no estimates arrive
         self.slip = 0.0  # s by which estimates claim to be older than they are
@@ -105,7 +105,7 @@ class Flight:
         self.reset = np.zeros(3)
         self.engage, self.leave = True, ""
         self._past: list[tuple[float, NDArray[np.float64]]] = []
-        self._estimate: Estimate | None = None
+        self._estimate: StateEstimate | None = None
         self._setpoint = (np.zeros(3), 0.0)
 
     def run(self, seconds: float, until: Phase | State | None = None) -> Story:
@@ -129,10 +129,10 @@ class Flight:
         taken, state = self._past[max(0, len(self._past) - 1 - round(AGE / PERIOD))]
         state = state.copy()
         state[0:3] += self.offset
-        self._estimate = Estimate(taken - self.slip, self.time, state, 0, True, "ODOMETRY")
+        self._estimate = StateEstimate(taken - self.slip, self.time, state, 0, True, "ODOMETRY")
 
     def _tick(self) -> Decision:
-        seen = ObservationRecord(
+        observation = ObservationRecord(
             tick=self.tick,
             time=self.time,
             estimate_arrival=self._estimate.received if self._estimate else float("nan"),
@@ -150,17 +150,17 @@ class Flight:
             leave=self.leave,
         )
         self.engage, self.reset = False, np.zeros(3)
-        decision = self.flyer.step(seen, self._estimate)
+        decision = self.flyer.step(observation, self._estimate)
         self.flyer.prepare(self.time)
-        self._keep(seen, decision)
+        self._keep(observation, decision)
         return decision
 
-    def _keep(self, seen: ObservationRecord, decision: Decision) -> None:
+    def _keep(self, observation: ObservationRecord, decision: Decision) -> None:
         story, mission = self.story, self.flyer.mission
-        story.observations.append((seen, self._estimate))
+        story.observations.append((observation, self._estimate))
         story.decisions.append(decision)
         story.transitions += decision.transitions
-        story.changes += decision.changes
+        story.changes += decision.event_changes
         story.times.append(self.time)
         story.states.append(self.plant.state.copy())
         if not story.phases or story.phases[-1] is not mission.phase:
@@ -171,13 +171,13 @@ class Flight:
     def _grant(self, decision: Decision) -> None:
         for request in self.grants.intersection(decision.requests):
             match request:
-                case Request.OFFBOARD:
+                case AutopilotRequest.OFFBOARD:
                     self.mode = "OFFBOARD"
-                case Request.LAND:
+                case AutopilotRequest.LAND:
                     self.mode = "LAND"
-                case Request.ARM:
+                case AutopilotRequest.ARM:
                     self.armed = True
-                case Request.DISARM:
+                case AutopilotRequest.DISARM:
                     self.armed = False
 
     def _act(self, decision: Decision) -> None:

@@ -6,13 +6,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from runtime.flight.engagement import Engagement, Facts, Request, Settings, State, Transition
+from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
 from runtime.flight.events import Fallback
 
 GROUND = Facts(connected=True, armed=False, offboard=False, mode="HOLD")
 OFFBOARD = replace(GROUND, offboard=True, mode="OFFBOARD")
 FLYING = replace(OFFBOARD, armed=True)
-SETTINGS = Settings()
+SETTINGS = EngagementSettings()
 
 
 def run(machine: Engagement, facts: Facts, start: float, end: float, step: float = 0.01) -> list[Transition]:
@@ -35,7 +35,7 @@ def engaged() -> Engagement:
     return machine
 
 
-def test_without_being_told_it_never_leaves_standby() -> None:
+def test_without_a_request_it_never_leaves_standby() -> None:
     machine = Engagement(SETTINGS)
     transitions = run(machine, GROUND, 0.0, 5.0)
     assert [transition.after for transition in transitions] == [State.STANDBY]
@@ -46,19 +46,19 @@ def test_it_streams_before_it_asks_for_offboard_and_asks_for_arming_last() -> No
     machine = Engagement(SETTINGS)
     machine.update(GROUND, 0.0)
     machine.engage()
-    asked: list[tuple[float, Request]] = []
+    requests: list[tuple[float, AutopilotRequest]] = []
     time, facts = 0.0, GROUND
     while machine.state is not State.ENGAGED:
         machine.update(facts, time)
-        asked += [(time, request) for request in machine.requests]
-        if asked and asked[-1][1] is Request.OFFBOARD and time - asked[-1][0] > 0.5:
+        requests += [(time, request) for request in machine.requests]
+        if requests and requests[-1][1] is AutopilotRequest.OFFBOARD and time - requests[-1][0] > 0.5:
             facts = OFFBOARD
-        if asked and asked[-1][1] is Request.ARM and time - asked[-1][0] > 0.5:
+        if requests and requests[-1][1] is AutopilotRequest.ARM and time - requests[-1][0] > 0.5:
             facts = FLYING
         time += 0.01
         assert time < 10.0
-    assert [request for _, request in asked] == [Request.OFFBOARD, Request.ARM]
-    assert asked[0][0] >= SETTINGS.stream_time
+    assert [request for _, request in requests] == [AutopilotRequest.OFFBOARD, AutopilotRequest.ARM]
+    assert requests[0][0] >= SETTINGS.stream_time
 
 
 def test_an_acknowledged_mode_that_no_heartbeat_shows_ends_in_standby_with_the_reason() -> None:
@@ -84,14 +84,14 @@ def test_requests_are_repeated_but_not_every_tick() -> None:
 
 
 def test_without_arm_it_waits_for_the_pilot_to_arm() -> None:
-    machine = Engagement(Settings(arm=False))
+    machine = Engagement(EngagementSettings(arm=False))
     machine.update(GROUND, 0.0)
     machine.engage()
-    requests: list[Request] = []
+    requests: list[AutopilotRequest] = []
     for tick in range(400):
         machine.update(GROUND if tick < 200 else OFFBOARD, tick * 0.01)
         requests += machine.requests
-    assert set(requests) == {Request.OFFBOARD}
+    assert set(requests) == {AutopilotRequest.OFFBOARD}
     machine.update(FLYING, 4.0)
     assert machine.state is State.ENGAGED
 
@@ -106,7 +106,7 @@ def test_a_vehicle_found_armed_is_left_alone() -> None:
 
 
 def test_a_vehicle_found_armed_is_taken_over_with_resume() -> None:
-    machine = Engagement(Settings(resume=True))
+    machine = Engagement(EngagementSettings(resume=True))
     machine.engage()
     run(machine, replace(FLYING, offboard=False, mode="HOLD"), 0.0, 2.0)
     assert machine.state is State.STREAMING
@@ -190,27 +190,27 @@ FACTS = st.builds(
 
 
 @given(st.lists(st.tuples(st.floats(0, 3), FACTS, st.booleans()), max_size=80))
-def test_whatever_happens_streaming_starts_only_after_being_told_since_the_last_end(
+def test_whatever_happens_streaming_starts_only_after_a_request_since_the_last_end(
     history: list[tuple[float, Facts, bool]],
 ) -> None:
     machine = Engagement(SETTINGS)
-    told = False
+    requested = False
     time = 0.0
     for step, facts, engage in history:
         time += step
         if engage:
             machine.engage()
-            told = True
+            requested = True
         before, flew = machine.streaming, machine.flying
         for transition in machine.update(facts, time):
             assert transition.reason
             assert transition.before is not transition.after
         if machine.streaming and not before:
-            assert told
+            assert requested
             assert not machine.refusal
         if before and not machine.streaming:
-            assert not (flew and machine.wanted)
-            told = machine.wanted
+            assert not (flew and machine.requested)
+            requested = machine.requested
         if machine.flying and facts.connected:
             assert facts.armed
             assert facts.offboard

@@ -9,16 +9,18 @@ from hypothesis import strategies as st
 
 from dynamics import quaternion
 from runtime.flight.events import Fallback
-from runtime.flight.failsafe import Bounds, FallbackChain, LevelHold, level_rate, level_thrust
+from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold, level_rate, level_thrust
 
 
-def fly(chain: FallbackChain, wanted: Fallback, ticks: int, start: float = 0.0, **availability: bool) -> list[Fallback]:
+def fly(
+    chain: FallbackChain, required: Fallback, ticks: int, start: float = 0.0, **availability: bool
+) -> list[Fallback]:
     options = {"estimate_usable": False, "solution_left": True, "nominal_available": False} | availability
-    return [chain.choose(wanted, time=start + 0.01 * tick, **options) for tick in range(ticks)]
+    return [chain.choose(required, time=start + 0.01 * tick, **options) for tick in range(ticks)]
 
 
 def test_a_blind_flight_goes_through_the_chain_in_order_and_ends() -> None:
-    chosen = fly(FallbackChain(Bounds(shifted_ticks=10, level_hold=1.0)), Fallback.SHIFTED_SOLUTION, 200)
+    chosen = fly(FallbackChain(FallbackBounds(shifted_ticks=10, level_hold=1.0)), Fallback.SHIFTED_SOLUTION, 200)
     assert chosen[:10] == [Fallback.SHIFTED_SOLUTION] * 10
     assert chosen[10:110] == [Fallback.LEVEL_HOLD] * 100
     assert set(chosen[112:]) == {Fallback.STOP_STREAMING}
@@ -26,23 +28,23 @@ def test_a_blind_flight_goes_through_the_chain_in_order_and_ends() -> None:
 
 
 def test_the_nominal_model_flies_on_as_long_as_there_are_estimates() -> None:
-    chain = FallbackChain(Bounds())
+    chain = FallbackChain(FallbackBounds())
     chosen = fly(chain, Fallback.SHIFTED_SOLUTION, 1000, estimate_usable=True, nominal_available=True)
     assert set(chosen[10:]) == {Fallback.NOMINAL_MODEL}
 
 
-def test_a_milder_fallback_than_the_wanted_one_is_never_flown() -> None:
-    for wanted in Fallback:
-        chosen = fly(FallbackChain(Bounds()), wanted, 300, estimate_usable=True, nominal_available=True)
-        assert min(chosen) >= wanted
+def test_a_milder_fallback_than_the_required_one_is_never_flown() -> None:
+    for required in Fallback:
+        chosen = fly(FallbackChain(FallbackBounds()), required, 300, estimate_usable=True, nominal_available=True)
+        assert min(chosen) >= required
 
 
 def test_a_flickering_fault_uses_up_the_budget_all_the_same() -> None:
-    chain = FallbackChain(Bounds(shifted_ticks=10, recovery=1.0))
+    chain = FallbackChain(FallbackBounds(shifted_ticks=10, recovery=1.0))
     chosen = []
     for tick in range(60):
-        wanted = Fallback.SHIFTED_SOLUTION if tick % 3 else Fallback.NONE
-        chosen += fly(chain, wanted, 1, start=tick * 0.01)
+        required = Fallback.SHIFTED_SOLUTION if tick % 3 else Fallback.NONE
+        chosen += fly(chain, required, 1, start=tick * 0.01)
     assert chosen.count(Fallback.SHIFTED_SOLUTION) == 10
     fly(chain, Fallback.NONE, 120, start=1.0)
     assert fly(chain, Fallback.SHIFTED_SOLUTION, 1, start=3.0) == [Fallback.SHIFTED_SOLUTION]

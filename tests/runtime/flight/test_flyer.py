@@ -13,14 +13,14 @@ from dynamics import quaternion
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Command, Controller
-from runtime.flight.engagement import Request, Settings, State
+from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Phase, Plan, Transfer
 from tests.support.rate_controlled_vehicle import Flight
 
 PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)
-WHOLE = [
+FULL = [
     Phase.GROUND, Phase.RAMP, Phase.CLIMB, Phase.APPROACH, Phase.TRACK, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
     Phase.SHUTDOWN,
 ]  # fmt: skip
@@ -52,7 +52,7 @@ def test_it_takes_off_tracks_and_lands_whatever_the_vehicle_really_weighs(
 ) -> None:
     flight = prepare(vehicle, controller, effectiveness=effectiveness)
     story = flight.run(40.0)
-    assert story.phases == WHOLE
+    assert story.phases == FULL
     assert story.after == [State.STANDBY, State.STREAMING, State.ENGAGED, State.STANDBY]
     assert story.transitions[-1].reason == "landed and disarmed"
     assert np.sqrt(np.mean(np.square(story.errors))) < 0.06
@@ -67,9 +67,9 @@ def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Cont
     flight.run(10.0, until=Phase.CLIMB)
     start = len(flight.story.decisions) - 1
     flight.run(1.0)
-    newtons = np.array([decision.newtons for decision in flight.story.decisions[start:]])
+    thrust = np.array([decision.collective_thrust for decision in flight.story.decisions[start:]])
     thrust = np.array([decision.thrust for decision in flight.story.decisions[start - 20 :]])
-    assert np.max(np.abs(np.diff(newtons))) < 0.1 * vehicle.weight
+    assert np.max(np.abs(np.diff(thrust))) < 0.1 * vehicle.weight
     assert np.max(np.abs(np.diff(thrust))) < 0.05
     heights = np.array([state[2] for state in flight.story.states[start:]])
     assert np.max(heights) < 0.8
@@ -92,7 +92,7 @@ def test_a_vehicle_found_armed_is_not_streamed_to(vehicle: Vehicle, controller: 
 
 
 def test_with_resume_it_takes_over_in_the_air(vehicle: Vehicle, controller: Controller) -> None:
-    flight = prepare(vehicle, controller, settings=FlyerSettings(engagement=Settings(resume=True)))
+    flight = prepare(vehicle, controller, settings=FlyerSettings(engagement=EngagementSettings(resume=True)))
     flight.armed, flight.plant.force = True, vehicle.weight
     flight.plant.state[0:6] = [0.0, 0.0, 3.0, 0.5, 0.0, 0.0]
     real_step = flight.plant.step
@@ -109,7 +109,7 @@ def test_with_resume_it_takes_over_in_the_air(vehicle: Vehicle, controller: Cont
 
 def test_refused_arming_ends_in_standby_with_the_reason(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller)
-    flight.grants = {Request.OFFBOARD}
+    flight.grants = {AutopilotRequest.OFFBOARD}
     story = flight.run(15.0)
     assert story.after[-1] is State.STANDBY
     assert "did not show arming" in flight.flyer.engagement.refusal
@@ -133,7 +133,7 @@ def test_a_short_gap_of_estimates_is_flown_through(vehicle: Vehicle, controller:
     flight.frozen = False
     flight.run(40.0)
     assert Event.ESTIMATE_STALE in flight.story.raised
-    assert flight.story.phases == WHOLE
+    assert flight.story.phases == FULL
     assert max(flight.story.errors) < 0.3
 
 
@@ -150,7 +150,7 @@ def test_estimates_that_stop_lead_through_the_fallbacks_to_silence(vehicle: Vehi
     assert flight.story.decisions[-1].rate_body is None
     assert flight.story.after[-1] is State.STANDBY
     assert "failsafe" in flight.story.transitions[-1].reason
-    # the estimates come back, nobody told us to engage: silence
+    # the estimates come back, nobody requests engaging: silence
     flight.frozen = False
     flight.run(3.0)
     assert flight.story.decisions[-1].rate_body is None
@@ -165,7 +165,7 @@ def test_a_slipped_clock_is_not_compensated_but_fallen_back_from(vehicle: Vehicl
     assert upright(flight) > 0.95
     flight.slip = 0.0
     story = flight.run(40.0)
-    assert story.phases == WHOLE
+    assert story.phases == FULL
 
 
 @pytest.mark.parametrize("event", [Event.INPUT_NOT_FINITE, Event.ESTIMATE_JUMP, Event.CLOCK_BACKWARDS])
@@ -177,7 +177,7 @@ def test_a_doubted_estimate_is_not_followed(vehicle: Vehicle, controller: Contro
     assert "as planted" in flight.story.transitions[-1].reason
     flight.findings, flight.frozen = {}, False
     story = flight.run(40.0)
-    assert story.phases == WHOLE
+    assert story.phases == FULL
     assert max(story.errors) < 0.3
 
 
@@ -188,7 +188,7 @@ def test_an_estimator_reset_moves_the_reference_along(vehicle: Vehicle, controll
     flight.run(0.02)
     flight.findings = {}
     story = flight.run(40.0)
-    assert story.phases == WHOLE
+    assert story.phases == FULL
     assert max(story.errors) < 0.3
     assert np.linalg.norm(flight.plant.state[0:2]) < 0.3
 
@@ -256,7 +256,7 @@ def test_an_autopilot_that_disarms_first_has_landed_us_all_the_same(vehicle: Veh
 
 def test_a_disarm_that_is_refused_is_left_to_the_autopilot(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller)
-    flight.grants = {Request.OFFBOARD, Request.ARM, Request.LAND}
+    flight.grants = {AutopilotRequest.OFFBOARD, AutopilotRequest.ARM, AutopilotRequest.LAND}
     story = flight.run(40.0)
     assert flight.mode == "LAND"
     assert "left to the autopilot" in story.transitions[-1].reason
@@ -266,9 +266,9 @@ def test_the_same_observations_give_the_same_setpoints_bit_for_bit(vehicle: Vehi
     first = prepare(vehicle, Controller.build(vehicle))
     first.run(12.0)
     second = prepare(vehicle, Controller.build(vehicle))
-    for (seen, estimate), then in zip(first.story.observations, first.story.decisions, strict=True):
-        decision = second.flyer.step(seen, estimate)
-        second.flyer.prepare(seen.time)
+    for (observation, estimate), then in zip(first.story.observations, first.story.decisions, strict=True):
+        decision = second.flyer.step(observation, estimate)
+        second.flyer.prepare(observation.time)
         assert decision.thrust == then.thrust
         if then.rate_body is not None:
             assert decision.rate_body is not None
@@ -276,7 +276,7 @@ def test_the_same_observations_give_the_same_setpoints_bit_for_bit(vehicle: Vehi
 
 
 class Watched:
-    """A controller that counts its solutions and fails when told to, and is the real one otherwise."""
+    """A controller that counts its solutions and fails on demand, and is the real one otherwise."""
 
     def __init__(self, real: Controller) -> None:
         self._real = real
@@ -301,12 +301,12 @@ def test_a_model_that_stopped_fitting_is_replaced_by_the_nominal_one(vehicle: Ve
     assert flight.flyer.engagement.state is State.FALLBACK
     story = flight.run(40.0)
     assert nominal.solutions > 500
-    assert story.phases == WHOLE
+    assert story.phases == FULL
     assert max(story.errors) < 0.3
 
 
 class Swinging:
-    """A learned model's controller whose body rates turn back and forth from tick to tick while it is told so."""
+    """A learned model's controller whose body rates turn back and forth from tick to tick."""
 
     is_learned = True
 
@@ -318,7 +318,7 @@ class Swinging:
 
     def feedback(self, state: np.ndarray, time: float) -> Command:
         command, self.swing = self._real.feedback(state, time), -self.swing
-        self._real.solver.inputs[:, ::2] *= 1 + 0.5 * self.swing  # its plan goes astray with its commands
+        self._real.solver.inputs[:, ::2] *= 1 + 0.5 * self.swing  # its plan diverges with its commands
         return replace(command, rate_body=command.rate_body + np.array([self.swing, 0.0, 0.0]))
 
 
@@ -332,27 +332,27 @@ def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_to_physics_for
 ) -> None:
     flight = swinging(vehicle, 0.6)
     story = flight.run(60.0)
-    assert story.phases == WHOLE
-    told = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
-    assert [change.active for change in told] == [True]
-    assert "from tick to tick" in told[0].text
-    first = story.times.index(told[0].time)
+    assert story.phases == FULL
+    oscillations = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
+    assert [change.active for change in oscillations] == [True]
+    assert "from tick to tick" in oscillations[0].text
+    first = story.times.index(oscillations[0].time)
     later = [decision for decision in story.decisions[first:] if decision.rate_body is not None]
     assert {decision.fallback for decision in later} == {Fallback.NOMINAL_MODEL}
-    asked = np.array([decision.rate_body for decision in later[:50]])
-    assert np.abs(np.diff(asked, axis=0)).max() < 0.4  # 0.5 where physics takes the other's plan over
+    rates = np.array([decision.rate_body for decision in later[:50]])
+    assert np.abs(np.diff(rates, axis=0)).max() < 0.4  # 0.5 where physics takes the other's plan over
     assert max(story.errors) < 0.3
     again = swinging(vehicle, 0.6).flyer
-    for (seen, estimate), before in zip(story.observations, story.decisions, strict=True):
-        decision = again.step(seen, estimate)
-        again.prepare(seen.time)
+    for (observation, estimate), before in zip(story.observations, story.decisions, strict=True):
+        decision = again.step(observation, estimate)
+        again.prepare(observation.time)
         np.testing.assert_array_equal(decision.rate_body, before.rate_body)
         assert (decision.thrust, decision.fallback) == (before.thrust, before.fallback)
 
 
 def test_a_learned_model_flies_on_with_setpoints_as_rough_as_healthy_ones_become(vehicle: Vehicle) -> None:
     story = swinging(vehicle, 0.15).run(60.0)  # turns back by 0.6 rad/s, as the roughest brisk flight measured
-    assert story.phases == WHOLE
+    assert story.phases == FULL
     assert Event.MODEL_OSCILLATES not in story.raised
 
 
@@ -399,16 +399,16 @@ def test_whatever_happens_no_tick_raises_and_no_setpoint_is_out_of_bounds(
         flight.mode = mode if flight.flyer.engagement.flying else flight.mode
         flight.run(duration)
     limit = np.array(vehicle.limits.rate) + 1e-9
-    for (seen, _), decision in zip(flight.story.observations, flight.story.decisions, strict=True):
+    for (observation, _), decision in zip(flight.story.observations, flight.story.decisions, strict=True):
         if decision.rate_body is None:
             continue
         assert np.all(np.abs(decision.rate_body) <= limit)
         assert 0.0 <= decision.thrust <= 1.0
-        assert seen.connected
+        assert observation.connected
     if flight.story.after[-1] is State.STANDBY:
         assert flight.story.decisions[-1].rate_body is None
 
 
 def test_plans_of_zero_settling_fly_too(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller, plan=Plan(settle=0.0, height=0.8))
-    assert flight.run(40.0).phases == WHOLE
+    assert flight.run(40.0).phases == FULL

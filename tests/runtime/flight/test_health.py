@@ -18,16 +18,16 @@ def swing(time: float) -> np.ndarray:
     return np.array([AMPLITUDE * np.sin(2 * np.pi * time), 0.0, 0.0])
 
 
-def found_after(health: FlightHealth, seconds: float, late: float, *, learned: bool) -> set[Event]:
-    """Events while rates of a cycle a second are asked for and followed so many seconds late."""
-    found: set[Event] = set()
+def events_after(health: FlightHealth, seconds: float, late: float, *, learned: bool) -> set[Event]:
+    """Events while rates of a cycle a second are commanded and followed so many seconds late."""
+    events: set[Event] = set()
     for tick in range(round(seconds / PERIOD)):
         now = PERIOD * tick
         health.sent(swing(now), 1.0, now)
         state = np.array([*[0.0] * 6, 1.0, *[0.0] * 3, *swing(now - late)])[:13]
         state[10:13] = swing(now - late)
-        found |= set(health.flight(state, now, learned=learned))
-    return found
+        events |= set(health.flight(state, now, learned=learned))
+    return events
 
 
 def test_rates_that_miss_a_learned_model_s_setpoints_end_its_turn_before_the_stream_is_stopped(
@@ -36,22 +36,22 @@ def test_rates_that_miss_a_learned_model_s_setpoints_end_its_turn_before_the_str
     """Followed 0.2 s late instead of 0.06, a swing of 4 rad/s is missed by 2.2 rad/s on average."""
     missed = 2 * AMPLITUDE * np.sin(np.pi * (LATE - LIMITS.rate_delay)) * 2 / np.pi
     assert LIMITS.swing < missed < LIMITS.unfollowed
-    assert found_after(FlightHealth(arpl_250g), 5.0, LATE, learned=True) == {Event.MODEL_OSCILLATES}
-    assert found_after(FlightHealth(arpl_250g), 5.0, LIMITS.rate_delay, learned=True) == set()
+    assert events_after(FlightHealth(arpl_250g), 5.0, LATE, learned=True) == {Event.MODEL_OSCILLATES}
+    assert events_after(FlightHealth(arpl_250g), 5.0, LIMITS.rate_delay, learned=True) == set()
 
 
 def test_a_physical_model_s_rates_may_miss_as_much_as_before(arpl_250g: Vehicle) -> None:
-    assert found_after(FlightHealth(arpl_250g), 5.0, LATE, learned=False) == set()
+    assert events_after(FlightHealth(arpl_250g), 5.0, LATE, learned=False) == set()
 
 
-@pytest.mark.parametrize(("jump", "found"), [(0.9, set()), (1.1, {Event.MODEL_OSCILLATES})])
+@pytest.mark.parametrize(("jump", "events"), [(0.9, set()), (1.1, {Event.MODEL_OSCILLATES})])
 def test_setpoints_that_turn_back_from_tick_to_tick_are_noticed_where_the_limit_is(
-    arpl_250g: Vehicle, jump: float, found: set[Event]
+    arpl_250g: Vehicle, jump: float, events: set[Event]
 ) -> None:
     health = FlightHealth(arpl_250g)
     state = np.array([*[0.0] * 6, 1.0, *[0.0] * 6])
     for tick in range(300):
         health.sent(np.array([0.0, (-1) ** tick * jump * LIMITS.chatter / 4, 0.0]), 1.0, PERIOD * tick)
-    assert set(health.flight(state, 3.0, learned=True)) == found
+    assert set(health.flight(state, 3.0, learned=True)) == events
     health.rest()
     assert health.flight(state, 3.0, learned=True) == {}

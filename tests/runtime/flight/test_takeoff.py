@@ -67,10 +67,10 @@ def test_the_controller_takes_over_without_a_step() -> None:
 
 def test_landing_is_noticed_by_stillness_at_low_thrust_or_by_the_vehicle_s_word() -> None:
     detector = LandingDetector(WEIGHT)
-    flying = [detector.update(t * 0.01, -0.5, 0.9 * WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    flying = [detector.update(t * 0.01, -0.5, 0.9 * WEIGHT, reported_landed=False) for t in range(100)]
     assert not any(flying)
-    hovering = [detector.update(1 + t * 0.01, 0.0, WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    hovering = [detector.update(1 + t * 0.01, 0.0, WEIGHT, reported_landed=False) for t in range(100)]
     assert not any(hovering)
-    standing = [detector.update(2 + t * 0.01, 0.0, 0.4 * WEIGHT, vehicle_says_landed=False) for t in range(100)]
+    standing = [detector.update(2 + t * 0.01, 0.0, 0.4 * WEIGHT, reported_landed=False) for t in range(100)]
     assert standing.index(True) == pytest.approx(50, abs=2)
-    assert LandingDetector(WEIGHT).update(0.0, 0.0, WEIGHT, vehicle_says_landed=True)
+    assert LandingDetector(WEIGHT).update(0.0, 0.0, WEIGHT, reported_landed=True)

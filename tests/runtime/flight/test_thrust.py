@@ -23,11 +23,11 @@ def test_curve_and_inverse_agree(signal: float, factor: float) -> None:
 
 
 @given(st.floats(0, 4.8), st.floats(0, 1), st.floats(0, 1), st.floats(1.0, 1.8))
-def test_the_map_and_its_inverse_agree(newtons: float, vehicle: float, autopilot: float, effectiveness: float) -> None:
+def test_the_map_and_its_inverse_agree(thrust: float, vehicle: float, autopilot: float, effectiveness: float) -> None:
     thrust_map = ThrustMap(4.84, vehicle, autopilot)
-    setpoint = thrust_map.setpoint(newtons, effectiveness)
+    setpoint = thrust_map.setpoint(thrust, effectiveness)
     assert 0.0 <= setpoint <= 1.0
-    assert thrust_map.newtons(setpoint, effectiveness) == pytest.approx(newtons, abs=1e-5)
+    assert thrust_map.collective_thrust(setpoint, effectiveness) == pytest.approx(thrust, abs=1e-5)
 
 
 def test_the_autopilot_s_curve_is_undone_before_the_vehicle_s_is_applied() -> None:
@@ -66,11 +66,11 @@ def estimate(
     errors = []
     for tick in range(int(duration * 100)):
         time = tick * 0.01
-        asked = MASS * GRAVITY * (1 + 0.3 * np.sin(3 * time) * (time % 4 > 2))
-        setpoint = MAP.setpoint(asked, estimator.value)
-        delayed.append(MAP.newtons(setpoint))
+        commanded = MASS * GRAVITY * (1 + 0.3 * np.sin(3 * time) * (time % 4 > 2))
+        setpoint = MAP.setpoint(commanded, estimator.value)
+        delayed.append(MAP.collective_thrust(setpoint))
         force += (delayed.pop(0) - force) * (1 - np.exp(-0.01 / lag))
-        estimator.command(MAP.newtons(setpoint), time)
+        estimator.command(MAP.collective_thrust(setpoint), time)
         estimator.measure(truth(time) * force / MASS + noise * rng.normal(), time + 0.01)
         errors.append(estimator.value - truth(time))
     return estimator, errors

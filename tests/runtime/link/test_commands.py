@@ -36,7 +36,7 @@ def test_a_mode_is_confirmed_by_the_heartbeat(link: Link, vehicle: FakeVehicle) 
     result = commands.set_mode(link, "offboard")
     assert result.confirmed
     assert link.status.mode == "OFFBOARD"
-    request = next(m for m in vehicle.seen if m.get_type() == "COMMAND_LONG")
+    request = next(m for m in vehicle.received if m.get_type() == "COMMAND_LONG")
     assert (request.param1, request.param2, request.param3) == (1.0, 6.0, 0.0)
 
 
@@ -73,14 +73,14 @@ def test_a_refused_arming_says_so(link: Link, vehicle: FakeVehicle) -> None:
 def test_arming_and_forced_disarming(link: Link, vehicle: FakeVehicle) -> None:
     assert commands.set_armed(link, True).confirmed
     assert commands.set_armed(link, False, force=True).confirmed
-    forced = [m for m in vehicle.seen if m.get_type() == "COMMAND_LONG"][-1]
+    forced = [m for m in vehicle.received if m.get_type() == "COMMAND_LONG"][-1]
     assert (forced.param1, forced.param2) == (0.0, 21196.0)
 
 
 def test_lost_requests_are_repeated_with_their_count(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.lose_next = 2
     assert commands.request_rates(link, {"ODOMETRY": 100.0}) == {"ODOMETRY": "accepted"}
-    requests = [m for m in vehicle.seen if m.get_type() == "COMMAND_LONG"]
+    requests = [m for m in vehicle.received if m.get_type() == "COMMAND_LONG"]
     assert [m.confirmation for m in requests] == [0, 1, 2]
     assert {(m.command, m.param1, m.param2) for m in requests} == {(511, 331.0, 10000.0)}
 
@@ -94,9 +94,9 @@ def test_a_silent_vehicle_gives_no_answer(link: Link, vehicle: FakeVehicle) -> N
 
 def test_acknowledgements_to_others_are_not_ours(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.lose_next = 1
-    with link.listening(lambda message: message if message.get_type() == "COMMAND_ACK" else None) as seen:
+    with link.listening(lambda message: message if message.get_type() == "COMMAND_ACK" else None) as received:
         vehicle.send(mavlink.MAVLink_command_ack_message(511, DENIED, 0, 0, 255, 190))
-        stranger = seen.get(timeout=5.0)
+        stranger = received.get(timeout=5.0)
     assert commands.acknowledgement(link, stranger, 511) is None
     assert commands.send_command(link, 511, 331.0, timeout=0.1) == "accepted"
 
@@ -106,7 +106,7 @@ def test_in_progress_is_not_the_last_word(link: Link, vehicle: FakeVehicle) -> N
     assert commands.send_command(link, 511, 331.0) == "accepted"
 
 
-def test_a_refusal_of_a_rate_is_told(link: Link, vehicle: FakeVehicle) -> None:
+def test_a_refused_rate_is_reported(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.acknowledgements[511] = [4]
     assert commands.request_rates(link, {"HEARTBEAT": 10.0}) == {"HEARTBEAT": "failed"}
 

@@ -11,7 +11,7 @@ from runtime.link.connection import DEFAULT_BAUD, Endpoint, parse_endpoint
 
 
 @pytest.mark.parametrize(
-    ("text", "wanted"),
+    ("text", "expected"),
     [
         ("udpin:0.0.0.0:14540", Endpoint("udpin", "0.0.0.0", 14540)),
         ("udpout:127.0.0.1:14580", Endpoint("udpout", "127.0.0.1", 14580)),
@@ -41,8 +41,8 @@ from runtime.link.connection import DEFAULT_BAUD, Endpoint, parse_endpoint
         (" UDPIN:0.0.0.0:14540 ", Endpoint("udpin", "0.0.0.0", 14540)),
     ],
 )  # fmt: skip
-def test_every_spelling_is_understood(text: str, wanted: Endpoint) -> None:
-    assert parse_endpoint(text) == wanted
+def test_every_spelling_is_understood(text: str, expected: Endpoint) -> None:
+    assert parse_endpoint(text) == expected
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics import frames, quaternion
-from runtime.link.estimate import Estimate, EstimateMonitor, Judgement, Odometry, read_odometry
+from runtime.link.estimate import EstimateMonitor, Judgement, Odometry, StateEstimate, read_odometry
 from tests.support.fake_vehicle import odometry
 
 NORTH_EAST_DOWN_TO_EAST_NORTH_UP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -26,18 +26,18 @@ attitudes = (
 )
 
 
-def read(**changes: Any) -> Odometry:
-    message = odometry(**changes)
+def read(**fields: Any) -> Odometry:
+    message = odometry(**fields)
     packer = mavlink.MAVLink(None, 1, 1)
     data = bytes(message.pack(packer))
     return read_odometry(data[10:-2])
 
 
-def feed(monitor: EstimateMonitor, time: float, **changes: Any) -> Judgement:
-    return monitor.handle_odometry(read(**changes), time, time + 0.005, True)
+def feed(monitor: EstimateMonitor, time: float, **fields: Any) -> Judgement:
+    return monitor.handle_odometry(read(**fields), time, time + 0.005, True)
 
 
-def believed(judgement: Judgement | None) -> Estimate:
+def believed(judgement: Judgement | None) -> StateEstimate:
     assert judgement is not None
     assert judgement.estimate is not None, judgement
     return judgement.estimate
@@ -75,22 +75,22 @@ def test_both_velocity_frames_give_the_same_state(
     body_to_ned = quaternion.rotation_matrix(attitude)
     velocity_body = body_to_ned.T @ velocity
     names = ("x", "y", "z", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")
-    for child, given_velocity in ((1, velocity), (12, velocity_body)):
-        values = dict(zip(names, (*position, *given_velocity, *rate), strict=True))
+    for child, wire_velocity in ((1, velocity), (12, velocity_body)):
+        values = dict(zip(names, (*position, *wire_velocity, *rate), strict=True))
         estimate = believed(feed(EstimateMonitor(), 1.0, q=attitude.tolist(), child_frame_id=child, **values))
         assert estimate.position_world == pytest.approx(NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ position, abs=1e-4)
         assert estimate.velocity_world == pytest.approx(NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ velocity, abs=1e-4)
         assert estimate.rate_body == pytest.approx(FORWARD_RIGHT_DOWN_TO_FORWARD_LEFT_UP @ rate, abs=1e-4)
-        wanted = NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ body_to_ned @ FORWARD_RIGHT_DOWN_TO_FORWARD_LEFT_UP
-        assert quaternion.rotation_matrix(estimate.attitude) == pytest.approx(wanted, abs=1e-5)
+        expected = NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ body_to_ned @ FORWARD_RIGHT_DOWN_TO_FORWARD_LEFT_UP
+        assert quaternion.rotation_matrix(estimate.attitude) == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(("frame", "child"), [(20, 12), (4, 1), (1, 8), (1, 20), (99, 1), (1, 0)])
 def test_unknown_axes_are_refused_by_name(monitor: EstimateMonitor, frame: int, child: int) -> None:
     judgement = feed(monitor, 1.0, frame_id=frame, child_frame_id=child)
     assert judgement.estimate is None
-    assert judgement.finding == "estimate_frame_refused"
-    assert "wanted 1 (LOCAL_NED)" in judgement.text
+    assert judgement.event == "estimate_frame_refused"
+    assert "required 1 (LOCAL_NED)" in judgement.text
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
@@ -98,22 +98,22 @@ def test_unknown_axes_are_refused_by_name(monitor: EstimateMonitor, frame: int, 
 def test_what_is_not_finite_is_refused(monitor: EstimateMonitor, field: str, value: float) -> None:
     feed(monitor, 1.0)
     judgement = feed(monitor, 1.01, **{field: value})
-    assert (judgement.estimate, judgement.finding) == (None, "estimate_not_finite")
+    assert (judgement.estimate, judgement.event) == (None, "estimate_not_finite")
     assert believed(feed(monitor, 1.02)).time == 1.02
 
 
 @pytest.mark.parametrize("attitude", [[0.0] * 4, [float("nan"), 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]])
 def test_what_is_no_rotation_is_refused(monitor: EstimateMonitor, attitude: list[float]) -> None:
-    assert feed(monitor, 1.0, q=attitude).finding == "estimate_not_finite"
+    assert feed(monitor, 1.0, q=attitude).event == "estimate_not_finite"
 
 
 def test_a_jump_is_refused_until_it_lasts(monitor: EstimateMonitor) -> None:
     feed(monitor, 1.0)
     first = feed(monitor, 1.01, x=3.0)
-    assert (first.estimate, first.finding) == (None, "estimate_jump")
+    assert (first.estimate, first.event) == (None, "estimate_jump")
     assert "position by 3.00 m" in first.text
     believed(feed(monitor, 1.02))
-    findings = [feed(monitor, 1.03 + 0.01 * n, x=3.0).finding for n in range(11)]
+    findings = [feed(monitor, 1.03 + 0.01 * n, x=3.0).event for n in range(11)]
     assert findings == ["estimate_jump"] * 9 + ["estimate_moved"] + [None]
     assert monitor.latest is not None
     assert monitor.latest.position_world[1] == pytest.approx(3.0)
@@ -121,14 +121,14 @@ def test_a_jump_is_refused_until_it_lasts(monitor: EstimateMonitor) -> None:
 
 def test_samples_that_jump_about_are_never_believed(monitor: EstimateMonitor) -> None:
     feed(monitor, 1.0)
-    findings = {feed(monitor, 1.0 + 0.01 * n, x=30.0 * (n % 5 + 1)).finding for n in range(1, 80)}
+    findings = {feed(monitor, 1.0 + 0.01 * n, x=30.0 * (n % 5 + 1)).event for n in range(1, 80)}
     assert findings == {"estimate_jump"}
 
 
 @pytest.mark.parametrize("change", [{"vx": 4.0}, {"q": [0.7071068, 0.7071068, 0.0, 0.0]}])
 def test_velocity_and_attitude_may_not_jump_either(monitor: EstimateMonitor, change: dict[str, Any]) -> None:
     feed(monitor, 1.0)
-    assert feed(monitor, 1.01, **change).finding == "estimate_jump"
+    assert feed(monitor, 1.01, **change).event == "estimate_jump"
 
 
 def test_fast_flight_is_not_a_jump(monitor: EstimateMonitor) -> None:
@@ -150,7 +150,7 @@ def test_a_reset_is_told_with_its_step(monitor: EstimateMonitor) -> None:
     judgement = feed(
         monitor, 1.1, x=0.1, y=2.0, z=-1.0, vx=1.0, q=[np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)], reset_counter=12
     )
-    assert judgement.finding == "estimator_reset"
+    assert judgement.event == "estimator_reset"
     assert judgement.step is not None
     assert judgement.step.position_world == pytest.approx([2.0, 0.0, 1.0], abs=1e-5)
     assert judgement.step.yaw == pytest.approx(-yaw, abs=1e-5)  # to the right is negative about up
@@ -158,14 +158,14 @@ def test_a_reset_is_told_with_its_step(monitor: EstimateMonitor) -> None:
 
 
 def test_a_reset_counter_that_starts_anywhere_is_no_reset(monitor: EstimateMonitor) -> None:
-    assert feed(monitor, 1.0, reset_counter=11).finding is None
-    assert feed(monitor, 1.01, reset_counter=11).finding is None
+    assert feed(monitor, 1.0, reset_counter=11).event is None
+    assert feed(monitor, 1.01, reset_counter=11).event is None
 
 
 def test_time_running_backwards_is_told_and_survived(monitor: EstimateMonitor) -> None:
     feed(monitor, 5.0)
     judgement = feed(monitor, 4.0)
-    assert (judgement.estimate, judgement.finding) == (None, "estimate_time_backwards")
+    assert (judgement.estimate, judgement.event) == (None, "estimate_time_backwards")
     assert believed(feed(monitor, 5.01)).time == 5.01
 
 
@@ -191,9 +191,9 @@ def test_the_attitude_s_sign_never_jumps(monitor: EstimateMonitor) -> None:
         previous = estimate.attitude
 
 
-def _local_position(**changes: float) -> Any:
-    fields = {"time_boot_ms": 0, "x": 0.0, "y": 0.0, "z": 0.0, "vx": 0.0, "vy": 0.0, "vz": 0.0, **changes}
-    return mavlink.MAVLink_local_position_ned_message(**fields)
+def _local_position(**fields: float) -> Any:
+    values = {"time_boot_ms": 0, "x": 0.0, "y": 0.0, "z": 0.0, "vx": 0.0, "vy": 0.0, "vz": 0.0, **fields}
+    return mavlink.MAVLink_local_position_ned_message(**values)
 
 
 def _attitude(attitude: NDArray[np.float64]) -> Any:

@@ -1,4 +1,4 @@
-"""Frames are found whatever surrounds them, and decode as pymavlink packed them."""
+"""Frames are frames whatever surrounds them, and decode as pymavlink packed them."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ def modes(parser: FrameParser, data: bytes) -> list[int]:
 
 @given(st.integers(1, 30))
 def test_frames_cut_anywhere_are_put_together(size: int) -> None:
-    parser, stream, found = FrameParser(), b"".join(FRAMES), []
+    parser, stream, numbers = FrameParser(), b"".join(FRAMES), []
     for at in range(0, len(stream), size):
-        found += modes(parser, stream[at : at + size])
-    assert found == [0x10000 + n for n in range(5)]
+        numbers += modes(parser, stream[at : at + size])
+    assert numbers == [0x10000 + n for n in range(5)]
     assert parser.skipped_bytes == 0
 
 
 @given(st.lists(st.binary(max_size=40), min_size=6, max_size=6))
 def test_garbage_between_frames_hides_none_of_a_datagram_each(garbage: list[bytes]) -> None:
-    parser, found = FrameParser(), []
+    parser, numbers = FrameParser(), []
     for noise, frame in zip(garbage, FRAMES, strict=False):
         parser.feed(noise)
-        found += modes(parser, frame)
-    assert [mode for mode in found if mode >> 16 == 1] == [0x10000 + n for n in range(5)]
+        numbers += modes(parser, frame)
+    assert [mode for mode in numbers if mode >> 16 == 1] == [0x10000 + n for n in range(5)]
 
 
 @given(st.binary(max_size=2000))

@@ -21,9 +21,9 @@ from pymavlink.generator.mavcrc import x25crc
 from dynamics.errors import VehicleError
 from runtime.link.connection import Endpoint
 from runtime.link.framing import FrameParser
-from runtime.link.link import Link, LinkSettings, Taps
+from runtime.link.link import Link, LinkCallbacks, LinkSettings
 from runtime.link.peer import Peer
-from runtime.link.telemetry import Battery, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds
+from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds
 from runtime.link.texts import TextAssembler, text_messages
 from runtime.link.transport import UdpTransport
 from tests.support.fake_vehicle import FakeVehicle, odometry, wait_until
@@ -36,8 +36,8 @@ def port_of(link: Link) -> int:
     return link.transport.port
 
 
-def open_link(settings: LinkSettings | None = None, taps: Taps | None = None) -> Link:
-    return Link(Endpoint("udpin", LOCAL, 0), settings, taps)
+def open_link(settings: LinkSettings | None = None, callbacks: LinkCallbacks | None = None) -> Link:
+    return Link(Endpoint("udpin", LOCAL, 0), settings, callbacks)
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def events() -> list[LinkEvent]:
 
 @pytest.fixture
 def link(events: list[LinkEvent]) -> Iterator[Link]:
-    with open_link(taps=Taps(event=events.append)) as opened:
+    with open_link(callbacks=LinkCallbacks(event=events.append)) as opened:
         yield opened
 
 
@@ -70,7 +70,7 @@ def test_the_vehicle_is_found_and_followed(link: Link, vehicle: FakeVehicle, eve
 
 def test_we_speak_as_the_companion_on_board(link: Link, vehicle: FakeVehicle) -> None:
     wait_until(lambda: vehicle.count("HEARTBEAT") >= 2)
-    heartbeat = next(message for message in vehicle.seen if message.get_type() == "HEARTBEAT")
+    heartbeat = next(message for message in vehicle.received if message.get_type() == "HEARTBEAT")
     assert (heartbeat.get_srcSystem(), heartbeat.get_srcComponent()) == (1, 191)
     assert heartbeat.type == mavlink.MAV_TYPE_ONBOARD_CONTROLLER
     assert heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID
@@ -79,7 +79,7 @@ def test_we_speak_as_the_companion_on_board(link: Link, vehicle: FakeVehicle) ->
 def test_a_ground_station_s_heartbeat_is_sent_when_asked_for() -> None:
     with open_link(LinkSettings(gcs_heartbeat=True)) as link, FakeVehicle((LOCAL, port_of(link)), system=7) as vehicle:
         wait_until(lambda: vehicle.count("HEARTBEAT") >= 4)
-        kinds = {(m.get_srcSystem(), m.type) for m in vehicle.seen if m.get_type() == "HEARTBEAT"}
+        kinds = {(m.get_srcSystem(), m.type) for m in vehicle.received if m.get_type() == "HEARTBEAT"}
         assert kinds == {(7, mavlink.MAV_TYPE_ONBOARD_CONTROLLER), (7, mavlink.MAV_TYPE_GCS)}
 
 
@@ -95,8 +95,8 @@ def test_the_vehicle_s_clock_is_found(link: Link, vehicle: FakeVehicle) -> None:
 
 def test_the_vehicle_s_own_timesync_requests_are_answered(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.send(mavlink.MAVLink_timesync_message(0, 123456789))
-    wait_until(lambda: any(m.get_type() == "TIMESYNC" and m.ts1 == 123456789 for m in vehicle.seen))
-    answer = next(m for m in vehicle.seen if m.get_type() == "TIMESYNC" and m.ts1 == 123456789)
+    wait_until(lambda: any(m.get_type() == "TIMESYNC" and m.ts1 == 123456789 for m in vehicle.received))
+    answer = next(m for m in vehicle.received if m.get_type() == "TIMESYNC" and m.ts1 == 123456789)
     assert answer.tc1 * 1e-9 == pytest.approx(time.monotonic(), abs=5.0)
 
 
@@ -115,7 +115,7 @@ def test_a_waiting_thread_gets_each_new_estimate(link: Link, vehicle: FakeVehicl
 def test_setpoints_are_body_rates_and_thrust_in_the_vehicle_s_axes(link: Link, vehicle: FakeVehicle) -> None:
     assert link.send_rate_setpoint((0.1, 0.2, 0.3), 0.6)
     wait_until(lambda: vehicle.count("SET_ATTITUDE_TARGET"))
-    setpoint = next(m for m in vehicle.seen if m.get_type() == "SET_ATTITUDE_TARGET")
+    setpoint = next(m for m in vehicle.received if m.get_type() == "SET_ATTITUDE_TARGET")
     assert (setpoint.target_system, setpoint.target_component, setpoint.type_mask) == (1, 1, 128)
     rates = (setpoint.body_roll_rate, setpoint.body_pitch_rate, setpoint.body_yaw_rate)
     assert rates == pytest.approx((0.1, -0.2, -0.3))
@@ -141,7 +141,7 @@ def test_messages_of_all_threads_carry_one_sequence(link: Link, vehicle: FakeVeh
     for sender in senders:
         sender.join()
     wait_until(lambda: vehicle.count("STATUSTEXT") == 100 and vehicle.count("SET_ATTITUDE_TARGET") == 50)
-    sequence = sorted(message.get_seq() for message in vehicle.seen)
+    sequence = sorted(message.get_seq() for message in vehicle.received)
     assert len(set(sequence)) == len(sequence)
 
 
@@ -152,7 +152,7 @@ def test_other_systems_are_heard_but_never_answered(link: Link, vehicle: FakeVeh
             other.send_odometry(x=5.0)
             link.send_rate_setpoint((0.0, 0.0, 0.0), 0.5)
         wait_until(lambda: vehicle.count("SET_ATTITUDE_TARGET") == 20)
-        assert not other.seen
+        assert not other.received
         assert link.estimate is None
         assert link.status.system == 1
         assert "other_vehicle" in {event.name for event in events}
@@ -215,11 +215,11 @@ def test_a_flood_of_garbage_stops_nothing(link: Link, vehicle: FakeVehicle, even
 def test_everything_that_passes_is_offered_to_the_recorder() -> None:
     frames: list[tuple[str, float, bytes]] = []
     messages: list[Any] = []
-    taps = Taps(
+    callbacks = LinkCallbacks(
         frame=lambda direction, at, data: frames.append((direction, at, data)),
         message=lambda message, at: messages.append(message),
     )
-    with open_link(taps=taps) as link, FakeVehicle((LOCAL, port_of(link))) as vehicle:
+    with open_link(callbacks=callbacks) as link, FakeVehicle((LOCAL, port_of(link))) as vehicle:
         link.wait_for_vehicle(5.0)
         vehicle.send_odometry()
         link.send_rate_setpoint((0.0, 0.0, 0.0), 0.5)
@@ -237,7 +237,7 @@ def test_a_consumer_that_fails_does_not_take_the_link_down(events: list[LinkEven
         raise RuntimeError("the recorder's fault")
 
     with (
-        open_link(taps=Taps(message=fail, event=events.append)) as link,
+        open_link(callbacks=LinkCallbacks(message=fail, event=events.append)) as link,
         FakeVehicle((LOCAL, port_of(link))) as vehicle,
     ):
         link.wait_for_vehicle(5.0)
@@ -258,7 +258,7 @@ def test_a_serial_device_unplugged_in_flight_is_an_event_and_comes_back(events: 
         return master
 
     master = plug()
-    with Link(Endpoint("serial", device=path), taps=Taps(event=events.append)) as link:
+    with Link(Endpoint("serial", device=path), callbacks=LinkCallbacks(event=events.append)) as link:
         os.write(master, heartbeat)
         link.wait_for_vehicle(5.0)
         os.unlink(path)
@@ -276,15 +276,15 @@ def test_a_serial_device_unplugged_in_flight_is_an_event_and_comes_back(events: 
 # --- the same handling without a socket
 
 
-class Desk:
+class PeerHarness:
     """Feeds packed messages to a Peer, as a link or a recording does."""
 
     def __init__(self) -> None:
         self.peer, self.events = Peer(), list[LinkEvent]()
         self._packer = mavlink.MAVLink(None, 1, 1)
-        self.say(mavlink.MAVLink_heartbeat_message(2, 12, 0, 4 << 16 | 3 << 24, 3, 3), 0.0)
+        self.feed(mavlink.MAVLink_heartbeat_message(2, 12, 0, 4 << 16 | 3 << 24, 3, 3), 0.0)
 
-    def say(self, message: Any, received: float) -> Any:
+    def feed(self, message: Any, received: float) -> Any:
         (frame,) = FrameParser().feed(bytes(message.pack(self._packer)))
         reaction = self.peer.handle(frame, received)
         self.events += reaction.events
@@ -292,65 +292,67 @@ class Desk:
 
 
 @pytest.fixture
-def desk() -> Desk:
-    return Desk()
+def harness() -> PeerHarness:
+    return PeerHarness()
 
 
-def test_rotor_speeds_are_radians_per_second(desk: Desk) -> None:
+def test_rotor_speeds_are_radians_per_second(harness: PeerHarness) -> None:
     kind = mavlink.mavlink_map[291]
-    reaction = desk.say(kind(0, 5_000_000, [60, 600, -60, 0], [16.0] * 4, [1.0] * 4), 1.0)
+    reaction = harness.feed(kind(0, 5_000_000, [60, 600, -60, 0], [16.0] * 4, [1.0] * 4), 1.0)
     assert isinstance(reaction.telemetry, RotorSpeeds)
     assert reaction.telemetry.speed == pytest.approx((6.2831853, 62.831853, -6.2831853, 0.0))
 
 
-def test_specific_force_and_rates_are_forward_left_up(desk: Desk) -> None:
+def test_specific_force_and_rates_are_forward_left_up(harness: PeerHarness) -> None:
     fields = [1.0, 2.0, -9.81, 0.1, 0.2, 0.3, *[0.0] * 7]
-    reaction = desk.say(mavlink.MAVLink_highres_imu_message(0, *fields, 63), 1.0)
+    reaction = harness.feed(mavlink.MAVLink_highres_imu_message(0, *fields, 63), 1.0)
     assert isinstance(reaction.telemetry, ImuSample)
     assert reaction.telemetry.specific_force_body == pytest.approx((1.0, -2.0, 9.81))
     assert reaction.telemetry.rate_body == pytest.approx((0.1, -0.2, -0.3))
 
 
-def test_battery_and_outputs_are_read(desk: Desk) -> None:
+def test_battery_and_outputs_are_read(harness: PeerHarness) -> None:
     cells = [4100, 4000, 3900, 65535, 65535, 65535, 65535, 65535, 65535, 65535]
-    battery = desk.say(mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, cells, 1250, -1, -1, 80), 1.0).telemetry
-    assert isinstance(battery, Battery)
+    battery = harness.feed(
+        mavlink.MAVLink_battery_status_message(0, 1, 1, 32767, cells, 1250, -1, -1, 80), 1.0
+    ).telemetry
+    assert isinstance(battery, BatterySample)
     assert (battery.voltage, battery.current, battery.remaining) == pytest.approx((12.0, 12.5, 0.8))
-    assert desk.peer.status.battery_voltage == pytest.approx(12.0)
-    outputs = desk.say(
+    assert harness.peer.status.battery_voltage == pytest.approx(12.0)
+    outputs = harness.feed(
         mavlink.MAVLink_servo_output_raw_message(0, 0, 1100, 1200, 1300, 1400, 0, 0, 0, 0), 1.0
     ).telemetry
     assert isinstance(outputs, MotorOutputs)
     assert outputs.value[:4] == (1100.0, 1200.0, 1300.0, 1400.0)
     values = [0.1, 0.2, 0.3, 0.4] + [0.0] * 28
-    outputs = desk.say(mavlink.MAVLink_actuator_output_status_message(0, 0b1111, values), 1.0).telemetry
+    outputs = harness.feed(mavlink.MAVLink_actuator_output_status_message(0, 0b1111, values), 1.0).telemetry
     assert isinstance(outputs, MotorOutputs)
     assert outputs.value == pytest.approx((0.1, 0.2, 0.3, 0.4))
 
 
-def test_a_failsafe_is_seen_in_mode_and_state(desk: Desk) -> None:
-    desk.say(mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3), 1.0)
-    desk.say(mavlink.MAVLink_heartbeat_message(2, 12, 128, 4 << 16 | 5 << 24, mavlink.MAV_STATE_CRITICAL, 3), 2.0)
-    assert [event.name for event in desk.events][-2:] == ["mode_changed", "vehicle_critical"]
-    assert desk.peer.status.mode == "RTL"
+def test_a_failsafe_is_seen_in_mode_and_state(harness: PeerHarness) -> None:
+    harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3), 1.0)
+    harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 4 << 16 | 5 << 24, mavlink.MAV_STATE_CRITICAL, 3), 2.0)
+    assert [event.name for event in harness.events][-2:] == ["mode_changed", "vehicle_critical"]
+    assert harness.peer.status.mode == "RTL"
 
 
-def test_a_reboot_of_the_vehicle_is_told(desk: Desk) -> None:
+def test_a_reboot_of_the_vehicle_is_published(harness: PeerHarness) -> None:
     for n in range(20):
         now = 10.0 + 0.1 * n
-        desk.say(mavlink.MAVLink_timesync_message(round((now + 500.0) * 1e9), round((now - 0.001) * 1e9)), now)
-    assert desk.peer.clock.is_valid(12.0)
-    desk.say(mavlink.MAVLink_timesync_message(round(3.0 * 1e9), round(12.0 * 1e9)), 12.001)
-    assert desk.events[-1].name == "clock_ran_backwards"
-    assert not desk.peer.clock.is_valid(12.001)
+        harness.feed(mavlink.MAVLink_timesync_message(round((now + 500.0) * 1e9), round((now - 0.001) * 1e9)), now)
+    assert harness.peer.clock.is_valid(12.0)
+    harness.feed(mavlink.MAVLink_timesync_message(round(3.0 * 1e9), round(12.0 * 1e9)), 12.001)
+    assert harness.events[-1].name == "clock_ran_backwards"
+    assert not harness.peer.clock.is_valid(12.001)
 
 
-def test_repeated_findings_are_told_once_a_second(desk: Desk) -> None:
+def test_repeated_events_are_published_once_a_second(harness: PeerHarness) -> None:
     for n in range(250):
-        desk.say(odometry(frame_id=20), 5.0 + 0.01 * n)
-    told = [event for event in desk.events if event.name == "estimate_frame_refused"]
-    assert len(told) == 3
-    assert told[1].repeats > 90
+        harness.feed(odometry(frame_id=20), 5.0 + 0.01 * n)
+    events = [event for event in harness.events if event.name == "estimate_frame_refused"]
+    assert len(events) == 3
+    assert events[1].repeats > 90
 
 
 @given(st.text(alphabet=st.characters(min_codepoint=32, max_codepoint=126), max_size=400), st.integers(0, 7))
@@ -362,7 +364,7 @@ def test_texts_of_any_length_survive_the_chunks(text: str, severity: int) -> Non
     assert [(each.text, each.severity) for each in texts] == [(text, severity)]
 
 
-def test_a_text_with_a_lost_chunk_is_told_as_far_as_it_came() -> None:
+def test_a_text_with_a_lost_chunk_is_completed_by_a_mark() -> None:
     assembler = TextAssembler()
     messages = text_messages("a" * 50 + "b" * 50 + "c" * 10, 4, 3)
     for message in (messages[0], messages[2]):
@@ -373,10 +375,10 @@ def test_a_text_with_a_lost_chunk_is_told_as_far_as_it_came() -> None:
     assert text.text == "a" * 50 + "[...]" + "c" * 10
 
 
-def test_achieved_rates_are_measured(desk: Desk) -> None:
-    rate: Callable[[str, float], Any] = desk.peer.rates.rate
+def test_achieved_rates_are_measured(harness: PeerHarness) -> None:
+    rate: Callable[[str, float], Any] = harness.peer.rates.rate
     for n in range(500):
-        desk.say(odometry(time_usec=n), 10.0 + 0.01 * n)
+        harness.feed(odometry(time_usec=n), 10.0 + 0.01 * n)
     measured = rate("ODOMETRY", 14.99)
     assert measured.rate == pytest.approx(100.0, abs=0.5)
     assert (measured.median, measured.p1, measured.p99) == pytest.approx((0.01, 0.01, 0.01))
@@ -399,10 +401,10 @@ payloads = st.binary(min_size=1, max_size=255) | st.binary(min_size=4, max_size=
 
 @given(st.lists(st.tuples(st.sampled_from(HANDLED), payloads, st.floats(0, 3)), max_size=30))
 def test_no_contents_of_a_message_break_its_handling(messages: list[tuple[int, bytes, float]]) -> None:
-    desk, now = Desk(), 1.0
+    harness, now = PeerHarness(), 1.0
     for message_id, payload, pause in messages:
         now += pause
         (frame,) = FrameParser().feed(frame_of(message_id, payload))
-        reaction = desk.peer.handle(frame, now)
+        reaction = harness.peer.handle(frame, now)
         assert reaction.estimate is None or np.isfinite(reaction.estimate.state).all()
-    assert np.isfinite(desk.peer.clock.offset(now))
+    assert np.isfinite(harness.peer.clock.offset(now))

@@ -98,7 +98,7 @@ def test_a_good_link_is_ready(port: int, vehicle: StreamingVehicle) -> None:
 def test_nothing_flies_and_the_streams_are_given_back(port: int, vehicle: StreamingVehicle) -> None:
     check(port)
     assert vehicle.count("SET_ATTITUDE_TARGET") == 0
-    commands = [message for message in vehicle.seen if message.get_type() == "COMMAND_LONG"]
+    commands = [message for message in vehicle.received if message.get_type() == "COMMAND_LONG"]
     assert not [message for message in commands if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
     intervals = [message.param2 for message in commands if message.command == 511 and message.param1 == 331]
     assert intervals == [10000.0, 0.0]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from runtime.link.dialect import mavlink
-from runtime.link.estimate import Estimate, read_odometry
+from runtime.link.estimate import StateEstimate, read_odometry
 from runtime.link.framing import Frame
 from runtime.link.peer import Peer
 from runtime.link.telemetry import ImuSample, LinkEvent, MotorOutputs
@@ -27,7 +27,7 @@ NAV_STATES = {4: "HOLD", 14: "OFFBOARD", 5: "RTL", 18: "LAND"}
 class Replay(NamedTuple):
     frames: list[tuple[float, Frame]]
     peer: Peer
-    estimates: list[tuple[float, Estimate]]  # with the vehicle's own time of the state
+    estimates: list[tuple[float, StateEstimate]]  # with the vehicle's own time of the state
     events: list[LinkEvent]
     telemetry: Counter[type]
 
@@ -57,12 +57,12 @@ def log() -> dict[str, NDArray[np.float64]]:
 
 
 def _at(log: dict[str, NDArray[np.float64]], topic: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
-    known = log[f"{topic}_time_usec"] * 1e-6
-    return np.stack([np.interp(times, known, column) for column in log[topic].T], axis=-1)
+    logged_times = log[f"{topic}_time_usec"] * 1e-6
+    return np.stack([np.interp(times, logged_times, column) for column in log[topic].T], axis=-1)
 
 
 @pytest.fixture(scope="module")
-def logged_flight(replay: Replay, log: dict[str, NDArray[np.float64]]) -> list[tuple[float, Estimate]]:
+def logged_flight(replay: Replay, log: dict[str, NDArray[np.float64]]) -> list[tuple[float, StateEstimate]]:
     """The estimates within the log, which ends with the disarming."""
     end = log["vehicle_attitude_time_usec"][-1] * 1e-6
     flight = [(boot, estimate) for boot, estimate in replay.estimates if boot <= end]
@@ -88,7 +88,7 @@ def test_every_estimate_of_the_flight_is_believed(replay: Replay) -> None:
 
 
 def test_positions_and_velocities_are_those_of_the_log_in_our_frames(
-    logged_flight: list[tuple[float, Estimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
 ) -> None:
     logged = _at(log, "vehicle_local_position", np.array([boot for boot, _ in logged_flight]))
     position = np.array([estimate.position_world for _, estimate in logged_flight])
@@ -100,12 +100,12 @@ def test_positions_and_velocities_are_those_of_the_log_in_our_frames(
 
 
 def test_attitudes_are_those_of_the_log_and_continuous(
-    logged_flight: list[tuple[float, Estimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
 ) -> None:
     times = np.array([boot for boot, _ in logged_flight])
-    known = log["vehicle_attitude_time_usec"] * 1e-6
-    nearest = np.searchsorted(known, times - 1e-4)
-    exact = np.abs(known[nearest] - times) < 1e-4
+    logged_times = log["vehicle_attitude_time_usec"] * 1e-6
+    nearest = np.searchsorted(logged_times, times - 1e-4)
+    exact = np.abs(logged_times[nearest] - times) < 1e-4
     assert exact.sum() > 3000
     attitude = np.array([estimate.attitude for _, estimate in logged_flight])
     logged = quaternion.rotation_matrix(log["vehicle_attitude"][nearest[exact]])
@@ -115,12 +115,12 @@ def test_attitudes_are_those_of_the_log_and_continuous(
 
 
 def test_body_rates_are_those_of_the_log(
-    logged_flight: list[tuple[float, Estimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
 ) -> None:
     times = np.array([boot for boot, _ in logged_flight])
-    known = log["vehicle_angular_velocity_time_usec"] * 1e-6
-    nearest = np.searchsorted(known, times - 1e-4)
-    exact = np.abs(known[nearest] - times) < 1e-4
+    logged_times = log["vehicle_angular_velocity_time_usec"] * 1e-6
+    nearest = np.searchsorted(logged_times, times - 1e-4)
+    exact = np.abs(logged_times[nearest] - times) < 1e-4
     assert exact.sum() > 1000
     logged = log["vehicle_angular_velocity"][nearest[exact]] @ FRD_TO_FLU.T
     rates = np.array([estimate.rate_body for _, estimate in logged_flight])[exact]
@@ -139,8 +139,8 @@ def test_states_are_dated_by_the_vehicle_s_clock(replay: Replay) -> None:
     assert age.max() > 0.1  # the recording's two stalls come out as old states, not as new ones
     # successive states are as far apart as the vehicle says, but for its clock's drift of under 1 per cent
     spacing = np.diff([estimate.time for _, estimate in dated])
-    said = np.diff([boot for boot, _ in dated])
-    assert np.percentile(np.abs(spacing - said), 99) < 2e-3
+    boot_spacing = np.diff([boot for boot, _ in dated])
+    assert np.percentile(np.abs(spacing - boot_spacing), 99) < 2e-3
 
 
 def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(
@@ -148,12 +148,14 @@ def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(
 ) -> None:
     times = log["vehicle_status_time_usec"] * 1e-6
     states = [NAV_STATES[int(state)] for state in log["vehicle_status"][:, 0]]
-    changes = [(states[i], times[i]) for i in range(1, len(states)) if states[i] != states[i - 1]]
-    seen = [(event.text.split()[-1].rstrip("."), event.time) for event in replay.events if event.name == "mode_changed"]
-    assert [mode for mode, _ in seen] == [mode for mode, _ in changes]
+    mode_changes = [(states[i], times[i]) for i in range(1, len(states)) if states[i] != states[i - 1]]
+    observed = [
+        (event.text.split()[-1].rstrip("."), event.time) for event in replay.events if event.name == "mode_changed"
+    ]
+    assert [mode for mode, _ in observed] == [mode for mode, _ in mode_changes]
     boots, arrivals = zip(*((boot, estimate.received) for boot, estimate in replay.estimates), strict=True)
-    happened = np.interp([time for _, time in changes], boots, arrivals)
-    delays = np.array([time for _, time in seen]) - happened
+    happened = np.interp([time for _, time in mode_changes], boots, arrivals)
+    delays = np.array([time for _, time in observed]) - happened
     assert delays.min() > -0.02
     assert delays.max() < 1.1  # a heartbeat a second
 

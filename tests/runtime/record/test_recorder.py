@@ -47,14 +47,14 @@ def test_what_was_put_is_read_back_bit_for_bit(tmp_path: Path) -> None:
     values = np.random.default_rng(1).normal(size=50)
     for index, value in enumerate(values):
         recorder.put(estimate(index * 0.01, value), time.monotonic())
-    recorder.put(StateRecord(1.0, "STANDBY", "STREAMING", "told to engage"), time.monotonic())
+    recorder.put(StateRecord(1.0, "STANDBY", "STREAMING", "engagement requested"), time.monotonic())
     recorder.close()
     recording = read_recording(recorder.path)
     assert recording.complete
     assert recording.metadata["seed"] == "7"
     assert recording.attachments["vehicle.toml"] == 'name = "x"'
     np.testing.assert_array_equal(recording.table("/estimate")["position_world"][:, 0], values)
-    assert recording.table("/state")["reason"][0] == "told to engage"
+    assert recording.table("/state")["reason"][0] == "engagement requested"
     assert recording.records(EstimateRecord)[7].position_world[2] == np.pi
 
 
@@ -201,8 +201,8 @@ def test_an_overrun_ring_drops_and_counts_instead_of_blocking(tmp_path: Path) ->
     assert recorder.dropped > 0
     assert "dropped" in recorder.trouble
     recorder.close()
-    kept = len(read_recording(recorder.path).messages["/estimate"])
-    assert kept + recorder.dropped == 5000
+    written = len(read_recording(recorder.path).messages["/estimate"])
+    assert written + recorder.dropped == 5000
 
 
 def test_a_broken_record_ends_the_recording_not_the_flight(tmp_path: Path) -> None:

@@ -1,7 +1,8 @@
-"""A recorded flight comes out of the flight logic again exactly, and a changed vehicle is seen to differ."""
+"""A recorded flight comes out of the flight logic again exactly, and a changed vehicle is noticed."""
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -14,7 +15,7 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan, Transfer
 from runtime.record.recorder import Recorder
-from runtime.record.recording import Recording, read_recording
+from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
 from runtime.record.replay import replay
 from tests.support.rate_controlled_vehicle import Flight
@@ -25,7 +26,7 @@ def reference_of(vehicle: Vehicle) -> Transfer:
 
 
 @pytest.fixture(scope="module")
-def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Recording:
+def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> FlightRecording:
     flight = Flight(arpl_250g, Controller.build(arpl_250g), reference_of(arpl_250g))
     story = flight.run(11.0)
     metadata = {
@@ -34,21 +35,25 @@ def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> R
         "controller": msgspec.json.encode(ControllerOptions()).decode(),
     }
     recorder = Recorder(tmp_path_factory.mktemp("replay"), "flight", metadata=metadata, capacity=100_000)
-    for (seen, estimate), decision in zip(story.observations, story.decisions, strict=True):
+    for (observation, estimate), decision in zip(story.observations, story.decisions, strict=True):
         assert estimate is not None
         s = estimate.state
-        recorder.put(EstimateRecord(estimate.time, estimate.received, s[:3], s[3:6], s[6:10], s[10:], 0), seen.time)
-        recorder.put(seen, seen.time)
+        recorder.put(
+            EstimateRecord(estimate.time, estimate.received, s[:3], s[3:6], s[6:10], s[10:], 0), observation.time
+        )
+        recorder.put(observation, observation.time)
         if decision.rate_body is not None:
-            setpoint = SetpointRecord(seen.time, decision.rate_body, decision.newtons, decision.thrust, 1.0)
-            recorder.put(setpoint, seen.time)
+            setpoint = SetpointRecord(
+                observation.time, decision.rate_body, decision.collective_thrust, decision.thrust, 1.0
+            )
+            recorder.put(setpoint, observation.time)
         for step in decision.transitions:
-            recorder.put(StateRecord(step.time, step.before.value, step.after.value, step.reason), seen.time)
+            recorder.put(StateRecord(step.time, step.before.value, step.after.value, step.reason), observation.time)
     recorder.close()
     return read_recording(recorder.path)
 
 
-def test_the_same_flight_comes_out_bit_for_bit(recording: Recording, arpl_250g: Vehicle) -> None:
+def test_the_same_flight_comes_out_bit_for_bit(recording: FlightRecording, arpl_250g: Vehicle) -> None:
     report = replay(recording, arpl_250g, reference_of(arpl_250g))
     assert report.exact
     assert report.compared > 500
@@ -56,7 +61,17 @@ def test_the_same_flight_comes_out_bit_for_bit(recording: Recording, arpl_250g: 
     assert report.first_difference is None
 
 
-def test_another_vehicle_is_seen_to_fly_differently(recording: Recording, arpl_250g: Vehicle) -> None:
+def test_a_recording_of_another_version_may_word_its_reasons_differently(
+    recording: FlightRecording, arpl_250g: Vehicle
+) -> None:
+    rows = [{**row, "reason": "worded otherwise"} for row in recording.messages["/state"]]
+    older = replace(recording, messages={**recording.messages, "/state": rows})
+    assert replay(older, arpl_250g, reference_of(arpl_250g)).exact
+    shorter = replace(recording, messages={**recording.messages, "/state": rows[:-1]})
+    assert not replay(shorter, arpl_250g, reference_of(arpl_250g)).states_agree
+
+
+def test_another_vehicle_flies_differently(recording: FlightRecording, arpl_250g: Vehicle) -> None:
     heavier = msgspec.structs.replace(arpl_250g, body=msgspec.structs.replace(arpl_250g.body, mass=0.3))
     report = replay(recording, heavier, reference_of(heavier))
     assert not report.exact
