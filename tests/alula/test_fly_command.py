@@ -13,6 +13,8 @@ import pytest
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
+pytestmark = pytest.mark.realtime
+
 RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap"
 
 

@@ -11,6 +11,8 @@ from alula.cli.app import main
 from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
+pytestmark = pytest.mark.realtime
+
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     monkeypatch.setattr(sys, "argv", ["alula", "link", *arguments])

@@ -10,6 +10,8 @@ import pytest
 from simulation.mock_process import mock_process
 from tests.conformance.raw_link import HOLD, LAND, OFFBOARD, SET_MODE, RawLink, attitude_target
 
+pytestmark = pytest.mark.realtime
+
 ACCEPTED, TEMPORARILY_REJECTED = 0, 1
 ARMED = 128
 IDLE = attitude_target(0.0)

@@ -16,6 +16,8 @@ import pytest
 from simulation.mock_process import MockProcess, free_port, mock_process
 from tests.conformance.raw_link import RawLink, attitude_target, mavlink
 
+pytestmark = pytest.mark.realtime
+
 GET_INTERVAL, ODOMETRY = 510, 331
 Junk = Callable[[random.Random], bytes]
 

@@ -31,6 +31,8 @@ from mavsdk.asyncio.plugins.offboard import (
 from mavsdk.asyncio.plugins.param import ParamAsync, ParamError
 from mavsdk.asyncio.plugins.telemetry import FlightMode, LandedState, TelemetryAsync
 
+pytestmark = pytest.mark.realtime
+
 PATIENCE = 20.0  # s for anything to happen
 SPEED = 2.0  # simulated seconds per second
 DOCUMENTED = 1.4  # s of setpoints before OFFBOARD; MAVSDK sends them from the first set_... on

@@ -11,6 +11,8 @@ import pytest
 from tests.conformance.raw_link import HOLD, LAND, OFFBOARD, RTL, RawLink, Stream, hover_at
 from tests.conformance.test_parameters_and_texts import write_float, write_integer
 
+pytestmark = pytest.mark.realtime
+
 HEIGHT = 5.0  # m
 MARGIN = 0.08  # s that a busy machine may add to what PX4 takes
 

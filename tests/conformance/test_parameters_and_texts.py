@@ -12,6 +12,8 @@ import pytest
 from simulation.mock_process import MockProcess
 from tests.conformance.raw_link import RawLink, mavlink
 
+pytestmark = pytest.mark.realtime
+
 INT32, REAL32 = 6, 9
 
 

@@ -12,6 +12,8 @@ import pytest
 
 from tests.conformance.raw_link import OFFBOARD, RTL, RawLink, Stream, attitude_target, from_euler, hover_at
 
+pytestmark = pytest.mark.realtime
+
 HEIGHT = 5.0  # m
 HOVER = 0.5
 NAN = math.nan

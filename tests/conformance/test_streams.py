@@ -10,6 +10,8 @@ import pytest
 
 from tests.conformance.raw_link import SET_INTERVAL, RawLink, mavlink
 
+pytestmark = pytest.mark.realtime
+
 DEFAULT_RATES = {
     "ATTITUDE": 100.0,
     "ATTITUDE_QUATERNION": 50.0,

@@ -36,6 +36,8 @@ from runtime.record.replay import replay
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
+pytestmark = pytest.mark.realtime
+
 VEHICLE_FILE = FOLDER / "px4_sih.toml"
 # a test machine that is busy starves the mock, which is not what is tested here
 PATIENT = FlyerSettings(

@@ -81,6 +81,7 @@ def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(flown: tuple[Pat
     assert Campaign(options, SHORT).run(lambda _: None).sha256 == flown[1].sha256
 
 
+@pytest.mark.realtime
 def test_it_goes_on_after_it_was_killed(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from simulation.campaign import Campaign, CampaignOptions;"

@@ -22,6 +22,8 @@ from sitl_mock.wire.dialect import mavlink
 from sitl_mock.wire.link_spec import default_links, parse_link
 from vehicles import FOLDER
 
+pytestmark = pytest.mark.realtime
+
 VEHICLE = str(FOLDER / "px4_sih.toml")
 
 

@@ -47,6 +47,7 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, Demo
     return options, write_report(report, folder, learning), parts
 
 
+@pytest.mark.realtime
 def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> None:
     options, report, news = flown
     (manoeuvre,) = report.nominal
@@ -57,6 +58,7 @@ def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> Non
     assert any("ENGAGED" in line for line in news)
 
 
+@pytest.mark.realtime
 def test_the_report_says_the_same_in_every_form(flown) -> None:
     options, report, _ = flown
     with (options.folder / "tracking.csv").open() as file:
@@ -69,6 +71,7 @@ def test_the_report_says_the_same_in_every_form(flown) -> None:
     assert not list(options.folder.glob(".part-*"))
 
 
+@pytest.mark.realtime
 def test_the_recording_holds_reference_and_flight_while_tracking(flown) -> None:
     _, report, _ = flown
     times, position, asked = tracked(read_recording(Path(report.nominal[0].recording)))
@@ -184,6 +187,7 @@ def test_a_table_without_a_paper_figure_leaves_its_cell_empty(tmp_path: Path) ->
     assert (tmp_path / "tracking.csv").read_text().count("circle") == 1
 
 
+@pytest.mark.realtime
 def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Path) -> None:
     options = DemoOptions(
         tmp_path, vehicle="arpl_250g", effects=("weak_rotor:rotor=1,loss=0.9",), manoeuvres=("hover",)
@@ -192,6 +196,7 @@ def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Pa
         run_demo(msgspec.structs.replace(options, duration=5.0), ignore, ignore)
 
 
+@pytest.mark.realtime
 def test_a_mock_that_dies_is_named_as_the_cause_of_the_flights_end() -> None:
     def fly_until_it_is_gone() -> None:
         with mock_process(vehicle="arpl_250g") as mock:

@@ -167,6 +167,7 @@ def test_what_members_can_go_on_from_outlives_a_failure_and_nothing_else_does(tm
     assert (run / "member_0.state").exists()
 
 
+@pytest.mark.realtime
 def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "alula", "train", str(folder), "--vehicle", "arpl_250g", "--model", "pi_mlp",
                "--steps", "2000", "--batch", "64", "--ensemble", "1"]  # fmt: skip

@@ -14,6 +14,8 @@ from runtime.link.link import Link
 from runtime.link.transport import UdpTransport
 from tests.support.fake_vehicle import FakeVehicle, wait_until
 
+pytestmark = pytest.mark.realtime
+
 ACCEPTED, TEMPORARILY_REJECTED, DENIED = 0, 1, 2
 SET_MODE, ARM = mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_CMD_COMPONENT_ARM_DISARM
 

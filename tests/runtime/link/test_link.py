@@ -28,6 +28,8 @@ from runtime.link.texts import TextAssembler, text_messages
 from runtime.link.transport import UdpTransport
 from tests.support.fake_vehicle import FakeVehicle, odometry, wait_until
 
+pytestmark = pytest.mark.realtime
+
 LOCAL = "127.0.0.1"
 
 

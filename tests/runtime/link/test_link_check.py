@@ -16,6 +16,8 @@ from runtime.link.link_check import LinkReport, check_link
 from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
+pytestmark = pytest.mark.realtime
+
 WINDOW = 0.5
 PARAMETERS = {
     "MPC_THR_HOVER": 0.5, "THR_MDL_FAC": 0.0, "COM_OF_LOSS_T": 1.0, "COM_DISARM_PRFLT": 10.0, "MC_ROLLRATE_MAX": 220.0,

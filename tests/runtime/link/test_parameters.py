@@ -16,6 +16,8 @@ from runtime.link.parameters import decode_value, encode_value, read_parameter, 
 from runtime.link.transport import UdpTransport
 from tests.support.fake_vehicle import FakeVehicle
 
+pytestmark = pytest.mark.realtime
+
 REAL, INT = 9, 6
 
 

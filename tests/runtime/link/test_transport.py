@@ -23,6 +23,8 @@ from runtime.link.transport import (
     open_transport,
 )
 
+pytestmark = pytest.mark.realtime
+
 LOCAL = "127.0.0.1"
 
 

@@ -22,6 +22,8 @@ from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
 from runtime.record.records import EstimateRecord, EventRecord, HorizonRecord, SetpointRecord, StateRecord
 
+pytestmark = pytest.mark.realtime
+
 
 def estimate(time_s: float, x: float) -> EstimateRecord:
     return EstimateRecord(
