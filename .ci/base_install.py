@@ -1,6 +1,7 @@
-"""Proof that an install without the desk's packages is whole: what flies imports, all data came along.
+"""Proof that an install without the workbench's packages is whole: what flies imports, all data came along.
 
-Of `alula` only the command line is imported: commands of the desk bring what they need when they are called.
+Of `alula` the command line and the commands' own modules are imported: commands of the workbench bring what they need
+when they are called.
 """
 
 import importlib
@@ -8,12 +9,13 @@ import importlib.util
 import pkgutil
 from importlib.resources import files
 
+from alula.cli.app import COMMANDS
 from dynamics.vehicle_file import read_vehicle
 
 ROOMS = ("dynamics", "runtime", "sitl_mock", "vehicles")
-DESK = ("torch", "scipy", "matplotlib")
+WORKBENCH = ("torch", "scipy", "matplotlib")
 
-present = [name for name in DESK if importlib.util.find_spec(name)]
+present = [name for name in WORKBENCH if importlib.util.find_spec(name)]
 assert not present, f"the base install must not bring {present}"
 
 modules = [
@@ -21,7 +23,7 @@ modules = [
     for room in ROOMS
     for found in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
 ]
-for name in (*modules, "alula.cli.app"):
+for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS)):
     importlib.import_module(name)
 
 vehicles = [read_vehicle(str(path)).name for path in files("vehicles").iterdir() if path.name.endswith(".toml")]

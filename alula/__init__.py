@@ -1,34 +1,63 @@
-"""Alula makes a quadrotor's flight model true and flies with it.
+"""Alula identifies what a quadrotor's dynamics model is missing, and flies the better model.
 
-What needs the desk's packages (`alula[workbench]`) is imported when it is first asked for, so that a flight computer
-with the base install can import this package.
+Everything is imported when it is first used: importing this package takes milliseconds and needs nothing else, and a
+flight computer with the base install can fly.
 """
 
 from __future__ import annotations
 
 import importlib
+import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from dynamics.errors import RequestError
-from dynamics.version import __version__
+from alula.rooms import ROOMS, require_own_rooms
 
 if TYPE_CHECKING:
-    from flights import Flight, read_folder, read_log
+    from dynamics.effect import Effect
+    from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
+    from dynamics.vehicle import EffectUse, Vehicle
+    from dynamics.vehicle_file import write_vehicle
+    from dynamics.version import __version__
+    from flights import Flight, Log, read_folder, read_log
 
-__all__ = ["Flight", "__version__", "read_folder", "read_log"]
+__all__ = [
+    "AlulaError", "DataError", "Effect", "EffectUse", "Flight", "Log", "RequestError", "Vehicle", "VehicleError",
+    "__version__", "read_folder", "read_log", "write_vehicle",
+]  # fmt: skip
 
-_HOMES: Mapping[str, str] = {"Flight": "flights", "read_folder": "flights", "read_log": "flights"}
+_HOMES: Mapping[str, tuple[str, ...]] = {
+    "dynamics.effect": ("Effect",),
+    "dynamics.errors": ("AlulaError", "DataError", "RequestError", "VehicleError"),
+    "dynamics.vehicle": ("EffectUse", "Vehicle"),
+    "dynamics.vehicle_file": ("write_vehicle",),
+    "dynamics.version": ("__version__",),
+    "flights": ("Flight", "Log", "read_folder", "read_log"),
+}  # fmt: skip
+_HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
+
+if getattr(sys, "argv", [""])[:1] != ["-m"]:  # `python -m alula` takes the working directory off the path first
+    require_own_rooms()
 
 
 def __getattr__(name: str) -> Any:
-    """What lives in another room, imported now. Raises RequestError where the desk's packages are not installed."""
-    if name not in _HOMES:
+    """A public name, imported now. Raises RequestError where the workbench's packages are not installed."""
+    if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     try:
-        return getattr(importlib.import_module(_HOMES[name]), name)
+        value = getattr(importlib.import_module(_HOME_OF[name]), name)
     except ModuleNotFoundError as error:
+        if error.name is not None and error.name.split(".")[0] in ("alula", *ROOMS):
+            raise
+        from dynamics.errors import RequestError
+
         raise RequestError(
             f"alula.{name} needs the package {error.name}, which the base install lacks: "
             "python -m pip install 'alula[workbench]'."
         ) from error
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,6 +1,12 @@
 """The command `alula`, also as `python -m alula`."""
 
-from runtime.realtime import limit_library_threads
+from alula.rooms import leave_working_directory, require_own_rooms
+
+if __name__ == "__main__":
+    leave_working_directory()
+require_own_rooms()
+
+from runtime.realtime import limit_library_threads  # noqa: E402
 
 limit_library_threads()  # before numpy is loaded: on a busy machine threads that wait for each other take minutes
 

@@ -1,32 +1,71 @@
-"""The command line: the commands by name, and how a user's mistakes end."""
+"""The command line: the commands by name, and how a user's mistakes end.
+
+A command's module is imported when the command is called. `alula --help` reads the first paragraph of each command's
+docstring from its source, so that it starts without numpy, CasADi and MAVLink.
+"""
 
 from __future__ import annotations
 
+import ast
+import importlib
+import inspect
 import sys
-from typing import Annotated
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
 from alula import __version__
-from alula.cli.add import add
-from alula.cli.campaign import campaign
-from alula.cli.compare import compare
-from alula.cli.demo import demo
-from alula.cli.diagnose import diagnose
-from alula.cli.evaluate import evaluate
-from alula.cli.export import export
-from alula.cli.fly import fly
-from alula.cli.inspect import inspect
-from alula.cli.link import link
-from alula.cli.mock import mock
-from alula.cli.replay import replay
-from alula.cli.sweep import sweep
-from alula.cli.train import train
 from dynamics.errors import AlulaError, RequestError
+
+COMMANDS = (
+    "demo", "mock", "fly", "link", "replay", "campaign", "inspect", "compare", "diagnose", "add", "train", "evaluate",
+    "sweep", "export",
+)  # fmt: skip
+
+
+class LazyGroup(TyperGroup):
+    """The commands by name, each imported when it is called."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes)
+        self.commands = {name: TyperCommand(name) for name in COMMANDS}
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """The commands in the order of a vehicle's life, not of the alphabet."""
+        return list(self.commands)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of a name, imported now."""
+        name, command, rest = super().resolve_command(ctx, args)
+        return name, load(name) if name in COMMANDS else command, rest
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """The help of the command line, with a line for every command."""
+        for name, command in self.commands.items():
+            command.help = command.help or summary(name)
+        super().format_help(ctx, formatter)
+
+
+def load(name: str) -> Any:
+    """The command of a name with its options."""
+    single = typer.Typer(add_completion=False)
+    single.command(name)(getattr(importlib.import_module(f"alula.cli.{name}"), name))
+    return typer.main.get_command(single)
+
+
+def summary(name: str) -> str:
+    """The first paragraph of a command's docstring, from its source."""
+    source = Path(__file__).with_name(f"{name}.py").read_text(encoding="utf-8")
+    functions = (node for node in ast.parse(source).body if isinstance(node, ast.FunctionDef) and node.name == name)
+    return inspect.cleandoc(ast.get_docstring(next(functions)) or "").split("\n\n")[0]
+
 
 app = typer.Typer(
     name="alula",
-    help="Makes a quadrotor's flight model true, and flies with it.",
+    cls=LazyGroup,
+    help="Identifies what a quadrotor's dynamics model is missing, and flies the better model.",
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
@@ -34,8 +73,8 @@ app = typer.Typer(
 )
 
 
-def _show_version(asked: bool) -> None:
-    if asked:
+def _show_version(requested: bool) -> None:
+    if requested:
         print(f"alula {__version__}")
         raise typer.Exit
 
@@ -46,14 +85,7 @@ def _options(
         bool, typer.Option("--version", is_eager=True, callback=_show_version, help="Show the version and exit.")
     ] = False,
 ) -> None:
-    """Makes a quadrotor's flight model true, and flies with it."""
-
-
-for _command in (
-    demo, mock, fly, link, replay, campaign, inspect,
-    compare, diagnose, add, train, evaluate, sweep, export,
-):  # fmt: skip
-    app.command()(_command)
+    """Identifies what a quadrotor's dynamics model is missing, and flies the better model."""
 
 
 def main() -> None:
@@ -64,8 +96,8 @@ def main() -> None:
         print(f"alula: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
     except ModuleNotFoundError as error:
-        wanted = f"{error.name} is not installed. Commands of the desk need it: pip install 'alula[workbench]'."
-        print(f"alula: {wanted}", file=sys.stderr)
+        advice = "Commands of the workbench need it: pip install 'alula[workbench]'."
+        print(f"alula: {error.name} is not installed. {advice}", file=sys.stderr)
         sys.exit(RequestError.exit_code)
 
 

@@ -1,6 +1,7 @@
 """The command line as a user meets it: help, version, and how mistakes end."""
 
 import os
+import re
 import subprocess
 import sys
 from importlib import metadata
@@ -29,9 +30,37 @@ def run(monkeypatch, capsys):
 def test_help_names_every_command_in_one_line(run):
     code, shown, _ = run("--help")
     assert code == 0
-    for command in app.app.registered_commands:
-        assert command.callback.__doc__
-        assert command.callback.__name__ in shown
+    for name in app.COMMANDS:
+        assert re.search(rf"^│ {name} +[A-Z]", shown, re.MULTILINE), name
+
+
+@pytest.mark.parametrize("name", app.COMMANDS)
+def test_the_line_of_a_command_is_the_beginning_of_its_own_help(name):
+    command = app.load(name)
+    assert command.help.startswith(app.summary(name))
+    assert command.callback.__name__ == name
+
+
+def test_a_command_that_is_misspelt_gets_the_nearest_one(run):
+    code, _, message = run("diagnos")
+    assert code == 2
+    assert "diagnose" in message
+
+
+HELP = """
+import sys
+from alula.cli.app import main
+sys.argv = ['alula', '--help']
+try:
+    main()
+except SystemExit:
+    print([m for m in sys.modules if m in ('numpy', 'casadi', 'msgspec', 'pymavlink', 'flights', 'runtime')])
+"""
+
+
+def test_help_imports_no_commands_room():
+    done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
 
 
 def test_version_is_the_distributions():
@@ -65,14 +94,14 @@ def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
     assert run() == (code, "", "alula: what was wanted\n")
 
 
-def test_a_desk_command_on_a_flight_computer_says_what_to_install(run, monkeypatch):
-    desk = typer.Typer()
+def test_a_workbench_command_on_a_flight_computer_names_what_to_install(run, monkeypatch):
+    workbench = typer.Typer()
 
-    @desk.command()
+    @workbench.command()
     def study() -> None:
         raise ModuleNotFoundError("No module named 'pyarrow'", name="pyarrow")
 
-    monkeypatch.setattr(app, "app", desk)
+    monkeypatch.setattr(app, "app", workbench)
     code, _, message = run()
     assert code == 2
     assert "pyarrow is not installed" in message
@@ -90,8 +119,11 @@ def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
     assert run() == (130, "", "")
 
 
-def test_starting_imports_nothing_of_the_desk():
-    code = "import sys, alula.cli.app; print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
+def test_starting_imports_nothing_of_the_workbench():
+    code = (
+        "import sys; from alula.cli import app; [app.load(name) for name in app.COMMANDS]; "
+        "print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout.strip() == "[]"
 

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import pytest
 
 import alula
 import flights
+from alula.rooms import ROOMS, ROOT
 
 
-def test_importing_alula_brings_nothing_of_the_desk() -> None:
-    script = (
-        "import sys, alula; alula.__version__; "
-        "print([name for name in ('flights', 'pyarrow', 'pyulog', 'rosbags', 'scipy', 'torch') if name in sys.modules])"
-    )
+def test_importing_alula_brings_neither_another_room_nor_a_library() -> None:
+    libraries = ("numpy", "casadi", "msgspec", "pyarrow", "pymavlink", "scipy", "torch")
+    script = f"import sys, alula; dir(alula); print([name for name in {(*ROOMS, *libraries)} if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == "[]"
 
@@ -25,3 +26,15 @@ def test_the_public_names_are_those_of_their_rooms() -> None:
     assert alula.read_log is flights.read_log
     with pytest.raises(AttributeError, match="no attribute 'Fligth'"):
         alula.Fligth  # noqa: B018
+
+
+def test_every_public_name_is_listed_and_there() -> None:
+    assert set(alula.__all__) <= set(dir(alula))
+    for name in alula.__all__:
+        assert getattr(alula, name) is not None
+
+
+def test_every_package_that_is_installed_is_a_room_of_ours() -> None:
+    with (Path(ROOT) / "pyproject.toml").open("rb") as file:
+        packages = tomllib.load(file)["tool"]["setuptools"]["packages"]["find"]["include"]
+    assert {name.removesuffix("*") for name in packages} == {"alula", *ROOMS}
