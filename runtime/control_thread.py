@@ -15,6 +15,7 @@ from math import nan
 import msgspec
 import numpy as np
 
+from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from runtime import realtime
 from runtime.flight.engagement import AutopilotRequest, Transition
 from runtime.flight.events import POLICIES, Event, EventChange
@@ -205,7 +206,7 @@ class ControlThread:
         self._put(observation, now)
         self._put(self._tick_record(observation, estimate, decision, times, cause), now)
         if reference is not None and estimate is not None:
-            parts = (reference[0:3], reference[3:6], reference[6:10], reference[10:13])
+            parts = (reference[POSITION], reference[VELOCITY], reference[ATTITUDE], reference[RATE])
             self._put(ReferenceRecord(estimate.time, *parts), now)
         if decision.rate_body is not None:
             numbers = (decision.collective_thrust, decision.thrust, flyer.effectiveness.value)

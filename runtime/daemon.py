@@ -16,9 +16,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError, VehicleError
+from dynamics.state import ATTITUDE, POSITION
 from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.control.bundle import Bundle
@@ -187,7 +188,7 @@ class Daemon:
         controller.reset(state, 0.0)
         for tick in range(WARM_UP_TICKS):
             now = tick / self._request.rate
-            states, inputs = mission.window(controller.node_times(now), state[6:10])
+            states, inputs = mission.window(controller.node_times(now), state[ATTITUDE])
             controller.prepare(states, inputs[:-1])
             controller.feedback(controller.compensate(state, now - 0.02, now), now)
 
@@ -248,7 +249,7 @@ class Daemon:
         if estimate is None:
             return  # the rates will say so, and refuse
         span = min(self._reference.duration, MAX_LOOK)
-        path = self._reference.states(np.arange(0.0, span, 0.02))[:, 0:3]
+        path = self._reference.states(np.arange(0.0, span, 0.02))[:, POSITION]
         distance = float(np.linalg.norm(path[0] - estimate.position_world))
         if distance > MAX_START:
             raise self._infeasible(
@@ -387,5 +388,5 @@ class Daemon:
         )
 
 
-def _place(position: NDArray[np.float64]) -> str:
+def _place(position: Floats) -> str:
     return ", ".join(f"{value:.1f}" for value in position)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
+from dynamics.arrays import Floats
 
-Value = TypeVar("Value", float, NDArray[np.float64])
+Value = TypeVar("Value", float, Floats)
 
 
 class RunningMean(Generic[Value]):

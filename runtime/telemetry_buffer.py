@@ -12,8 +12,8 @@ from math import isfinite, nan
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from runtime.flight.events import Event
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.link import Direction, LinkCallbacks
@@ -57,7 +57,7 @@ class LinkUpdate(msgspec.Struct, frozen=True):
 
     events: dict[Event, str]
     reset: bool
-    reset_position: NDArray[np.float64]
+    reset_position: Floats
     reset_yaw: float
     specific_force_z: float
 
@@ -69,7 +69,7 @@ class TelemetryBuffer:
         self._arrivals: deque[float] = deque(maxlen=512)
         self._recorder = recorder
         self._events: deque[LinkEvent] = deque(maxlen=256)
-        self._resets: deque[tuple[NDArray[np.float64], float]] = deque(maxlen=64)
+        self._resets: deque[tuple[Floats, float]] = deque(maxlen=64)
         self._force = nan
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
@@ -124,9 +124,14 @@ class TelemetryBuffer:
 
     def _estimate(self, estimate: StateEstimate) -> None:
         self._arrivals.append(estimate.received)
-        state = estimate.state
         record = EstimateRecord(
-            estimate.time, estimate.received, state[0:3], state[3:6], state[6:10], state[10:13], estimate.reset_counter
+            estimate.time,
+            estimate.received,
+            estimate.position_world,
+            estimate.velocity_world,
+            estimate.attitude,
+            estimate.rate_body,
+            estimate.reset_counter,
         )
         self._put(record, estimate.received)
 

@@ -6,7 +6,8 @@ from enum import Enum
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
+
+from dynamics.arrays import Floats
 
 CAPACITY = 400_000  # ticks whose times are kept for the percentiles, more than half an hour at 200 Hz
 
@@ -139,7 +140,7 @@ class Deadlines:
         )
 
 
-def percentiles(values: NDArray[np.float64]) -> dict[str, float]:
+def percentiles(values: Floats) -> dict[str, float]:
     """Median, 99th percentile and greatest of values (n,); NaN when there are none."""
     if not values.size:
         return dict.fromkeys(("median", "p99", "max"), float("nan"))

@@ -10,9 +10,9 @@ import math
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from runtime.flight.events import Fallback
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -73,7 +73,7 @@ class FallbackChain:
             self._held = 0.0
 
 
-def level_rate(attitude: NDArray[np.float64], *, gain: float, limit: float) -> NDArray[np.float64]:
+def level_rate(attitude: Floats, *, gain: float, limit: float) -> Floats:
     """Body rates that bring the thrust axis upright the short way, with no yaw rate.
 
     attitude: (4,). gain: 1/s, rate per angle. limit: rad/s. Returns (3,) rad/s, body FLU.
@@ -88,7 +88,7 @@ def level_rate(attitude: NDArray[np.float64], *, gain: float, limit: float) -> N
     return np.asarray(axis / sine * min(gain * angle, limit))
 
 
-def level_thrust(attitude: NDArray[np.float64], weight: float, *, max_gain: float = 1.5) -> float:
+def level_thrust(attitude: Floats, weight: float, *, max_gain: float = 1.5) -> float:
     """Collective thrust that holds the weight at a tilt, N; upside down none.
 
     attitude: (4,). weight: N. max_gain: most thrust per weight, for large tilts.
@@ -109,11 +109,11 @@ class LevelHold:
         self._limit = limit
         self._attitude = quaternion.IDENTITY
 
-    def observe(self, attitude: NDArray[np.float64]) -> None:
+    def observe(self, attitude: Floats) -> None:
         """Take a trustworthy attitude. attitude: (4,)."""
         self._attitude = attitude
 
-    def command(self, duration: float) -> tuple[NDArray[np.float64], float]:
+    def command(self, duration: float) -> tuple[Floats, float]:
         """Rates (3,) rad/s and collective thrust, N, to send for the next `duration` s without an attitude."""
         rate = level_rate(self._attitude, gain=self._gain, limit=self._limit)
         thrust = level_thrust(self._attitude, self._weight)

@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
 from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
@@ -191,7 +192,7 @@ class Flyer:
         """The state (13,) that is asked for at a time, None when nothing is tracked."""
         if not self.mission.airborne or self._state is None:
             return None
-        states, _ = self.mission.window(np.array([time]), self._state[6:10])
+        states, _ = self.mission.window(np.array([time]), self._state[ATTITUDE])
         return np.asarray(states[0])
 
     # --- what is known
@@ -331,7 +332,8 @@ class Flyer:
         if decision.fallback >= Fallback.LEVEL_HOLD:
             self.mission.land(self.events.reason, self._state, observation.time)
             return
-        decision.collective_thrust = self._ramp.update(observation.time, float(self._state[2]), float(self._state[5]))
+        height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
+        decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
         if self._ramp.failed:
             self._present[Event.TAKEOFF_FAILED] = f"{self._ramp.thrust:.2f} N asked for"
         if not self._ramp.lifted:
@@ -395,7 +397,7 @@ class Flyer:
         if self.mission.phase not in (Phase.DESCEND, Phase.TOUCHDOWN):
             return
         reported_landed = observation.landed and self.mission.phase is Phase.TOUCHDOWN
-        climb_rate = float(self._state[5])
+        climb_rate = float(self._state[VELOCITY][2])
         long = observation.time - self.mission.time_in_phase_began > TOUCHDOWN_PATIENCE
         if self._landing.update(observation.time, climb_rate, collective_thrust, reported_landed=reported_landed):
             self.mission.shut_down(observation.time)
@@ -417,5 +419,5 @@ class Flyer:
     def _window(self, controller: Controller, time: float) -> tuple[Floats, Floats]:
         assert self._state is not None
         times = controller.node_times(time + self._settings.period)
-        states, inputs = self.mission.window(times, self._state[6:10])
+        states, inputs = self.mission.window(times, self._state[ATTITUDE])
         return states, inputs[:-1]

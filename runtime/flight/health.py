@@ -6,8 +6,9 @@ from collections import deque
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
+from dynamics.state import POSITION, RATE
 from dynamics.vehicle import Vehicle
 from runtime.flight.events import Event
 from runtime.link.estimate import StateEstimate
@@ -46,7 +47,7 @@ class FlightHealth:
         self._box = vehicle.limits.box
         self._thrust_max = vehicle.thrust_limits[1]
         self._thrust = 0.0
-        self._sent: deque[tuple[float, NDArray[np.float64]]] = deque(maxlen=64)
+        self._sent: deque[tuple[float, Floats]] = deque(maxlen=64)
         self._forget()
 
     def _forget(self) -> None:
@@ -55,7 +56,7 @@ class FlightHealth:
         self._chatter = RunningMean(limits.swing_time, 0.0)
         self._miss_time: float | None = None
 
-    def sent(self, rate_body: NDArray[np.float64], collective_thrust: float, time: float) -> None:
+    def sent(self, rate_body: Floats, collective_thrust: float, time: float) -> None:
         """A setpoint went out. rate_body: (3,) rad/s. collective_thrust: N."""
         self._thrust = collective_thrust
         if len(self._sent) > 1:
@@ -89,12 +90,12 @@ class FlightHealth:
             return {Event.ESTIMATE_STALE: f"none for {1e3 * silence:.0f} ms"}
         return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
 
-    def flight(self, state: NDArray[np.float64], time: float, *, learned: bool = False) -> dict[Event, str]:
+    def flight(self, state: Floats, time: float, *, learned: bool = False) -> dict[Event, str]:
         """What a fresh state (13,) of a vehicle in the air shows. learned: its controller has a learned model."""
-        present = self._position(state[0:3])
+        present = self._position(state[POSITION])
         if self._thrust > 0.99 * self._thrust_max:
             present[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
-        self._compare(state[10:13], time)
+        self._compare(state[RATE], time)
         if self._miss.value > self.limits.unfollowed:
             missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
             present[Event.SETPOINT_REFUSED] = missed
@@ -105,7 +106,7 @@ class FlightHealth:
             present[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
         return present
 
-    def _position(self, position: NDArray[np.float64]) -> dict[Event, str]:
+    def _position(self, position: Floats) -> dict[Event, str]:
         if self._box is None:
             return {}
         low, high = (np.array(corner) for corner in self._box)
@@ -115,7 +116,7 @@ class FlightHealth:
         event = Event.GEOFENCE if outside <= self.limits.margin else Event.GEOFENCE_LEFT
         return {event: f"{outside:.1f} m outside of the box"}
 
-    def _compare(self, rate_body: NDArray[np.float64], time: float) -> None:
+    def _compare(self, rate_body: Floats, time: float) -> None:
         setpoint = next((rate for at, rate in reversed(self._sent) if at <= time - self.limits.rate_delay), None)
         if setpoint is None:
             return

@@ -18,6 +18,7 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.references.curve import REST_TO_REST_ACCELERATION, REST_TO_REST_SPEED, rest_to_rest
 from dynamics.references.flatness import flat_motion
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import Vehicle
 
 
@@ -75,7 +76,7 @@ class Transfer:
     def states(self, times: Floats) -> Floats:
         """(n, 13) position and velocity (world), attitude, body rates."""
         result = self._read(self._states, times)
-        result[:, 6:10] /= np.sqrt(np.sum(result[:, 6:10] ** 2, axis=1))[:, None]
+        result[:, ATTITUDE] /= np.sqrt(np.sum(result[:, ATTITUDE] ** 2, axis=1))[:, None]
         return result
 
     def inputs(self, times: Floats) -> Floats:
@@ -103,11 +104,11 @@ class Descent:
 
     def states(self, times: Floats) -> Floats:
         """(n, 13) position and velocity (world), attitude, body rates."""
-        result = np.zeros((times.size, 13))
-        result[:, 0:3] = self.start[:3]
-        result[:, 2] -= self._speed * np.maximum(times, 0.0)
-        result[:, 5] = -self._speed
-        result[:, 6:10] = self._attitude
+        result = np.zeros((times.size, RIGID_BODY_STATES))
+        result[:, POSITION] = self.start[:3]
+        result[:, POSITION][:, 2] -= self._speed * np.maximum(times, 0.0)
+        result[:, VELOCITY][:, 2] = -self._speed
+        result[:, ATTITUDE] = self._attitude
         return result
 
     def inputs(self, times: Floats) -> Floats:
@@ -230,12 +231,12 @@ class Mission:
             raise ValueError(f"the phase {self.phase.value} has no reference")
         since = times - self._started
         states, inputs = self._motion.states(since), self._motion.inputs(since)
-        states[:, 0:3] += self._offset
+        states[:, POSITION] += self._offset
         if self._yaw_offset:
             turn = quaternion.from_euler(0.0, 0.0, self._yaw_offset)
-            states[:, 6:10] = quaternion.multiply(states[:, 6:10], turn)
-            states[:, 10:13] = quaternion.rotate_inverse(turn, states[:, 10:13])
-        states[:, 6:10] *= np.where(states[:, 6:10] @ near < 0, -1.0, 1.0)[:, None]
+            states[:, ATTITUDE] = quaternion.multiply(states[:, ATTITUDE], turn)
+            states[:, RATE] = quaternion.rotate_inverse(turn, states[:, RATE])
+        states[:, ATTITUDE] *= np.where(states[:, ATTITUDE] @ near < 0, -1.0, 1.0)[:, None]
         return states, inputs
 
     def describe(self) -> str:
@@ -255,7 +256,7 @@ class Mission:
             return self._plan.duration if self._cut_short and self._plan.duration else duration
         if self.phase in (Phase.APPROACH, Phase.RETURN):
             return duration + self._plan.settle
-        if self.phase is Phase.BRAKE and float(np.linalg.norm(state[3:6])) > STILL:
+        if self.phase is Phase.BRAKE and float(np.linalg.norm(state[VELOCITY])) > STILL:
             return duration + MAX_BRAKE
         return duration
 
@@ -274,7 +275,7 @@ class Mission:
     def _brake(self, state: Floats, time: float) -> None:
         """Hold the point where the vehicle can come to rest."""
         point = self._pose(state)
-        point[:3] += state[3:6] * float(np.linalg.norm(state[3:6])) / (2 * self._plan.acceleration)
+        point[:3] += state[VELOCITY] * float(np.linalg.norm(state[VELOCITY])) / (2 * self._plan.acceleration)
         if self._ground is not None:
             point[2] = max(point[2], self._ground + self._plan.low)
         self._enter(Phase.BRAKE, Transfer(self._vehicle, point, point, 1.0), time)
@@ -307,4 +308,5 @@ class Mission:
 
 def _pose(state: Floats) -> Floats:
     """Position and yaw, (4,), of a state (13,); yaw as the reference means it, turned before the tilt."""
-    return np.append(state[0:3], 2 * math.atan2(state[9], state[6]))
+    w, _, _, z = state[ATTITUDE]
+    return np.append(state[POSITION], 2 * math.atan2(z, w))

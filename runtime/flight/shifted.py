@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.state import RATE
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
 
@@ -24,7 +25,7 @@ class ShiftedSolution:
     def keep(self, time: float, command: Command, controller: Controller) -> None:
         """Remember a good solution of a tick at a time, s; copies what the solver will overwrite."""
         self._since, self._times = time, controller.node_times(time)
-        self._rates = controller.predicted_states[:, 10:13].copy()
+        self._rates = controller.predicted_states[:, RATE].copy()
         self._thrusts = self._constant * np.sum(controller.predicted_inputs**2, axis=1)
         self._rate, self._thrust = command.rate_body, command.collective_thrust
 

@@ -13,9 +13,9 @@ from math import exp, isfinite, sqrt
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
 
@@ -52,10 +52,10 @@ class ThrustMap:
 
 
 def specific_force_z(
-    velocity_before: NDArray[np.float64],
-    velocity_after: NDArray[np.float64],
+    velocity_before: Floats,
+    velocity_after: Floats,
     duration: float,
-    attitude: NDArray[np.float64],
+    attitude: Floats,
 ) -> float:
     """Specific force along body z from two velocities, for vehicles that send no accelerometer, m/s^2.
 

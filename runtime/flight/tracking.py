@@ -6,9 +6,10 @@ from math import nan, sqrt
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from runtime.flight.mission import Phase
 from runtime.link.estimate import StateEstimate
 
@@ -37,18 +38,18 @@ class Tracking:
         self._attitude = 0.0
         self._last: StateEstimate | None = None
 
-    def add(self, phase: Phase, estimate: StateEstimate, reference: NDArray[np.float64]) -> None:
+    def add(self, phase: Phase, estimate: StateEstimate, reference: Floats) -> None:
         """Take an estimate and the reference's state (13,) at the estimate's time."""
         if phase is not Phase.TRACK or estimate is self._last:
             return
         self._last = estimate
         self.samples += 1
-        error = estimate.position_world - reference[0:3]
+        error = estimate.position_world - reference[POSITION]
         self._position += error * error
         self.position_max = max(self.position_max, float(np.linalg.norm(error)))
         self.speed_max = max(self.speed_max, float(np.linalg.norm(estimate.velocity_world)))
-        self._velocity += float(np.sum((estimate.velocity_world - reference[3:6]) ** 2))
-        self._attitude += float(quaternion.angle_between(estimate.attitude, reference[6:10])) ** 2
+        self._velocity += float(np.sum((estimate.velocity_world - reference[VELOCITY]) ** 2))
+        self._attitude += float(quaternion.angle_between(estimate.attitude, reference[ATTITUDE])) ** 2
 
     def report(self) -> TrackingReport:
         """Root mean square errors; all NaN without samples."""

@@ -8,9 +8,10 @@ from typing import Literal
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from runtime.link.dialect import Message, mavlink
 
 Source = Literal["ODOMETRY", "LOCAL_POSITION_NED"]
@@ -23,6 +24,9 @@ EstimateEvent = Literal[
     "estimator_reset",
 ]
 
+# where ODOMETRY's 13 numbers have what
+_WIRE_POSITION, _WIRE_ATTITUDE, _WIRE_VELOCITY, _WIRE_RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
+
 
 def _rows_from_wire() -> list[tuple[int, float, int, float]]:
     """How each of our 13 state numbers is a sum of two of ODOMETRY's: index, factor, index, factor.
@@ -30,11 +34,11 @@ def _rows_from_wire() -> list[tuple[int, float, int, float]]:
     The wire has position and attitude NED, velocity NED and rate FRD. Plain numbers, because a NumPy call on a
     processor that has just woken up costs as much as this whole module may take.
     """
-    matrix = np.zeros((13, 13))
-    matrix[0:3, 0:3] = frames.enu_from_ned(np.eye(3)).T
-    matrix[6:10, 3:7] = frames.attitude_enu_flu(np.eye(4)).T
-    matrix[3:6, 7:10] = frames.enu_from_ned(np.eye(3)).T
-    matrix[10:13, 10:13] = frames.flu_from_frd(np.eye(3)).T
+    matrix = np.zeros((RIGID_BODY_STATES, RIGID_BODY_STATES))
+    matrix[POSITION, _WIRE_POSITION] = frames.enu_from_ned(np.eye(3)).T
+    matrix[ATTITUDE, _WIRE_ATTITUDE] = frames.attitude_enu_flu(np.eye(4)).T
+    matrix[VELOCITY, _WIRE_VELOCITY] = frames.enu_from_ned(np.eye(3)).T
+    matrix[RATE, _WIRE_RATE] = frames.flu_from_frd(np.eye(3)).T
     rows = []
     for row in matrix:
         first, second = np.argsort(-np.abs(row), kind="stable")[:2].tolist()
@@ -73,37 +77,37 @@ class StateEstimate(msgspec.Struct, frozen=True, gc=False):
 
     time: float
     received: float
-    state: NDArray[np.float64]
+    state: Floats
     reset_counter: int
     is_synchronised: bool
     source: Source
 
     @property
-    def position_world(self) -> NDArray[np.float64]:
+    def position_world(self) -> Floats:
         """Position, m, (3,)."""
-        return self.state[0:3]
+        return self.state[POSITION]
 
     @property
-    def velocity_world(self) -> NDArray[np.float64]:
+    def velocity_world(self) -> Floats:
         """Velocity, m/s, (3,)."""
-        return self.state[3:6]
+        return self.state[VELOCITY]
 
     @property
-    def attitude(self) -> NDArray[np.float64]:
+    def attitude(self) -> Floats:
         """Attitude, body to world, (4,), continuous in sign from one estimate to the next."""
-        return self.state[6:10]
+        return self.state[ATTITUDE]
 
     @property
-    def rate_body(self) -> NDArray[np.float64]:
+    def rate_body(self) -> Floats:
         """Body rates, rad/s, (3,)."""
-        return self.state[10:13]
+        return self.state[RATE]
 
 
 class ResetStep(msgspec.Struct, frozen=True):
     """What an estimator reset moved: position, m, and velocity, m/s, world (3,), and yaw, rad."""
 
-    position_world: NDArray[np.float64]
-    velocity_world: NDArray[np.float64]
+    position_world: Floats
+    velocity_world: Floats
     yaw: float
 
 
@@ -155,7 +159,8 @@ class EstimateMonitor:
             return _refused_frame("frame_id", odometry.frame_id, "1 (LOCAL_NED)")
         state = _state_from_wire(odometry.wire)
         if odometry.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
-            state[3:6] = quaternion.rotate(np.array(state[6:10]), frames.flu_from_frd(odometry.wire[7:10])).tolist()
+            velocity_body = frames.flu_from_frd(odometry.wire[_WIRE_VELOCITY])
+            state[VELOCITY] = quaternion.rotate(np.array(state[ATTITUDE]), velocity_body).tolist()
         elif odometry.child_frame_id != mavlink.MAV_FRAME_LOCAL_NED:
             return _refused_frame("child_frame_id", odometry.child_frame_id, "1 (LOCAL_NED) or 12 (BODY_FRD)")
         return self._judge(state, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
@@ -189,13 +194,13 @@ class EstimateMonitor:
         is_synchronised: bool,
         source: Source,
     ) -> Judgement:
-        latest, length = self.latest, hypot(*values[6:10])
+        latest, length = self.latest, hypot(*values[ATTITUDE])
         if not isfinite(sum(values)) or not abs(length - 1.0) < self._limits.attitude_length:
             return Judgement(None, "estimate_not_finite", "The estimate holds NaN or infinity, or no unit quaternion.")
         factor = 1.0 / length
-        if latest is not None and _dot(values[6:10], latest.attitude.tolist()) < 0:
+        if latest is not None and _dot(values[ATTITUDE], latest.attitude.tolist()) < 0:
             factor = -factor
-        values[6:10] = [factor * value for value in values[6:10]]
+        values[ATTITUDE] = [factor * value for value in values[ATTITUDE]]
         state = np.array(values)
         estimate = StateEstimate(time, received, state, reset_counter, is_synchronised, source)
         if latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source:
@@ -249,7 +254,7 @@ class EstimateMonitor:
             b[0] - a[0] - half * (a[3] + b[3]), b[1] - a[1] - half * (a[4] + b[4]), b[2] - a[2] - half * (a[5] + b[5])
         )
         velocity = hypot(b[3] - a[3], b[4] - a[4], b[5] - a[5])
-        attitude = 2.0 * acos(min(1.0, abs(_dot(a[6:10], b[6:10]))))
+        attitude = 2.0 * acos(min(1.0, abs(_dot(a[ATTITUDE], b[ATTITUDE]))))
         if position > limits.position_noise + 0.25 * limits.max_acceleration * elapsed**2:
             return f"position by {position:.2f} m in {elapsed * 1e3:.0f} ms"
         if velocity > limits.velocity_noise + limits.max_acceleration * elapsed:

@@ -10,8 +10,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from runtime.record.records import (
     EstimateRecord,
     EventRecord,
@@ -64,7 +64,7 @@ TOPICS: Mapping[str, str] = {
 }
 
 
-def _pose(position: NDArray[np.float64], attitude: NDArray[np.float64]) -> dict[str, Any]:
+def _pose(position: Floats, attitude: Floats) -> dict[str, Any]:
     return {
         "position": dict(zip("xyz", position.tolist(), strict=True)),
         "orientation": dict(zip("wxyz", attitude.tolist(), strict=True)),

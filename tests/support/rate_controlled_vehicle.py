@@ -10,9 +10,10 @@ from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.vehicle import GRAVITY, Vehicle
 from runtime.control.controller import Controller
 from runtime.flight.engagement import AutopilotRequest, State, Transition
@@ -42,20 +43,20 @@ class RateControlledVehicle:
         """Whether it stands."""
         return bool(self.state[2] <= 0.0)
 
-    def step(self, rate_body: NDArray[np.float64], thrust: float, dt: float) -> None:
+    def step(self, rate_body: Floats, thrust: float, dt: float) -> None:
         """dt seconds under a setpoint."""
         target = self.effectiveness * self._map.collective_thrust(thrust)
         self.force += (target - self.force) * min(dt / 0.04, 1.0)
         x = self.state
-        x[10:13] += (rate_body - x[10:13]) * min(dt / 0.04, 1.0)
-        x[6:10] = quaternion.normalise(quaternion.multiply(x[6:10], quaternion.exponential(x[10:13] * dt)))
-        acceleration = quaternion.rotate(x[6:10], np.array([0.0, 0.0, self.force / self._mass]))
+        x[RATE] += (rate_body - x[RATE]) * min(dt / 0.04, 1.0)
+        x[ATTITUDE] = quaternion.normalise(quaternion.multiply(x[ATTITUDE], quaternion.exponential(x[RATE] * dt)))
+        acceleration = quaternion.rotate(x[ATTITUDE], np.array([0.0, 0.0, self.force / self._mass]))
         acceleration[2] -= GRAVITY
         if self.on_ground and acceleration[2] <= 0.0:
-            x[2:6], x[6:10], x[10:13] = 0.0, quaternion.IDENTITY, 0.0
+            x[2:6], x[ATTITUDE], x[RATE] = 0.0, quaternion.IDENTITY, 0.0
             return
-        x[3:6] += acceleration * dt
-        x[0:3] += x[3:6] * dt
+        x[VELOCITY] += acceleration * dt
+        x[POSITION] += x[VELOCITY] * dt
 
 
 @dataclass
@@ -66,7 +67,7 @@ class Story:
     changes: list[EventChange] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    states: list[NDArray[np.float64]] = field(default_factory=list)
+    states: list[Floats] = field(default_factory=list)
     errors: list[float] = field(default_factory=list)
     decisions: list[Decision] = field(default_factory=list)
     observations: list[tuple[ObservationRecord, StateEstimate | None]] = field(default_factory=list)
@@ -104,7 +105,7 @@ class Flight:
         self.offset = np.zeros(3)  # of the estimator's frame
         self.reset = np.zeros(3)
         self.engage, self.leave = True, ""
-        self._past: list[tuple[float, NDArray[np.float64]]] = []
+        self._past: list[tuple[float, Floats]] = []
         self._estimate: StateEstimate | None = None
         self._setpoint = (np.zeros(3), 0.0)
 
@@ -128,7 +129,7 @@ class Flight:
             return
         taken, state = self._past[max(0, len(self._past) - 1 - round(AGE / PERIOD))]
         state = state.copy()
-        state[0:3] += self.offset
+        state[POSITION] += self.offset
         self._estimate = StateEstimate(taken - self.slip, self.time, state, 0, True, "ODOMETRY")
 
     def _tick(self) -> Decision:
@@ -166,7 +167,7 @@ class Flight:
         if not story.phases or story.phases[-1] is not mission.phase:
             story.phases.append(mission.phase)
         if mission.phase is Phase.TRACK and (reference := self.flyer.reference_now(self.time)) is not None:
-            story.errors.append(float(np.linalg.norm(reference[0:3] - self.offset - self.plant.state[0:3])))
+            story.errors.append(float(np.linalg.norm(reference[POSITION] - self.offset - self.plant.state[POSITION])))
 
     def _grant(self, decision: Decision) -> None:
         for request in self.grants.intersection(decision.requests):

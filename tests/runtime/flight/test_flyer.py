@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from dynamics import quaternion
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Command, Controller
@@ -43,7 +44,7 @@ def prepare(vehicle: Vehicle, controller: Controller, **options: object) -> Flig
 
 
 def upright(flight: Flight) -> float:
-    return float(quaternion.rotate(flight.plant.state[6:10], [0.0, 0.0, 1.0])[2])
+    return float(quaternion.rotate(flight.plant.state[ATTITUDE], [0.0, 0.0, 1.0])[2])
 
 
 @pytest.mark.parametrize("effectiveness", [0.8, 1.0, 1.2])

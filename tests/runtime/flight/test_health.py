@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dynamics.state import RATE
 from dynamics.vehicle import Vehicle
 from runtime.flight.events import Event
 from runtime.flight.health import FlightHealth, HealthLimits
@@ -25,7 +26,7 @@ def events_after(health: FlightHealth, seconds: float, late: float, *, learned: 
         now = PERIOD * tick
         health.sent(swing(now), 1.0, now)
         state = np.array([*[0.0] * 6, 1.0, *[0.0] * 3, *swing(now - late)])[:13]
-        state[10:13] = swing(now - late)
+        state[RATE] = swing(now - late)
         events |= set(health.flight(state, now, learned=learned))
     return events
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dynamics import quaternion
+from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.flight.mission import AIRBORNE, Mission, Phase, Plan, Transfer
@@ -33,7 +34,7 @@ def fly(mission: Mission, state: np.ndarray, start: float, duration: float) -> t
     phases, states = [mission.phase], []
     time = start
     while time < start + duration and mission.airborne:
-        states.append(mission.window(np.array([time]), state[6:10])[0][0])
+        states.append(mission.window(np.array([time]), state[ATTITUDE])[0][0])
         state = states[-1]
         mission.update(state, time)
         if mission.phase is not phases[-1]:
@@ -54,7 +55,7 @@ def test_a_whole_flight_has_its_phases_in_order_and_no_leap_in_its_reference(veh
     mission = airborne(vehicle)
     phases, states, _ = fly(mission, state_at((0.5, -0.5, 0.15)), 1.0, 60.0)
     assert phases == [Phase.CLIMB, Phase.APPROACH, Phase.TRACK, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN]
-    steps = np.linalg.norm(np.diff(states[:, 0:3], axis=0), axis=1)
+    steps = np.linalg.norm(np.diff(states[:, POSITION], axis=0), axis=1)
     assert np.max(steps) < 2.0 * Plan().speed * STEP
     turns = quaternion.angle_between(states[1:, 6:10], states[:-1, 6:10])
     assert np.max(turns) < 0.15
@@ -66,7 +67,7 @@ def test_a_whole_flight_has_its_phases_in_order_and_no_leap_in_its_reference(veh
 def test_positions_and_velocities_of_every_phase_belong_together(vehicle: Vehicle) -> None:
     mission = airborne(vehicle)
     _, states, _ = fly(mission, state_at((0.5, -0.5, 0.15)), 1.0, 25.0)
-    moved = np.diff(states[:, 0:3], axis=0)
+    moved = np.diff(states[:, POSITION], axis=0)
     predicted = 0.5 * (states[1:, 3:6] + states[:-1, 3:6]) * STEP
     assert np.max(np.linalg.norm(moved - predicted, axis=1)) < 0.02
 
@@ -80,7 +81,7 @@ def test_told_to_land_it_brakes_and_comes_down_there(vehicle: Vehicle) -> None:
     assert mission.landing_reason == "interrupted"
     phases, after, _ = fly(mission, state, time, 20.0)
     assert phases == [Phase.BRAKE, Phase.DESCEND, Phase.TOUCHDOWN]
-    assert np.linalg.norm(after[-1, 0:2] - state[0:2]) < np.linalg.norm(state[3:6]) ** 2 / 2 + 0.1
+    assert np.linalg.norm(after[-1, 0:2] - state[0:2]) < np.linalg.norm(state[VELOCITY]) ** 2 / 2 + 0.1
 
 
 def test_told_to_land_on_the_ground_it_only_shuts_down(vehicle: Vehicle) -> None:
@@ -96,7 +97,7 @@ def test_a_reference_cut_short_ends_in_a_brake_not_in_a_leap(vehicle: Vehicle) -
     phases, states, _ = fly(mission, state_at((0.5, -0.5, 0.15)), 1.0, 60.0)
     assert phases[2:5] == [Phase.TRACK, Phase.BRAKE, Phase.RETURN]
     assert phases[-1] is Phase.TOUCHDOWN
-    assert np.max(np.linalg.norm(np.diff(states[:, 0:3], axis=0), axis=1)) < 1.5
+    assert np.max(np.linalg.norm(np.diff(states[:, POSITION], axis=0), axis=1)) < 1.5
 
 
 def test_taking_over_in_the_air_never_descends_fast_because_the_ground_is_unknown(vehicle: Vehicle) -> None:
@@ -118,13 +119,13 @@ def test_an_estimator_reset_moves_the_reference_and_not_the_vehicle(vehicle: Veh
     times = time + np.arange(10) * 0.1
     moved, _ = mission.window(times, before[-1, 6:10])
     same, _ = untouched.window(times, before[-1, 6:10])
-    np.testing.assert_allclose(moved[:, 0:3] - same[:, 0:3], np.tile(jump, (10, 1)), atol=1e-9)
+    np.testing.assert_allclose(moved[:, POSITION] - same[:, POSITION], np.tile(jump, (10, 1)), atol=1e-9)
     # thrust points the same way in the world, the heading is turned
     up = np.array([0.0, 0.0, 1.0])
-    axes = quaternion.rotate(moved[:, 6:10], up), quaternion.rotate(same[:, 6:10], up)
+    axes = quaternion.rotate(moved[:, ATTITUDE], up), quaternion.rotate(same[:, ATTITUDE], up)
     np.testing.assert_allclose(*axes, atol=1e-9)
-    relative = quaternion.multiply(quaternion.conjugate(same[:, 6:10]), moved[:, 6:10])
-    np.testing.assert_allclose(quaternion.angle_between(same[:, 6:10], moved[:, 6:10]), turn, atol=1e-9)
+    relative = quaternion.multiply(quaternion.conjugate(same[:, ATTITUDE]), moved[:, ATTITUDE])
+    np.testing.assert_allclose(quaternion.angle_between(same[:, ATTITUDE], moved[:, ATTITUDE]), turn, atol=1e-9)
     assert np.all(np.abs(relative[:, 1:3]) < 1e-9)
     _, after, _ = fly(mission, moved[0], time, 60.0)
     np.testing.assert_allclose(after[-1, 0:2], np.array([0.5, -0.5]) + jump[:2], atol=1e-6)

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics import frames, quaternion
+from dynamics.arrays import Floats
 from runtime.link.estimate import EstimateMonitor, Judgement, Odometry, StateEstimate, read_odometry
 from tests.support.fake_vehicle import odometry
 
@@ -50,10 +50,10 @@ def monitor() -> EstimateMonitor:
 
 @given(vectors, vectors, vectors, attitudes)
 def test_odometry_is_read_as_pymavlink_packed_it(
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    rate: NDArray[np.float64],
-    attitude: NDArray[np.float64],
+    position: Floats,
+    velocity: Floats,
+    rate: Floats,
+    attitude: Floats,
 ) -> None:
     fields = (*position, *attitude, *velocity, *rate)
     names = ("x", "y", "z", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")
@@ -66,10 +66,10 @@ def test_odometry_is_read_as_pymavlink_packed_it(
 
 @given(vectors, vectors, vectors, attitudes)
 def test_both_velocity_frames_give_the_same_state(
-    position: NDArray[np.float64],
-    velocity: NDArray[np.float64],
-    rate: NDArray[np.float64],
-    attitude: NDArray[np.float64],
+    position: Floats,
+    velocity: Floats,
+    rate: Floats,
+    attitude: Floats,
 ) -> None:
     """Against matrices written out here, not the quaternions that the code uses."""
     body_to_ned = quaternion.rotation_matrix(attitude)
@@ -196,7 +196,7 @@ def _local_position(**fields: float) -> Any:
     return mavlink.MAVLink_local_position_ned_message(**values)
 
 
-def _attitude(attitude: NDArray[np.float64]) -> Any:
+def _attitude(attitude: Floats) -> Any:
     return mavlink.MAVLink_attitude_quaternion_message(0, *attitude.tolist(), 0.1, 0.2, 0.3)
 
 

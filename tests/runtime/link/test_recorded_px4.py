@@ -8,9 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics.arrays import Floats
 from runtime.link.dialect import mavlink
 from runtime.link.estimate import StateEstimate, read_odometry
 from runtime.link.framing import Frame
@@ -51,18 +51,18 @@ def replay() -> Replay:
 
 
 @pytest.fixture(scope="module")
-def log() -> dict[str, NDArray[np.float64]]:
+def log() -> dict[str, Floats]:
     with np.load(FOLDER / "offboard_hover.npz") as data:
         return {name: data[name].astype(float) for name in data.files}
 
 
-def _at(log: dict[str, NDArray[np.float64]], topic: str, times: NDArray[np.float64]) -> NDArray[np.float64]:
+def _at(log: dict[str, Floats], topic: str, times: Floats) -> Floats:
     logged_times = log[f"{topic}_time_usec"] * 1e-6
     return np.stack([np.interp(times, logged_times, column) for column in log[topic].T], axis=-1)
 
 
 @pytest.fixture(scope="module")
-def logged_flight(replay: Replay, log: dict[str, NDArray[np.float64]]) -> list[tuple[float, StateEstimate]]:
+def logged_flight(replay: Replay, log: dict[str, Floats]) -> list[tuple[float, StateEstimate]]:
     """The estimates within the log, which ends with the disarming."""
     end = log["vehicle_attitude_time_usec"][-1] * 1e-6
     flight = [(boot, estimate) for boot, estimate in replay.estimates if boot <= end]
@@ -88,7 +88,7 @@ def test_every_estimate_of_the_flight_is_believed(replay: Replay) -> None:
 
 
 def test_positions_and_velocities_are_those_of_the_log_in_our_frames(
-    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, Floats]
 ) -> None:
     logged = _at(log, "vehicle_local_position", np.array([boot for boot, _ in logged_flight]))
     position = np.array([estimate.position_world for _, estimate in logged_flight])
@@ -100,7 +100,7 @@ def test_positions_and_velocities_are_those_of_the_log_in_our_frames(
 
 
 def test_attitudes_are_those_of_the_log_and_continuous(
-    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, Floats]
 ) -> None:
     times = np.array([boot for boot, _ in logged_flight])
     logged_times = log["vehicle_attitude_time_usec"] * 1e-6
@@ -115,7 +115,7 @@ def test_attitudes_are_those_of_the_log_and_continuous(
 
 
 def test_body_rates_are_those_of_the_log(
-    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, NDArray[np.float64]]
+    logged_flight: list[tuple[float, StateEstimate]], log: dict[str, Floats]
 ) -> None:
     times = np.array([boot for boot, _ in logged_flight])
     logged_times = log["vehicle_angular_velocity_time_usec"] * 1e-6
@@ -143,9 +143,7 @@ def test_states_are_dated_by_the_vehicle_s_clock(replay: Replay) -> None:
     assert np.percentile(np.abs(spacing - boot_spacing), 99) < 2e-3
 
 
-def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(
-    replay: Replay, log: dict[str, NDArray[np.float64]]
-) -> None:
+def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(replay: Replay, log: dict[str, Floats]) -> None:
     times = log["vehicle_status_time_usec"] * 1e-6
     states = [NAV_STATES[int(state)] for state in log["vehicle_status"][:, 0]]
     mode_changes = [(states[i], times[i]) for i in range(1, len(states)) if states[i] != states[i - 1]]

@@ -37,10 +37,8 @@ def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> F
     recorder = Recorder(tmp_path_factory.mktemp("replay"), "flight", metadata=metadata, capacity=100_000)
     for (observation, estimate), decision in zip(story.observations, story.decisions, strict=True):
         assert estimate is not None
-        s = estimate.state
-        recorder.put(
-            EstimateRecord(estimate.time, estimate.received, s[:3], s[3:6], s[6:10], s[10:], 0), observation.time
-        )
+        parts = (estimate.position_world, estimate.velocity_world, estimate.attitude, estimate.rate_body)
+        recorder.put(EstimateRecord(estimate.time, estimate.received, *parts, 0), observation.time)
         recorder.put(observation, observation.time)
         if decision.rate_body is not None:
             setpoint = SetpointRecord(
