@@ -19,6 +19,7 @@ from dynamics import quaternion
 from dynamics.codegen import compile_functions
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
+from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, vehicle_toml
 from training.card import Card, FlightError
@@ -33,7 +34,7 @@ from vehicles import FOLDER
 DT = 0.01
 LAG_AND_DRAG = (EffectUse("motor_lag", {"time_constant": 0.04}), EffectUse("linear_drag", {"coefficient": 0.075}))
 FLIGHTS, TICKS = 128, 1500
-UNIT = 60 / (2 * np.pi * 1000)  # 1000 rpm per rad/s
+DITHER = 450 * RPM  # deviation of what a tick adds to the commands' dither, for a strength of 1
 
 
 class Plant:
@@ -90,7 +91,7 @@ def collect(vehicle: Vehicle, seed: int) -> tuple[np.ndarray, np.ndarray]:
         now = plant.states
         wanted = np.clip(curve + 6 * (place - now[:, 0:3]) + 4 * (speed - now[:, 3:6]), -9, 9)
         wanted[:, 2] += GRAVITY
-        dither = 0.9 * dither + 0.45 * strength * rng.normal(size=dither.shape) / UNIT
+        dither = 0.9 * dither + DITHER * strength * rng.normal(size=dither.shape)
         given = np.clip(geometric(vehicle, now, wanted, turning * np.sin(0.7 * t)) + dither, low, high)
         states.append(now[:, :13])
         commands.append(given)
@@ -106,7 +107,7 @@ def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> Train
     rng = np.random.default_rng(seed)
     states, commands = collect(vehicle, seed)
     state = states[..., 3:13]
-    inputs = columns(config, state, UNIT * commands)[:-1]
+    inputs = columns(config, state, commands)[:-1]
     rates = np.concatenate([np.diff(state[..., 0:3], axis=0), np.diff(state[..., 7:10], axis=0)], -1) / DT
     shape = rates.shape
     targets = body_accelerations(rates.reshape(-1, 6), state[:-1, :, 3:7].reshape(-1, 4)).reshape(shape)

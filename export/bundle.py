@@ -27,7 +27,7 @@ from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function
-from export.trained import SPEED_UNIT, ExportedModel
+from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
 from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, sealed
 from runtime.control.rti.problem import Problem
@@ -200,20 +200,20 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manif
 
 
 def _ranges(model: ExportedModel) -> tuple[InputRange, ...]:
-    """Training's ranges in SI units."""
+    """The inputs' ranges in training."""
     if model.trained is None or model.network is None:
         return ()
-    ranges, found = model.trained.ranges, []
-    for name, low, high in zip(model.config.input_names, ranges.lowest, ranges.highest, strict=True):
-        unit, factor = _unit(name)
-        found.append(InputRange(name, unit, float(low * factor), float(high * factor)))
-    return tuple(found)
+    names, ranges = model.config.input_names, model.trained.ranges
+    return tuple(
+        InputRange(name, _unit(name), float(low), float(high))
+        for name, low, high in zip(names, ranges.lowest, ranges.highest, strict=True)
+    )
 
 
-def _unit(name: str) -> tuple[str, float]:
-    if name.startswith("motor"):
-        return "rad/s", SPEED_UNIT
-    return ("m/s" if name.startswith("velocity") else "rad/s" if name.startswith("rate") else "1"), 1.0
+def _unit(name: str) -> str:
+    if name.startswith("velocity"):
+        return "m/s"
+    return "rad/s" if name.startswith(("rate", "motor")) else "1"
 
 
 def _errors(model: ExportedModel) -> dict[str, float]:

@@ -17,7 +17,7 @@ from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
 from export.kinematics import roll_out
-from export.trained import SPEED_UNIT, ExportedModel, said_by_torch
+from export.trained import ExportedModel, said_by_torch
 from runtime.control.rti.problem import fill_options
 from runtime.control.rti.solver import RtiSolver
 from training.data.features import accelerations_from, columns, world_accelerations
@@ -205,7 +205,7 @@ def _torch(backends: Backends, *, double: bool) -> Backend:
 
     def run(windows: Floats, hidden: Floats) -> Floats:
         rows = _newest(backends, windows).transpose(0, 2, 1)
-        inputs = columns(config, rows[..., 3:13], rows[..., 13:] / SPEED_UNIT)
+        inputs = columns(config, rows[..., 3:13], rows[..., 13:])
         said = said_by_torch(model, inputs, double=double)
         attitude = windows[:, 6:10, -1]
         base = None if model.physics is None else to_body(_physics(model, windows, hidden), attitude)

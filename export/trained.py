@@ -23,8 +23,6 @@ from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig
 from training.data.features import body_inertia
 
-SPEED_UNIT = 1000 * 2 * np.pi / 60  # rad/s of training's unit of rotor speed, 1000 rpm
-
 
 @dataclass(frozen=True, eq=False)
 class ExportedModel:
@@ -121,8 +119,6 @@ def _effects(trained: TrainedModel) -> list[EffectUse]:
 def network_of(trained: TrainedModel, module: nn.Module) -> Network:
     """A member's numbers in SI units, its batch norm folded into the layers that follow, which no padding disturbs."""
     config, scaling = trained.config, trained.scaling
-    unit = np.ones(len(config.input_names))
-    unit[-config.rotors :] = SPEED_UNIT
     weights = {name: value.double().numpy() for name, value in module.state_dict().items()}
     entries = len(config.input_names)
     if config.network == "tcn":
@@ -136,7 +132,7 @@ def network_of(trained: TrainedModel, module: nn.Module) -> Network:
         convolutions, perceptron = (), _perceptron(weights, "decoder.", None)
     share = 1 / body_inertia(trained.vehicle) if config.outputs == "wrench" else np.ones(6)
     return Network(
-        convolutions, perceptron, scaling.input_mean * unit, scaling.input_std * unit,
+        convolutions, perceptron, scaling.input_mean, scaling.input_std,
         scaling.output_mean * share, scaling.output_std * share, config.inputs,
         "world" if config.outputs == "world" else "body", config.base != "none", config.rotors, config.dt,
         config.history,
@@ -173,7 +169,7 @@ def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...
 
 
 def said_by_torch(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
-    """What the member itself says, untouched by export, of windows (m, T, inputs) in training's units: (m, 6).
+    """What the member itself says, untouched by export, of windows (m, T, inputs): (m, 6).
 
     double: evaluated in doubles.
     """

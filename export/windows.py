@@ -13,7 +13,7 @@ from dynamics.arrays import Floats
 from dynamics.references import named_reference
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
-from export.trained import SPEED_UNIT, ExportedModel
+from export.trained import ExportedModel
 from training.data.dataset import make_dataset, settled_motors
 from training.data.recordings import find_logs, read_recordings
 
@@ -27,7 +27,7 @@ def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, see
     recordings = read_recordings(find_logs(logs), dt=model.config.dt, may_be_tests=True)
     config = msgspec.structs.replace(settled_motors(model.config, recordings, vehicle), history=model.window)
     data = make_dataset(config, vehicle, recordings, fewest=1)
-    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    columns = np.hstack([data.position, data.state, data.rotor_speed])
     chosen = np.random.default_rng(seed).permutation(data.ends)[:count]
     return np.asarray(columns[chosen[:, None] + np.arange(1 - model.window, 1)].transpose(0, 2, 1))
 

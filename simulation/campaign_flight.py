@@ -13,13 +13,13 @@ import numpy as np
 from dynamics.errors import RequestError, VehicleError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.references.feasibility import slowed
+from dynamics.units import RPM
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from flights.flight import Flight
 from runtime.control.controller import Controller
 from simulation.lockstep import PERIOD, FlownReference, fly_reference
 from sitl_mock.scenario import parse_scenario
-from training.data.labels import RPM_PER_RAD_S
 
 SPEEDS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)  # tried one after the other when hidden effects are too much for full speed
 
@@ -159,7 +159,7 @@ def _summary(task: FlightTask, flight: Flight, truth: Flight, speed: float) -> F
         peak_speed=_peak(truth["velocity"]),
         peak_acceleration=_peak(acceleration),
         peak_angular_acceleration=_peak(turning),
-        peak_rotor_rpm=float(truth["rotor_speed"].max()) * RPM_PER_RAD_S,
+        peak_rotor_rpm=float(truth["rotor_speed"].max()) / RPM,
     )
 
 

@@ -2,7 +2,7 @@
 
 The file is what `torch.save` makes of plain dictionaries and tensors, so that reading it runs no code of it:
 
-    format, version   "alula model", 1
+    format, version   "alula model", 2
     config            ModelConfig as a dictionary
     members           one state_dict a member of the ensemble, empty for models that are only evaluated
     scaling           input_mean, input_std (inputs,), output_mean, output_std (6,)
@@ -10,6 +10,8 @@ The file is what `torch.save` makes of plain dictionaries and tensors, so that r
     reliability       disagreement, error_floor (6,), error_scale (6,), or none for a single member
     vehicle           TOML text
     card              JSON text
+
+Inputs are in SI units. Version 1 had rotor speeds in thousands of rpm; such a file is converted when it is read.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import os
 import pickle
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,13 +31,15 @@ from torch import Tensor, nn
 
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from training.card import Card
 from training.config import ModelConfig
 from training.networks import build_network
 
-FORMAT, VERSION = "alula model", 1
+FORMAT, VERSION = "alula model", 2
+IN_KILO_RPM = 1  # the version whose rotor speeds were in thousands of rpm
 MAKE_ANEW = "Copy it again from where it is whole, or train it again."
 
 
@@ -164,13 +168,14 @@ def load(path: str | Path) -> TrainedModel:
     content = read_content(path)
     if content.get("format") != FORMAT:
         raise RequestError(f"{path} is no model of alula: its format is {content.get('format')!r}, wanted {FORMAT!r}.")
-    if content.get("version") != VERSION:
+    if content.get("version") not in (IN_KILO_RPM, VERSION):
         raise RequestError(
-            f"{path} is a model of version {content.get('version')}, this alula reads {VERSION}: train it again, or "
-            "read it with the alula that wrote it."
+            f"{path} is a model of version {content.get('version')}, this alula reads up to {VERSION}: train it again, "
+            "or read it with the alula that wrote it."
         )
     try:
-        return _model(content)
+        model = _model(content)
+        return model if content["version"] == VERSION else _in_si(model)
     except (KeyError, TypeError, AttributeError, ValueError, msgspec.MsgspecError) as error:
         raise RequestError(
             f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {MAKE_ANEW}"
@@ -197,6 +202,21 @@ def _model(content: dict[str, Any]) -> TrainedModel:
         raise RequestError(f"its vehicle has {vehicle.rotors.count} rotors, its config {config.rotors}.")
     networks = _networks(config, content["members"])
     return TrainedModel(config, networks, scaling, ranges, vehicle, content["vehicle"], card, reliability)
+
+
+def _in_si(model: TrainedModel) -> TrainedModel:
+    """A model of version 1 with rotor speeds, the last entries of a column, in rad/s instead of thousands of rpm."""
+    unit = np.ones(len(model.config.input_names))
+    unit[model.config.state_inputs :] = 1000 * RPM
+    scaling, ranges, card = model.scaling, model.ranges, model.card
+    factors = dict(zip(model.config.input_names, unit.tolist(), strict=True))
+    limits = {name: (factors[name] * low, factors[name] * high) for name, (low, high) in card.ranges.items()}
+    return replace(
+        model,
+        scaling=replace(scaling, input_mean=unit * scaling.input_mean, input_std=unit * scaling.input_std),
+        ranges=Ranges(unit * ranges.lowest, unit * ranges.highest),
+        card=msgspec.structs.replace(card, ranges=limits),
+    )
 
 
 def _require_widths(config: ModelConfig, scaling: Scaling, ranges: Ranges, reliability: Reliability | None) -> None:

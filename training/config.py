@@ -88,7 +88,7 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Names of a column's entries, in order: velocity m/s, attitude, rates rad/s, rotor speeds in 1000 rpm."""
+        """Names of a column's entries, in order: velocity m/s, attitude, rates and rotor speeds rad/s."""
         return (*STATE_INPUTS[self.inputs], *(f"motor_{rotor}" for rotor in range(self.rotors)))
 
     @property

@@ -19,7 +19,6 @@ from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset, labelled
-from training.data.labels import scaled_motors
 from training.physics import RowModel
 
 ROTOR_LAG = "motor_lag"  # of the catalogue
@@ -122,8 +121,7 @@ def _residual(problem: _Problem, values: Floats) -> Floats:
     data, left = problem.data, []
     for start, stop in problem.pieces:
         state = np.hstack([data.position[start:stop], data.state[start:stop]])
-        speed = data.motors[start:stop] / scaled_motors(np.ones(1))
-        said = problem.model(state, speed, parameters=p).body
+        said = problem.model(state, data.rotor_speed[start:stop], parameters=p).body
         left.append(data.label[start:stop] - labelled(problem.config, said, state[:, 6:10]))
     rows = np.vstack(left)
     return rows[np.isfinite(rows).all(axis=1)]

@@ -10,7 +10,6 @@ from dynamics.arrays import Floats
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig
 from training.data.features import accelerations_from, columns, world_accelerations
-from training.data.labels import scaled_motors
 from training.physics import BatchModel
 from training.prediction import gate_of
 from training.rollout import advanced
@@ -22,8 +21,8 @@ WARM_UP = 40  # columns of recorded history that hidden states settle in: 0.4 s,
 class Simulation:
     """A model at m starts. state: (m, 13) of the rigid bodies now; `step` moves on by dt."""
 
-    def __init__(self, model: TrainedModel, states: Floats, motors: Floats) -> None:
-        """states: (m, W, 13) recorded, the last one where the simulation begins. motors: (m, W - 1, rotors), 1000 rpm.
+    def __init__(self, model: TrainedModel, states: Floats, rotor_speed: Floats) -> None:
+        """states: (m, W, 13) recorded, the last one where the simulation begins. rotor_speed: (m, W - 1, rotors) rad/s.
 
         W: at least `warm_up(model.config)`.
         """
@@ -36,34 +35,34 @@ class Simulation:
             self._base = BatchModel(
                 model.vehicle,
                 effects,
-                _rotor_speed(motors[:, 0]),
+                rotor_speed[:, 0],
                 dt=config.dt,
                 label=config.label,
                 motors=config.motors,
             )
-        for column in range(motors.shape[1]):
-            self._accelerations(states[:, column], motors[:, column])
+        for column in range(rotor_speed.shape[1]):
+            self._accelerations(states[:, column], rotor_speed[:, column])
         self.state = states[:, -1].copy()
 
-    def step(self, motors: Floats) -> None:
-        """Let dt pass with these rotor speeds (m, rotors), 1000 rpm."""
+    def step(self, rotor_speed: Floats) -> None:
+        """Let dt pass with these rotor speeds (m, rotors), rad/s."""
         dt, before = self._model.config.dt, self.state
-        body = self._accelerations(before, motors)
+        body = self._accelerations(before, rotor_speed)
         world = world_accelerations(body, before[:, 6:10])
         moving = advanced(torch.from_numpy(before[:, 3:]), torch.from_numpy(world), dt).numpy()
         moving[:, 3:7] /= np.linalg.norm(moving[:, 3:7], axis=1, keepdims=True)
         position = before[:, :3] + 0.5 * dt * (before[:, 3:6] + moving[:, :3])
         self.state = np.hstack([position, moving])
 
-    def _accelerations(self, state: Floats, motors: Floats) -> Floats:
+    def _accelerations(self, state: Floats, rotor_speed: Floats) -> Floats:
         """(m, 6) body accelerations; zeros in the warm-up of a network that has not seen enough columns yet."""
         model, config = self._model, self._model.config
-        base = None if self._base is None else self._base(state, _rotor_speed(motors)).body
+        base = None if self._base is None else self._base(state, rotor_speed).body
         if not self._streams:
             assert base is not None
             return base
         scaling = model.scaling
-        column = (columns(config, state[:, 3:], motors) - scaling.input_mean) / scaling.input_std
+        column = (columns(config, state[:, 3:], rotor_speed) - scaling.input_mean) / scaling.input_std
         given = torch.from_numpy(column).float()
         with torch.no_grad():
             said = [stream.push(given) for stream in self._streams]
@@ -82,7 +81,3 @@ class Simulation:
 def warm_up(config: ModelConfig) -> int:
     """Columns of history that a simulation has to be given."""
     return max(WARM_UP, config.history) + 1
-
-
-def _rotor_speed(motors: Floats) -> Floats:
-    return motors / scaled_motors(np.ones(1))

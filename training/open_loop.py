@@ -8,14 +8,14 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.units import RPM
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
-from training.data.labels import scaled_motors
 from training.free_run import Simulation, warm_up
 
 HORIZONS = (0.1, 0.5, 1.0)  # s
 APART = 0.25  # s between starts of open-loop predictions
-PULSE = float(scaled_motors(np.array(200 * 2 * np.pi / 60)))  # 200 rpm, in 1000 rpm
+PULSE = 200 * RPM
 PULSE_STEPS, RESPONSE_STEPS = 1, 10  # of dt: 10 ms of pulse, read after 100 ms
 PULSE_STARTS = 200  # at most, spread over the flights
 
@@ -56,7 +56,7 @@ def open_loop(model: TrainedModel, data: Dataset, wanted: Floats) -> tuple[OpenL
         return ()
     simulation, found = _begun(model, data, rows), []
     for step in range(1, steps[-1] + 1):
-        simulation.step(data.motors[rows + step - 1])
+        simulation.step(data.rotor_speed[rows + step - 1])
         if step in steps:
             error = simulation.state - wanted[rows + step]
             angle = quaternion_angle(simulation.state[:, 6:10], wanted[rows + step, 6:10])
@@ -74,7 +74,7 @@ def pulse_responses(model: TrainedModel, plant: TrainedModel, data: Dataset) -> 
     rows = rows[:: max(1, len(rows) // PULSE_STARTS)]
     if not len(rows):
         return ()
-    rotors = data.motors.shape[1]
+    rotors = data.rotor_speed.shape[1]
     single = [_error(model, plant, data, rows, np.eye(rotors)[rotor]) for rotor in range(rotors)]
     collective = _error(model, plant, data, rows, np.ones(rotors))
     return (
@@ -87,7 +87,7 @@ def starts(model: TrainedModel, data: Dataset, *, ahead: int) -> NDArray[np.intp
     """Rows with enough columns before them, and `ahead` rows after them, in one segment without a gap."""
     behind = warm_up(model.config) - 1
     rows = np.arange(behind, len(data.time) - ahead)
-    known = np.asarray(np.isfinite(np.hstack([data.position, data.state, data.motors])).all(axis=1))
+    known = np.asarray(np.isfinite(np.hstack([data.position, data.state, data.rotor_speed])).all(axis=1))
     broken = np.concatenate([[0], np.cumsum(~known | _begins(data))])
     # a segment's first row may be the oldest column, so it does not count as a break of the window that begins there
     whole = broken[rows + ahead + 1] - broken[rows - behind + 1] == 0
@@ -106,7 +106,7 @@ def _begins(data: Dataset) -> NDArray[np.bool_]:
 def _begun(model: TrainedModel, data: Dataset, rows: NDArray[np.intp]) -> Simulation:
     window = rows[:, None] + np.arange(1 - warm_up(model.config), 1)
     states = np.concatenate([data.position[window], data.state[window]], axis=2)
-    return Simulation(model, states, data.motors[window[:, :-1]])
+    return Simulation(model, states, data.rotor_speed[window[:, :-1]])
 
 
 def _error(
@@ -124,9 +124,9 @@ def _response(model: TrainedModel, data: Dataset, rows: NDArray[np.intp], pulse:
     """(m, 6) what a pulse has changed in velocity and body rates."""
     simulations = [_begun(model, data, rows) for _ in range(2)]
     for step in range(RESPONSE_STEPS):
-        motors = data.motors[rows + step]
-        simulations[0].step(motors)
-        simulations[1].step(motors + pulse if step < PULSE_STEPS else motors)
+        speed = data.rotor_speed[rows + step]
+        simulations[0].step(speed)
+        simulations[1].step(speed + pulse if step < PULSE_STEPS else speed)
     before, after = (simulation.state for simulation in simulations)
     return np.hstack([(after - before)[:, 3:6], (after - before)[:, 10:]])
 

@@ -15,7 +15,7 @@ import torch
 
 from dynamics.errors import RequestError
 from export.onnx_file import onnx_model
-from export.trained import SPEED_UNIT, exported
+from export.trained import exported
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
 from training.evaluation import PLANT, Judged
@@ -85,7 +85,7 @@ def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(proto.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    columns = np.hstack([data.position, data.state, data.rotor_speed])
     rows = data.ends[0] + np.arange(1 - model.config.history, 1)
     given = {}
     for place, needed in enumerate(session.get_inputs()):
@@ -103,7 +103,7 @@ def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], objec
     given = exported(model)
     assert given.network is not None
     solver = kernel_solver(given.network, given.flight_model, Problem(), native_processor(), mean=given.mean)
-    columns = np.hstack([data.position, data.state, SPEED_UNIT * data.motors])
+    columns = np.hstack([data.position, data.state, data.rotor_speed])
     first, back = int(data.ends[0]), len(solver.history)
     solver.history[:] = columns[first + 1 - back : first + 1]
     rows = np.resize(columns[first + 1 : first + 1 + COLUMNS], (COLUMNS, columns.shape[1]))
@@ -115,7 +115,7 @@ def _physics_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
         model.vehicle, model.vehicle.effects, dt=model.config.dt, label=model.config.label, motors=model.config.motors
     )
     state = np.hstack([data.position, data.state])[:BLOCK]
-    speed = SPEED_UNIT * data.motors[:BLOCK]
+    speed = data.rotor_speed[:BLOCK]
     return lambda: rows(state, speed)
 
 

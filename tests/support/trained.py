@@ -6,6 +6,7 @@ import msgspec
 import numpy as np
 import torch
 
+from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
 from training.card import Card, FlightError
@@ -36,9 +37,8 @@ def untrained_model(
                 module.bias.data.uniform_(-0.2, 0.2)
         networks.append(network.requires_grad_(requires_grad=False))
     states = len(config.input_names) - config.rotors
-    hover = vehicle.hover_speed * 60 / (2 * np.pi * 1000)
-    mean = np.array([*[0.0] * states, *[hover] * config.rotors])
-    std = np.array([*[2.0] * 3, *[0.4] * (states - 6), *[2.0] * 3, *[0.8] * config.rotors])
+    mean = np.array([*[0.0] * states, *[vehicle.hover_speed] * config.rotors])
+    std = np.array([*[2.0] * 3, *[0.4] * (states - 6), *[2.0] * 3, *[800 * RPM] * config.rotors])
     scale = np.array([2.0] * 3 + [10.0] * 3)
     if config.outputs == "wrench":
         scale = scale * np.array([*[vehicle.body.mass] * 3, *vehicle.body.inertia])

@@ -81,9 +81,9 @@ def test_a_simulation_begins_with_what_the_model_predicts(
     rows = np.intersect1d(starts(model, data, ahead=1), data.ends)[::7]
     window = rows[:, None] + np.arange(1 - warm_up(model.config), 1)
     states = np.concatenate([data.position[window], data.state[window]], axis=2)
-    simulation = Simulation(model, states, data.motors[window[:, :-1]])
+    simulation = Simulation(model, states, data.rotor_speed[window[:, :-1]])
     before = simulation.state.copy()
-    simulation.step(data.motors[rows])
+    simulation.step(data.rotor_speed[rows])
     said = predict(model, data).body[np.searchsorted(data.ends, rows)]
     angular = (simulation.state - before)[:, 10:] / model.config.dt
     np.testing.assert_allclose(angular, said[:, 3:], rtol=2e-3, atol=2e-3)

@@ -63,7 +63,7 @@ def test_columns_of_predicted_states_are_those_of_recorded_ones(plan_for: MakePl
     plan = plan_for("mse_tcn", config=frame)
     rollout, data = rollout_of(plan, 2), plan.training
     found = rollout._column(rollout.state[:40], rollout.tensors.inputs[:40])
-    wanted = (columns(plan.config, data.state[:40], data.motors[:40]) - plan.scaling.input_mean) / (
+    wanted = (columns(plan.config, data.state[:40], data.rotor_speed[:40]) - plan.scaling.input_mean) / (
         plan.scaling.input_std
     )
     np.testing.assert_allclose(found.numpy(), wanted, atol=1e-4)

@@ -18,6 +18,7 @@ from typer.testing import CliRunner, Result
 from alula.cli.app import app
 from dynamics.errors import DataError, RequestError
 from training import checkpoint
+from training.data.tensors import PAPER_ROTOR_UNIT
 from training.folder import claimed
 from training.run import TrainOptions, settled
 
@@ -79,7 +80,7 @@ def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> 
     recipe = model.card.recipe
     assert (recipe.batch, recipe.physics_batch, recipe.learning_rate) == (1024, 1024, 1e-4)
     assert (recipe.physics_weight, recipe.physics_points, recipe.physics_pool) == (1.0, "space", 1024)
-    np.testing.assert_array_equal(model.scaling.input_std, np.ones(14))
+    np.testing.assert_array_equal(model.scaling.input_std, [1.0] * 10 + [PAPER_ROTOR_UNIT] * 4)
 
 
 @pytest.mark.parametrize(("kind", "outputs"), [("mse_tcn", "world"), ("res_tcn", "wrench")])

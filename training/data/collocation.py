@@ -16,7 +16,6 @@ from dynamics.vehicle import Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset
 from training.data.features import columns, outputs_from
-from training.data.labels import scaled_motors
 from training.physics import BatchModel, textbook
 from training.recipe import Recipe
 
@@ -46,7 +45,7 @@ def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: 
     states, speeds = draw(config, recipe.physics_pool, vehicle, data, random)
     last = textbook(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
     moving = np.swapaxes(states[:, :, 3:], 0, 1)
-    windows = columns(config, moving, scaled_motors(np.swapaxes(speeds, 0, 1)))
+    windows = columns(config, moving, np.swapaxes(speeds, 0, 1))
     return Points(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, 6:10]))
 
 
@@ -79,7 +78,7 @@ def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, ra
     """
     ends = random.choice(data.ends, count)
     rows = ends[:, None] + np.arange(1 - config.history, 1)
-    recorded, speed = data.state[rows], data.motors[rows] / scaled_motors(np.ones(1))
+    recorded, speed = data.state[rows], data.rotor_speed[rows]
     size = random.normal(0, PULSE, (count, vehicle.rotors.count))
     alone = np.eye(vehicle.rotors.count)[random.integers(vehicle.rotors.count, size=count)]
     size = np.where(random.random((count, 1)) < SINGLE, size * alone, size)
@@ -99,8 +98,8 @@ def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, ra
         outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, 6:10])
         for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
     ]
-    windows = columns(config, state, scaled_motors(pulsed))
-    return Points(windows, answers[0] - answers[1], columns(config, recorded, data.motors[rows]))
+    windows = columns(config, state, pulsed)
+    return Points(windows, answers[0] - answers[1], columns(config, recorded, speed))
 
 
 def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -137,7 +136,7 @@ def _plausible(
     state[:, 3:6] *= faster
     state[:, 10:13] *= faster
     forward = textbook(vehicle, dt=config.dt, label=config.label)
-    driven = [data.motors[first + step] / scaled_motors(np.ones(1)) for step in range(config.history)]
+    driven = [data.rotor_speed[first + step] for step in range(config.history)]
     states = [state]
     for speed in driven[:-1]:
         states.append(forward(states[-1], speed).following)

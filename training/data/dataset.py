@@ -17,7 +17,7 @@ from flights.flight import Flight
 from flights.rotors import rotor_speeds
 from training.config import ModelConfig, Motors
 from training.data.features import body_accelerations, columns, outputs_from, world_accelerations
-from training.data.labels import Samples, as_labelled, paper_table, samples, scaled_motors
+from training.data.labels import Samples, as_labelled, paper_table, samples
 from training.data.recordings import Recording
 from training.data.windows import windows
 from training.physics import RowModel, textbook
@@ -41,13 +41,21 @@ class RowNames:
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """All rows of some flights, one after the other. Bodies, (n, 6), are body accelerations (`training.data.features`).
+    """All rows of some flights, one after the other; accelerations are body accelerations (`training.data.features`).
 
-    time: (n,) s of the flight's own clock. flight_of: (n,) place in `flights`. state: (n, 10) velocity_world,
-    attitude, rate_body. motors: (n, rotors) 1000 rpm. label, nominal: (n, 6) bodies, what the flight shows and what the
-    textbook model says. base: the same of what the network adds to, None for none; base_labelled: the part of it that
-    labels show. inputs: (n, k) columns. targets: (n, 6) what the network has to say, so that base_labelled and it are
-    the label. ends: (m,) rows with T columns before them and a label.
+    flights: names of the flights.
+    time: (n,) s of the flight's own clock.
+    flight_of: (n,) index into `flights`.
+    position: (n, 3) m.
+    state: (n, 10) velocity_world m/s, attitude, rate_body rad/s.
+    rotor_speed: (n, rotors) rad/s.
+    label: (n, 6) measured accelerations.
+    nominal: (n, 6) accelerations of the nominal model.
+    base: (n, 6) accelerations of what the network adds to, None for none.
+    base_labelled: (n, 6) the base after the labels' filters, None for none.
+    inputs: (n, k) columns.
+    targets: (n, 6) outputs that the network should give: with base_labelled they make the label.
+    ends: (m,) rows with T columns before them and a label.
     """
 
     flights: tuple[str, ...]
@@ -55,7 +63,7 @@ class Dataset:
     flight_of: NDArray[np.intp]
     position: Floats
     state: Floats
-    motors: Floats
+    rotor_speed: Floats
     label: Floats
     nominal: Floats
     base: Floats | None
@@ -114,7 +122,7 @@ def make_dataset(
         )
     dataset = Dataset(
         flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp), position=table["position"],
-        state=table["state"], motors=table["motors"], label=table["label"], nominal=table["nominal"],
+        state=table["state"], rotor_speed=table["rotor_speed"], label=table["label"], nominal=table["nominal"],
         base=None if config.base == "none" else table["base"],
         base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
         targets=table["targets"], ends=ends,
@@ -136,16 +144,15 @@ def _segment(
     attitude = seen.state[:, 3:7]
     position = segment["position"] if segment.has("position") else np.full((len(segment), 3), 0.0)
     whole = np.hstack([position, seen.state])
-    driven = seen.motors / scaled_motors(np.ones(1))
-    textbook_says = nominal(whole, driven).body
-    base_says = textbook_says if base is nominal else base(whole, driven).body
+    textbook_says = nominal(whole, seen.rotor_speed).body
+    base_says = textbook_says if base is nominal else base(whole, seen.rotor_speed).body
     base_labelled = labelled(config, base_says, attitude)
     label = body_accelerations(seen.label, attitude)
     targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
     return {
         "time": seen.time, "flight_of": np.full(len(segment), float(place)), "position": position, "state": seen.state,
-        "motors": seen.motors, "label": label, "nominal": textbook_says, "base": base_says,
-        "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.motors), "targets": targets,
+        "rotor_speed": seen.rotor_speed, "label": label, "nominal": textbook_says, "base": base_says,
+        "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.rotor_speed), "targets": targets,
     }  # fmt: skip
 
 
@@ -176,4 +183,4 @@ def _samples(config: ModelConfig, segment: Flight) -> Samples:
     state = inputs.state.copy()
     attitude = quaternion.normalise(quaternion.continuous(state[:, 3:7]))
     state[:, 3:7] = attitude if not attitude[0, 0] < 0 else -attitude
-    return Samples(inputs.time, state, inputs.motors, labels.label)
+    return Samples(inputs.time, state, inputs.rotor_speed, labels.label)

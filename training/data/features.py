@@ -16,17 +16,17 @@ from training.config import ModelConfig
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def columns(config: ModelConfig, state: Floats, motors: Floats) -> Floats:
+def columns(config: ModelConfig, state: Floats, rotor_speed: Floats) -> Floats:
     """(..., inputs) columns of `ModelConfig.input_names`.
 
-    state: (..., 10) velocity_world, attitude, rate_body. motors: (..., rotors) 1000 rpm.
+    state: (..., 10) velocity_world, attitude, rate_body. rotor_speed: (..., rotors) rad/s.
     """
     if config.inputs == "world":
-        return np.concatenate([state, motors], axis=-1)
+        return np.concatenate([state, rotor_speed], axis=-1)
     attitude = state[..., 3:7]
     velocity = quaternion.rotate_inverse(attitude, state[..., 0:3])
     gravity = quaternion.rotate_inverse(attitude, np.broadcast_to(-UP, velocity.shape))
-    return np.concatenate([velocity, gravity, state[..., 7:10], motors], axis=-1)
+    return np.concatenate([velocity, gravity, state[..., 7:10], rotor_speed], axis=-1)
 
 
 def body_accelerations(world: Floats, attitude: Floats) -> Floats:

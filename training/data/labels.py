@@ -17,8 +17,6 @@ from flights import filters
 from flights.flight import Flight
 from training.data import kalman
 
-RPM_PER_RAD_S = 60.0 / (2.0 * np.pi)
-MOTOR_SCALE = 0.001  # of rpm, PI-TCN supplementary material
 HORIZON = 0.010  # s, of the increment label
 VELOCITY_CUTOFF = 5.0  # Hz
 RATE_CUTOFF = 12.0  # Hz
@@ -28,20 +26,18 @@ Differentiator = Callable[[Floats, float, float], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Rows to learn from. state: (n, 10) velocity_world, attitude, rate_body. motors: (n, rotors) 0.001 rpm.
+    """Rows to learn from.
 
+    time: (n,) s.
+    state: (n, 10) velocity_world m/s, attitude, rate_body rad/s.
+    rotor_speed: (n, rotors) rad/s.
     label: (n, 6) linear acceleration (world, m/s^2) and angular acceleration (body, rad/s^2); NaN where there is none.
     """
 
     time: Floats
     state: Floats
-    motors: Floats
+    rotor_speed: Floats
     label: Floats
-
-
-def scaled_motors(rotor_speed: Floats) -> Floats:
-    """Rotor speeds as networks take them: thousands of rpm. rotor_speed: rad/s, any shape."""
-    return rotor_speed * (RPM_PER_RAD_S * MOTOR_SCALE)
 
 
 def paper_label(
@@ -99,9 +95,7 @@ def mean_increment(values: Floats, rate: float, horizon: float = HORIZON) -> Flo
 def samples(segment: Flight, *, horizon: float = HORIZON) -> Samples:
     """Causal inputs, exactly as they were logged, with increment labels. Raises DataError for what is missing."""
     state = np.hstack([segment["velocity"], segment["attitude"], segment["rate"]])
-    return Samples(
-        segment.time, state, scaled_motors(segment["rotor_speed"]), increment_label(segment, horizon=horizon)
-    )
+    return Samples(segment.time, state, segment["rotor_speed"], increment_label(segment, horizon=horizon))
 
 
 def paper_table(segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF) -> Samples:
@@ -113,5 +107,5 @@ def paper_table(segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF) -> Sam
     attitude = filters.lowpass(quaternion.continuous(segment["attitude"]), segment.rate, cutoff)
     columns = [filters.lowpass(segment["velocity"], segment.rate, cutoff), quaternion.normalise(attitude),
                filters.lowpass(segment["rate"], segment.rate, cutoff)]  # fmt: skip
-    motors = scaled_motors(filters.lowpass(segment["rotor_speed"], segment.rate, cutoff))
-    return Samples(segment.time, np.hstack(columns), motors, paper_label(segment, cutoff=cutoff))
+    rotor_speed = filters.lowpass(segment["rotor_speed"], segment.rate, cutoff)
+    return Samples(segment.time, np.hstack(columns), rotor_speed, paper_label(segment, cutoff=cutoff))

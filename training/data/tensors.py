@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from dynamics.arrays import Floats
+from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
@@ -16,6 +17,8 @@ from training.data.collocation import Points
 from training.data.dataset import Dataset
 from training.data.features import body_inertia
 from training.recipe import Recipe
+
+PAPER_ROTOR_UNIT = 1000 * RPM  # of the paper's raw inputs (supplementary material), rad/s
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +85,9 @@ def with_noise(windows: Tensor, measured: int, deviation: float, generator: torc
 
 
 def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:
-    """Mean and deviation of inputs and targets over the training windows; 0 and 1 for raw numbers, as the paper's.
+    """Mean and deviation of inputs and targets over the training windows.
+
+    Without standardising, numbers are raw as the paper's: mean 0 and deviation 1, rotor speeds in thousands of rpm.
 
     Residuals keep 0 as their mean, so that a network which says 0 leaves the base as it is. Raw residual force and
     torque are spoken in units of mass and inertia, so that the loss is of accelerations.
@@ -90,7 +95,9 @@ def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Da
     inputs, targets = data.inputs[data.ends], data.targets[data.ends]
     if not recipe.standardise:
         spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
-        return Scaling(np.zeros(inputs.shape[1]), np.ones(inputs.shape[1]), np.zeros(6), spoken)
+        units = np.ones(inputs.shape[1])
+        units[config.state_inputs :] = PAPER_ROTOR_UNIT
+        return Scaling(np.zeros(inputs.shape[1]), units, np.zeros(6), spoken)
     mean = targets.mean(axis=0) if config.base == "none" else np.zeros(6)
     return Scaling(inputs.mean(axis=0), _deviation(inputs), mean, _deviation(targets))
 

@@ -13,7 +13,6 @@ from dynamics.vehicle_file import parse_effect
 from tests.training.conftest import MakePlan
 from training.data.collocation import physics_points
 from training.data.features import columns, outputs_from
-from training.data.labels import scaled_motors
 from training.effects_fit import named_effects
 from training.physics import textbook
 from training.plan import Plan
@@ -34,7 +33,7 @@ def states_of(plan: Plan, window_columns: NDArray[np.float64]) -> tuple[NDArray[
         )
         moving = np.hstack([quaternion.rotate(turn, window_columns[:, :3]), turn, window_columns[:, 6:9]])
     motors = window_columns[:, -plan.config.rotors :]
-    return np.hstack([np.zeros((len(moving), 3)), moving]), motors / scaled_motors(np.ones(1))
+    return np.hstack([np.zeros((len(moving), 3)), moving]), motors
 
 
 @pytest.mark.parametrize("points", ["plausible", "space"])
@@ -136,7 +135,7 @@ def test_a_network_by_itself_is_taught_what_physics_answers_to_a_pulse(plan_for:
     for points in (textbook_points, plan.points):
         assert points.beside is not None
         changed, beside = points.windows - points.beside, points.beside
-        squares = ((2 * beside + changed) * changed)[:, :, -4:] / scaled_motors(np.ones(1)) ** 2
+        squares = ((2 * beside + changed) * changed)[:, :, -4:]
         lift = arpl_250g.rotors.thrust_constant * squares.sum(axis=2) / arpl_250g.body.mass
         if points is textbook_points:  # at once, and what is past is past
             np.testing.assert_allclose(points.targets[:, 2], lift[:, -1], atol=0.02 * np.abs(lift).max())

@@ -17,7 +17,6 @@ from flights import Flight
 from flights.filters import PAPER_CUTOFF, lowpass
 from training.config import ModelConfig
 from training.data.dataset import make_dataset, settled_motors
-from training.data.labels import scaled_motors
 from training.data.recordings import Recording
 from training.models import named_kind
 from training.prediction import flight_errors
@@ -172,7 +171,7 @@ def test_the_papers_inputs_are_filtered_and_its_labels_accelerations(
     rows = np.intersect1d(data.ends, causal.ends)
     assert data.inputs.shape[1] == 14
     (segment,) = recordings[0].segments
-    smooth = lowpass(scaled_motors(segment["rotor_speed"]), segment.rate, PAPER_CUTOFF)
-    np.testing.assert_allclose(data.motors[: len(segment)], smooth, atol=1e-9)
+    smooth = lowpass(segment["rotor_speed"], segment.rate, PAPER_CUTOFF)
+    np.testing.assert_allclose(data.rotor_speed[: len(segment)], smooth, atol=1e-7)
     assert np.corrcoef(data.label[rows, 3], causal.label[rows, 3])[0, 1] > 0.8
     np.testing.assert_allclose(np.linalg.norm(data.inputs[rows, 3:7], axis=1), 1.0, atol=1e-9)

@@ -24,10 +24,6 @@ def truth() -> Flight:
     return table(flown().truth).rows(0, 1500)
 
 
-def test_motors_are_scaled_to_thousands_of_rpm() -> None:
-    assert labels.scaled_motors(np.array([1741.3])) == pytest.approx(16.628, abs=1e-3)
-
-
 def test_the_increment_label_is_the_true_mean_acceleration_of_the_next_10_ms(flight: Flight, truth: Flight) -> None:
     true = np.diff(np.hstack([truth["velocity"], truth["rate"]]), axis=0) / 0.01
     error = (labels.increment_label(flight)[:-1] - true)[50:-50]
@@ -59,7 +55,7 @@ def test_no_input_of_a_sample_depends_on_later_rows(flight: Flight) -> None:
     cut = flight.rows(0, 700)
     whole, part = labels.samples(flight), labels.samples(cut)
     assert np.array_equal(whole.state[:700], part.state)
-    assert np.array_equal(whole.motors[:700], part.motors)
+    assert np.array_equal(whole.rotor_speed[:700], part.rotor_speed)
     assert whole.state.shape[1] == 10
     assert whole.label.shape[1] == 6
 
@@ -68,8 +64,8 @@ def test_the_papers_own_table_is_filtered_both_ways(flight: Flight) -> None:
     whole, part = labels.paper_table(flight), labels.paper_table(flight.rows(0, 700))
     assert not np.allclose(whole.state[690], part.state[690], atol=1e-6)  # it knows the future, as the paper's does
     assert np.allclose(np.linalg.norm(whole.state[:, 3:7], axis=1), 1.0)
-    rough = np.diff(labels.samples(flight).motors, n=3, axis=0)
-    assert np.std(np.diff(whole.motors, n=3, axis=0)[100:-100]) < 0.2 * np.std(rough)
+    rough = np.diff(labels.samples(flight).rotor_speed, n=3, axis=0)
+    assert np.std(np.diff(whole.rotor_speed, n=3, axis=0)[100:-100]) < 0.2 * np.std(rough)
 
 
 def test_a_flight_without_rotor_speeds_is_named(flight: Flight) -> None:
