@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import datetime
-import shlex
-import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
+
+from dynamics.command import command_line
 
 if TYPE_CHECKING:
     from studio.page import Origin
@@ -17,4 +17,4 @@ def origin(inputs: Mapping[str, str], add: str = "") -> Origin:
     from studio.page import Origin  # jinja2 and plotly, which the flight computer has not
 
     made = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
-    return Origin(shlex.join(["alula", *sys.argv[1:]]), made, dict(inputs), add)
+    return Origin(command_line(), made, dict(inputs), add)

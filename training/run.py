@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-import shlex
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -19,6 +17,7 @@ from typing import Any
 import msgspec
 import torch
 
+from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
 from dynamics.vehicle import Vehicle
@@ -110,7 +109,7 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
 def _train(options: TrainOptions, device: torch.device, size: int, progress: Progress) -> TrainedModel:
     plan = plan_of(options)
     members = _train_members(options, plan, device, size, progress) if plan.config.network != "none" else ()
-    return plan.assemble(members, options.seeds, command=_command())
+    return plan.assemble(members, options.seeds, command=command_line())
 
 
 def plan_of(options: TrainOptions) -> Plan:
@@ -229,7 +228,3 @@ def _watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
         over.set()
         thread.join()
         look()
-
-
-def _command() -> str:
-    return shlex.join(["alula", *sys.argv[1:]])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 import threading
 import time
@@ -18,6 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from dynamics.command import command_line
 from studies.demo import report as told
 from studies.demo.flights import DemoOptions
 from studies.demo.result import DemoReport
@@ -65,7 +65,7 @@ def demo(
     console = Console(stderr=as_json)
     how = "in lockstep" if lockstep else "over MAVLink"
     console.print(f"{vehicle} flies its textbook model {how}; it hides {', '.join(effects) or 'nothing'}")
-    command = shlex.join(["alula", *sys.argv[1:]])
+    command = command_line()
     try:
         with (out / "news.txt").open("w", encoding="utf-8") as news, _progress(console, options) as started:
             announce = partial(print, file=news, flush=True)

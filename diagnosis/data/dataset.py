@@ -48,16 +48,20 @@ def read_dataset(
     Raises RequestError for logs that cannot be found or a pattern that matches none or all of them, DataError when
     they hold too little.
     """
+    return make_dataset(read_flights(logs, mapping=mapping), vehicle, hold_out=hold_out)
+
+
+def read_flights(logs: Sequence[str | Path], *, mapping: str | Path | None = None) -> list[Flight]:
+    """The flights of logs at one rate, that of the slowest. Raises RequestError and DataError as reading does."""
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
     flights = [_read(path, mapping) for path in logs]
     rate = round(min(flight.rate for flight in flights), 3)
     same = [abs(flight.rate - rate) < 0.01 * rate for flight in flights]
-    flights = [
+    return [
         flight if good else Flight.read(path, mapping=mapping, rate=rate)
         for path, flight, good in zip(logs, flights, same, strict=True)
     ]
-    return make_dataset(flights, vehicle, hold_out=hold_out)
 
 
 def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None) -> Dataset:
