@@ -1,6 +1,6 @@
-"""The control thread: wait, observe, decide, send, prepare, hand the record over. All judgement is the Flyer's.
+"""The control thread: wait, observe, decide, send, prepare, hand the record over. Every decision is the Flyer's.
 
-Nothing in the loop raises, blocks but for the wait that sets off the tick, logs, or allocates without bound.
+Nothing in the loop raises, logs, allocates without bound, or blocks, except for the wait that triggers the tick.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from math import nan
+from math import isnan, nan
 
 import msgspec
 import numpy as np
@@ -41,14 +41,21 @@ from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
 HORIZON_EVERY = 10  # ticks between recorded horizons
-MAX_DEFECTS = 10  # ticks in a row that may fail by a defect of ours until the stream is stopped
-LATE_SHARE = 0.2  # of the ticks from which lateness is an event
+MAX_DEFECTS = 10  # ticks in a row that may raise, a defect of ours, until the stream is stopped
+LATE_SHARE = 0.2  # of late ticks, from which lateness is an event
 Notification = Transition | EventChange | str
 
 
 @dataclass
 class Requests:
-    """What the other threads want of the control thread; plain attributes, each written by one of them only."""
+    """What other threads request of the control thread. Plain attributes, each written by one thread only.
+
+    engage: to take control; the control thread clears it.
+    leave: why to land, empty while nobody requests it.
+    stop: to stop streaming at once.
+    estimates_keep_up: whether estimates come about as often as ticks.
+    slow_findings: events that the supervisor's slow checks found, with details.
+    """
 
     engage: bool = False
     leave: str = ""
@@ -58,7 +65,15 @@ class Requests:
 
 
 class ControlThread:
-    """Runs a Flyer on a link until it is over or told to stop."""
+    """Runs a Flyer on a link until the flight is over or a stop is requested.
+
+    deadlines: latencies and late setpoints.
+    tracking: errors while the reference is tracked.
+    autopilot_requests: for the request worker.
+    notifications: for the supervisor.
+    first_setpoint: when it was sent, s, monotonic; NaN before.
+    defect: what the last tick raised, empty when none did.
+    """
 
     def __init__(
         self,
@@ -72,7 +87,7 @@ class ControlThread:
         processor: int | None = None,
         recorder: Recorder | None = None,
     ) -> None:
-        """period: s. priority: of SCHED_FIFO, None for none. processor: to stay on, None for any."""
+        """period: s. priority: of SCHED_FIFO, None for none. processor: that the thread stays on, None for any."""
         self.deadlines = Deadlines(period)
         self.tracking = Tracking()
         self.autopilot_requests: queue.SimpleQueue[AutopilotRequest] = queue.SimpleQueue()
@@ -90,11 +105,11 @@ class ControlThread:
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
 
     def start(self) -> None:
-        """Begin to tick."""
+        """Start to tick."""
         self._thread.start()
 
     def join(self, timeout: float) -> bool:
-        """Wait for the end, at most so many s. Returns whether it has come."""
+        """Wait for the end. timeout: s. Returns whether the thread has ended."""
         self._thread.join(timeout)
         return not self._thread.is_alive()
 
@@ -122,14 +137,14 @@ class ControlThread:
             self._free = time.monotonic()
 
     def _await(self, schedule: Schedule) -> tuple[float, bool]:
-        """Wait for what sets off the next tick. Returns when that was and whether it was the clock."""
+        """Wait for what triggers the next tick. Returns when that was and whether it was the clock."""
         latest = schedule.latest
         while True:
             newest = self._link.wait_for_estimate(self._estimate, latest)
             if newest is None:
                 return latest, True
             self._estimate = newest
-            if schedule.wants(newest.received):
+            if schedule.is_due(newest.received):
                 return newest.received, False
 
     def _fly(self, due: float, by_clock: bool, woken: float, busy_at_start: float) -> None:
@@ -152,7 +167,7 @@ class ControlThread:
         assert decision.rate_body is not None
         x, y, z = decision.rate_body.tolist()
         self._link.send_rate_setpoint((x, y, z), decision.thrust)
-        if self.first_setpoint != self.first_setpoint:
+        if isnan(self.first_setpoint):
             self.first_setpoint = time.monotonic()
 
     def _observe(self, now: float) -> ObservationRecord:

@@ -1,4 +1,4 @@
-"""Real-time scheduling on Linux, as far as the operating system permits; what it refuses is told and lived without."""
+"""Real-time scheduling on Linux as far as the operating system permits; refusals are reported, the flight goes on."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ LIBRARY_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 def limit_library_threads() -> None:
-    """Make numerical libraries use one thread each; has effect on those that are loaded afterwards."""
+    """Make numerical libraries use one thread each; affects those that are loaded afterwards."""
     for name in LIBRARY_THREADS:
         os.environ.setdefault(name, "1")
 
 
 def prepare_interpreter() -> None:
-    """Let threads take turns often and keep what exists now out of the garbage collector's way."""
+    """Switch between threads often, and exempt the present objects from garbage collection."""
     sys.setswitchinterval(SWITCH_INTERVAL)
     gc.collect()
     gc.freeze()
@@ -34,11 +34,11 @@ def _lock_memory() -> None:
         raise OSError(number, os.strerror(number))
 
 
-def _be_scheduled_first(priority: int) -> None:
+def _set_fifo(priority: int) -> None:
     os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
 
 
-def _stay_on(processor: int) -> None:
+def _set_processor(processor: int) -> None:
     os.sched_setaffinity(0, {processor})
 
 
@@ -52,43 +52,46 @@ def _attempt(what: str, remedy: str, action: Callable[[], None]) -> str:
 
 
 def lock_memory() -> str:
-    """Keep the whole process in memory. Returns why that was refused, empty when it was not."""
+    """Lock the whole process into memory. Returns why that was refused, empty when it was not."""
     return _attempt("mlockall", "raise `ulimit -l` or give CAP_IPC_LOCK", _lock_memory)
 
 
-def raise_threads(priority: int, *, besides: str) -> str:
-    """Run all threads of this process but one, and those started from here later, ahead of other processes.
+def raise_threads(priority: int, *, exempt: str) -> str:
+    """Put all threads of this process but one, and those started from here later, under SCHED_FIFO.
 
-    An ordinary thread that holds the interpreter's lock while it waits for the processor would hold a real-time one
-    up. besides: name of the thread that keeps its own priority. Returns why it was refused, empty when it was not.
+    An ordinary thread that holds the interpreter's lock while it waits for the processor would delay a real-time one.
+
+    priority: 1 to 99.
+    exempt: name of the thread that keeps its own priority.
+    Returns why it was refused, empty when it was not.
     """
 
     def raise_all() -> None:
         for thread in threading.enumerate():
-            if thread.native_id is not None and thread.name != besides:
+            if thread.native_id is not None and thread.name != exempt:
                 os.sched_setscheduler(thread.native_id, os.SCHED_FIFO, os.sched_param(priority))
 
     return _attempt(f"SCHED_FIFO {priority}", "raise `ulimit -r` or give CAP_SYS_NICE", raise_all)
 
 
 def lower_thread() -> None:
-    """Run the calling thread as ordinary ones are."""
+    """Put the calling thread back under ordinary scheduling."""
     os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
 def schedule_thread(priority: int, processor: int | None = None) -> tuple[str, ...]:
-    """Run the calling thread under SCHED_FIFO and, if given, on one processor. Returns what was refused and why.
+    """Put the calling thread under SCHED_FIFO and on one processor.
 
-    priority: 1 to 99.
+    priority: 1 to 99. processor: None for any. Returns what was refused and why.
     """
     refusals = [
         _attempt(
             f"SCHED_FIFO {priority}",
             "raise `ulimit -r` or give CAP_SYS_NICE",
-            lambda: _be_scheduled_first(priority),
+            lambda: _set_fifo(priority),
         )
     ]
     if processor is not None:
         remedy = f"choose one of {sorted(os.sched_getaffinity(0))}"
-        refusals.append(_attempt(f"processor {processor}", remedy, lambda: _stay_on(processor)))
+        refusals.append(_attempt(f"processor {processor}", remedy, lambda: _set_processor(processor)))
     return tuple(refusal for refusal in refusals if refusal)

@@ -1,7 +1,7 @@
-"""What the link tells between two ticks, collected for the control thread and the recorder.
+"""The telemetry buffer: what the link receives between two ticks, for the control thread and the recorder.
 
-The link's thread calls `frame` and `reaction`; the control thread takes with `take`. Nobody waits for anybody: what
-is handed over are whole immutable objects.
+The link's thread fills it through `callbacks`, the control thread empties it by `take`. No thread waits for another:
+what is handed over are whole immutable objects.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from runtime.record.records import (
     TextRecord,
 )
 
-# what the link finds, as events of the flight; other names are news without a consequence
+# events of the link that are events of the flight; all others are published and have no consequence
 LINK_EVENTS: Mapping[str, Event] = {
     "estimate_not_finite": Event.INPUT_NOT_FINITE,
     "estimate_frame_refused": Event.INPUT_NOT_FINITE,
@@ -50,9 +50,13 @@ LOW_CHARGE = 0.1  # of the battery
 
 
 class LinkUpdate(msgspec.Struct, frozen=True):
-    """What was collected since the last tick. reset: an estimator was reset, which moved its frame by the next two.
+    """What the link received since the last tick.
 
-    reset_position: (3,) m. reset_yaw: rad. specific_force_z: m/s^2.
+    events: with their details.
+    reset: whether an estimator was reset, which moved its frame.
+    reset_position: (3,) m, by which it moved.
+    reset_yaw: rad, by which it turned.
+    specific_force_z: m/s^2, body z, the newest; NaN when there is no new one.
     """
 
     events: dict[Event, str]
@@ -63,7 +67,11 @@ class LinkUpdate(msgspec.Struct, frozen=True):
 
 
 class TelemetryBuffer:
-    """Collects from the link's thread, hands over to the control thread."""
+    """Filled by the link's thread, emptied by the control thread and the supervisor.
+
+    texts: the vehicle's STATUSTEXTs, for the supervisor.
+    notifications: events of the link, for the supervisor.
+    """
 
     def __init__(self, recorder: Recorder | None = None) -> None:
         self._arrivals: deque[float] = deque(maxlen=512)
@@ -85,17 +93,17 @@ class TelemetryBuffer:
             self._recorder.put_frame(data, time)
 
     def event(self, event: LinkEvent) -> None:
-        """Something happened on the link."""
+        """An event of the link."""
         self._events.append(event)
         self.notifications.append(event)
         self._put(TextRecord(event.time, "link", SEVERITIES[event.severity], f"{event.name}: {event.text}"), event.time)
 
     def reset(self, step: ResetStep) -> None:
-        """An estimator reset; comes before the estimate that it moved."""
+        """An estimator reset; called before the estimate that it moved."""
         self._resets.append((step.position_world, step.yaw))
 
     def reaction(self, reaction: Reaction) -> None:
-        """What followed from one message."""
+        """What follows from one message."""
         if reaction.estimate is not None:
             self._estimate(reaction.estimate)
         if reaction.telemetry is not None:
@@ -109,7 +117,7 @@ class TelemetryBuffer:
         return sum(arrival > now - RATE_WINDOW for arrival in tuple(self._arrivals)) / RATE_WINDOW
 
     def take(self) -> LinkUpdate:
-        """What came since the last call."""
+        """What was received since the last call."""
         events: dict[Event, str] = {}
         while self._events:
             event = self._events.popleft()
@@ -117,8 +125,8 @@ class TelemetryBuffer:
                 events[LINK_EVENTS[event.name]] = event.text
         reset, position, yaw = bool(self._resets), STILL, 0.0
         while self._resets:
-            moved, turned = self._resets.popleft()
-            position, yaw = position + moved, yaw + turned
+            shift, turn = self._resets.popleft()
+            position, yaw = position + shift, yaw + turn
         force, self._force = self._force, nan
         return LinkUpdate(events, reset, position, yaw, force)
 

@@ -1,4 +1,4 @@
-"""When a tick is due, whether it was late and whose doing that was. Pure: times are arguments, s."""
+"""When a tick is due, whether its setpoint was late, and what made it late. Pure: times are arguments, s."""
 
 from __future__ import annotations
 
@@ -9,23 +9,28 @@ import numpy as np
 
 from dynamics.arrays import Floats
 
-CAPACITY = 400_000  # ticks whose times are kept for the percentiles, more than half an hour at 200 Hz
+CAPACITY = 400_000  # ticks whose times count for the percentiles: more than half an hour at 200 Hz
 
 
 class Cause(Enum):
-    """Who is to blame for a late setpoint."""
+    """What made a setpoint late."""
 
     NONE = ""
     LINK = "link"  # no estimate came in time: the tick ran on the clock, in time, with an aged one
     SCHEDULER = "scheduler"  # this thread was ready but did not get the processor
-    OURS = "ours"  # this thread was still, or too long, at work
+    OURS = "ours"  # this thread was still busy, or busy for too long
 
 
 class TickTimes(msgspec.Struct, frozen=True):
-    """The instants of one tick. due: what set it off, an estimate's arrival or the clock. woken: the thread ran.
+    """The instants of one tick, s.
 
-    departed: the setpoint was sent. free: the previous tick's work was done. busy, busy_before: processor time from
-    woken to departed, and of the previous tick after its departure. by_clock: no estimate came in time.
+    due: its trigger, an estimate's arrival or the clock.
+    woken: when the thread ran.
+    departed: when the setpoint was sent.
+    free: when the previous tick's work was done.
+    busy: processor time from `woken` to `departed`.
+    busy_before: processor time of the previous tick after its departure.
+    by_clock: whether the clock triggered it, because no estimate came in time.
     """
 
     due: float
@@ -38,9 +43,14 @@ class TickTimes(msgspec.Struct, frozen=True):
 
 
 class TimingReport(msgspec.Struct, frozen=True):
-    """Figures of a flight. missed: late setpoints by cause. latency: from an estimate's arrival to the setpoint's
-    departure. busy: processor time of the control thread therein. interval: between departures. All: median, p99 and
-    max, s.
+    """A flight's latencies and late setpoints; times in s.
+
+    ticks_by_clock: ticks without a fresh estimate.
+    missed: late setpoints by cause.
+    worst_late: the greatest lateness, and worst_cause: its cause.
+    latency: from an estimate's arrival to the setpoint's departure; median, p99, max.
+    busy: processor time of the control thread therein; median, p99, max.
+    interval: between departures; median, p99, max.
     """
 
     ticks: int
@@ -54,9 +64,9 @@ class TimingReport(msgspec.Struct, frozen=True):
 
 
 class Schedule:
-    """Sets ticks off: by the first estimate at or after half a period, at the latest after one and a half.
+    """What triggers a tick: the first estimate after half a period, at the latest the clock after one and a half.
 
-    While estimates come less often than ticks are wanted, the clock does not wait beyond the period.
+    While estimates come less often than ticks are due, the clock does not wait beyond the period.
     """
 
     def __init__(self, period: float, *, start: float) -> None:
@@ -67,20 +77,20 @@ class Schedule:
 
     @property
     def latest(self) -> float:
-        """When the clock sets the next tick off."""
+        """When the clock triggers the next tick."""
         return self._last + (1.5 if self.estimates_keep_up else 1.0) * self.period
 
-    def wants(self, arrival: float) -> bool:
-        """Whether an estimate that arrived then sets a tick off."""
+    def is_due(self, arrival: float) -> bool:
+        """Whether an estimate that arrived at this time triggers a tick."""
         return arrival >= self._last + 0.5 * self.period
 
     def ticked(self, due: float, now: float) -> None:
-        """A tick that was due is being flown now; what was missed meanwhile is left out."""
+        """A tick that was due then runs now; ticks that were missed meanwhile are left out."""
         self._last = due if now - due < self.period else now
 
 
 class Deadlines:
-    """Latencies and missed deadlines. A setpoint is late when it departs more than half a period after it was due."""
+    """Latencies and late setpoints. A setpoint is late when it departs more than half a period after it was due."""
 
     def __init__(self, period: float) -> None:
         self._period = period
@@ -100,8 +110,8 @@ class Deadlines:
         return self._recent
 
     def add(self, times: TickTimes) -> Cause:
-        """Take a tick. Returns whose doing its lateness was; LINK for a tick in time without a fresh estimate."""
-        self._keep(times)
+        """Add a tick. Returns the cause of its lateness; LINK for a tick in time without a fresh estimate."""
+        self._store(times)
         self.by_clock += times.by_clock
         late = times.departed - times.due
         missed = late > 0.5 * self._period
@@ -115,7 +125,7 @@ class Deadlines:
             self.worst = (late, cause)
         return cause
 
-    def _keep(self, times: TickTimes) -> None:
+    def _store(self, times: TickTimes) -> None:
         if not times.by_clock and self._answered < CAPACITY:
             self._latency[self._answered] = times.departed - times.due
             self._busy[self._answered] = times.busy
@@ -141,8 +151,8 @@ class Deadlines:
 
 
 def percentiles(values: Floats) -> dict[str, float]:
-    """Median, 99th percentile and greatest of values (n,); NaN when there are none."""
+    """Median, 99th percentile and maximum of values (n,); NaN when there are none."""
     if not values.size:
         return dict.fromkeys(("median", "p99", "max"), float("nan"))
-    median, p99, greatest = (float(value) for value in np.percentile(values, [50, 99, 100]))
-    return {"median": median, "p99": p99, "max": greatest}
+    median, p99, maximum = (float(value) for value in np.percentile(values, [50, 99, 100]))
+    return {"median": median, "p99": p99, "max": maximum}

@@ -12,8 +12,8 @@ PERIOD = 0.01
 
 def test_the_first_estimate_after_half_a_period_sets_the_tick_off() -> None:
     schedule = Schedule(PERIOD, start=1.0)
-    assert not schedule.wants(1.004)
-    assert schedule.wants(1.006)
+    assert not schedule.is_due(1.004)
+    assert schedule.is_due(1.006)
     assert schedule.latest == pytest.approx(1.015)
 
 

@@ -126,7 +126,7 @@ def odometry(**changes: Any) -> Any:
     return mavlink.MAVLink_odometry_message(**{**fields, **changes})
 
 
-def wait_until(condition: Any, timeout: float = 5.0) -> None:
+def wait_until(condition: Any, timeout: float = 10.0) -> None:
     """Waits for a condition with a deadline."""
     deadline = time.monotonic() + timeout
     while not condition():

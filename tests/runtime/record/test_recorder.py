@@ -10,7 +10,6 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -21,6 +20,7 @@ from runtime.record import records
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
 from runtime.record.records import EstimateRecord, EventRecord, HorizonRecord, SetpointRecord, StateRecord
+from tests.support.fake_vehicle import wait_until
 
 pytestmark = pytest.mark.realtime
 
@@ -35,13 +35,6 @@ def estimate(time_s: float, x: float) -> EstimateRecord:
         rate_body=np.zeros(3),
         reset_counter=3,
     )
-
-
-def wait_until(condition: Any, seconds: float = 10.0) -> None:
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, "the condition never came true"
-        time.sleep(0.01)
 
 
 def test_what_was_put_is_read_back_bit_for_bit(tmp_path: Path) -> None:
