@@ -18,9 +18,19 @@ from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor
 from runtime.control.rti.solver import RtiSolver
+from runtime.control.rti.state_header import STATE_HEADER, state_header
 
 Precision = Literal["float", "double"]
-SOURCES = ("network.c", "reverse.h", "tangents.h", "layers.h", "motion.h", "condensed.h", "box_qp.h", "dense_qp.h")
+SOURCES = (
+    "network.c",
+    "reverse_split.h",
+    "tangents.h",
+    "layers.h",
+    "kinematics.h",
+    "condensed.h",
+    "box_qp.h",
+    "dense_qp.h",
+)
 ENTRY = "network.c"
 
 
@@ -59,12 +69,12 @@ def kernel_recipe(
             f"{1e3 * network.dt:g} ms; change the horizon or the number of nodes."
         )
     folder = resources.files("runtime.control.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in SOURCES}
+    sources = {name: folder.joinpath(name).read_text() for name in SOURCES} | {STATE_HEADER: state_header()}
     sources["network.h"] = network_header(
         network, sweep or cheapest_sweep(network, problem.nodes), extrapolated=extrapolated
     )
     defines: dict[str, int | str] = {
-        "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
+        "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
         "SUBSTEPS": substeps, "VECTOR_BYTES": processor.vector, "FREE": 3,
         "NETWORK_REAL": precision, "NETWORK_INTEGER": "int" if precision == "float" else "long",

@@ -49,16 +49,16 @@ def _dimensions(network: Network, sweep: Sweep, extrapolated: bool) -> Iterator[
         "EXTRAPOLATED": int(extrapolated),
         "STEP_SECONDS": repr(network.dt),
         "LAYERS": len(outs),
-        "MOST_TAPS": max([1, *(layer.weight.shape[2] for layer in network.convolutions)]),
+        "MAX_TAPS": max([1, *(layer.weight.shape[2] for layer in network.convolutions)]),
         "WIDTH": padded(max([network.features, *outs])),
         "STREAMED_LAYERS": sweep.streamed,
         "CODE": padded(widths[sweep.streamed]),
-        "CODE_SEEN": len(sweep.seen[0]),
+        "CODE_OFFSETS": len(sweep.seen[0]),
         "CODE_SPAN": 1 + max(sweep.seen[0]),
         "LAST_CODE": padded(widths[-1]),
         "LAST": network.perceptron[-1].weight.shape[1],
         "OUTPUTS": OUTPUTS,
-        "WIDEST": _widest(network),
+        "MAX_WIDTH": _widest(network),
     }
     for name, value in numbers.items():
         yield f"#define {name} {value}"
@@ -92,10 +92,10 @@ def _list(name: str, entries: Sequence[tuple[int, ...]]) -> str:
 
 def _columns_seen(sweep: Sweep) -> Iterator[str]:
     """Columns behind the newest at which each swept layer's input is seen, and where in them its taps reach."""
-    yield _shorts("seen_last", sweep.seen[-1])
-    yield f"#define seen_code seen_{sweep.streamed if sweep.reached else 'last'}"
+    yield _shorts("offsets_last", sweep.seen[-1])
+    yield f"#define offsets_code offsets_{sweep.streamed if sweep.reached else 'last'}"
     for layer, (seen, reached) in enumerate(zip(sweep.seen, sweep.reached, strict=False), sweep.streamed):
-        yield _shorts(f"seen_{layer}", seen)
+        yield _shorts(f"offsets_{layer}", seen)
         taps = len(reached[0])
         yield f"static const short reached_{layer}[{len(reached)}][{taps}] = {_braces(np.array(reached))};"
 

@@ -1,8 +1,9 @@
-/* What a preparation leaves, and the feedback that solves it; whoever includes this file rolls out and condenses.
+/* The condensed problem that a preparation leaves, and the feedback that solves it; the including file rolls out and
+ * condenses.
  *
  * With columns z = (dx_0, v_0 .. v_{N-1}) and u_k + SCALE v_k the new inputs, the predicted states move by S_k z. A
- * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, how g moves with
- * dx_0. rti_feedback takes the state that was really measured and solves a dense QP in the inputs alone.
+ * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, the derivative of g
+ * by dx_0. rti_feedback takes the measured state and solves a dense QP in the inputs alone.
  *
  * Bounds on states and thrust are soft and seldom act. The QP is first solved with the input box alone (box_qp.h);
  * where its solution leaves the bounds of a quantity, that quantity's rows of all nodes join it, and it is solved again
@@ -13,19 +14,19 @@
 #include <math.h>
 #include <time.h>
 
-/* Wanted from the includer: NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, the columns that it looks back;
+/* Required from the including file: NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES; HISTORY, columns of its past;
  * SENSITIVITY, the type of S; START, the column of dx_0's first entry; X0, the first column of v_0. */
-#define V (N * NU)
+#define NV (NODES * NU)
 #define LANES_OF(type) (VECTOR_BYTES / (int)sizeof(type))
 #define ROUND_TO(n, step) (((n) + (step) - 1) / (step) * (step))
-#define L ROUND_TO(X0 + V, LANES_OF(SENSITIVITY))
+#define LD_S ROUND_TO(X0 + NV, LANES_OF(SENSITIVITY))
 #define SOLVES 3
 #define SUMS 16
 
 #include "box_qp.h"
 #include "dense_qp.h"
 
-#define FAR 1e8 /* stands for no bound: the interior-point method wants finite numbers */
+#define FAR 1e8 /* no bound: the interior-point method takes finite numbers only */
 
 typedef struct {
     double Q[NX], P[NX], R[NU];
@@ -41,20 +42,20 @@ typedef struct {
 } rti_report;
 
 typedef struct {
-    double x[N + 1][NX], u[N][NU]; /* the current trajectory: predicted states and inputs */
-    double x_reference[N + 1][NX], u_reference[N][NU];
+    double x[NODES + 1][NX], u[NODES][NU]; /* the current trajectory: predicted states and inputs */
+    double x_reference[NODES + 1][NX], u_reference[NODES][NU];
     double x_prepared[NX];
-    SENSITIVITY S[N + 1][NX][L] __attribute__((aligned(64)));
-    double G[V][NX]; /* derivative of the gradient by dx_0 */
-    double H[V * V], g[V], z[X0 + V], lower[V], upper[V];
-    double g_measured[V];
-    double C[V * N * (NX + 1)], row_lower[N * (NX + 1)], row_upper[N * (NX + 1)];
-    rti_options o;
+    SENSITIVITY S[NODES + 1][NX][LD_S] __attribute__((aligned(64)));
+    double G[NV][NX]; /* derivative of the gradient by dx_0 */
+    double H[NV * NV], g[NV], z[X0 + NV], lower[NV], upper[NV];
+    double g_measured[NV];
+    double C[NV * NODES * (NX + 1)], row_lower[NODES * (NX + 1)], row_upper[NODES * (NX + 1)];
+    rti_options options;
     rti_report report;
     bool prepared;
     bool bounded[NX + 1]; /* quantities whose rows are in the QP: the states, then collective thrust */
     box_qp box;
-    dense_qp *rows[NX + 2]; /* HPIPM's, with the rows of so many quantities; without any for what box_qp leaves */
+    dense_qp *rows[NX + 2]; /* HPIPM's, with the rows of so many quantities; without any where box_qp fails */
 } condensed;
 
 static double now(void) {
@@ -63,18 +64,24 @@ static double now(void) {
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
-static double lower_bound(const condensed *r, int i) { return i == NX ? r->o.thrust_lower : r->o.x_lower[i]; }
-static double upper_bound(const condensed *r, int i) { return i == NX ? r->o.thrust_upper : r->o.x_upper[i]; }
-static bool is_bounded(const condensed *r, int i) { return lower_bound(r, i) > -INFINITY || upper_bound(r, i) < INFINITY; }
+static double lower_bound(const condensed *r, int i) {
+    return i == NX ? r->options.thrust_lower : r->options.x_lower[i];
+}
+static double upper_bound(const condensed *r, int i) {
+    return i == NX ? r->options.thrust_upper : r->options.x_upper[i];
+}
+static bool is_bounded(const condensed *r, int i) {
+    return lower_bound(r, i) > -INFINITY || upper_bound(r, i) < INFINITY;
+}
 
 static void condensed_create(condensed *r, const rti_options *options) {
-    r->o = *options;
-    r->rows[0] = dense_qp_create(V, 0, options->tolerance, options->iterations, 0);
+    r->options = *options;
+    r->rows[0] = dense_qp_create(NV, 0, options->tolerance, options->iterations, 0);
     for (int i = 0, quantities = 0; i <= NX; i++)
         if (is_bounded(r, i)) {
             quantities++;
             r->rows[quantities] =
-                dense_qp_create(V, N * quantities, options->tolerance, options->row_iterations, options->penalty);
+                dense_qp_create(NV, NODES * quantities, options->tolerance, options->row_iterations, options->penalty);
         }
 }
 
@@ -89,10 +96,10 @@ double *rti_hessian(condensed *r) { return r->H; }
 double *rti_gradient(condensed *r) { return r->g; }
 rti_report *rti_last_report(condensed *r) { return &r->report; }
 
-/* Dimensions for the loader to compare with what it expects. */
-void rti_dimensions(int *found) {
-    const int built[] = {NX, NU, N, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
-    memcpy(found, built, sizeof built);
+/* Dimensions for the loader to compare with its own. */
+void rti_dimensions(int *dimensions) {
+    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
+    memcpy(dimensions, built, sizeof built);
 }
 
 static bool finite_all(const double *values, int count) {
@@ -101,11 +108,11 @@ static bool finite_all(const double *values, int count) {
     return true;
 }
 
-/* Take in what a preparation is given; returns whether all of it is finite, the inputs so far too: a ReLU makes zero of
- * what is not a number, so that a network's prediction would not show it. */
+/* Copy a preparation's arguments; returns whether all of them are finite, and the present inputs: a ReLU maps NaN to
+ * zero, so that a network's prediction would not show one. */
 static bool condensed_begin(condensed *r, const double *x, const double *x_reference, const double *u_reference) {
-    r->prepared = finite_all(x, NX) && finite_all(&r->u[0][0], V) && finite_all(x_reference, (N + 1) * NX) &&
-                  finite_all(u_reference, V);
+    r->prepared = finite_all(x, NX) && finite_all(&r->u[0][0], NV) && finite_all(x_reference, (NODES + 1) * NX) &&
+                  finite_all(u_reference, NV);
     if (!r->prepared) return false;
     memcpy(r->x_prepared, x, sizeof r->x_prepared);
     memcpy(r->x[0], x, sizeof r->x[0]);
@@ -117,16 +124,16 @@ static bool condensed_begin(condensed *r, const double *x, const double *x_refer
 /* Factor the finished Hessian, and put the box around the inputs. */
 static void condensed_finish(condensed *r) {
     box_qp_factor(&r->box, r->H);
-    for (int k = 0; k < N; k++)
+    for (int k = 0; k < NODES; k++)
         for (int j = 0; j < NU; j++) {
-            r->lower[k * NU + j] = (r->o.u_lower[j] - r->u[k][j]) / r->o.scale;
-            r->upper[k * NU + j] = (r->o.u_upper[j] - r->u[k][j]) / r->o.scale;
+            r->lower[k * NU + j] = (r->options.u_lower[j] - r->u[k][j]) / r->options.scale;
+            r->upper[k * NU + j] = (r->options.u_upper[j] - r->u[k][j]) / r->options.scale;
         }
 }
 
 /* Move the inputs by a part of a node towards the horizon's end, as time does between two ticks. */
 void rti_shift(condensed *r, double part) {
-    for (int k = 0; k + 1 < N; k++)
+    for (int k = 0; k + 1 < NODES; k++)
         for (int j = 0; j < NU; j++) r->u[k][j] += part * (r->u[k + 1][j] - r->u[k][j]);
 }
 
@@ -145,20 +152,20 @@ static double move(const condensed *r, int k, int i, const double *z) {
 static double thrust(const condensed *r, int k, const double *z) {
     double sum = 0;
     for (int j = 0; j < NU; j++)
-        sum += r->u[k][j] * (r->u[k][j] + 2 * r->o.scale * z[X0 + k * NU + j]);
-    return r->o.thrust_constant * sum;
+        sum += r->u[k][j] * (r->u[k][j] + 2 * r->options.scale * z[X0 + k * NU + j]);
+    return r->options.thrust_constant * sum;
 }
 
 static double value_of(const condensed *r, int k, int i, const double *z) {
     return i == NX ? thrust(r, k, z) : r->x[k + 1][i] + move(r, k + 1, i, z);
 }
 
-/* Take in the rows of every quantity that the step z takes out of its bounds; returns whether there was a new one. */
-static bool take_violated(condensed *r) {
+/* Add the rows of every quantity that the step z takes out of its bounds; returns whether there is a new one. */
+static bool add_violated(condensed *r) {
     bool more = false;
     for (int i = 0; i <= NX; i++) {
         if (r->bounded[i] || !is_bounded(r, i)) continue;
-        for (int k = 0; k < N && !r->bounded[i]; k++) {
+        for (int k = 0; k < NODES && !r->bounded[i]; k++) {
             double value = value_of(r, k, i, r->z), slack = 1e-3 * (fabs(value) + 1e-3);
             r->bounded[i] = value < lower_bound(r, i) - slack || value > upper_bound(r, i) + slack;
         }
@@ -169,12 +176,12 @@ static bool take_violated(condensed *r) {
 
 /* The row of quantity i at node k: its derivative by the inputs, and how far it may still move. */
 static void write_row(condensed *r, int k, int i, int rows, int place) {
-    double at[X0 + V] = {0};
+    double at[X0 + NV] = {0};
     memcpy(at + START, r->z + START, sizeof(double) * NX); /* the measured state moves the row as well */
-    for (int c = 0; c < V; c++) r->C[c * rows + place] = 0;
+    for (int c = 0; c < NV; c++) r->C[c * rows + place] = 0;
     if (i == NX)
         for (int j = 0; j < NU; j++)
-            r->C[(k * NU + j) * rows + place] = 2 * r->o.thrust_constant * r->o.scale * r->u[k][j];
+            r->C[(k * NU + j) * rows + place] = 2 * r->options.thrust_constant * r->options.scale * r->u[k][j];
     else
         for (int c = 0; c < (k + 1) * NU; c++) r->C[c * rows + place] = r->S[k + 1][i][X0 + c];
     r->row_lower[place] = fmax(lower_bound(r, i) - value_of(r, k, i, at), -FAR);
@@ -186,7 +193,7 @@ static int solve_with_rows(condensed *r) {
     for (int i = 0; i <= NX; i++) quantities += r->bounded[i];
     dense_qp *q = r->rows[quantities];
     for (int i = 0; i <= NX; i++)
-        for (int k = 0; k < N && r->bounded[i]; k++) write_row(r, k, i, N * quantities, place++);
+        for (int k = 0; k < NODES && r->bounded[i]; k++) write_row(r, k, i, NODES * quantities, place++);
     d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
     d_dense_qp_set_lb(r->lower, &q->qp), d_dense_qp_set_ub(r->upper, &q->qp);
     d_dense_qp_set_C(r->C, &q->qp);
@@ -200,10 +207,11 @@ static int solve_with_rows(condensed *r) {
 /* Solve with the input box alone, and by HPIPM where that fails. Returns the status. */
 static int solve_in_box(condensed *r) {
     double *v = r->z + X0;
+    const rti_options *options = &r->options;
     int *iterations = &r->report.iterations, more;
     if (box_qp_free_optimum(&r->box, r->g_measured, r->lower, r->upper, v)) return 0;
-    int status = box_qp_solve(&r->box, r->H, r->g_measured, r->lower, r->upper, r->o.tolerance, r->o.iterations, v,
-                              iterations);
+    int status = box_qp_solve(&r->box, r->H, r->g_measured, r->lower, r->upper, options->tolerance,
+                              options->iterations, v, iterations);
     if (status == 0) return 0;
     dense_qp *q = r->rows[0];
     d_dense_qp_set_H(r->H, &q->qp), d_dense_qp_set_g(r->g_measured, &q->qp);
@@ -215,18 +223,18 @@ static int solve_in_box(condensed *r) {
 
 /* Add the step to the trajectory. */
 static void apply(condensed *r) {
-    for (int k = 0; k <= N; k++)
+    for (int k = 0; k <= NODES; k++)
         for (int i = 0; i < NX; i++) r->x[k][i] += move(r, k, i, r->z);
-    for (int k = 0; k < N; k++)
+    for (int k = 0; k < NODES; k++)
         for (int j = 0; j < NU; j++) {
-            double value = r->u[k][j] + r->o.scale * r->z[X0 + k * NU + j];
-            r->u[k][j] = fmin(fmax(value, r->o.u_lower[j]), r->o.u_upper[j]);
+            double value = r->u[k][j] + r->options.scale * r->z[X0 + k * NU + j];
+            r->u[k][j] = fmin(fmax(value, r->options.u_lower[j]), r->options.u_upper[j]);
         }
 }
 
-/* x: the state now. Returns 0 when the QP was solved; else the trajectory keeps what it held, the shifted previous
- * solution, and the status is HPIPM's (1: iterations ran out, 2: step too short, 3: not a number) or -1 for an x that
- * is not finite or a preparation that was refused. A QP that ran out of iterations close to its solution is still taken. */
+/* x: the state now. Returns 0 when the QP was solved; else the trajectory stays the shifted previous solution,
+ * and the status is HPIPM's (1: out of iterations, 2: step too short, 3: NaN) or -1 for an x that is not finite or a
+ * preparation that was refused. The last iterate of a QP that ran out of iterations is still used. */
 int rti_feedback(condensed *r, const double *x) {
     double start = now();
     rti_report *report = &r->report;
@@ -234,17 +242,17 @@ int rti_feedback(condensed *r, const double *x) {
     report->status = -1;
     if (r->prepared && finite_all(x, NX)) {
         for (int i = 0; i < NX; i++) r->z[START + i] = x[i] - r->x_prepared[i];
-        for (int v = 0; v < V; v++) {
+        for (int v = 0; v < NV; v++) {
             r->g_measured[v] = r->g[v];
             for (int i = 0; i < NX; i++) r->g_measured[v] += r->G[v][i] * r->z[START + i];
         }
         report->status = solve_in_box(r);
         memset(r->bounded, 0, sizeof r->bounded);
-        for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + V); report->solves++) {
-            if (!take_violated(r)) break;
+        for (report->solves = 1; report->solves < SOLVES && finite_all(r->z, X0 + NV); report->solves++) {
+            if (!add_violated(r)) break;
             report->status = solve_with_rows(r);
         }
-        bool usable = report->status <= 1 && finite_all(r->z, X0 + V);
+        bool usable = report->status <= 1 && finite_all(r->z, X0 + NV);
         if (usable) apply(r);
         else if (report->status == 0) report->status = 3;
     }

@@ -2,8 +2,8 @@
  *
  *   minimise 1/2 v'Hv + g'v   subject to  lower <= v <= upper  and  row_lower <= C v <= row_upper (each row soft)
  *
- * box_qp.h is faster where there are no rows; this is for problems with some, and for what that cannot solve. All memory
- * is taken at creation; a solve allocates nothing. */
+ * box_qp.h is faster where there are no rows; this one is for problems with rows, and for those that box_qp.h cannot
+ * solve. All memory is allocated at creation. */
 #ifndef ALULA_DENSE_QP_H
 #define ALULA_DENSE_QP_H
 

@@ -31,14 +31,14 @@ static double operations; /* multiplications and additions of floats so far */
 #endif
 #define BLOCK_VECTORS 2
 
-/* The entries above zero of a ReLU's output; only these let tangents through. Where registers can be permuted, a row of
+/* The entries above zero of a ReLU's output; only these pass tangents on. Where registers can be permuted, a row of
  * weights is packed vector by vector: `order` moves a vector's active lanes to its front, `start` is where they go. */
 #define PERMUTES (VECTOR_BYTES >= 32)
 typedef struct {
-    unsigned char count, index[WIDEST + LANES];
+    unsigned char count, index[MAX_WIDTH + LANES];
 #if PERMUTES
-    unsigned char start[WIDEST / LANES];
-    lane_numbers order[WIDEST / LANES];
+    unsigned char start[MAX_WIDTH / LANES];
+    lane_numbers order[MAX_WIDTH / LANES];
 #endif
 } active_set;
 
@@ -56,9 +56,9 @@ INLINE void find_active(active_set *set, const int entries, const real *values) 
     UNROLL for (int v = 0; v < entries / LANES; v++) {
         int more = list_active(LANES, values + v * LANES, set->index + count);
 #if PERMUTES
-        lane_bytes found;
-        memcpy(&found, set->index + count, sizeof found);
-        set->order[v] = __builtin_convertvector(found, lane_numbers); /* what lies behind the active ones is not used */
+        lane_bytes lanes;
+        memcpy(&lanes, set->index + count, sizeof lanes);
+        set->order[v] = __builtin_convertvector(lanes, lane_numbers); /* entries behind the active ones are not used */
         set->start[v] = (unsigned char)count;
 #endif
         for (int q = 0; v && q < more; q++) set->index[count + q] += (unsigned char)(v * LANES);

@@ -1,31 +1,31 @@
 /* Real-time iteration for a learned model with its whole history inside the horizon; derived in docs/kernel.md.
  *
- * The network sees columns of features, one every STEP_SECONDS, and gives mean accelerations until the next one. A
+ * The network takes columns of features, one every STEP_SECONDS, and gives mean accelerations until the next one. A
  * prediction is streamed: every layer keeps its own past columns, so that a new column costs one pass through each
  * layer instead of a whole window. Its exact derivatives by the inputs v_k and the initial state dx_0 are streamed the
  * same way, all at once: they lie along the vector registers and share the ReLUs' masks.
  *
- * network.h, generated from the model, gives dimensions and weights; condensed.h what follows a preparation. */
+ * network.h, generated from the model, has dimensions and weights; condensed.h what follows a preparation. */
 #include "network.h"
 
-/* NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build; FREE is 3 where no acceleration depends on position. */
+/* NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build; FREE is 3 where nothing depends on position. */
 typedef NETWORK_REAL real;
 #define SENSITIVITY real
 #define LEAD (FREE ? VECTOR_BYTES / (int)sizeof(real) : 0) /* first column of those that are streamed */
 #define START (LEAD - FREE)
 #define X0 (START + NX)
 #include "condensed.h"
+#include "kinematics.h"
 #include "layers.h"
-#include "motion.h"
 
-#define STREAMED (L - LEAD)   /* columns of tangents that are streamed; positions only carry themselves along */
-#define BY_INPUT (NX - FREE)  /* the first of them that belongs to an input */
-#define STEPS (N * SUBSTEPS)
+#define STREAMED (LD_S - LEAD) /* columns of tangents that are streamed: without those of a free position */
+#define BY_INPUT (NX - FREE)   /* the first of them that belongs to an input */
+#define STEPS (NODES * SUBSTEPS)
 #define COLUMNS (HISTORY + STEPS)
 #define STATE_FEATURES (FEATURES - NU)
-#define HIDDEN_STATES (NX - 13)
+#define HIDDEN_STATES (NX - RIGID_BODY_STATES)
 #define RATES (6 + HIDDEN_STATES)
-#define COLUMN_ENTRIES (13 + NU) /* of a measured column: the rigid body, then the rotors' commanded speeds */
+#define COLUMN_ENTRIES (RIGID_BODY_STATES + NU) /* of a measured column: rigid body, then commanded rotor speeds */
 
 #if RESIDUAL
 #pragma GCC push_options
@@ -38,20 +38,20 @@ typedef NETWORK_REAL real;
 /* Rows of the tangents of each streamed layer's input, for as many substeps as its taps reach back. */
 #define RING_OF(l, inputs, outputs, taps, dilation) real ring_##l[(taps - 1) * dilation + 1][inputs][STREAMED];
 #define HIDDEN_OF(l, inputs, outputs) real hidden_##l[STEPS][outputs];
-/* How what the network says depends on each swept layer's input at the columns that are seen, and by which way. */
+/* Derivatives of the network's output by each swept layer's input, by column offset; and the part through each tap. */
 #define BACK_OF(l, inputs, outputs, taps, above, below) \
     real back_##l[below][6 * (inputs)], part_##l[above][taps][6 * (inputs)];
 
 typedef struct {
-    condensed c;
+    condensed ocp;
     double history[HISTORY + 1][COLUMN_ENTRIES]; /* measured, oldest first; the row after them is not used */
     double p[NP + 1], e[NE + 1];
     double state[STEPS + 1][NX], input[STEPS][NU];
-    double said[STEPS][6];   /* what the network says: a force per mass (world or body axes), angular acceleration */
-    double linear[STEPS][3]; /* mean acceleration, world axes */
+    double net_out[STEPS][6]; /* the network's output: force per mass (world or body axes), angular acceleration */
+    double linear[STEPS][3];  /* mean acceleration, world axes */
     double angular[STEPS][3];
 #if EXTRAPOLATED
-    double before[RATES]; /* what a substep before gave: accelerations, then the hidden states' rates */
+    double before[RATES]; /* of the substep before: accelerations, then the hidden states' rates */
 #endif
 #if RESIDUAL
     double by_state[STEPS][PHYSICS_RATES * NX], by_input[STEPS][PHYSICS_RATES * NU]; /* by column */
@@ -59,28 +59,28 @@ typedef struct {
     long long physics_integers[PHYSICS_IW + 1];
 #endif
     struct {
-        real column[LAYERS + 1][COLUMNS][WIDTH]; /* features, then what each convolution makes of them */
+        real column[LAYERS + 1][COLUMNS][WIDTH]; /* features, then each convolution's output */
         EACH_HIDDEN(HIDDEN_OF)
         EACH_STREAMED(RING_OF)
-        real code[CODE_SPAN][CODE][STREAMED]; /* tangents of what the last streamed layer gives */
-        real perceptron[6 * LAST_CODE]; /* how what the network says depends on what the perceptron is given */
+        real code[CODE_SPAN][CODE][STREAMED]; /* tangents of the last streamed layer's output */
+        real perceptron[6 * LAST_CODE]; /* Jacobian of the perceptron */
         EACH_SWEPT(BACK_OF)
         real moving[NX][STREAMED]; /* tangents of the state */
-        real said[6][STREAMED];    /* tangents of what the network says */
+        real net_out[6][STREAMED]; /* tangents of the network's output */
         real rates[6][STREAMED];   /* tangents of the accelerations, world and body axes */
 #if RESIDUAL
-        real physical[6][STREAMED]; /* what the physical model has in them */
+        real physical[6][STREAMED]; /* the nominal or identified model's part of them */
 #endif
         real other[HIDDEN_STATES + 1][STREAMED];
 #if EXTRAPOLATED
         real rates_before[6][STREAMED], other_before[HIDDEN_STATES + 1][STREAMED];
 #endif
-        real S_weighed[N][NX][L];
-        real H[V][STREAMED];
-    } a __attribute__((aligned(64)));
-    real by_own_input[MOST_TAPS][WIDEST][NU]; /* the first layer's weights of the inputs, per scaled input */
+        real S_weighed[NODES][NX][LD_S];
+        real H[NV][STREAMED];
+    } tangents __attribute__((aligned(64)));
+    real by_own_input[MAX_TAPS][MAX_WIDTH][NU]; /* the first layer's weights of the inputs, per scaled input */
     active_set active[STREAMED_LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
-    bool turned[LAYERS + 1][COLUMNS]; /* whether others are active than a column before; of what swept layers give */
+    bool mask_changed[LAYERS + 1][COLUMNS]; /* whether a swept layer's mask differs from that of the column before */
 } network;
 
 /* ---- forward ---- */
@@ -89,45 +89,47 @@ static void write_features(network *r, int t, const double *x, const double *u) 
     double raw[FEATURES];
 #if BODY_INPUTS
     double R[3][3];
-    rotation(x + 6, R);
+    const double *velocity = x + VELOCITY;
+    rotation(x + ATTITUDE, R);
     for (int i = 0; i < 3; i++) {
-        raw[i] = R[0][i] * x[3] + R[1][i] * x[4] + R[2][i] * x[5];
+        raw[i] = R[0][i] * velocity[0] + R[1][i] * velocity[1] + R[2][i] * velocity[2];
         raw[3 + i] = -R[2][i]; /* gravity's direction */
-        raw[6 + i] = x[10 + i];
+        raw[6 + i] = x[RATE + i];
     }
 #else
-    for (int i = 0; i < 10; i++) raw[i] = x[3 + i];
+    for (int i = 0; i < 10; i++) raw[i] = x[VELOCITY + i];
 #endif
     for (int i = 0; i < NU; i++) raw[STATE_FEATURES + i] = u[i];
     for (int i = 0; i < FEATURES; i++)
-        r->a.column[0][t][i] = (real)((raw[i] - feature_mean[i]) * feature_gain[i]);
+        r->tangents.column[0][t][i] = (real)((raw[i] - feature_mean[i]) * feature_gain[i]);
 }
 
 #define STREAM(l, inputs, outputs, taps, dilation) \
     convolve(inputs, outputs, taps, dilation, WIDTH, &convolution_##l[0][0][0], convolution_bias_##l, \
-             r->a.column[l][t], r->a.column[l + 1][t]);
-#define THINK(l, inputs, outputs) \
-    dense(inputs, outputs, 1, &perceptron_##l[0][0], perceptron_bias_##l, before, r->a.hidden_##l[s]), \
-        before = r->a.hidden_##l[s];
+             r->tangents.column[l][t], r->tangents.column[l + 1][t]);
+#define DENSE_FORWARD(l, inputs, outputs) \
+    dense(inputs, outputs, 1, &perceptron_##l[0][0], perceptron_bias_##l, before, r->tangents.hidden_##l[s]), \
+        before = r->tangents.hidden_##l[s];
 
-/* Column t's way through the network at substep s, whose features are written. */
+/* The network's output at substep s, from column t, whose features are written. */
 static void evaluate(network *r, int s, int t) {
     EACH_CONVOLUTION(STREAM)
-    const real *before = r->a.column[LAYERS][t];
-    EACH_HIDDEN(THINK)
+    const real *before = r->tangents.column[LAYERS][t];
+    EACH_HIDDEN(DENSE_FORWARD)
     real y[OUTPUTS] __attribute__((aligned(64)));
     dense(LAST, OUTPUTS, 0, &output[0][0], output_bias, before, y);
-    for (int i = 0; i < 6; i++) r->said[s][i] = y[i];
+    for (int i = 0; i < 6; i++) r->net_out[s][i] = y[i];
 }
 
-/* Accelerations at substep s from what the network says of the state x, and the hidden states' rates into `hidden`. */
+/* Accelerations at substep s from the network's output at the state x, and the hidden states' rates into `hidden`. */
 static void accelerate(network *r, int s, const double *x, const double *u, double *hidden) {
-    const double *said = r->said[s];
+    const double *net_out = r->net_out[s];
     double R[3][3];
-    if (BODY_OUTPUTS) rotation(x + 6, R);
+    if (BODY_OUTPUTS) rotation(x + ATTITUDE, R);
     for (int i = 0; i < 3; i++) {
-        r->linear[s][i] = BODY_OUTPUTS ? R[i][0] * said[0] + R[i][1] * said[1] + R[i][2] * said[2] : said[i];
-        r->angular[s][i] = said[3 + i];
+        r->linear[s][i] = net_out[i];
+        if (BODY_OUTPUTS) r->linear[s][i] = R[i][0] * net_out[0] + R[i][1] * net_out[1] + R[i][2] * net_out[2];
+        r->angular[s][i] = net_out[3 + i];
     }
 #if RESIDUAL
     double rates[PHYSICS_RATES];
@@ -142,7 +144,7 @@ static void accelerate(network *r, int s, const double *x, const double *u, doub
 #endif
 }
 
-/* Instantaneous accelerations are carried on by half a step along their slope (Adams-Bashforth 2), for their mean. */
+/* Instantaneous accelerations are extrapolated by half a step along their slope (Adams-Bashforth 2): their mean. */
 static void extrapolate(network *r, int s, double h, double *hidden) {
 #if EXTRAPOLATED
     double *parts[] = {r->linear[s], r->angular[s], hidden};
@@ -167,34 +169,36 @@ static void advance(network *r, int s, const double *u, double h, double *next) 
     accelerate(r, s, x, u, hidden);
     extrapolate(r, s, h, hidden);
     move_body(x, r->linear[s], r->angular[s], h, next);
-    for (int i = 0; i < HIDDEN_STATES; i++) next[13 + i] = x[13 + i] + h * hidden[i];
+    for (int i = 0; i < HIDDEN_STATES; i++) next[RIGID_BODY_STATES + i] = x[RIGID_BODY_STATES + i] + h * hidden[i];
 }
 
 #define FILL(l, inputs, outputs, taps, dilation) \
     first += (taps - 1) * dilation; \
     for (int t = first; t < HISTORY; t++) { STREAM(l, inputs, outputs, taps, dilation) }
 
-/* Bring every layer's memory up to the measured history: layer by layer, each from where its taps find columns. */
+/* Evaluate every layer over the measured history: layer by layer, each from the first column that its taps reach. */
 static void load_history(network *r) {
     int first = 0;
-    for (int t = 0; t < HISTORY; t++) write_features(r, t, r->history[t], r->history[t] + 13);
+    for (int t = 0; t < HISTORY; t++) write_features(r, t, r->history[t], r->history[t] + RIGID_BODY_STATES);
     EACH_CONVOLUTION(FILL)
     (void)first;
 }
 
-/* A prediction's start: the history before it, its first state, and what the newest column of the history gives. */
+/* Start a prediction: the history before it, its first state, and the accelerations at the history's newest column. */
 static void begin(network *r, const double *x) {
     load_history(r);
     memcpy(r->state[0], x, sizeof r->state[0]);
 #if EXTRAPOLATED
     double hidden[HIDDEN_STATES + 1], then[NX];
     const double *column = r->history[HISTORY - 1];
-    memcpy(then, column, sizeof(double) * 13);
-    memcpy(then + 13, x + 13, sizeof(double) * HIDDEN_STATES); /* not measured: as now, then a step back */
+    const double *command = column + RIGID_BODY_STATES;
+    memcpy(then, column, sizeof(double) * RIGID_BODY_STATES);
+    /* hidden states are not measured: as they are now, then one step back */
+    memcpy(then + RIGID_BODY_STATES, x + RIGID_BODY_STATES, sizeof(double) * HIDDEN_STATES);
     evaluate(r, 0, HISTORY - 1);
-    accelerate(r, 0, then, column + 13, hidden);
-    for (int i = 0; i < HIDDEN_STATES; i++) then[13 + i] -= STEP_SECONDS * hidden[i];
-    if (HIDDEN_STATES) accelerate(r, 0, then, column + 13, hidden);
+    accelerate(r, 0, then, command, hidden);
+    for (int i = 0; i < HIDDEN_STATES; i++) then[RIGID_BODY_STATES + i] -= STEP_SECONDS * hidden[i];
+    if (HIDDEN_STATES) accelerate(r, 0, then, command, hidden);
     memcpy(r->before, r->linear[0], sizeof r->linear[0]);
     memcpy(r->before + 3, r->angular[0], sizeof r->angular[0]);
     memcpy(r->before + 6, hidden, sizeof(double) * HIDDEN_STATES);
@@ -202,30 +206,31 @@ static void begin(network *r, const double *x) {
 }
 
 static void roll_out(network *r) {
-    condensed *c = &r->c;
+    condensed *c = &r->ocp;
     begin(r, c->x[0]);
     for (int s = 0; s < STEPS; s++) advance(r, s, c->u[s / SUBSTEPS], STEP_SECONDS, r->state[s + 1]);
-    for (int k = 1; k <= N; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
+    for (int k = 1; k <= NODES; k++) memcpy(c->x[k], r->state[k * SUBSTEPS], sizeof c->x[k]);
 }
 
-#include "reverse.h"
+#include "reverse_split.h"
 #include "tangents.h"
 
-/* ---- what the runtime calls ---- */
+/* ---- the interface to the runtime ---- */
 
 #define TAKE_INPUTS(l, inputs, outputs, taps, dilation) \
     for (int tap = 0; l == 0 && tap < taps; tap++) \
         for (int o = 0; o < outputs; o++) \
-            for (int i = 0; i < NU; i++) \
-                r->by_own_input[tap][o][i] = (real)(options->scale * feature_gain[STATE_FEATURES + i]) * \
-                                             (&convolution_##l[0][0][0])[(tap * inputs + STATE_FEATURES + i) * outputs + o];
+            for (int i = 0; i < NU; i++) { \
+                const real *weight = &convolution_##l[0][0][0] + (tap * inputs + STATE_FEATURES + i) * outputs + o; \
+                r->by_own_input[tap][o][i] = (real)(options->scale * feature_gain[STATE_FEATURES + i]) * *weight; \
+            }
 
 network *rti_create(const rti_options *options) {
     network *r = aligned_zeros(sizeof *r);
-    condensed_create(&r->c, options);
-    for (int k = 0; k <= N; k++)
-        for (int i = 0; i < FREE; i++) r->c.S[k][i][START + i] = 1; /* positions carry themselves along */
-    for (int i = 0; i < NX; i++) r->c.S[0][i][START + i] = 1;
+    condensed_create(&r->ocp, options);
+    for (int k = 0; k <= NODES; k++)
+        for (int i = 0; i < FREE; i++) r->ocp.S[k][i][START + i] = 1; /* d position / d initial position */
+    for (int i = 0; i < NX; i++) r->ocp.S[0][i][START + i] = 1;
     EACH_CONVOLUTION(TAKE_INPUTS)
     for (int t = 0; t < COLUMNS; t++) {
         r->active[0][t].count = STATE_FEATURES;
@@ -253,35 +258,35 @@ void rti_propagate(network *r, const double *x, const double *u, double dt, doub
 }
 
 /* Mean accelerations (6,) over the next column's time, world and body axes, for x and u after the history. */
-void rti_accelerations(network *r, const double *x, const double *u, double *found) {
+void rti_accelerations(network *r, const double *x, const double *u, double *accelerations) {
     double hidden[HIDDEN_STATES + 1];
     load_history(r);
     write_features(r, HISTORY, x, u);
     evaluate(r, 0, HISTORY);
     accelerate(r, 0, x, u, hidden);
-    memcpy(found, r->linear[0], sizeof r->linear[0]);
-    memcpy(found + 3, r->angular[0], sizeof r->angular[0]);
+    memcpy(accelerations, r->linear[0], sizeof r->linear[0]);
+    memcpy(accelerations + 3, r->angular[0], sizeof r->angular[0]);
 }
 
-/* The same for `count` columns in a row (13 + NU each), the memory moving on by one column each. */
-void rti_stream(network *r, const double *columns, int count, double *found) {
+/* The same for `count` consecutive columns (COLUMN_ENTRIES each); the layers' memories advance by one column each. */
+void rti_stream(network *r, const double *columns, int count, double *accelerations) {
     double hidden[HIDDEN_STATES + 1];
     load_history(r);
     for (int i = 0, s = 0; i < count; i++, s++) {
-        const double *x = columns + i * COLUMN_ENTRIES;
+        const double *x = columns + i * COLUMN_ENTRIES, *command = x + RIGID_BODY_STATES;
         if (s == STEPS) {
             s = 0;
             for (int l = 0; l <= LAYERS; l++)
-                memmove(r->a.column[l][0], r->a.column[l][STEPS], sizeof(real) * HISTORY * WIDTH);
+                memmove(r->tangents.column[l][0], r->tangents.column[l][STEPS], sizeof(real) * HISTORY * WIDTH);
         }
-        double whole[NX];
-        memcpy(whole, x, sizeof(double) * 13);
-        for (int j = 13; j < NX; j++) whole[j] = r->state[0][j];
-        write_features(r, HISTORY + s, whole, x + 13);
+        double state[NX];
+        memcpy(state, x, sizeof(double) * RIGID_BODY_STATES);
+        for (int j = RIGID_BODY_STATES; j < NX; j++) state[j] = r->state[0][j];
+        write_features(r, HISTORY + s, state, command);
         evaluate(r, s, HISTORY + s);
-        accelerate(r, s, whole, x + 13, hidden);
-        memcpy(found + 6 * i, r->linear[s], sizeof r->linear[s]);
-        memcpy(found + 6 * i + 3, r->angular[s], sizeof r->angular[s]);
+        accelerate(r, s, state, command, hidden);
+        memcpy(accelerations + 6 * i, r->linear[s], sizeof r->linear[s]);
+        memcpy(accelerations + 6 * i + 3, r->angular[s], sizeof r->angular[s]);
     }
 }
 
@@ -289,18 +294,18 @@ void rti_stream(network *r, const double *columns, int count, double *found) {
  * -1 when a number of them is not finite, -2 when the prediction is not. */
 int rti_prepare(network *r, const double *x, const double *x_reference, const double *u_reference) {
     double start = now();
-    rti_report *report = &r->c.report;
-    if (!condensed_begin(&r->c, x, x_reference, u_reference)) return -1;
-    r->c.prepared = finite_all(&r->history[0][0], HISTORY * COLUMN_ENTRIES);
-    if (!r->c.prepared) return -1;
+    rti_report *report = &r->ocp.report;
+    if (!condensed_begin(&r->ocp, x, x_reference, u_reference)) return -1;
+    r->ocp.prepared = finite_all(&r->history[0][0], HISTORY * COLUMN_ENTRIES);
+    if (!r->ocp.prepared) return -1;
     roll_out(r);
-    r->c.prepared = finite_all(r->state[STEPS], NX);
-    if (!r->c.prepared) return -2;
+    r->ocp.prepared = finite_all(r->state[STEPS], NX);
+    if (!r->ocp.prepared) return -2;
     double rolled_out = now();
     stream_tangents(r);
     double streamed = now();
     condense(r);
-    condensed_finish(&r->c);
+    condensed_finish(&r->ocp);
     double end = now();
     report->rollout_seconds = rolled_out - start;
     report->tangent_seconds = streamed - rolled_out;

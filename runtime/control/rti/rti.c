@@ -1,19 +1,19 @@
-/* Real-time iteration for the model compiled in beside it (model.c): one Gauss-Newton step of
+/* Real-time iteration for the model compiled with it (model.c): one Gauss-Newton step of
  *
  *   minimise  sum_{k=0}^{N-1} 1/2 |x_k - r_k|^2_Q + 1/2 |u_k - s_k|^2_R  +  1/2 |x_N - r_N|^2_P      (PI-TCN eq. 7)
  *   subject to x_{k+1} = f(x_k, u_k), input bounds, and soft bounds on states and collective thrust,
  *
  * split as Diehl's real-time iteration: rti_prepare linearises at the state expected at the next tick and condenses;
- * rti_feedback (condensed.h) answers the state that was really measured.
+ * rti_feedback (condensed.h) solves for the measured state.
  *
  * Condensing. The states move by S_k z,
  *   S_0 = [I 0 ..],  S_{k+1} = A_k S_k, plus SCALE B_k in the columns of v_k.
  * The Hessian follows from a backward recursion, W_N = P S_N, W_k = Q S_k + A_k' W_{k+1}; its rows are
  *   H_k = SCALE B_k' W_{k+1} + R SCALE^2 (and the same columns for dx_0 carry the feedback of the initial state),
  * its right-hand side from the adjoint l_N = P (x_N - r_N), l_k = Q (x_k - r_k) + A_k' l_{k+1}. Columns lie along
- * the vector registers. The first columns of S_k are all that is not zero, so stage k touches only those. */
+ * the vector registers. Only the first columns of S_k are not zero, so stage k computes only those. */
 
-/* NX, NU, N, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build. */
+/* NX, NU, NODES, NP, NE, SUBSTEPS, VECTOR_BYTES come from the build. */
 #define SENSITIVITY double
 #define START 0
 #define HISTORY 0
@@ -21,7 +21,7 @@
 #include "condensed.h"
 
 /* CasADi's code: NODE(x, u, p, e, dt) -> next, A, B and STEP(x, u, p, e, dt) -> next. Without LOOPS it is thousands of
- * scalar lines in which -O3 finds nothing but takes many times as long to say so. */
+ * scalar lines, which -O3 makes no faster and takes many times as long to compile. */
 #pragma GCC push_options
 #if !LOOPS
 #pragma GCC optimize("O1")
@@ -35,17 +35,17 @@
 typedef double lanes __attribute__((vector_size(VECTOR_BYTES)));
 
 typedef struct {
-    condensed c;
+    condensed ocp;
     double p[NP], e[NE];
-    double A[N][NX * NX], B[N][NX * NU]; /* by column, as CasADi writes them */
-    double W[2][NX][L] __attribute__((aligned(64)));
+    double A[NODES][NX * NX], B[NODES][NX * NU]; /* by column, as CasADi writes them */
+    double W[2][NX][LD_S] __attribute__((aligned(64)));
     long long iw[NODE_IW + STEP_IW + 1];
     double w[NODE_W + STEP_W + 1];
 } rti;
 
 rti *rti_create(const rti_options *options) {
     rti *r = aligned_zeros(sizeof *r);
-    condensed_create(&r->c, options);
+    condensed_create(&r->ocp, options);
     return r;
 }
 
@@ -76,15 +76,15 @@ static void compose(const double *left, const double *in, double *out, int colum
 
 /* Roll the model out along the inputs, with the Jacobians of every node; a node may take several RK4 steps. */
 static void linearise(rti *r) {
-    double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], dt = r->c.o.node / SUBSTEPS;
-    for (int k = 0; k < N; k++) {
-        const double *arg[NODE_ARG] = {r->c.x[k], r->c.u[k], r->p, r->e, &dt};
-        double *res[NODE_RES] = {r->c.x[k + 1], r->A[k], r->B[k]};
+    double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], dt = r->ocp.options.node / SUBSTEPS;
+    for (int k = 0; k < NODES; k++) {
+        const double *arg[NODE_ARG] = {r->ocp.x[k], r->ocp.u[k], r->p, r->e, &dt};
+        double *res[NODE_RES] = {r->ocp.x[k + 1], r->A[k], r->B[k]};
         NODE(arg, res, r->iw, r->w, 0);
         for (int s = 1; s < SUBSTEPS; s++) {
-            memcpy(x, r->c.x[k + 1], sizeof x);
-            const double *next_arg[NODE_ARG] = {x, r->c.u[k], r->p, r->e, &dt};
-            double *next_res[NODE_RES] = {r->c.x[k + 1], A, B};
+            memcpy(x, r->ocp.x[k + 1], sizeof x);
+            const double *next_arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
+            double *next_res[NODE_RES] = {r->ocp.x[k + 1], A, B};
             NODE(next_arg, next_res, r->iw, r->w, 0);
             memcpy(before, r->A[k], sizeof(double) * NX * NX);
             compose(A, before, r->A[k], NX);
@@ -96,7 +96,7 @@ static void linearise(rti *r) {
 }
 
 /* out = M in (or M' in) over the first columns; M is NX x NX by column. */
-static void multiply(const double *M, bool transposed, double in[NX][L], double out[NX][L], int columns) {
+static void multiply(const double *M, bool transposed, double in[NX][LD_S], double out[NX][LD_S], int columns) {
     const int row = transposed ? NX : 1, column = transposed ? 1 : NX;
     for (int c = 0; c < columns; c += LANES_PER_VECTOR) {
         lanes sum[NX];
@@ -112,52 +112,54 @@ static void multiply(const double *M, bool transposed, double in[NX][L], double 
 static int columns_of(int k) { return ROUND(X0 + k * NU); }
 
 static void forward_sensitivities(rti *r) {
-    for (int i = 0; i < NX; i++) r->c.S[0][i][i] = 1;
-    for (int k = 0; k < N; k++) {
-        multiply(r->A[k], false, r->c.S[k], r->c.S[k + 1], columns_of(k));
+    const double scale = r->ocp.options.scale;
+    for (int i = 0; i < NX; i++) r->ocp.S[0][i][i] = 1;
+    for (int k = 0; k < NODES; k++) {
+        multiply(r->A[k], false, r->ocp.S[k], r->ocp.S[k + 1], columns_of(k));
         for (int i = 0; i < NX; i++)
-            for (int j = 0; j < NU; j++) r->c.S[k + 1][i][X0 + k * NU + j] = r->c.o.scale * r->B[k][j * NX + i];
+            for (int j = 0; j < NU; j++) r->ocp.S[k + 1][i][X0 + k * NU + j] = scale * r->B[k][j * NX + i];
     }
 }
 
-static void weigh(rti *r, int k, const double *weight, double W[NX][L], bool add) {
+static void weigh(rti *r, int k, const double *weight, double W[NX][LD_S], bool add) {
     int columns = columns_of(k);
     for (int i = 0; i < NX; i++)
         for (int c = 0; c < columns; c += LANES_PER_VECTOR) {
-            lanes term = weight[i] * *(lanes *)&r->c.S[k][i][c];
+            lanes term = weight[i] * *(lanes *)&r->ocp.S[k][i][c];
             *(lanes *)&W[i][c] = add ? *(lanes *)&W[i][c] + term : term;
         }
 }
 
 /* Row block k of the Hessian, SCALE B_k' W_{k+1}, into both halves, and of its derivative by dx_0. */
-static void hessian_rows(rti *r, int k, double W[NX][L]) {
+static void hessian_rows(rti *r, int k, double W[NX][LD_S]) {
+    const rti_options *options = &r->ocp.options;
     int columns = columns_of(k + 1);
     for (int j = 0; j < NU; j++) {
-        double row[L] __attribute__((aligned(64)));
+        double row[LD_S] __attribute__((aligned(64)));
         const double *b = &r->B[k][j * NX];
         for (int c = 0; c < columns; c += LANES_PER_VECTOR) {
             lanes sum = b[0] * *(lanes *)&W[0][c];
             for (int i = 1; i < NX; i++) sum += b[i] * *(lanes *)&W[i][c];
-            *(lanes *)&row[c] = r->c.o.scale * sum;
+            *(lanes *)&row[c] = options->scale * sum;
         }
         int v = k * NU + j;
-        memcpy(r->c.G[v], row, sizeof(double) * NX);
-        for (int i = 0; i <= v; i++) r->c.H[v * V + i] = r->c.H[i * V + v] = row[X0 + i];
-        r->c.H[v * V + v] += r->c.o.R[j] * r->c.o.scale * r->c.o.scale + r->c.o.levenberg_marquardt;
+        memcpy(r->ocp.G[v], row, sizeof(double) * NX);
+        for (int i = 0; i <= v; i++) r->ocp.H[v * NV + i] = r->ocp.H[i * NV + v] = row[X0 + i];
+        r->ocp.H[v * NV + v] += options->R[j] * options->scale * options->scale + options->levenberg_marquardt;
     }
 }
 
 static void gradient(rti *r) {
     double adjoint[NX], before[NX];
-    for (int i = 0; i < NX; i++) adjoint[i] = r->c.o.P[i] * (r->c.x[N][i] - r->c.x_reference[N][i]);
-    for (int k = N - 1; k >= 0; k--) {
+    for (int i = 0; i < NX; i++) adjoint[i] = r->ocp.options.P[i] * (r->ocp.x[NODES][i] - r->ocp.x_reference[NODES][i]);
+    for (int k = NODES - 1; k >= 0; k--) {
         for (int j = 0; j < NU; j++) {
-            double sum = r->c.o.R[j] * (r->c.u[k][j] - r->c.u_reference[k][j]);
+            double sum = r->ocp.options.R[j] * (r->ocp.u[k][j] - r->ocp.u_reference[k][j]);
             for (int i = 0; i < NX; i++) sum += r->B[k][j * NX + i] * adjoint[i];
-            r->c.g[k * NU + j] = r->c.o.scale * sum;
+            r->ocp.g[k * NU + j] = r->ocp.options.scale * sum;
         }
         for (int i = 0; i < NX; i++) {
-            before[i] = r->c.o.Q[i] * (r->c.x[k][i] - r->c.x_reference[k][i]);
+            before[i] = r->ocp.options.Q[i] * (r->ocp.x[k][i] - r->ocp.x_reference[k][i]);
             for (int c = 0; c < NX; c++) before[i] += r->A[k][i * NX + c] * adjoint[c];
         }
         memcpy(adjoint, before, sizeof adjoint);
@@ -166,30 +168,30 @@ static void gradient(rti *r) {
 
 static void condense(rti *r) {
     forward_sensitivities(r);
-    weigh(r, N, r->c.o.P, r->W[N & 1], false);
-    for (int k = N - 1; k >= 0; k--) {
+    weigh(r, NODES, r->ocp.options.P, r->W[NODES & 1], false);
+    for (int k = NODES - 1; k >= 0; k--) {
         hessian_rows(r, k, r->W[(k + 1) & 1]);
-        if (k == 0) break; /* W_0 would only say what the current state costs */
+        if (k == 0) break; /* W_0 would only give the cost of the current state */
         multiply(r->A[k], true, r->W[(k + 1) & 1], r->W[k & 1], columns_of(k));
-        weigh(r, k, r->c.o.Q, r->W[k & 1], true);
+        weigh(r, k, r->ocp.options.Q, r->W[k & 1], true);
     }
     gradient(r);
 }
 
-/* x: the state expected at the next tick. reference: N + 1 states, then N inputs. Returns 0; -1 when a number of them is
- * not finite, -2 when the prediction is not: no feedback is then given until the next preparation. */
+/* x: the state expected at the next tick. reference: N + 1 states, then N inputs. Returns 0; -1 when one of them is not
+ * finite, -2 when the prediction is not: no feedback follows until the next preparation. */
 int rti_prepare(rti *r, const double *x, const double *x_reference, const double *u_reference) {
     double start = now();
-    if (!condensed_begin(&r->c, x, x_reference, u_reference)) return -1;
+    if (!condensed_begin(&r->ocp, x, x_reference, u_reference)) return -1;
     linearise(r);
-    r->c.prepared = finite_all(r->c.x[N], NX);
-    if (!r->c.prepared) return -2;
+    r->ocp.prepared = finite_all(r->ocp.x[NODES], NX);
+    if (!r->ocp.prepared) return -2;
     double linearised = now();
     condense(r);
-    condensed_finish(&r->c);
+    condensed_finish(&r->ocp);
     double end = now();
-    r->c.report.rollout_seconds = linearised - start;
-    r->c.report.condense_seconds = end - linearised;
-    r->c.report.prepare_seconds = end - start;
+    r->ocp.report.rollout_seconds = linearised - start;
+    r->ocp.report.condense_seconds = end - linearised;
+    r->ocp.report.prepare_seconds = end - start;
     return 0;
 }

@@ -196,7 +196,7 @@ def solver_recipe(
     """
     node, step = _functions(model, field or _field(model))
     defines: dict[str, int | str] = {
-        "NX": model.state_count, "NU": model.input_count, "N": problem.nodes,
+        "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
         "SUBSTEPS": substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
         "LOOPS": int(node.is_a("MXFunction")),
