@@ -24,21 +24,13 @@ from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.verdict import channel_errors
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_file import nearest, write_vehicle
 
 _VERSION = re.compile(r"\.v(\d+)$")
-GUST = "gust"
 ONE_STEP_SLACK = 1.005  # by which one-step misfit may rise for simulated windows that end closer
-# What flights show of an effect whose parameters share one signal; {names} are its values.
-ONE_SIGNAL = {
-    "ground_effect": "gain and radius cannot be told apart: high above the ground only gain x radius^2 shows, here "
-    "{gain:.3g} x ({radius:.3g} m)^2; the radius was tried, not fitted",
-    "wind": "in a model without drag only velocity x coefficient shows: the coefficient is that of a usual rotor drag",
-    "battery_sag": "the voltage at which the file's constants hold was tried, not fitted: {reference:.3g} of a full "
-    "battery's",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +81,7 @@ def add_effect(
     notes: tuple[str, ...] = ()
     if name is None:
         findings = diagnose(dataset, vehicle, catalogue)
-        name, rotor, notes = top_effect(findings.diagnosis)
+        name, rotor, notes = top_effect(findings.diagnosis, catalogue)
         regression = findings.regression
     else:
         regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
@@ -150,35 +142,37 @@ class _Judge:
 def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:
     if name is not None and name not in catalogue:
         raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {', '.join(catalogue)}.")
-    if name == GUST:
-        raise DataError(_no_value())
+    if name is not None and catalogue[name].stochastic:
+        raise DataError(_no_value(catalogue[name]))
 
 
-def _no_value() -> str:
+def _no_value(effect: Effect) -> str:
     return (
-        "a gust was not added: it is random, so no value in a vehicle file predicts it. Fly in still air to find what "
-        "else is missing; give the mock `--effect gust:intensity=..` to fly in one."
+        f"a {effect.name} was not added: it is random, so no value in a vehicle file predicts it. Fly in still air to "
+        f"find what else is missing; give the mock `--effect {effect.name}:{effect.parameters[0].name}=..` to fly in one."
     )
 
 
-def top_effect(found: Diagnosis) -> tuple[str, int | None, tuple[str, ...]]:
+def top_effect(
+    found: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> tuple[str, int | None, tuple[str, ...]]:
     """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it.
 
     Raises DataError when there is none.
     """
     if found.verdict == "explained":
         raise DataError("nothing was added: the model explains these flights down to the sensors' noise.")
-    named = [effect for effect in found.effects if effect.name != GUST]
+    named = [effect for effect in found.effects if not catalogue[effect.name].stochastic]
     if not named:
         raise DataError(
-            _no_value()
+            _no_value(catalogue[found.effects[0].name])
             if found.effects
             else "nothing was added: something is missing, but no effect of the catalogue explains it. `alula compare` "
             "shows where the model fails; an effect of your own can be given with --effects."
         )
     top, notes = named[0], []
     if top is not found.effects[0]:
-        notes.append("there is a gust as well, which no vehicle file can hold")
+        notes.append(f"there is a {found.effects[0].name} as well, which no vehicle file can hold")
     if found.verdict == "unknown":
         notes.append(f"{top.name} is a part of what is missing at most: no effect of the catalogue explains the rest")
     if top.ambiguous_with:
@@ -187,11 +181,10 @@ def top_effect(found: Diagnosis) -> tuple[str, int | None, tuple[str, ...]]:
 
 
 def _one_signal(found: Fit, candidate: Candidate) -> tuple[str, ...]:
-    text = ONE_SIGNAL.get(candidate.effect.name)
-    if text is None:
+    if not candidate.effect.caveat:
         return ()
     fitted = {name: estimate.value for (key, name), estimate in found.estimates.items() if key == candidate.key}
-    return (text.format(**{**candidate.at, **fitted}),)
+    return (candidate.effect.caveat.format(**{**candidate.at, **fitted}),)
 
 
 def _refittings(regression: Regression, added: Candidate) -> list[Sequence[Candidate]]:

@@ -15,7 +15,6 @@ from dynamics.vehicle import Vehicle
 
 MAX_ROUNDS = 3
 MIN_SHARE = 0.01  # of the misfit that the first round took away, which a further round must bring
-NO_VALUE = ("gust",)  # that a vehicle file could hold: random air motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +41,7 @@ def complete(
     first = findings = diagnose(dataset, vehicle, catalogue)
     added: list[FoundEffect] = []
     for _ in range(MAX_ROUNDS):
-        news = _missing(findings, vehicle)
+        news = _missing(findings, vehicle, catalogue)
         gain = findings.misfit_before - findings.misfit_after
         least = MIN_SHARE * (first.misfit_before - first.misfit_after) if added else 0.0
         if not news or gain < least or not findings.misfit_after < IMPROVEMENT * findings.misfit_before:
@@ -55,11 +54,11 @@ def complete(
     return Completion(vehicle, tuple(added), first, findings)
 
 
-def _missing(findings: Findings, vehicle: Vehicle) -> list[FoundEffect]:
+def _missing(findings: Findings, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> list[FoundEffect]:
     """What was found, has a value, and is not in the vehicle file yet."""
     known = {(use.name, use.rotor) for use in vehicle.effects}
     named = findings.diagnosis.effects
-    return [e for e in named if e.name not in NO_VALUE and (e.name, e.rotor) not in known]
+    return [e for e in named if not catalogue[e.name].stochastic and (e.name, e.rotor) not in known]
 
 
 def _key(effect: FoundEffect) -> str:

@@ -60,7 +60,8 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
     gust_share = selection.gust.gain / max(regression.total, 1)
     swings = any(c.effect.hidden and c.effect.rotor_speed is None for c in result.candidates)
     misfits_now = None if swings else (typical[0], typical[1])
-    verdict = judge(effects, leftover, at_first, misfits_now, gust_share)
+    gusty = any(catalogue[effect.name].stochastic for effect in effects)
+    verdict = judge(effects, leftover, at_first, misfits_now, gust_share, gusty=gusty)
     unseen = not_excited(regression, selection.chosen)
     apart = [effects[0].name, *effects[0].ambiguous_with] if effects else []
     floor = regression.noise.floor
@@ -70,7 +71,7 @@ def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]
         channels=channel_errors(before, after, regression, dataset.held_out),
         not_excited=unseen,
         fails_where=worst_cells(regime_maps(dataset.held_out, before, floor, vehicle)),
-        next_flight=next_flight(apart, unseen),
+        next_flight=next_flight(apart, unseen, catalogue),
     )
     return Findings(
         diagnosis, result.vehicle, regression, selection, leftover, before, after, *misfits, dataset.notes

@@ -49,10 +49,11 @@ def found_effects(regression: Regression, selection: Selection, result: Fit) -> 
         close = tuple(s.candidates[-1].effect.name for s in near_rivals(search, others, rivals))[: MAX_SET - 1]
         share = _confidence(search, rivals)
         effects.append(FoundEffect(name, candidate.rotor, {**parameters, **held}, share, close))
-    if selection.blows:
-        gust = selection.gust
-        strength = {"intensity": ParameterValue(gust.intensity, gust.intensity / 2, "m/s")}
-        blown = FoundEffect("gust", None, strength, 1.0, ())
+    gust = selection.gust
+    if selection.blows and gust.effect is not None:
+        intensity = gust.effect.parameters[0]
+        strength = {intensity.name: ParameterValue(gust.intensity, gust.intensity / 2, intensity.unit)}
+        blown = FoundEffect(gust.effect.name, None, strength, 1.0, ())
         at = 0 if not selection.chosen.candidates or selection.gust_before.score > selection.chosen.score else 1
         effects.insert(min(at, len(effects)), blown)
     return tuple(effects)
@@ -79,14 +80,17 @@ def judge(
     at_first: Leftover,
     misfits: tuple[float, float] | None,
     gust_share: float,
+    *,
+    gusty: bool,
 ) -> Verdict:
     """The verdict: whether something is left that no effect explains comes before what was found.
 
     misfits: of a typical held-out window, before and after; None where something swings by itself, which nobody can
-    foretell on wild flights. gust_share: gain of a gust over the number of whitened residuals. What a gust leaves is no
-    surprise, unless it can be learned from the state or comes back in its place.
+        foretell on wild flights.
+    gust_share: gain of a gust over the number of whitened residuals.
+    gusty: a gust is among the effects; what it leaves is no surprise, unless it can be learned from the state or comes
+        back in its place.
     """
-    gusty = any(effect.name == "gust" for effect in effects)
     regular = max(left.learnable, left.returning) > GUST_LEARNABLE * gust_share
     agrees = left.agreement > max(LEFT_AGREEMENT, LEFT_SHARE * at_first.agreement)
     learnable = left.learnable > max(LEFT_LEARNABLE, LEFT_SHARE * at_first.learnable)

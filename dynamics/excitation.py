@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 Group = tuple[str, ...]
@@ -13,6 +14,15 @@ WRENCH: Group = (*DRIVE, "collective_thrust_command")
 COMMAND: Group = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
 POSE: tuple[Group, ...] = (("velocity",), ("attitude",))
 
+# Measures of motion and their units; `flights.quality.excitation.measures` takes them from a flight.
+MEASURES: Mapping[str, str] = {
+    "duration": "s", "speed": "m/s", "forward_speed": "m/s", "sideways_speed": "m/s", "lateral_speed": "m/s",
+    "climb_speed": "m/s", "roll_rate": "rad/s", "pitch_rate": "rad/s", "yaw_rate": "rad/s", "tilting_rate": "rad/s",
+    "roll_acceleration": "rad/s^2", "pitch_acceleration": "rad/s^2", "yaw_acceleration": "rad/s^2",
+    "tilting_acceleration": "rad/s^2", "acceleration": "m/s^2", "thrust_range": "1", "tilt": "rad",
+    "low_flight": "s", "headings": "rad", "voltage_drop": "1",
+}  # fmt: skip
+
 QUICK_TURNS = "quick rolls and pitches: Lemniscate, ExtendedLemniscate"
 
 
@@ -21,7 +31,7 @@ class Excitation:
     """What a flight must hold to show an effect of usual size above the sensors' noise.
 
     channels: groups of logged quantities, of each group at least one.
-    measure: the motion that shows it, one of `flights.quality.excitation.measures`.
+    measure: the motion that shows it, one of MEASURES.
     weak: size of the measure from which the effect shows weakly.
     enough: size from which it shows well.
     flight: what to fly where the measure is too small.
@@ -40,5 +50,7 @@ class Excitation:
     def __post_init__(self) -> None:
         if bool(self.measure) == bool(self.unlogged):
             raise ValueError("Excitation: give either a measure that shows the effect or what is unlogged.")
+        if self.measure and self.measure not in MEASURES:
+            raise ValueError(f"Excitation: unknown measure {self.measure!r}; known: {', '.join(MEASURES)}.")
         if not 0.0 <= self.weak <= self.enough:
             raise ValueError(f"Excitation: 0 <= weak <= enough is required, not {self.weak} and {self.enough}.")

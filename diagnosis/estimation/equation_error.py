@@ -29,7 +29,6 @@ STABLE = 0.4  # rows, of the shortest lag that a Runge-Kutta step a row follows
 BLOCK = 2.0  # s, over which residuals may hang together
 SETTLED = 0.02  # of its standard deviation by which a parameter still moves at the end
 NUDGE = 0.02  # relative step of finite differences
-REFINED = {"slung_load": ("length",), "wall_effect": ("scale",)}  # held while searching, fitted in the end
 
 
 @dataclass(frozen=True)
@@ -251,13 +250,13 @@ class _Problem:
 def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.whole:
         return tuple(candidate.at)
-    return (*candidate.free, *REFINED.get(candidate.effect.name, ()))
+    return (*candidate.free, *candidate.effect.refine)
 
 
 def _stable(effect: Effect, name: str, rate: float) -> tuple[float, float]:
-    """Bounds within which rows at `rate` Hz can be integrated: the rotors' lag is no shorter than 0.4 of a row."""
+    """Bounds within which rows at `rate` Hz can be integrated: a time constant is no shorter than 0.4 of a row."""
     low, high = bounds(effect, name)
-    return (max(low, STABLE / rate) if effect.rotor_speed is not None else low), high
+    return (max(low, STABLE / rate) if name in effect.time_constants else low), high
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:

@@ -11,9 +11,12 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor
-from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED, Regression
+from diagnosis.selection.regression import Regression
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.effects.gyro_bias import SENSOR_PRIOR as GYRO_BIAS
+from dynamics.effects.imu_bias import SENSOR_PRIOR as ACCELEROMETER_BIAS
+from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
 from dynamics.vehicle import Vehicle
 
 WINDOW = 2.0  # s
@@ -46,7 +49,7 @@ def _without_biases(segment: Segment, said: Prediction, rows: Floats, noise: Noi
     later = replace(said, pose_age=said.pose_age + CLOCK_OFFSET)
     both = channels.predicted(segment, [said, later])
     columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
-    deviation = np.array([SPECIFIED["imu_bias"]] * 3 + [SPECIFIED["gyro_bias"]] * 3 + [CLOCK_OFFSET])
+    deviation = np.array([ACCELEROMETER_BIAS] * 3 + [GYRO_BIAS] * 3 + [CLOCK_OFFSET])
     white = noise.whiten(columns).reshape(-1, 7)
     off = np.linalg.solve(white.T @ white + np.diag(deviation**-2), white.T @ noise.whiten(rows).ravel())
     off = np.clip(off, -SPECIFIED_AT_MOST * deviation, SPECIFIED_AT_MOST * deviation)

@@ -20,10 +20,11 @@ from diagnosis.estimation.equation_error import SETTLED, Estimate, Fit, bounds, 
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, Windows, healthy
 from diagnosis.selection.candidates import make_instruments
-from diagnosis.selection.regression import CLOCK_OFFSET, SPECIFIED
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.effects.gyro_bias import SENSOR_PRIOR as GYRO_BIAS
+from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
 from dynamics.vehicle import Vehicle
 
 WINDOW = 0.5  # s
@@ -230,7 +231,7 @@ def _whitened(white: Floats, rows: Floats) -> Floats:
 
 def _information() -> Floats:
     """(13,) inverse variances of a window's unknowns before it was seen."""
-    return np.array([0.0] * START + [SPECIFIED["gyro_bias"] ** -2] * 3 + [CLOCK_OFFSET**-2])
+    return np.array([0.0] * START + [GYRO_BIAS**-2] * 3 + [CLOCK_OFFSET**-2])
 
 
 def _left(q: Floats) -> Floats:

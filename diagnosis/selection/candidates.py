@@ -68,7 +68,7 @@ def make_candidates(
     found: list[Candidate] = []
     count = 0
     for effect in catalogue.values():
-        if effect.name == "gust" or not can_show(effect, segments, vehicle, catalogue):
+        if effect.stochastic or not can_show(effect, segments, vehicle, catalogue):
             continue
         for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
             for at, free in _variants(effect, rotor, vehicle, span):

@@ -9,6 +9,7 @@ import numpy as np
 
 from diagnosis.selection.regression import Regression
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
 
 HIGHEST, CORNER = 0.7, 0.15  # Hz, of the cosines and of the spectrum
 STRENGTHS = 25
@@ -16,17 +17,25 @@ STRENGTHS = 25
 
 @dataclass(frozen=True)
 class Gust:
-    """gain: twice the log-likelihood gained. score: less its penalty. intensity: m/s through the usual rotor drag."""
+    """How likely random air motion is.
+
+    gain: twice the log-likelihood gained.
+    score: the gain less its penalty.
+    intensity: m/s, through the usual rotor drag.
+    effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
+    """
 
     gain: float
     score: float
     intensity: float
+    effect: Effect | None = None
 
 
 def gust_gain(regression: Regression, chosen: Sequence[int]) -> Gust:
     """A random-effects likelihood of one strength, maximised over that strength, on what the chosen columns leave."""
-    wind = next((c for c in regression.candidates if c.effect.name == "wind"), None)
-    if wind is None:
+    wind = next((c for c in regression.candidates if c.effect.wind is not None), None)
+    effect = next((e for e in regression.catalogue.values() if e.stochastic and e.wind is not None), None)
+    if wind is None or effect is None:
         return Gust(0.0, -np.inf, 0.0)
     parts: list[tuple[Floats, Floats]] = []
     left = regression.left_over(chosen)
@@ -51,7 +60,7 @@ def gust_gain(regression: Regression, chosen: Sequence[int]) -> Gust:
             best, strength = gain, float(variance)
     penalty = np.log(regression.total / 4) + 2 * np.log(STRENGTHS)
     _, weight = _cosines(len(left[0]), regression.rate)
-    return Gust(best, best - float(penalty), float(np.sqrt(strength * weight.sum() / 2)))
+    return Gust(best, best - float(penalty), float(np.sqrt(strength * weight.sum() / 2)), effect)
 
 
 def _cosines(count: int, rate: float) -> tuple[Floats, Floats]:

@@ -22,8 +22,6 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
-SPECIFIED = {"gyro_bias": 0.01, "imu_bias": 0.02}  # rad/s, m/s^2
-CLOCK_OFFSET = 0.001  # s
 RIDGE = 1e-6
 SEED = 1
 
@@ -188,18 +186,17 @@ def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
 
 
 def _biases(candidates: Sequence[Candidate]) -> Biases:
-    found: list[int] = []
+    """Columns of what sensors are specified to be off by: of effects with a sensor prior, one candidate each."""
+    columns: list[int] = []
     information: list[float] = []
+    taken: set[str] = set()
     for candidate in candidates:
-        name = candidate.effect.name
-        deviation = SPECIFIED.get(name)
-        if name == "time_delay" and candidate.whole and not any(c in found for c in _clock(candidates)):
-            deviation = CLOCK_OFFSET / candidate.at["delay"]
-        if deviation is not None:
-            found += candidate.columns
-            information += [deviation**-2] * len(candidate.columns)
-    return Biases(tuple(found), np.array(information))
-
-
-def _clock(candidates: Sequence[Candidate]) -> set[int]:
-    return {i for c in candidates if c.effect.name == "time_delay" for i in c.columns}
+        deviation = candidate.effect.sensor_prior
+        if deviation is None or candidate.key in taken:
+            continue
+        taken.add(candidate.key)
+        if candidate.whole:  # its column is the effect of the size at which it was tried
+            deviation /= next(iter(candidate.at.values()))
+        columns += candidate.columns
+        information += [deviation**-2] * len(candidate.columns)
+    return Biases(tuple(columns), np.array(information))

@@ -28,8 +28,6 @@ CLOSE = 8  # effects with which pairs are searched
 BOUND_SLACK = 0.02  # of a parameter's usual deviation by which noise may push it over its bound
 WHOLE = (0.4, 1.9)  # amplitude of an effect regressed as a whole
 IMPOSSIBLE = -math.inf
-FAULTS = ("imu_bias", "gyro_bias", "time_delay")
-MIN_WHOLE = {"motor_lag": 0.0025, "time_delay": 0.003}  # s; less is the clocks' own
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +51,7 @@ class Scored:
 
 def least_gain(candidates: Sequence[Candidate]) -> float:
     """Score below which these are not claimed."""
-    faults = all(c.effect.name in FAULTS for c in candidates)
+    faults = all(c.effect.sensor_prior is not None for c in candidates)
     return MIN_FAULT if faults else MIN_GAIN
 
 
@@ -169,8 +167,7 @@ def possible(candidate: Candidate, theta: Floats, vehicle: Vehicle) -> bool:
     """Whether coefficients lie within the physical bounds of their parameters, but for a little noise."""
     if candidate.whole:
         size = next(iter(candidate.at.values()))
-        least = MIN_WHOLE.get(candidate.effect.name, 0.0)
-        return bool(WHOLE[0] < theta[0] < WHOLE[1] and theta[0] * size >= least)
+        return bool(WHOLE[0] < theta[0] < WHOLE[1] and theta[0] * size >= candidate.effect.min_detectable)
     slack = {p.name: BOUND_SLACK * p.prior(vehicle).std for p in candidate.effect.parameters}
     bounds = {p.name: (p.lower - slack[p.name], p.upper + slack[p.name]) for p in candidate.effect.parameters}
     return all(

@@ -13,9 +13,8 @@ from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 STATE_ROWS = {"position": range(3), "velocity": range(3, 6), "attitude": range(6, 10)}
-# Where only a command is known its gain is an unknown of its own, which holds these two already.
-GAIN_OF_COMMAND = ("mass", "thrust_constant")
 RATE_READ, POSE_AGE, VALUES = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
+ENVIRONMENT, BATTERY = 3, 1  # place among the inputs of `observe` and `derivative`, and of the voltage in it
 
 
 def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
@@ -23,11 +22,11 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
     source = segments[0].rotor_source
     if effect.rotor_speed is not None:
         return source != "measured"  # what happens between command and speed does not matter where speed is known
-    if effect.name == "rotor_speed_fault":
+    if effect.acts_on == "rotor_speed_reading":
         return source == "measured"
-    if effect.name in GAIN_OF_COMMAND and source == "command":
-        return False
-    if effect.name == "battery_sag" and any(s.battery_ratio is None for s in segments):
+    if effect.acts_on == "command_gain" and source == "command":
+        return False  # where only a command is logged its gain is an unknown of its own, which holds this already
+    if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & looks_at(effect, vehicle, catalogue)
@@ -35,13 +34,25 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
 
 def looks_at(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> frozenset[str]:
     """Which of position, velocity and attitude an effect needs: by the structure of its own expressions."""
-    use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
-    model = build_model(vehicle, effects=[use], catalogue=catalogue)
+    model = _alone(effect, vehicle, catalogue)
     columns = _state_columns(model)
     seen = {name for name, rows in STATE_ROWS.items() if columns & set(rows)}
     if model.measure.jac_sparsity(RATE_READ, VALUES).nnz() or model.measure.jac_sparsity(POSE_AGE, VALUES).nnz():
         seen.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
     return frozenset(seen)
+
+
+def needs_battery(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether forces, torques or hidden states of an effect depend on the battery's voltage."""
+    model = _alone(effect, vehicle, catalogue)
+    slopes = [model.observe.jac_sparsity(output, ENVIRONMENT) for output in range(2)]
+    slopes.append(model.derivative.jac_sparsity(0, ENVIRONMENT))
+    return any(BATTERY in slope.get_triplet()[1] for slope in slopes)
+
+
+def _alone(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Model:
+    use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
+    return build_model(vehicle, effects=[use], catalogue=catalogue)
 
 
 def _state_columns(model: Model) -> set[int]:

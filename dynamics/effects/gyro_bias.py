@@ -8,6 +8,7 @@ from dynamics.effect import Effect, Parameter, Prior, Reading, Values
 from dynamics.excitation import Excitation
 
 AXES = ("x", "y", "z")
+SENSOR_PRIOR = 0.01  # rad/s, of a healthy gyro
 
 
 def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
@@ -23,7 +24,7 @@ EFFECT = Effect(
         Parameter(axis, "rad/s", f"bias about body {axis}", -2.0, 2.0, lambda _: Prior(0.02, 0.05)) for axis in AXES
     ),
     measurement=measurement,
-    sensor_prior=0.01,
+    sensor_prior=SENSOR_PRIOR,
     excitation=Excitation(
         (("rate",), ("attitude",)),
         measure="duration",

@@ -8,6 +8,7 @@ from dynamics.effect import Effect, Parameter, Prior, Reading, Values
 from dynamics.excitation import POSE, Excitation
 
 AXES = ("x", "y", "z")
+SENSOR_PRIOR = 0.02  # m/s^2, of a healthy accelerometer
 
 
 def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
@@ -23,7 +24,7 @@ EFFECT = Effect(
         Parameter(axis, "m/s^2", f"bias along body {axis}", -20.0, 20.0, lambda _: Prior(0.1, 0.3)) for axis in AXES
     ),
     measurement=measurement,
-    sensor_prior=0.02,
+    sensor_prior=SENSOR_PRIOR,
     excitation=Excitation(
         (("specific_force",), *POSE),
         measure="tilt",

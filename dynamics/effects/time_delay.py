@@ -7,6 +7,8 @@ from dynamics.effect import Effect, Parameter, Prior, Reading, Span, Values
 from dynamics.excitation import QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle
 
+SENSOR_PRIOR = 0.001  # s, of healthy clocks
+
 
 def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
     """The pose is older than its stamp by delay."""
@@ -26,7 +28,7 @@ EFFECT = Effect(
     measurement=measurement,
     grid=grid,
     min_detectable=0.003,  # s; less is the clocks' own
-    sensor_prior=0.001,  # s, of clocks
+    sensor_prior=SENSOR_PRIOR,
     excitation=Excitation(
         (("rate",), ("attitude",)),
         measure="tilting_rate",

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import msgspec
 import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.excitation import MEASURES
 from flights import filters
 from flights.exclusion import effort
 from flights.flight import Flight
@@ -18,14 +19,6 @@ LOW = 0.5  # m above the ground, where it may act
 SPEED_EDGES = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0)  # m/s
 EFFORT_EDGES = (0.0, 0.4, 0.7, 0.9, 1.1, 1.3, 1.6, 2.0, 4.0)  # of the usual thrust
 RATE_EDGES = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # rad/s
-
-UNITS: Mapping[str, str] = {
-    "duration": "s", "speed": "m/s", "forward_speed": "m/s", "sideways_speed": "m/s", "lateral_speed": "m/s",
-    "climb_speed": "m/s", "roll_rate": "rad/s", "pitch_rate": "rad/s", "yaw_rate": "rad/s", "tilting_rate": "rad/s",
-    "roll_acceleration": "rad/s^2", "pitch_acceleration": "rad/s^2", "yaw_acceleration": "rad/s^2",
-    "tilting_acceleration": "rad/s^2", "acceleration": "m/s^2", "thrust_range": "1", "tilt": "rad",
-    "low_flight": "s", "headings": "rad", "voltage_drop": "1",
-}  # fmt: skip
 
 
 class Measure(msgspec.Struct, frozen=True):
@@ -47,7 +40,7 @@ class Coverage(msgspec.Struct, frozen=True):
 
 
 def measures(pieces: Sequence[Flight], *, ground: float = 0.0) -> dict[str, float]:
-    """Every measure that the segments of free flight tell; see `UNITS` for names and units.
+    """Every measure that the segments of free flight tell; see `MEASURES` for names and units.
 
     ground: its height, m. speed: 95th percentile. headings: spread of the yaw angle. voltage_drop: range over the
     mean. low_flight: s spent near the ground.
@@ -57,7 +50,7 @@ def measures(pieces: Sequence[Flight], *, ground: float = 0.0) -> dict[str, floa
     found = {"duration": sum(piece.duration for piece in pieces)}
     parts = [_piece(piece) for piece in pieces]
     whole = _known_parts(parts)
-    found |= {name: _rms(values) for name, values in whole.items() if name in UNITS}
+    found |= {name: _rms(values) for name, values in whole.items() if name in MEASURES}
     if "speed" in whole:
         found["speed"] = float(np.nanpercentile(whole["speed"], 95))
     if "height" in whole:

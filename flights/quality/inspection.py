@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
 import msgspec
 import numpy as np
 
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
+from dynamics.excitation import DRIVE, MEASURES, WRENCH
 from flights import plausibility
 from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
@@ -16,9 +19,9 @@ from flights.flight import Flight
 from flights.log import Log, Repair
 from flights.quality import advice
 from flights.quality.channels import Channel, channel_findings, channels_of
-from flights.quality.excitation import UNITS, Coverage, Measure, coverages, measures
+from flights.quality.excitation import Coverage, Measure, coverages, measures
 from flights.quality.findings import Finding
-from flights.quality.identifiable import DRIVE, WRENCH, EffectAnswer, answers
+from flights.quality.identifiable import EffectAnswer, answers
 from flights.quality.rotor_balance import rotor_findings
 from flights.quantities import RESET_COUNTERS
 from flights.reading import read_log
@@ -65,8 +68,11 @@ def inspect_log(path: str | Path, *, mapping: str | Path | None = None) -> Inspe
     return judge(read_log(path, mapping=mapping))
 
 
-def judge(log: Log) -> Inspection:
-    """Judge what was read. Raises DataError when there is nothing to align."""
+def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
+    """Judge what was read. Raises DataError when there is nothing to align.
+
+    catalogue: the effects that might be identified from it.
+    """
     flight = Flight.from_log(log)
     exclusions = find_exclusions(flight)
     pieces = flight.segments(exclude=excluded_rows(flight, exclusions))
@@ -78,7 +84,7 @@ def judge(log: Log) -> Inspection:
         *_framed(log), *_actuation(log), *_amount(measured), *_clocks(delays), *_resets(log),
         *rotor_findings(pieces), *channel_findings(log, flying),
     ]  # fmt: skip
-    effects = answers(_trusted(usable, findings), measured, UNITS)
+    effects = answers(_trusted(usable, findings), measured, catalogue)
     verdict = _verdict(findings, effects)
     return Inspection(
         path=log.provenance.path,
@@ -92,7 +98,7 @@ def judge(log: Log) -> Inspection:
         exclusions=exclusions,
         channels=channels_of(log),
         delays=delays,
-        excitation=tuple(Measure(name, value, UNITS[name]) for name, value in measured.items()),
+        excitation=tuple(Measure(name, value, MEASURES[name]) for name, value in measured.items()),
         coverage=coverages(pieces),
         effects=effects,
         findings=tuple(sorted(findings, key=lambda finding: ("error", "warning", "note").index(finding.severity))),

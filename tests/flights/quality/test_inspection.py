@@ -9,7 +9,7 @@ import pytest
 
 from dynamics.effects import CATALOGUE
 from flights.log import Log, Stream
-from flights.quality.identifiable import NEEDS, answers
+from flights.quality.identifiable import answers
 from flights.quality.inspection import Inspection, judge
 from tests.support.simulated_flight import changed, flown, thinned, values, without
 
@@ -36,8 +36,7 @@ def test_a_healthy_log_is_good_and_has_nothing_to_complain_of(healthy: Inspectio
 
 
 def test_every_effect_of_the_catalogue_has_an_answer(healthy: Inspection) -> None:
-    assert [effect.name for effect in healthy.effects] == list(NEEDS)
-    assert set(CATALOGUE) <= set(NEEDS)
+    assert [effect.name for effect in healthy.effects] == list(CATALOGUE)
     answered = {effect.name: effect.answer for effect in healthy.effects}
     assert answered["rotor_drag"] == answered["inertia"] == answered["blade_flapping"] == "yes"
     assert answered["ground_effect"] == "no"  # flown a metre above it
@@ -144,7 +143,7 @@ def test_a_clock_offset_is_noted(log: Log) -> None:
 
 
 def test_what_is_not_excited_says_what_to_fly() -> None:
-    told = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1}, {})}
+    told = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1})}
     assert told["torque_constant"].answer == "no"
     assert "fly yaw_spin" in told["torque_constant"].why
     assert told["rotor_drag"].why == "needs an accelerometer or velocity and velocity and attitude"
