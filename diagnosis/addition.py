@@ -147,9 +147,10 @@ def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:
 
 
 def _no_value(effect: Effect) -> str:
+    strength = effect.parameters[0].name
     return (
         f"a {effect.name} was not added: it is random, so no value in a vehicle file predicts it. Fly in still air to "
-        f"find what else is missing; give the mock `--effect {effect.name}:{effect.parameters[0].name}=..` to fly in one."
+        f"find what else is missing; give the mock `--effect {effect.name}:{strength}=..` to fly in one."
     )
 
 
