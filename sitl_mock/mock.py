@@ -22,11 +22,16 @@ from sitl_mock.wire.link_spec import LinkSpec, default_links
 
 @dataclass(frozen=True, slots=True)
 class MockOptions:
-    """Everything that can be asked of a mock.
+    """All options of a mock.
 
-    vehicle: its file. effects: hidden ones, as on the command line (`name:key=value,...`). scenario: a file. seed: of
-    all randomness. double_ack, rule, body_velocity, clock_drift: see `Behaviour`; clock_drift None for the
-    scenario's. parameters: PX4 parameters by name. instance: PX4's, added to ports and to the system id.
+    vehicle: the vehicle file.
+    effects: hidden effects as on the command line, `name:key=value,...`.
+    scenario: the scenario file.
+    seed: of all randomness.
+    double_ack, rule, body_velocity: see `Behaviour`.
+    clock_drift: see `Behaviour`; None for the scenario's.
+    parameters: PX4 parameters by name.
+    instance: PX4's, added to ports and to the system id.
     """
 
     vehicle: Path
@@ -44,12 +49,12 @@ class MockOptions:
 def build_autopilot(options: MockOptions) -> Autopilot:
     """An autopilot on the ground at simulated time 0, without links.
 
-    Raises RequestError for a vehicle, effect, scenario or parameter that cannot be.
+    Raises RequestError for a vehicle, effect, scenario or parameter that is not valid.
     """
     vehicle = read_vehicle(options.vehicle)
     scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
-    named = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
-    hidden = (*scenario.hidden_effects(), *named)
+    requested = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
+    hidden = (*scenario.hidden_effects(), *requested)
     tuning = default_tuning(vehicle, hidden)
     defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, "CA_ROTOR_COUNT": vehicle.rotors.count}
     simulated = SimulatedVehicle(
@@ -72,7 +77,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
 
 
 def parse_parameter(text: str) -> tuple[str, float]:
-    """A parameter as given on a command line, NAME=VALUE. Raises RequestError when it is none."""
+    """A parameter of a command line, NAME=VALUE. Raises RequestError for any other text."""
     name, _, value = text.partition("=")
     try:
         return name.strip(), float(value)
@@ -85,7 +90,7 @@ def serve(
 ) -> Server:
     """Run a mock on its links (PX4's two by default) until SIGINT or SIGTERM; returns the server that ran.
 
-    Raises RequestError for options that cannot be, a port in use or a device that cannot be opened.
+    Raises RequestError for options that are not valid, a port in use or a device that cannot be opened.
     """
     if not 0.01 <= speed <= 100.0:
         raise RequestError(f"speed {speed}: wanted 0.01 to 100 times real time.")
@@ -105,20 +110,20 @@ def serve(
 
 
 class _Stop:
-    """Whether a signal has asked the process to end."""
+    """Whether a signal has requested the end of the process."""
 
     def __init__(self) -> None:
-        self.asked = False
+        self.requested = False
 
     def __call__(self) -> bool:
-        return self.asked
+        return self.requested
 
-    def ask(self, _number: int, _frame: FrameType | None) -> None:
-        self.asked = True
+    def request(self, _number: int, _frame: FrameType | None) -> None:
+        self.requested = True
 
 
 def _stop_on_signals() -> _Stop:
     stop = _Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, stop.ask)
+        signal.signal(number, stop.request)
     return stop

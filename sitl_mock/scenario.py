@@ -1,4 +1,4 @@
-"""The scenario file: what the vehicle file does not know, how well the vehicle measures, and what goes wrong when."""
+"""The scenario file: effects hidden from the vehicle file, sensor errors, and faults over time."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
 from sitl_mock.autopilot.fault_schedule import Fault
-from sitl_mock.vehicle.battery import Battery
+from sitl_mock.vehicle.battery import BatteryPack
 from sitl_mock.vehicle.sensors import SensorErrors
 from sitl_mock.vehicle.vehicle import VehicleOptions
 
@@ -25,25 +25,11 @@ class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     z: float = 0.0
 
 
-class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """cells: in series. capacity: A s. resistance: ohm. charge: 0..1 at the start."""
-
-    cells: int
-    capacity: float
-    resistance: float
-    charge: float = 1.0
-
-    def __post_init__(self) -> None:
-        possible = self.cells >= 1 and self.capacity > 0 and self.resistance >= 0 and 0 < self.charge <= 1
-        if not possible:
-            raise RequestError(
-                f"battery of {self.cells} cells, {self.capacity} A s, {self.resistance} ohm, charge {self.charge}: "
-                "wanted at least one cell, a positive capacity, a resistance of 0 or more and a charge in (0, 1]."
-            )
-
-
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """drift: s that the vehicle's clock gains per second; PX4's simulation was seen to drift by 0.01."""
+    """The vehicle's clock.
+
+    drift: time that it gains, s per second; PX4's simulation has drifted by 0.01.
+    """
 
     drift: float = 2e-5
 
@@ -53,10 +39,19 @@ class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """All of a scenario file; what is left out is as without one.
+    """All of a scenario file; a key that it omits is as without a scenario.
 
-    effects: hidden from the vehicle file. sensors: as in `SensorErrors`. ground_height: m. position: east and north,
-    m. yaw: rad from east. rotor_noise: standard deviation of a rotor's speed over its speed.
+    effects: hidden from the vehicle file.
+    wind: steady wind.
+    battery: None for one that suits the vehicle.
+    sensors: fields of `SensorErrors`.
+    clock: the vehicle's clock.
+    ground_height: m.
+    position: of the start, east and north, m.
+    yaw: of the start, rad from east.
+    rotor_noise: standard deviation of a rotor's speed over its speed.
+    parameters: PX4 parameters by name.
+    faults: what goes wrong when.
     """
 
     effects: tuple[EffectUse, ...] = ()
@@ -78,16 +73,14 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (*self.effects, EffectUse("wind", {"x": self.wind.x, "y": self.wind.y, "z": self.wind.z}))
 
     def vehicle_options(self) -> VehicleOptions:
-        """What the simulated vehicle needs of this."""
-        pack = self.battery
-        battery = None if pack is None else Battery(pack.cells, pack.capacity, pack.resistance, pack.charge)
+        """The part that the simulated vehicle needs."""
         return VehicleOptions(
             sensors=SensorErrors(**self.sensors),
             ground_height=self.ground_height,
             position=self.position,
             yaw=self.yaw,
             rotor_noise=self.rotor_noise,
-            battery=battery,
+            battery=self.battery,
         )
 
 
@@ -95,7 +88,7 @@ def read_scenario(path: str | Path, rotor_count: int) -> Scenario:
     """A scenario from its file.
 
     Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
-    does), or asks for what cannot be.
+    does), or a value that is not possible.
     """
     path = Path(path)
     try:

@@ -13,10 +13,10 @@ from sitl_mock.wire.link import Link
 from sitl_mock.wire.transport import Transport
 
 Pace = Literal["realtime", "lockstep"]
-CATCH_UP = 0.1  # s that a delayed process makes good; beyond it simulated time slips, as PX4's simulation does
-RECEPTION_TIME = 0.002  # s spent on what has arrived before the vehicle gets its turn again
-LOCKSTEP_PATIENCE = 0.5  # s without a setpoint after which lockstep lets time run by itself
-LOCKSTEP_STEPS = 25  # passes after which a setpoint's answer is given up: the client asked for no estimate
+CATCH_UP = 0.1  # s that a delayed process catches up; beyond it simulated time slips, as PX4's simulation does
+RECEPTION_TIME = 0.002  # s spent on arrived messages before the next pass of the vehicle
+LOCKSTEP_PATIENCE = 0.5  # s without a setpoint after which lockstep follows the clock
+LOCKSTEP_STEPS = 25  # passes after which a setpoint stays without an estimate: the client requested none
 
 
 @dataclass(slots=True)
@@ -31,7 +31,9 @@ class Server:
     """Carries bytes between an autopilot and its transports while simulated time follows the clock.
 
     pace: realtime follows the clock times `speed`; lockstep advances to the next estimate whenever a setpoint
-    arrives and follows the clock only while none does.
+        arrives and follows the clock only while none does.
+    speed: simulated seconds per second.
+    slipped: simulated time that a starved process gave up, s.
     """
 
     def __init__(self, autopilot: Autopilot, wires: list[Wire], *, pace: Pace = "realtime", speed: float = 1.0):
@@ -48,7 +50,7 @@ class Server:
             wire.link.punctual = pace == "lockstep"
 
     def run(self, stopped: Callable[[], bool]) -> None:
-        """Serve until told to stop; the transports are closed on the way out."""
+        """Serve until `stopped` returns true, then close the transports."""
         self._start = time.monotonic()
         self._origin = self.autopilot.time
         try:
@@ -59,7 +61,7 @@ class Server:
                 wire.transport.close()
 
     def turn(self) -> None:
-        """Wait for bytes or for the next moment at which something is due, and do it."""
+        """Wait for bytes or for the time at which the next pass or message is due, and handle them."""
         self._wait()
         self._receive()
         if self._pace == "lockstep" and self._follow_setpoints():
@@ -75,7 +77,7 @@ class Server:
         self._send(now)
 
     def _now(self) -> float:
-        """The simulated time that the clock asks for, s."""
+        """The simulated time that corresponds to the clock, s."""
         return self._origin + (time.monotonic() - self._start) * self._speed
 
     def _slip(self, seconds: float) -> None:
@@ -92,7 +94,7 @@ class Server:
         limit = time.monotonic() + RECEPTION_TIME
         for wire in self.wires:
             for peer, data in wire.transport.receive():
-                # never ahead of the vehicle, whose state the answers describe, by more than one pass
+                # at most one pass later than the vehicle, whose state the answers describe
                 now = max(self.autopilot.time, min(self._now(), self.autopilot.next_step))
                 self.autopilot.receive(wire.link, peer, data, now)
                 if time.monotonic() > limit:
@@ -104,7 +106,7 @@ class Server:
                 wire.transport.send(frame)
 
     def _follow_setpoints(self) -> bool:
-        """Advance to the next estimate for a setpoint that has come; whether setpoints keep coming."""
+        """Advance to the next estimate for a new setpoint. Returns whether setpoints keep coming."""
         count = self.autopilot.commander.offboard.count
         if count != self._setpoints:
             self._setpoints = count

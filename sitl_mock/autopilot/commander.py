@@ -1,6 +1,6 @@
 """PX4's commander: arming, modes, failsafe and automatic disarming, as rules over time.
 
-Every method takes the simulated time in s; nothing here knows links, messages or the vehicle. `docs/mock.md` says
+Every method takes the simulated time in s; links, messages and the vehicle are elsewhere. `docs/mock.md` lists
 where each rule was measured.
 """
 
@@ -18,8 +18,8 @@ from sitl_mock.autopilot.offboard import OffboardStream, Rule
 from sitl_mock.autopilot.parameters import Parameters
 
 FORCE = 21196
-Severity = Literal["critical", "info"]
-SEVERITY_NUMBER: dict[Severity, int] = {"critical": 2, "info": 6}
+TextSeverity = Literal["critical", "info"]
+SEVERITY_NUMBER: dict[TextSeverity, int] = {"critical": 2, "info": 6}  # MAV_SEVERITY
 
 
 class Result(IntEnum):
@@ -33,7 +33,7 @@ class Result(IntEnum):
 
 
 class SystemStatus(IntEnum):
-    """MAV_STATE, as far as PX4's heartbeat uses it."""
+    """MAV_STATE: the values that PX4's heartbeat uses."""
 
     UNINITIALISED = 0
     STANDBY = 3
@@ -48,8 +48,12 @@ TERMINATE, DISARM = 6, 7
 
 
 @dataclass(frozen=True, slots=True)
-class Obstinacy:
-    """What a scenario makes the autopilot refuse. arming, offboard: TEMPORARILY_REJECTED whatever the state."""
+class ForcedRejections:
+    """Requests that a scenario makes the autopilot answer with TEMPORARILY_REJECTED whatever its state.
+
+    arming: to arm.
+    offboard: to enter OFFBOARD.
+    """
 
     arming: bool = False
     offboard: bool = False
@@ -66,8 +70,8 @@ class Commander:
         self.failsafe = False
         self.terminated = False
         self.landed = True
-        self.refuses = Obstinacy()
-        self.texts: deque[tuple[Severity, str]] = deque(maxlen=32)
+        self.forced_rejections = ForcedRejections()
+        self.texts: deque[tuple[TextSeverity, str]] = deque(maxlen=32)
         self._parameters = parameters
         self._random = random.Random(seed)
         self._after_disarming = Mode.HOLD
@@ -82,7 +86,7 @@ class Commander:
         """Arm, if PX4 would."""
         if self.armed:
             return Result.ACCEPTED
-        if self.refuses.arming or self.terminated or not (force or self.may_arm(time)):
+        if self.forced_rejections.arming or self.terminated or not (force or self.may_arm(time)):
             self.texts.append(("critical", "Arming denied: Resolve system health failures first"))
             return Result.TEMPORARILY_REJECTED
         self.armed = True
@@ -108,11 +112,11 @@ class Commander:
         return Result.ACCEPTED
 
     def set_mode(self, time: float, mode: Mode | None) -> Result:
-        """Change the mode that the user wants: while disarmed to any, while armed to one that can run."""
+        """Change the intended mode: while disarmed to any, while armed to one that can run."""
         if mode is None:
             self.texts.append(("critical", "Unsupported mode"))
             return Result.TEMPORARILY_REJECTED
-        if mode is Mode.OFFBOARD and self.refuses.offboard:
+        if mode is Mode.OFFBOARD and self.forced_rejections.offboard:
             return Result.TEMPORARILY_REJECTED
         if self.armed and mode is not self.mode and not self._can_run(time, mode):
             return Result.TEMPORARILY_REJECTED
@@ -148,7 +152,7 @@ class Commander:
             self.mode = self.intended
 
     def finish_takeoff(self) -> None:
-        """The take-off height is reached: PX4 goes over to HOLD."""
+        """Go over to HOLD at the take-off height."""
         self.mode = self.intended = self._after_disarming = Mode.HOLD
 
     def _watch_offboard(self, time: float) -> None:
@@ -207,7 +211,7 @@ class Commander:
     def _loss_time(self) -> float:
         return max(0.0, self._parameters["COM_OF_LOSS_T"])
 
-    # what the heartbeat says
+    # content of the heartbeat
 
     def system_status(self, time: float) -> SystemStatus:
         """MAV_STATE of the vehicle."""
@@ -218,7 +222,7 @@ class Commander:
         return SystemStatus.STANDBY if self.may_arm(time) else SystemStatus.UNINITIALISED
 
     def base_mode(self) -> int:
-        """HEARTBEAT's base_mode; PX4's own says auto, guided and stabilised by what its controllers do."""
+        """HEARTBEAT's base_mode; as PX4's, it shows auto, guided and stabilised by what the controllers do."""
         flags = CUSTOM | (ARMED if self.armed else 0)
         if self.mode is Mode.OFFBOARD:
             return flags | (STABILISED if self.offboard.count else 0)

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import msgspec
 import numpy as np
 
 from dynamics.errors import RequestError
-
-if TYPE_CHECKING:
-    from sitl_mock.autopilot.autopilot import Autopilot
+from sitl_mock.autopilot.commander import Commander
+from sitl_mock.vehicle.clock import VehicleClock
+from sitl_mock.wire.estimate_fault import EstimateFault
+from sitl_mock.wire.link import Link
 
 FaultKind = Literal[
     "estimator_reset",
@@ -33,11 +34,17 @@ Start = Literal["start", "arming", "takeoff"]
 
 
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One fault.
+    """One fault of a scenario.
 
-    at: s after the mock's start, the arming or the take-off, as `after` says. duration: s, for good when left out;
-    a reset and a clock jump happen at once. shift: m, ENU, and yaw: rad, of an estimator reset. seconds: of a clock
-    jump, negative for backwards. probability: per frame, of loss, duplication or reorder. rate: frames/s of a flood.
+    kind: what goes wrong.
+    at: when it begins, s after the event that `after` names.
+    after: the mock's start, the arming or the take-off.
+    duration: s, without end by default; an estimator reset and a clock jump happen at once.
+    shift: of an estimator reset, ENU, m.
+    yaw: of an estimator reset, about up, rad.
+    seconds: of a clock jump, negative for backwards.
+    probability: of a frame's loss, duplication or delay.
+    rate: of a message flood, frames per second.
     """
 
     kind: FaultKind
@@ -59,28 +66,39 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise RequestError(f"fault {self.kind}: probability = {self.probability}: wanted 0 to 1")
 
 
+@dataclass(frozen=True, slots=True)
+class FaultTargets:
+    """The parts of an autopilot that faults act on."""
+
+    commander: Commander
+    estimate: EstimateFault
+    clock: VehicleClock
+    links: list[Link]
+
+
 class FaultSchedule:
     """Begins and ends faults as simulated time passes."""
 
-    def __init__(self, faults: tuple[Fault, ...]):
+    def __init__(self, faults: tuple[Fault, ...], targets: FaultTargets):
+        self._targets = targets
         self._waiting = list(faults)
         self._running: list[tuple[float, Fault]] = []
         self._origin: dict[Start, float] = {"start": 0.0}
 
-    def apply(self, time: float, autopilot: Autopilot) -> None:
+    def apply(self, time: float) -> None:
         """Begin what is due and end what is over at a simulated time, s."""
         if not self._waiting and not self._running:
             return
-        if autopilot.commander.armed:
+        if self._targets.commander.armed:
             self._origin.setdefault("arming", time)
-        if not autopilot.commander.landed:
+        if not self._targets.commander.landed:
             self._origin.setdefault("takeoff", time)
         for end, fault in [entry for entry in self._running if entry[0] <= time]:
             self._running.remove((end, fault))
-            ACTIONS[fault.kind](autopilot, fault, False)
+            ACTIONS[fault.kind](self._targets, fault, False)
         for fault in [fault for fault in self._waiting if self._begins(fault) <= time]:
             self._waiting.remove(fault)
-            ACTIONS[fault.kind](autopilot, fault, True)
+            ACTIONS[fault.kind](self._targets, fault, True)
             if math.isfinite(fault.duration):
                 self._running.append((time + fault.duration, fault))
 
@@ -88,62 +106,64 @@ class FaultSchedule:
         return self._origin.get(fault.after, math.inf) + fault.at
 
 
-def _reset(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
+def _reset(targets: FaultTargets, fault: Fault, begins: bool) -> None:
     if begins:
-        autopilot.estimate_fault.reset(np.array(fault.shift), fault.yaw)
+        targets.estimate.reset(np.array(fault.shift), fault.yaw)
 
 
-def _invalid(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    autopilot.estimate_fault.invalid = begins
+def _invalid(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.estimate.invalid = begins
 
 
-def _frozen(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    autopilot.estimate_fault.frozen = begins
+def _frozen(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.estimate.frozen = begins
 
 
-def _stopped(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    autopilot.estimate_fault.stopped = begins
+def _stopped(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.estimate.stopped = begins
 
 
-def _clock_jump(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
+def _clock_jump(targets: FaultTargets, fault: Fault, begins: bool) -> None:
     if begins:
-        autopilot.clock.jump(fault.seconds)
+        targets.clock.jump(fault.seconds)
 
 
-def _link_down(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    for link in autopilot.links:
+def _link_down(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    for link in targets.links:
         link.fault.down = begins
 
 
-def _loss(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
-    for link in autopilot.links:
+def _loss(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    for link in targets.links:
         link.fault.loss = fault.probability if begins else 0.0
 
 
-def _duplication(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
-    for link in autopilot.links:
+def _duplication(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    for link in targets.links:
         link.fault.duplication = fault.probability if begins else 0.0
 
 
-def _reorder(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
-    for link in autopilot.links:
+def _reorder(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    for link in targets.links:
         link.fault.reorder = fault.probability if begins else 0.0
 
 
-def _flood(autopilot: Autopilot, fault: Fault, begins: bool) -> None:
-    for link in autopilot.links:
+def _flood(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    for link in targets.links:
         link.fault.flood = fault.rate if begins else 0.0
 
 
-def _refuse_arming(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    autopilot.commander.refuses = replace(autopilot.commander.refuses, arming=begins)
+def _refuse_arming(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    commander = targets.commander
+    commander.forced_rejections = replace(commander.forced_rejections, arming=begins)
 
 
-def _refuse_offboard(autopilot: Autopilot, _: Fault, begins: bool) -> None:
-    autopilot.commander.refuses = replace(autopilot.commander.refuses, offboard=begins)
+def _refuse_offboard(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    commander = targets.commander
+    commander.forced_rejections = replace(commander.forced_rejections, offboard=begins)
 
 
-ACTIONS: dict[FaultKind, Callable[[Autopilot, Fault, bool], None]] = {
+ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "estimator_reset": _reset,
     "estimate_nan": _invalid,
     "estimate_freeze": _frozen,

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+import random
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
-from sitl_mock.autopilot import commands
-from sitl_mock.autopilot.commander import Result
+from sitl_mock.autopilot.commander import Commander, Result
+from sitl_mock.autopilot.commands import CommandHandler, command_of, is_addressed
 from sitl_mock.autopilot.modes import mode_from_custom
 from sitl_mock.autopilot.offboard import attitude_target, global_position_target, position_target
+from sitl_mock.autopilot.parameters import Parameters
+from sitl_mock.vehicle.clock import VehicleClock
+from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, Vehicle
 from sitl_mock.wire.dialect import AUTOPILOT_COMPONENT, Message, mavlink
+from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.link import Link
-
-if TYPE_CHECKING:
-    from sitl_mock.autopilot.autopilot import Autopilot
 
 ACK_DELAY = (0.0005, 0.0145)  # s; measured 0.5 to 16 ms
 SECOND_ACK_DELAY = (0.0, 0.007)
@@ -21,90 +22,124 @@ SECOND_VALUE_DELAY = (0.0145, 0.022)  # s; measured 14 to 23 ms
 LIST_SPACING = 0.002  # s between two parameters of a list
 
 
-def receive(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    """Handle one message that arrived on a link at a simulated time, s."""
-    handler = HANDLERS.get(message.get_type())
-    if handler is None or _is_own(autopilot, message):
-        return
-    try:
-        handler(autopilot, link, time, message)
-    except (ValueError, OverflowError):
-        link.bad_frames += 1  # a number that no field of ours can take
+class Reception:
+    """Handles the messages that arrive on the links of an autopilot."""
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        commander: Commander,
+        parameters: Parameters,
+        commands: CommandHandler,
+        estimate_fault: EstimateFault,
+        clock: VehicleClock,
+        links: list[Link],
+        *,
+        double_ack: bool,
+        source: random.Random,
+    ):
+        """double_ack: DO_SET_MODE is answered twice. source: random numbers for the delays of answers."""
+        self._vehicle, self._commander, self._parameters = vehicle, commander, parameters
+        self._commands, self._estimate_fault, self._clock = commands, estimate_fault, clock
+        self._links = links
+        self._system = int(parameters["MAV_SYS_ID"])
+        self._double_ack = double_ack
+        self._random = source
+
+    def receive(self, link: Link, time: float, message: Message) -> None:
+        """Handle one message that arrived on a link at a simulated time, s."""
+        handler = HANDLERS.get(message.get_type())
+        if handler is None or self._is_own(message):
+            return
+        try:
+            handler(self, link, time, message)
+        except (ValueError, OverflowError):
+            link.bad_frames += 1  # a number that no field of ours can take
+
+    def _is_own(self, message: Message) -> bool:
+        return bool(message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT)
+
+    def _is_addressed(self, message: Message) -> bool:
+        return message.target_system in (0, self._system) and message.target_component in (0, AUTOPILOT_COMPONENT)
+
+    def _heartbeat(self, link: Link, time: float, message: Message) -> None:
+        link.note_heartbeat(time, message.type)
+
+    def _timesync(self, link: Link, time: float, message: Message) -> None:
+        if message.tc1 == 0:
+            link.send(time, mavlink.MAVLink_timesync_message(self._clock.nanoseconds(time), message.ts1))
+
+    def _ping(self, link: Link, time: float, message: Message) -> None:
+        if message.target_system == 0 and message.target_component == 0:
+            reply = mavlink.MAVLink_ping_message(message.time_usec, message.seq, *_sender(message))
+            link.send(time, reply)
+
+    def _attitude_target(self, _: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message):
+            self._feed(time, attitude_target(message))
+
+    def _position_target(self, _: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message):
+            self._feed(time, position_target(message, self._vehicle.estimate.attitude))
+
+    def _global_position_target(self, _: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message):
+            self._feed(time, global_position_target(message))
+
+    def _feed(self, time: float, setpoint: ControlSetpoint | None) -> None:
+        if setpoint is not None:
+            self._commander.offboard.feed(time, self._estimate_fault.to_plant_frame(setpoint))
+
+    def _command(self, link: Link, time: float, message: Message) -> None:
+        if not is_addressed(message, self._system):
+            return
+        result = self._commands.execute(command_of(message, time, link))
+        self._acknowledge(link, time, message, message.command, result)
+
+    def _set_mode(self, link: Link, time: float, message: Message) -> None:
+        if message.target_system != self._system:
+            return
+        mode = mode_from_custom(message.base_mode, message.custom_mode)
+        result = self._commander.set_mode(time, mode)
+        self._acknowledge(link, time, message, mavlink.MAV_CMD_DO_SET_MODE, result)
+
+    def _acknowledge(self, link: Link, time: float, message: Message, command: int, result: Result) -> None:
+        sender = _sender(message)
+        at = link.in_order(time + self._random.uniform(*ACK_DELAY))
+        if self._double_ack and command == mavlink.MAV_CMD_DO_SET_MODE:
+            link.send(at, mavlink.MAVLink_command_ack_message(command, Result.ACCEPTED, 0, 0, *sender))
+            at = link.in_order(at + self._random.uniform(*SECOND_ACK_DELAY))
+        link.send(at, mavlink.MAVLink_command_ack_message(command, result, 0, 0, *sender))
+
+    def _parameter_list(self, link: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message) and link.may_list(time, len(self._parameters) * LIST_SPACING):
+            for index, name in enumerate(self._parameters.names):
+                link.send(time + index * LIST_SPACING, self._parameters.value_message(name))
+
+    def _parameter_read(self, link: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message):
+            link.send(time, self._parameters.read(_name(message), message.param_index, _sender(message)))
+
+    def _parameter_set(self, link: Link, time: float, message: Message) -> None:
+        if not self._is_addressed(message):
+            return
+        name = _name(message)
+        answer, changed = self._parameters.set(name, message.param_value, message.param_type, _sender(message))
+        link.send(time, answer)
+        if changed:
+            self._vehicle.tune(self._parameters.tuning())
+            again = time + self._random.uniform(*SECOND_VALUE_DELAY)
+            for other in self._links:
+                other.send(again, self._parameters.value_message(name))
+
+    def _mission_list(self, link: Link, time: float, message: Message) -> None:
+        if self._is_addressed(message):
+            kind = getattr(message, "mission_type", 0)
+            link.send(time, mavlink.MAVLink_mission_count_message(*_sender(message), 0, kind))
 
 
-def _is_own(autopilot: Autopilot, message: Message) -> bool:
-    return bool(message.get_srcSystem() == autopilot.system and message.get_srcComponent() == AUTOPILOT_COMPONENT)
-
-
-def _asker(message: Message) -> tuple[int, int]:
+def _sender(message: Message) -> tuple[int, int]:
     return message.get_srcSystem(), message.get_srcComponent()
-
-
-def _is_meant(autopilot: Autopilot, message: Message) -> bool:
-    return message.target_system in (0, autopilot.system) and message.target_component in (0, AUTOPILOT_COMPONENT)
-
-
-def _heartbeat(_: Autopilot, link: Link, time: float, message: Message) -> None:
-    link.hear_heartbeat(time, message.type)
-
-
-def _timesync(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if message.tc1 == 0:
-        reply = mavlink.MAVLink_timesync_message(autopilot.clock.nanoseconds(time), message.ts1)
-        link.send(time, reply)
-
-
-def _ping(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if message.target_system == 0 and message.target_component == 0:
-        link.send(
-            time,
-            mavlink.MAVLink_ping_message(message.time_usec, message.seq, *_asker(message)),
-        )
-
-
-def _attitude_target(autopilot: Autopilot, _: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
-        setpoint = attitude_target(message)
-        if setpoint is not None:
-            autopilot.commander.offboard.feed(time, autopilot.estimate_fault.meant(setpoint))
-
-
-def _position_target(autopilot: Autopilot, _: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
-        setpoint = position_target(message, autopilot.vehicle.estimate.attitude)
-        if setpoint is not None:
-            autopilot.commander.offboard.feed(time, autopilot.estimate_fault.meant(setpoint))
-
-
-def _global_position_target(autopilot: Autopilot, _: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
-        setpoint = global_position_target(message)
-        if setpoint is not None:
-            autopilot.commander.offboard.feed(time, autopilot.estimate_fault.meant(setpoint))
-
-
-def _command(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if not commands.is_meant(message, autopilot.system):
-        return
-    result = commands.execute(autopilot, commands.command_of(message, time, link))
-    _acknowledge(autopilot, link, time, message, message.command, result)
-
-
-def _set_mode(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if message.target_system != autopilot.system:
-        return
-    mode = mode_from_custom(message.base_mode, message.custom_mode)
-    result = autopilot.commander.set_mode(time, mode)
-    _acknowledge(autopilot, link, time, message, mavlink.MAV_CMD_DO_SET_MODE, result)
-
-
-def _acknowledge(autopilot: Autopilot, link: Link, time: float, message: Message, command: int, result: Result) -> None:
-    asker = _asker(message)
-    at = link.in_order(time + autopilot.random.uniform(*ACK_DELAY))
-    if autopilot.double_ack and command == mavlink.MAV_CMD_DO_SET_MODE:
-        link.send(at, mavlink.MAVLink_command_ack_message(command, Result.ACCEPTED, 0, 0, *asker))
-        at = link.in_order(at + autopilot.random.uniform(*SECOND_ACK_DELAY))
-    link.send(at, mavlink.MAVLink_command_ack_message(command, result, 0, 0, *asker))
 
 
 def _name(message: Message) -> str:
@@ -112,48 +147,18 @@ def _name(message: Message) -> str:
     return raw if isinstance(raw, str) else bytes(raw).split(b"\0")[0].decode("ascii", "replace")
 
 
-def _parameter_list(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message) and link.may_list(time, len(autopilot.parameters) * LIST_SPACING):
-        for index, name in enumerate(autopilot.parameters.names):
-            link.send(time + index * LIST_SPACING, autopilot.parameters.value_message(name))
-
-
-def _parameter_read(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
-        link.send(time, autopilot.parameters.read(_name(message), message.param_index, _asker(message)))
-
-
-def _parameter_set(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if not _is_meant(autopilot, message):
-        return
-    name = _name(message)
-    answer, changed = autopilot.parameters.set(name, message.param_value, message.param_type, _asker(message))
-    link.send(time, answer)
-    if changed:
-        autopilot.apply_parameters()
-        again = time + autopilot.random.uniform(*SECOND_VALUE_DELAY)
-        for other in autopilot.links:
-            other.send(again, autopilot.parameters.value_message(name))
-
-
-def _mission_list(autopilot: Autopilot, link: Link, time: float, message: Message) -> None:
-    if _is_meant(autopilot, message):
-        kind = getattr(message, "mission_type", 0)
-        link.send(time, mavlink.MAVLink_mission_count_message(*_asker(message), 0, kind))
-
-
-HANDLERS: dict[str, Callable[[Autopilot, Link, float, Message], None]] = {
-    "HEARTBEAT": _heartbeat,
-    "TIMESYNC": _timesync,
-    "PING": _ping,
-    "SET_ATTITUDE_TARGET": _attitude_target,
-    "SET_POSITION_TARGET_LOCAL_NED": _position_target,
-    "SET_POSITION_TARGET_GLOBAL_INT": _global_position_target,
-    "COMMAND_LONG": _command,
-    "COMMAND_INT": _command,
-    "SET_MODE": _set_mode,
-    "PARAM_REQUEST_LIST": _parameter_list,
-    "PARAM_REQUEST_READ": _parameter_read,
-    "PARAM_SET": _parameter_set,
-    "MISSION_REQUEST_LIST": _mission_list,
+HANDLERS: dict[str, Callable[[Reception, Link, float, Message], None]] = {
+    "HEARTBEAT": Reception._heartbeat,
+    "TIMESYNC": Reception._timesync,
+    "PING": Reception._ping,
+    "SET_ATTITUDE_TARGET": Reception._attitude_target,
+    "SET_POSITION_TARGET_LOCAL_NED": Reception._position_target,
+    "SET_POSITION_TARGET_GLOBAL_INT": Reception._global_position_target,
+    "COMMAND_LONG": Reception._command,
+    "COMMAND_INT": Reception._command,
+    "SET_MODE": Reception._set_mode,
+    "PARAM_REQUEST_LIST": Reception._parameter_list,
+    "PARAM_REQUEST_READ": Reception._parameter_read,
+    "PARAM_SET": Reception._parameter_set,
+    "MISSION_REQUEST_LIST": Reception._mission_list,
 }

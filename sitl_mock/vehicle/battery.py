@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import casadi as ca
+import msgspec
 
 from dynamics.effect import Expression, Values
+from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 
 FULL_CELL = 4.2  # V
@@ -14,14 +14,27 @@ AVIONICS_POWER = 3.0  # W
 POWER_TRAIN_EFFICIENCY = 0.7
 
 
-@dataclass(frozen=True)
-class Battery:
-    """cells: in series. capacity: A s. resistance: internal, ohm. charge: 0..1 at the start."""
+class BatteryPack(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A battery pack.
+
+    cells: in series.
+    capacity: A s.
+    resistance: internal, ohm.
+    charge: at the start, 0..1.
+    """
 
     cells: int
     capacity: float
     resistance: float
     charge: float = 1.0
+
+    def __post_init__(self) -> None:
+        possible = self.cells >= 1 and self.capacity > 0 and self.resistance >= 0 and 0 < self.charge <= 1
+        if not possible:
+            raise RequestError(
+                f"battery of {self.cells} cells, {self.capacity} A s, {self.resistance} ohm, charge {self.charge}: "
+                "wanted at least one cell, a positive capacity, a resistance of 0 or more and a charge in (0, 1]."
+            )
 
     @property
     def nominal_voltage(self) -> float:
@@ -29,12 +42,12 @@ class Battery:
         return self.cells * FULL_CELL
 
 
-def usual_battery(vehicle: Vehicle, *, endurance: float = 900.0, charge: float = 1.0) -> Battery:
+def usual_battery(vehicle: Vehicle, *, endurance: float = 900.0, charge: float = 1.0) -> BatteryPack:
     """A battery that hovers the vehicle for so many seconds and sags by 4 % under the hover current."""
     cells = 2 if vehicle.body.mass < 0.15 else 3 if vehicle.body.mass < 0.4 else 4
     power = vehicle.rotors.count * vehicle.rotors.torque_constant * vehicle.hover_speed**3 / POWER_TRAIN_EFFICIENCY
     current = (power + AVIONICS_POWER) / (cells * 3.8)
-    return Battery(cells, current * endurance, 0.04 * cells * FULL_CELL / current, charge)
+    return BatteryPack(cells, current * endurance, 0.04 * cells * FULL_CELL / current, charge)
 
 
 def open_circuit_voltage(charge: Expression) -> Expression:

@@ -19,7 +19,7 @@ from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
 from sitl_mock.vehicle.allocation import mixer
-from sitl_mock.vehicle.battery import Battery, open_circuit_voltage, usual_battery
+from sitl_mock.vehicle.battery import BatteryPack, open_circuit_voltage, usual_battery
 from sitl_mock.vehicle.land_detector import LandDetector
 from sitl_mock.vehicle.plant import DT, Plant, build_plant
 from sitl_mock.vehicle.position_control import PositionControl
@@ -48,7 +48,7 @@ class VehicleOptions:
     position: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
     rotor_noise: float = 0.002
-    battery: Battery | None = None
+    battery: BatteryPack | None = None
     rotor_speed_fault: tuple[tuple[int, float], ...] = ()
 
 

@@ -18,10 +18,13 @@ def _heading(yaw: float) -> Floats:
 
 @dataclass(slots=True)
 class EstimateFault:
-    """The estimator's frame as the wire sees it, moved by resets, and its failures.
+    """The estimator's frame on the wire, moved by resets, and its failures.
 
-    reset_counter: ODOMETRY's; PX4 has counted some before take-off. shift: (3,) m, yaw: rad, what all resets so far
-    have added, in ENU. invalid: NaN instead of numbers. frozen: the estimate stands while its time goes on.
+    reset_counter: ODOMETRY's; PX4 has counted some before take-off.
+    shift: (3,) sum of all resets of the position, ENU, m.
+    yaw: sum of all resets of the heading, about up, rad.
+    invalid: NaN instead of numbers.
+    frozen: the estimate stands still while its time goes on.
     stopped: no estimate is sent at all.
     """
 
@@ -31,7 +34,7 @@ class EstimateFault:
     invalid: bool = False
     frozen: bool = False
     stopped: bool = False
-    _kept: MotionState | None = None
+    _last_reported: MotionState | None = None
 
     def reset(self, shift: Floats, yaw: float) -> None:
         """Move the estimate by shift (m, ENU) and its heading by yaw (rad, about up), as EKF2's resets do."""
@@ -39,10 +42,10 @@ class EstimateFault:
         self.yaw += yaw
         self.reset_counter = (self.reset_counter + 1) % 256
 
-    def seen(self, state: MotionState) -> MotionState:
+    def reported(self, state: MotionState) -> MotionState:
         """The estimate as the wire carries it."""
-        if self.frozen and self._kept is not None:
-            return replace(self._kept, time=state.time)
+        if self.frozen and self._last_reported is not None:
+            return replace(self._last_reported, time=state.time)
         if self.invalid:
             nothing = np.full(3, math.nan)
             return MotionState(state.time, nothing, nothing, np.full(4, math.nan), nothing)
@@ -52,11 +55,11 @@ class EstimateFault:
                 position_world=state.position_world + self.shift,
                 attitude=multiply(_heading(self.yaw), state.attitude),
             )
-        self._kept = state
+        self._last_reported = state
         return state
 
-    def meant(self, setpoint: ControlSetpoint) -> ControlSetpoint:
-        """A setpoint given in the estimator's moved frame, in the frame of the plant."""
+    def to_plant_frame(self, setpoint: ControlSetpoint) -> ControlSetpoint:
+        """A setpoint of the estimator's moved frame in the frame of the plant."""
         if not self.yaw and not self.shift.any():
             return setpoint
         return replace(

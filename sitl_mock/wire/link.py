@@ -19,9 +19,11 @@ MAX_QUEUE = 20_000
 
 @dataclass(slots=True)
 class LinkFault:
-    """What the wire does to frames in both directions. Probabilities per frame; down: nothing passes.
+    """What the wire does to frames in both directions.
 
-    flood: frames per second of unknown messages that the vehicle adds to what it sends.
+    loss, duplication, reorder: probabilities per frame.
+    down: nothing passes.
+    flood: unknown messages that the vehicle sends besides, frames per second.
     """
 
     loss: float = 0.0
@@ -42,6 +44,8 @@ class _Queued:
 class Link:
     """The mock's end of a link. All times are simulated seconds.
 
+    fault: what the wire does to its frames.
+    bad_frames: number of frames that were malformed, lost or held impossible numbers.
     punctual: leave out the jitter of PX4's mavlink loop, as lockstep needs.
     """
 
@@ -59,7 +63,7 @@ class Link:
         self._loop_end = -math.inf
         self._answered = -math.inf
         self._listing_until = -math.inf
-        self._gcs_heard = -math.inf
+        self._last_gcs_heartbeat = -math.inf
         self._flood_owed = 0.0
 
     def parse(self, peer: Hashable, data: bytes) -> list[Message]:
@@ -71,26 +75,26 @@ class Link:
             parser = self._parsers[peer] = mavlink.MAVLink(None)
             parser.robust_parsing = True
         try:
-            found = parser.parse_buffer(data) or []
+            parsed = parser.parse_buffer(data) or []
         except Exception:  # pymavlink documents no exception and may raise any on hostile bytes; none may stop a link
             self._parsers.pop(peer, None)
             self.bad_frames += 1
             return []
-        messages = [message for message in found if message.get_msgId() >= 0 and self._passes()]
-        self.bad_frames += len(found) - len(messages)
+        messages = [message for message in parsed if message.get_msgId() >= 0 and self._passes()]
+        self.bad_frames += len(parsed) - len(messages)
         return [message for message in messages if "UNKNOWN" not in message.get_type()]
 
     def _passes(self) -> bool:
         return not self.fault.down and (self.fault.loss == 0.0 or self._random.random() >= self.fault.loss)
 
-    def hear_heartbeat(self, time: float, kind: int) -> None:
+    def note_heartbeat(self, time: float, kind: int) -> None:
         """Note a heartbeat: a ground station's opens the link for texts."""
         if kind == GCS_TYPE:
-            self._gcs_heard = time
+            self._last_gcs_heartbeat = time
 
-    def sees_gcs(self, time: float) -> bool:
-        """Whether a ground station's heartbeat was heard on this link just now."""
-        return time - self._gcs_heard < GCS_TIMEOUT
+    def has_gcs(self, time: float) -> bool:
+        """Whether a ground station's heartbeat was heard on this link within its timeout."""
+        return time - self._last_gcs_heartbeat < GCS_TIMEOUT
 
     def send(self, time: float, message: Message, frame: bytes | None = None) -> None:
         """Queue a message (or a finished frame) to leave at a time."""
@@ -99,7 +103,7 @@ class Link:
             heapq.heappush(self._queue, _Queued(time, self._number, message, frame))
 
     def in_order(self, time: float) -> float:
-        """When an answer meant for a time leaves: never before the answer to an earlier command."""
+        """When an answer that is due at a time leaves: never before the answer to an earlier command."""
         self._answered = max(self._answered, time)
         return self._answered
 
@@ -149,7 +153,7 @@ class Link:
         try:
             frame = bytes(message.pack(self._packer))
         except (ValueError, OverflowError, mavlink.struct.error):
-            return None  # a number that its field cannot hold: a crashed or diverged vehicle says nothing instead
+            return None  # a number that its field cannot hold, of a crashed or diverged vehicle
         self._packer.seq = (self._packer.seq + 1) % 256
         return frame
 

@@ -17,7 +17,14 @@ DEFAULT_BAUDRATE = 921_600
 
 @dataclass(frozen=True, slots=True)
 class LinkSpec:
-    """A link as asked for. scheme: udpout, udpin, tcp, tcpin or serial. local_port: for udpout, 0 for any."""
+    """A link as it is requested.
+
+    scheme: udpout, udpin, tcp, tcpin or serial.
+    host: address, or the serial device.
+    number: port, or the baud rate.
+    role: whose streams it carries.
+    local_port: for udpout, 0 for any.
+    """
 
     scheme: str
     host: str
@@ -27,7 +34,7 @@ class LinkSpec:
 
     @property
     def name(self) -> str:
-        """How the link is called in messages."""
+        """The link's name in messages."""
         return f"{self.scheme}:{self.host}:{self.number}"
 
     def open(self) -> Transport:
@@ -55,7 +62,7 @@ def parse_link(text: str, role: Role = "onboard", instance: int = 0) -> LinkSpec
     """A link from its connection string.
 
     udpout to PX4's own remote port comes from PX4's own local port; a fourth field names another local port.
-    Raises RequestError for a string that is none.
+    Raises RequestError for a string that is no link.
     """
     scheme, _, rest = text.partition(":")
     scheme = {"udp": "udpout", "tcpout": "tcp"}.get(scheme, scheme)

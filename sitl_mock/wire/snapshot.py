@@ -20,16 +20,22 @@ ORIGIN_LATITUDE, ORIGIN_LONGITUDE, ORIGIN_ALTITUDE = 47.3977428, 8.5455967, 489.
 METRES_PER_DEGREE = 111_194.93  # of latitude, on PX4's sphere of 6,371 km
 PRESSURE_AT_SEA, SCALE_HEIGHT = 1013.25, 8434.0  # hPa, m
 # SYS_STATUS bits as recorded from PX4: gyro, accelerometer, magnetometer, barometer, GPS, position control, logging
-# and battery are there; a radio is wanted but absent; motors, attitude control, AHRS and airspeed are only ever "well"
+# and battery are there; a radio is enabled but absent; motors, attitude control, AHRS and airspeed only healthy
 SENSORS = 1 | 2 | 4 | 8 | 32 | (1 << 14) | (1 << 24) | (1 << 25)
 RADIO = 1 << 16
-ALSO_WELL = 16 | (1 << 11) | (1 << 15) | (1 << 21)
+ALSO_HEALTHY = 16 | (1 << 11) | (1 << 15) | (1 << 21)
 PREARM_CHECK = 1 << 28
 
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """The estimate in the autopilot's axes. position, velocity: NED. attitude: FRD to NED, w first. rate: FRD."""
+    """The estimate in the autopilot's axes.
+
+    position, velocity: NED, m and m/s.
+    attitude: FRD to NED, w first.
+    rate: FRD, rad/s.
+    euler: roll, pitch, yaw of the attitude, rad.
+    """
 
     position: list[float]
     velocity: list[float]
@@ -39,8 +45,13 @@ class Motion:
 
 
 @dataclass(frozen=True, slots=True)
-class Setpoint:
-    """What the inner loops follow, for ATTITUDE_TARGET. attitude: FRD to NED. rate: FRD, rad/s."""
+class AttitudeSetpoint:
+    """The setpoint of the inner loops, for ATTITUDE_TARGET.
+
+    attitude: FRD to NED, w first.
+    rate: FRD, rad/s.
+    thrust: 0..1.
+    """
 
     attitude: list[float]
     rate: list[float]
@@ -68,10 +79,16 @@ class MotionEncoder:
 
 
 @dataclass(frozen=True, slots=True)
-class Standing:
-    """What the commander and the estimator's frame add to a snapshot; the times are s of vehicle time.
+class VehicleStatus:
+    """The commander's and the navigator's part of a snapshot.
 
-    epoch: unix time at boot, s. home: (3,) m, NED. armable: arming would be allowed. flown: what is followed now.
+    base_mode, custom_mode, system_status, vehicle_type: as in HEARTBEAT.
+    landed_state: MAV_LANDED_STATE.
+    armable: arming would be allowed.
+    child_frame: MAV_FRAME of ODOMETRY's velocity.
+    epoch: unix time at boot, s.
+    home: (3,) NED, m.
+    setpoint: what is followed now.
     """
 
     base_mode: int
@@ -83,25 +100,25 @@ class Standing:
     child_frame: int
     epoch: float
     home: list[float]
-    flown: ControlSetpoint
+    setpoint: ControlSetpoint
 
 
 class Snapshot:
-    """The state of the vehicle for one pass of the loop; what no message asks for is never worked out."""
+    """The state of the vehicle for one pass of the loop; parts that no message needs are never computed."""
 
     def __init__(
         self, time: float, vehicle: Vehicle, clock: VehicleClock, fault: EstimateFault, encoder: MotionEncoder,
-        order: list[int], standing: Standing,
+        order: list[int], status: VehicleStatus,
     ):  # fmt: skip
         self.now = clock.at(time)
-        self.standing = standing
+        self.status = status
         self.reset_counter = fault.reset_counter
         self.estimate_valid = not fault.invalid
         self._vehicle, self._clock, self._fault, self._encoder, self._order = vehicle, clock, fault, encoder, order
 
     @cached_property
     def _estimate(self) -> MotionState:
-        return self._fault.seen(self._vehicle.estimate)
+        return self._fault.reported(self._vehicle.estimate)
 
     @cached_property
     def motion(self) -> Motion:
@@ -135,19 +152,19 @@ class Snapshot:
         return self._vehicle.battery
 
     @cached_property
-    def setpoint(self) -> Setpoint:
-        """What the inner loops follow; in other modes, as nothing better is known, what the vehicle does."""
-        flown = self.standing.flown
-        if flown.kind in ("rates", "attitude"):
-            return Setpoint(attitude_ned_frd(flown.attitude).tolist(), frd(flown.rate_body), flown.thrust)
+    def setpoint(self) -> AttitudeSetpoint:
+        """The setpoint of the inner loops; in the modes that have none, the vehicle's own attitude and thrust."""
+        active = self.status.setpoint
+        if active.kind in ("rates", "attitude"):
+            return AttitudeSetpoint(attitude_ned_frd(active.attitude).tolist(), frd(active.rate_body), active.thrust)
         thrust = sum(self.motor_signal) / len(self.motor_signal)
-        return Setpoint(self.motion.attitude, [0.0, 0.0, 0.0], thrust)
+        return AttitudeSetpoint(self.motion.attitude, [0.0, 0.0, 0.0], thrust)
 
     @cached_property
     def target_position(self) -> list[float] | None:
         """Where a position mode flies to, NED, m."""
-        flown = self.standing.flown
-        return ned(flown.position_world) if flown.kind == "hold" else None
+        active = self.status.setpoint
+        return ned(active.position_world) if active.kind == "hold" else None
 
     @property
     def boot_ms(self) -> int:

@@ -1,4 +1,4 @@
-"""STATUSTEXT: texts longer than one message are cut into numbered pieces with a common id."""
+"""STATUSTEXT: texts longer than one message are cut into numbered chunks with a common id."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ class TextWriter:
         if len(raw) <= CHUNK:
             return [mavlink.MAVLink_statustext_message(severity, raw, 0, 0)]
         self._id = self._id % 0xFFFF + 1
-        pieces = [raw[start : start + CHUNK] for start in range(0, len(raw), CHUNK)]
-        if len(pieces[-1]) == CHUNK:
-            pieces.append(b"")  # a receiver knows the end by a piece that is not full
+        chunks = [raw[start : start + CHUNK] for start in range(0, len(raw), CHUNK)]
+        if len(chunks[-1]) == CHUNK:
+            chunks.append(b"")  # a receiver knows the end by a chunk that is not full
         return [
-            mavlink.MAVLink_statustext_message(severity, piece, self._id, number) for number, piece in enumerate(pieces)
+            mavlink.MAVLink_statustext_message(severity, chunk, self._id, number) for number, chunk in enumerate(chunks)
         ]

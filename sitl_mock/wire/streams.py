@@ -78,7 +78,12 @@ class _Stream:
 
 @dataclass(slots=True)
 class Streams:
-    """The streams of one link. sendable: the message ids that the mock can make. All times in s."""
+    """The streams of one link. All times in s.
+
+    role: whose default rates apply.
+    sendable: ids of the messages that the mock can make.
+    seed: of the streams' phases.
+    """
 
     role: Role
     sendable: frozenset[int]
@@ -118,14 +123,14 @@ class Streams:
         return True
 
     def interval_us(self, identifier: int) -> int:
-        """What MESSAGE_INTERVAL reports: the request, not what is achieved; -1 not sent, 0 not known."""
+        """The interval that MESSAGE_INTERVAL reports: the requested one; -1 not sent, 0 unknown to the mock."""
         if identifier not in self.sendable:
             return 0
         stream = self._streams.get(identifier)
         return -1 if stream is None else round(stream.interval * 1e6)
 
     def due(self, time: float) -> list[int]:
-        """The ids of the messages to send in the loop at a time; to be asked once per STEP."""
+        """The ids of the messages to send in the loop at a time; call it once per STEP."""
         identifiers = []
         if time >= self._heartbeat_at:
             identifiers.append(mavlink.MAVLINK_MSG_ID_HEARTBEAT)

@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 from sitl_mock.wire.dialect import EscInfo, EscStatus, Message, ProtocolVersion, mavlink
 from sitl_mock.wire.snapshot import (
-    ALSO_WELL,
+    ALSO_HEALTHY,
     ORIGIN_ALTITUDE,
     PREARM_CHECK,
     PRESSURE_AT_SEA,
@@ -38,11 +38,11 @@ RPM_PER_RADIAN = 60.0 / (2 * math.pi)
 def heartbeat(s: Snapshot) -> Message:
     """HEARTBEAT: type, mode, state."""
     return mavlink.MAVLink_heartbeat_message(
-        s.standing.vehicle_type,
+        s.status.vehicle_type,
         AUTOPILOT_PX4,
-        s.standing.base_mode,
-        s.standing.custom_mode,
-        s.standing.system_status,
+        s.status.base_mode,
+        s.status.custom_mode,
+        s.status.system_status,
         3,
     )
 
@@ -59,13 +59,11 @@ def attitude_quaternion(s: Snapshot) -> Message:
 
 def odometry(s: Snapshot) -> Message:
     """ODOMETRY; the velocity is NED or, with the option, body FRD, as child_frame_id says."""
-    velocity = (
-        _in_body(s.motion.attitude, s.motion.velocity) if s.standing.child_frame == BODY_FRD else s.motion.velocity
-    )
+    velocity = _in_body(s.motion.attitude, s.motion.velocity) if s.status.child_frame == BODY_FRD else s.motion.velocity
     return mavlink.MAVLink_odometry_message(
         s.estimate_us,
         LOCAL_NED,
-        s.standing.child_frame,
+        s.status.child_frame,
         *s.motion.position,
         s.motion.attitude,
         *velocity,
@@ -93,7 +91,7 @@ def local_position(s: Snapshot) -> Message:
 
 def global_position(s: Snapshot) -> Message:
     """GLOBAL_POSITION_INT: degrees, millimetres, centimetres per second."""
-    down, home_down = s.motion.position[2], s.standing.home[2]
+    down, home_down = s.motion.position[2], s.status.home[2]
     return mavlink.MAVLink_global_position_int_message(
         s.boot_ms,
         *latitude_longitude(s.motion.position),
@@ -133,7 +131,7 @@ def highres_imu(s: Snapshot) -> Message:
 
 def altitude(s: Snapshot) -> Message:
     """ALTITUDE: metres."""
-    down, home_down = s.motion.position[2], s.standing.home[2]
+    down, home_down = s.motion.position[2], s.status.home[2]
     above_sea, above_home = ORIGIN_ALTITUDE - down, home_down - down
     return mavlink.MAVLink_altitude_message(s.now_us, above_sea, above_sea, -down, above_home, 0.0, above_home)
 
@@ -150,7 +148,7 @@ def vfr_hud(s: Snapshot) -> Message:
 def servo_output_raw(s: Snapshot) -> Message:
     """SERVO_OUTPUT_RAW: pulse widths, us, in PX4's motor order; 900 while disarmed."""
     pulses = [PWM_MIN + round(PWM_RANGE * min(max(signal, 0.0), 1.0)) for signal in s.motor_signal]
-    pulses = pulses if s.standing.base_mode & 128 else [DISARMED_PWM] * len(pulses)
+    pulses = pulses if s.status.base_mode & 128 else [DISARMED_PWM] * len(pulses)
     pulses = [*pulses[:16], *[DISARMED_PWM] * (16 - len(pulses))]
     return mavlink.MAVLink_servo_output_raw_message(s.now_us & 0xFFFFFFFF, 0, *pulses)
 
@@ -211,9 +209,9 @@ def _percent(s: Snapshot) -> int:
 
 
 def sys_status(s: Snapshot) -> Message:
-    """SYS_STATUS: sensors' health and the battery; the pre-arm bit says whether arming would be allowed."""
-    healthy = (SENSORS if s.estimate_valid else SENSORS & ~1) | ALSO_WELL
-    healthy |= PREARM_CHECK if s.standing.armable else 0
+    """SYS_STATUS: sensors' health and the battery; the pre-arm bit is set while arming would be allowed."""
+    healthy = (SENSORS if s.estimate_valid else SENSORS & ~1) | ALSO_HEALTHY
+    healthy |= PREARM_CHECK if s.status.armable else 0
     return mavlink.MAVLink_sys_status_message(
         SENSORS, SENSORS | RADIO, healthy, 140, _millivolts(s), round(s.battery.current * 100), _percent(s),
         0, 0, 0, 0, 0, 0, 0, 0, 1,
@@ -222,12 +220,12 @@ def sys_status(s: Snapshot) -> Message:
 
 def extended_sys_state(s: Snapshot) -> Message:
     """EXTENDED_SYS_STATE: on the ground, in the air, taking off or landing."""
-    return mavlink.MAVLink_extended_sys_state_message(0, s.standing.landed_state)
+    return mavlink.MAVLink_extended_sys_state_message(0, s.status.landed_state)
 
 
 def system_time(s: Snapshot) -> Message:
     """SYSTEM_TIME: unix time and time since boot."""
-    return mavlink.MAVLink_system_time_message(int((s.standing.epoch + s.now) * 1e6), int(s.now * 1e3) & 0xFFFFFFFF)
+    return mavlink.MAVLink_system_time_message(int((s.status.epoch + s.now) * 1e6), int(s.now * 1e3) & 0xFFFFFFFF)
 
 
 def estimator_status(s: Snapshot) -> Message:
@@ -238,7 +236,7 @@ def estimator_status(s: Snapshot) -> Message:
 
 def home_position(s: Snapshot) -> Message:
     """HOME_POSITION."""
-    home = s.standing.home
+    home = s.status.home
     altitude, level, approach = round((ORIGIN_ALTITUDE - home[2]) * 1e3), [1.0, 0.0, 0.0, 0.0], [0.0] * 3
     return mavlink.MAVLink_home_position_message(*latitude_longitude(home), altitude, *home, level, *approach, s.now_us)
 
@@ -257,12 +255,12 @@ def scaled_pressure(s: Snapshot) -> Message:
 
 
 def vibration(s: Snapshot) -> Message:
-    """VIBRATION: none to speak of."""
+    """VIBRATION: almost none."""
     return mavlink.MAVLink_vibration_message(s.now_us, 0.0, 0.01, 0.1, 0, 0, 0)
 
 
 def timesync_request(s: Snapshot) -> Message:
-    """TIMESYNC as PX4 asks it of its companions: tc1 0, ts1 the vehicle's ns."""
+    """TIMESYNC as PX4 requests it of its companions: tc1 0, ts1 the vehicle's ns."""
     return mavlink.MAVLink_timesync_message(0, int(s.now * 1e9))
 
 
@@ -277,12 +275,12 @@ def autopilot_version(s: Snapshot) -> Message:
 
 
 def flight_information(s: Snapshot) -> Message:
-    """FLIGHT_INFORMATION: that of a flight whose times nobody noted."""
+    """FLIGHT_INFORMATION: without times of take-off and landing."""
     return mavlink.MAVLink_flight_information_message(int(s.now * 1e3) & 0xFFFFFFFF, 0, 0, 0)
 
 
 def ping(s: Snapshot) -> Message:
-    """PING as PX4 asks it of everyone, once a second."""
+    """PING as PX4 sends it to everyone, once a second."""
     return mavlink.MAVLink_ping_message(s.now_us, int(s.now) & 0xFFFFFFFF, 0, 0)
 
 
@@ -293,9 +291,9 @@ def mission_current(_: Snapshot) -> Message:
 
 def distance_sensor(s: Snapshot) -> Message:
     """DISTANCE_SENSOR: a lidar that looks down, cm."""
-    height = s.standing.home[2] - s.motion.position[2]
-    seen = max(0, min(LIDAR_RANGE, round(height * 100)))
-    return mavlink.MAVLink_distance_sensor_message(s.now_us // 1000 & 0xFFFFFFFF, 0, LIDAR_RANGE, seen, 0, 0, 25, 0)
+    height = s.status.home[2] - s.motion.position[2]
+    distance = max(0, min(LIDAR_RANGE, round(height * 100)))
+    return mavlink.MAVLink_distance_sensor_message(s.now_us // 1000 & 0xFFFFFFFF, 0, LIDAR_RANGE, distance, 0, 0, 25, 0)
 
 
 def protocol_version(_: Snapshot) -> Message:
@@ -351,7 +349,7 @@ OF_THE_ESTIMATE = frozenset(
 
 
 def build(identifier: int, snapshot: Snapshot) -> list[Message]:
-    """The messages that a stream sends now: none when it has nothing to say or a number does not fit its field."""
+    """The messages that a stream sends now: none when it has no content or a number does not fit its field."""
     try:
         built = BUILDERS[identifier](snapshot)
     except (ValueError, OverflowError):

@@ -1,6 +1,6 @@
 """Byte transports under a link: UDP, TCP (either end) and serial, all non-blocking.
 
-A transport loses what nobody takes: the vehicle never waits for its listeners.
+A transport loses what nobody reads: the vehicle never waits for its listeners.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import serial
 from dynamics.errors import RequestError
 
 MAX_READ = 4096  # bytes; the rest of a larger datagram is lost, as in PX4
-PEER_MEMORY = 30.0  # s for which a UDP peer that has spoken is sent to
+PEER_MEMORY = 30.0  # s for which a UDP peer is sent to after its last datagram
 MAX_PEERS = 8
 RETRY_AFTER = 0.5  # s between two attempts at a lost TCP connection or serial port
 
@@ -31,17 +31,17 @@ class Transport(Protocol):
         """File descriptors that become readable when something arrives."""
 
     def receive(self) -> Iterator[tuple[Hashable, bytes]]:
-        """What has arrived, with who sent it."""
+        """Bytes that have arrived, with their sender."""
 
     def send(self, frame: bytes) -> None:
         """Send to everyone at the other end."""
 
     def close(self) -> None:
-        """Let go of the wire."""
+        """Release the device or port."""
 
 
 class UdpTransport:
-    """A UDP socket that sends to a fixed remote end, if it has one, and to all who have spoken lately."""
+    """A UDP socket that sends to a fixed remote end, if it has one, and to all peers heard recently."""
 
     def __init__(self, local: tuple[str, int], remote: tuple[str, int] | None):
         self._remote = _resolved(remote) if remote is not None else None
@@ -196,7 +196,7 @@ class TcpClientTransport:
 
 
 class SerialTransport:
-    """A serial port; one that is unplugged is opened again when it is back."""
+    """A serial port; one that is unplugged is reopened when it returns."""
 
     def __init__(self, device: str, baudrate: int):
         self._device, self._baudrate = device, baudrate
@@ -275,7 +275,7 @@ def _bind(handle: socket.socket, local: tuple[str, int], kind: str) -> None:
 
 
 def _read(handle: socket.socket) -> bytes | None:
-    """What has arrived: nothing as b"", the end of the connection as None."""
+    """The bytes that have arrived, b"" for none; None at the end of the connection."""
     try:
         return handle.recv(MAX_READ) or None
     except BlockingIOError:
@@ -285,7 +285,7 @@ def _read(handle: socket.socket) -> bytes | None:
 
 
 def _write(handle: socket.socket, frame: bytes) -> bool:
-    """Whether the whole frame went."""
+    """Whether the frame was sent in full."""
     try:
         return handle.send(frame) == len(frame)
     except OSError:

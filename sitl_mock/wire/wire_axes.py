@@ -1,7 +1,7 @@
-"""The maps of `dynamics.frames` made quick, for the many small vectors that the wire needs in every pass.
+"""The maps of `dynamics.frames` made fast for the many small vectors that the wire needs in every pass.
 
-All four maps are linear, so their images of the unit vectors say everything: a small matrix for attitudes, and for
-vectors an order and signs, so that a NaN component (on the wire: not wanted) stays alone.
+All four maps are linear, so their images of the unit vectors define them: a small matrix for attitudes, and for
+vectors an order and signs, so that a NaN component (on the wire: not controlled) affects no other.
 """
 
 from __future__ import annotations

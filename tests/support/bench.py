@@ -109,8 +109,8 @@ class Bench:
 
     @property
     def heartbeat(self) -> Any:
-        """What a heartbeat would say now."""
-        return self.mock.snapshot(self.mock.time).standing
+        """The status that a heartbeat would carry now."""
+        return self.mock.snapshot(self.mock.time).status
 
     def until(self, condition: Any, limit: float = 30.0) -> float:
         """Let time pass until a condition holds; returns the time it took."""

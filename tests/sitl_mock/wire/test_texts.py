@@ -38,7 +38,7 @@ def test_texts_stop_when_the_ground_station_has_gone() -> None:
 def test_a_ground_station_on_another_link_changes_nothing_here() -> None:
     bench = Bench()
     other = bench.mock.add_link("other", "gcs")
-    other.hear_heartbeat(bench.time, GCS)
+    other.note_heartbeat(bench.time, GCS)
     bench.ask(ARM, 1)
     assert not bench.of("STATUSTEXT")
     assert any(frame[7] == 253 for frame in other.take(bench.time))
