@@ -26,7 +26,8 @@ from runtime.control_thread import ControlThread, Notification, Requests
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
 from runtime.flight.flyer import Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Motion, Plan
+from runtime.flight.mission import Mission, Plan
+from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
 from runtime.flight.thrust import ThrustMap
 from runtime.flight.tracking import TrackingReport

@@ -1,1 +1,1 @@
-"""The flight logic: engagement, mission, health, failsafe. Pure."""
+"""The flight logic: engagement, mission, health, fallbacks, thrust. Pure."""

@@ -1,8 +1,8 @@
 """The daemon's states and the rules by which it takes and gives up control. Pure: facts and time in, transitions out.
 
-What makes these rules (behaviour of PX4, measured): a mode is believed when a HEARTBEAT shows it and never because a
-command was acknowledged; the setpoint stream has to run before OFFBOARD is asked for; and the autopilot returns to
-OFFBOARD by itself as soon as a stream resumes, so that whoever was not told to engage must not stream.
+The rules follow from PX4's behaviour (docs/px4.md): a mode counts when a HEARTBEAT shows it, not when a command is
+acknowledged; the setpoint stream has to run before OFFBOARD is requested; and PX4 returns to OFFBOARD by itself as
+soon as a stream resumes, so that nothing may be streamed unless engagement is requested.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from runtime.flight.events import Fallback
 
 
 class State(Enum):
-    """What the daemon does towards the vehicle."""
+    """The daemon's state towards the vehicle."""
 
     DISCONNECTED = "DISCONNECTED"
     STANDBY = "STANDBY"
@@ -26,7 +26,7 @@ class State(Enum):
 
 
 class AutopilotRequest(Enum):
-    """What the shell is to ask of the vehicle now."""
+    """What is requested of the autopilot."""
 
     OFFBOARD = "offboard"
     ARM = "arm"
@@ -35,10 +35,15 @@ class AutopilotRequest(Enum):
 
 
 class Facts(msgspec.Struct, frozen=True):
-    """What is known about vehicle and link at one instant.
+    """The facts about vehicle and link at one instant.
 
-    connected: heartbeats or estimates arrive. armed, offboard, mode: of the last HEARTBEAT. refusal: why engaging is
-    refused now, empty when it is not. fallback, reason: what the health checks ask for and why.
+    connected: whether heartbeats or estimates arrive.
+    armed: as of the last HEARTBEAT.
+    offboard: whether the last HEARTBEAT shows OFFBOARD.
+    mode: of the last HEARTBEAT.
+    refusal: why engaging is refused, empty when it is not.
+    fallback: that the health checks require.
+    reason: for the fallback.
     """
 
     connected: bool
@@ -64,11 +69,13 @@ class Transition:
 
 
 class EngagementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How engagement is negotiated. All times in s.
+    """How control is taken; times in s.
 
-    stream_time: streamed before OFFBOARD is asked for (PX4 documents more than 1 s). repeat: between requests.
-    patience: for HEARTBEAT to show OFFBOARD and armed. arm: whether to ask for arming or wait for the pilot to do it.
-    resume: whether control may be taken of a vehicle that was found armed.
+    stream_time: of streaming before OFFBOARD is requested (PX4 documents more than 1 s).
+    repeat: between requests.
+    patience: until HEARTBEAT must show OFFBOARD and armed.
+    arm: whether to request arming, or leave it to the pilot.
+    resume: whether control may be taken of a vehicle that is armed when it is first heard.
     """
 
     stream_time: float = 1.2
@@ -79,7 +86,11 @@ class EngagementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
 
 
 class Engagement:
-    """The state machine."""
+    """The state machine.
+
+    state: the present one.
+    refusal: why control was given up or not taken, empty otherwise.
+    """
 
     def __init__(self, settings: EngagementSettings) -> None:
         self.state = State.DISCONNECTED
@@ -103,32 +114,32 @@ class Engagement:
 
     @property
     def requested(self) -> bool:
-        """Whether it was told to take control and has not given it up or refused since."""
+        """Whether engagement is requested, and was neither refused nor ended since."""
         return self._requested
 
     @property
     def initially_armed(self) -> bool:
-        """Whether the vehicle was armed already when it was first heard."""
+        """Whether the vehicle was armed when it was first heard."""
         return bool(self._initially_armed)
 
     @property
     def requests(self) -> tuple[AutopilotRequest, ...]:
-        """What the last update wants asked of the vehicle."""
+        """What the last update requests of the autopilot."""
         return self._requests
 
     def engage(self) -> None:
-        """Told to take control; holds until control is given up for whatever reason."""
+        """Request engagement; holds until control is given up for whatever reason."""
         self._requested = True
         self.refusal = ""
 
     def release(self, reason: str, time: float) -> tuple[Transition, ...]:
-        """Give control up on purpose: stop streaming, or do not begin to."""
+        """Give control up on purpose: stop streaming, or never start to."""
         self._requested = False
         self.refusal = reason
         return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()
 
     def update(self, facts: Facts, time: float) -> tuple[Transition, ...]:
-        """Apply the rules to what is known now. Returns the transitions, in order."""
+        """Apply the rules to the facts. Returns the transitions, in order."""
         self._requests = ()
         if facts.connected and self._initially_armed is None:
             self._initially_armed = facts.armed
@@ -140,10 +151,10 @@ class Engagement:
         return (self._enter(after, reason, time, keep=hindered),)
 
     def _enter(self, after: State, reason: str, time: float, *, keep: bool = False) -> Transition:
-        """Change the state. keep: being told to engage still holds, because control was never taken."""
+        """Change the state. keep: the request to engage still holds, because control was never taken."""
         transition = Transition(time, self.state, after, reason)
         if after in (State.STANDBY, State.DISCONNECTED) and self.streaming:
-            # control was given up, on purpose or not: only being told again may take it back
+            # control was given up, on purpose or not: only another request may take it back
             self._requested = self._requested and keep
             self.refusal = reason
         if after is State.STREAMING:
@@ -175,8 +186,8 @@ class Engagement:
         if self._initially_armed and not self._settings.resume:
             self._requested = False
             self.refusal = (
-                f"the vehicle was already armed when it was found (mode {facts.mode}); control is not taken from "
-                "whoever has it. Land and disarm it, or say --resume"
+                f"the vehicle was already armed when it was first heard (mode {facts.mode}); control is not taken from "
+                "whoever has it. Land and disarm it, or give --resume"
             )
             return None
         if facts.refusal:

@@ -1,7 +1,7 @@
 """The named events of a flight and what each one leads to.
 
-Whoever checks something says which events are present and why; `EventMonitor` turns that into events raised and
-cleared, and into the fallback they ask for. The table below is the whole policy.
+Each check returns the events that are present, with details; `EventMonitor` turns them into events raised and cleared,
+and into the fallback that they require. The table below is the whole policy.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Fallback(IntEnum):
 
 
 class Severity(IntEnum):
-    """MAVLink's severities, as far as they are used here."""
+    """MAVLink's severities that are used here."""
 
     CRITICAL = 2
     ERROR = 3
@@ -33,7 +33,7 @@ class Severity(IntEnum):
 
 
 class Event(Enum):
-    """Everything that a health check can find."""
+    """Every event of a flight."""
 
     ESTIMATE_STALE = "estimate_stale"
     ESTIMATE_JUMP = "estimate_jump"
@@ -67,9 +67,12 @@ class Event(Enum):
 class Policy:
     """What an event leads to.
 
-    fallback: the mildest that may be flown while it is active. onset: s it must be present before it is raised.
-    clear_after: s of absence before it clears, infinite: only engaging anew clears it. refuses: engaging is refused
-    while it is active. lands: the mission is cut short by a landing.
+    text: for a log, a STATUSTEXT or a screen.
+    fallback: the mildest that may be flown while the event is active.
+    onset: s of presence before it is raised.
+    clear_after: s of absence before it clears; infinite: it clears only when control is taken again.
+    refuses: whether engaging is refused while it is active.
+    lands: whether the mission is cut short by a landing.
     """
 
     text: str
@@ -95,10 +98,8 @@ POLICIES: Mapping[Event, Policy] = {
         "the estimate is unusable", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),
     Event.SOLVER_FAILED: Policy("the solver failed", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05),
-    Event.DEADLINES_MISSED: Policy("ticks come late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),
-    Event.CLOCK_UNCERTAIN: Policy(
-        "the vehicle's clock is not known well enough", Severity.WARNING, clear_after=0.1, refuses=True
-    ),
+    Event.DEADLINES_MISSED: Policy("ticks are late", Severity.WARNING, Fallback.NOMINAL_MODEL, onset=0.5),
+    Event.CLOCK_UNCERTAIN: Policy("the vehicle's clock is uncertain", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.CLOCK_BACKWARDS: Policy(
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
@@ -117,13 +118,13 @@ POLICIES: Mapping[Event, Policy] = {
         "outside the allowed box", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER, refuses=True
     ),
     Event.MODEL_UNHEALTHY: Policy(
-        "the learned model stopped fitting", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
+        "the learned model no longer fits", Severity.ERROR, Fallback.NOMINAL_MODEL, onset=0.5, clear_after=NEVER
     ),
     Event.MODEL_OSCILLATES: Policy(
         "the learned model makes the vehicle oscillate", Severity.ERROR, Fallback.NOMINAL_MODEL, clear_after=NEVER
     ),
     Event.MODEL_OUTSIDE: Policy(
-        "outside of what the learned model was trained on", Severity.WARNING, Fallback.NOMINAL_MODEL, clear_after=0.5
+        "outside of the learned model's training range", Severity.WARNING, Fallback.NOMINAL_MODEL, clear_after=0.5
     ),
     Event.MODEL_WAITING: Policy(
         "the learned model waits for its history", Severity.NOTICE, Fallback.NOMINAL_MODEL, clear_after=0.0
@@ -141,7 +142,11 @@ POLICIES: Mapping[Event, Policy] = {
 
 @dataclass(frozen=True)
 class EventChange:
-    """An event raised (active) or cleared at a time, with what was seen."""
+    """An event raised or cleared.
+
+    active: whether it was raised.
+    detail: what the check measured.
+    """
 
     time: float
     event: Event
@@ -156,7 +161,10 @@ class EventChange:
 
 
 class EventMonitor:
-    """Which events are active, from what the checks of each tick report. Pure: time is an argument."""
+    """Which events are active, from those present at each tick. Pure: time is an argument.
+
+    counts: how often each was raised.
+    """
 
     def __init__(self) -> None:
         self._present_since: dict[Event, float] = {}
@@ -166,24 +174,24 @@ class EventMonitor:
 
     @property
     def active(self) -> Mapping[Event, str]:
-        """Active events and what was seen when each was raised."""
+        """Active events, each with its detail when it was raised."""
         return self._active
 
     @property
     def fallback(self) -> Fallback:
-        """The strongest fallback that an active event asks for."""
+        """The strongest fallback that an active event requires."""
         if not self._active:
             return Fallback.NONE
         return max(POLICIES[event].fallback for event in self._active)
 
     @property
     def reason(self) -> str:
-        """Why the present fallback was chosen, empty when there is none."""
+        """Why the present fallback is required, empty when none is."""
         return self._text_of(lambda policy: policy.fallback == self.fallback) if self.fallback else ""
 
     @property
     def refusal(self) -> str:
-        """Why engaging is refused, empty when nothing speaks against it."""
+        """Why engaging is refused, empty when it is not."""
         return self._text_of(lambda policy: policy.refuses or policy.fallback == Fallback.STOP_STREAMING)
 
     @property
@@ -192,9 +200,9 @@ class EventMonitor:
         return self._text_of(lambda policy: policy.lands)
 
     def update(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
-        """Take what the checks of one tick found, event to detail. Returns what was raised and cleared."""
+        """Take the events present at one tick, with details. Returns what was raised and cleared."""
         if not present and not self._active and not self._present_since:
-            return ()  # the rule in flight, and cheap
+            return ()  # the usual case in flight, kept cheap
         raised = []
         for event, detail in present.items():
             self._last_present[event] = time
@@ -209,16 +217,16 @@ class EventMonitor:
 
     def _clear(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:
         absent = [event for event in self._active if event not in present]
-        over = [event for event in absent if time - self._last_present[event] >= POLICIES[event].clear_after]
-        return tuple(EventChange(time, event, False, self._active.pop(event)) for event in over)
+        expired = [event for event in absent if time - self._last_present[event] >= POLICIES[event].clear_after]
+        return tuple(EventChange(time, event, False, self._active.pop(event)) for event in expired)
 
     def rearm(self, time: float) -> tuple[EventChange, ...]:
-        """Clear what only engaging anew may clear; what is still present comes back with the next update."""
+        """Clear what stays raised until control is taken again; what is still present is raised by the next update."""
         latched = [event for event in self._active if POLICIES[event].clear_after == NEVER]
         return tuple(EventChange(time, event, False, self._active.pop(event)) for event in latched)
 
-    def _text_of(self, concerned: Callable[[Policy], bool]) -> str:
+    def _text_of(self, condition: Callable[[Policy], bool]) -> str:
         for event, detail in self._active.items():
-            if concerned(POLICIES[event]):
+            if condition(POLICIES[event]):
                 return EventChange(0.0, event, True, detail).text
         return ""

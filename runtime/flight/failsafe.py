@@ -1,7 +1,7 @@
-"""What to send when there is no fresh solution: the chain of fallbacks and the level hold. Pure.
+"""What to send without a fresh solution: the chain of fallbacks and the level hold. Pure.
 
-Each fallback is bounded: so many ticks of the shifted solution, so many seconds of level hold, then the stream stops
-and the autopilot's own failsafe acts.
+Each fallback is bounded: some ticks of the shifted solution, some seconds of level hold; then the stream stops and the
+autopilot's own failsafe acts.
 """
 
 from __future__ import annotations
@@ -19,7 +19,12 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 class FallbackBounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How long each fallback may last. shifted_ticks: ticks. level_hold: s. recovery: s of health that refill both."""
+    """How long each fallback may last.
+
+    shifted_ticks: ticks of the shifted solution.
+    level_hold: s.
+    recovery: s without a fallback that refill both.
+    """
 
     shifted_ticks: int = 10
     level_hold: float = 1.0
@@ -27,7 +32,7 @@ class FallbackBounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FallbackChain:
-    """Escalates from what the events ask for to what is available and not used up."""
+    """Escalates from the fallback that the events require to one that is available and not used up."""
 
     def __init__(self, bounds: FallbackBounds) -> None:
         self._bounds = bounds
@@ -40,10 +45,12 @@ class FallbackChain:
     def choose(
         self, required: Fallback, *, time: float, estimate_usable: bool, solution_left: bool, nominal_available: bool
     ) -> Fallback:
-        """The fallback to fly now: the mildest at or after the wanted one that is possible.
+        """The fallback to fly now: the mildest possible one from the required one on.
 
-        time: s. estimate_usable: the nominal model needs one. solution_left: the last prediction still reaches to now.
-        nominal_available: there is a nominal controller beside the failing one, or the only one still solves.
+        time: s.
+        estimate_usable: whether there is an estimate that the nominal model can fly with.
+        solution_left: whether the last prediction still covers this time.
+        nominal_available: whether a nominal controller stands by, or the only controller still solves.
         """
         elapsed = 0.0 if self._last_time is None else max(time - self._last_time, 0.0)
         self._last_time = time
@@ -74,7 +81,7 @@ class FallbackChain:
 
 
 def level_rate(attitude: Floats, *, gain: float, limit: float) -> Floats:
-    """Body rates that bring the thrust axis upright the short way, with no yaw rate.
+    """Body rates that bring the thrust axis upright the short way, without a yaw rate.
 
     attitude: (4,). gain: 1/s, rate per angle. limit: rad/s. Returns (3,) rad/s, body FLU.
     """
@@ -82,16 +89,16 @@ def level_rate(attitude: Floats, *, gain: float, limit: float) -> Floats:
     axis = np.cross(UP, up_body)
     sine = float(np.linalg.norm(axis))
     if sine < 1e-9:
-        # upside down every axis is as short: roll
+        # upside down all axes are equally short: roll
         return np.array([limit, 0.0, 0.0]) if up_body[2] < 0 else np.zeros(3)
     angle = math.atan2(sine, float(up_body[2]))
     return np.asarray(axis / sine * min(gain * angle, limit))
 
 
 def level_thrust(attitude: Floats, weight: float, *, max_gain: float = 1.5) -> float:
-    """Collective thrust that holds the weight at a tilt, N; upside down none.
+    """Collective thrust that holds the weight at a tilt, N; 0 upside down.
 
-    attitude: (4,). weight: N. max_gain: most thrust per weight, for large tilts.
+    attitude: (4,). weight: N. max_gain: limit of thrust per weight, for large tilts.
     """
     cosine = float(quaternion.rotate(attitude, UP)[2])
     if cosine <= 0.0:
@@ -100,7 +107,7 @@ def level_thrust(attitude: Floats, weight: float, *, max_gain: float = 1.5) -> f
 
 
 class LevelHold:
-    """Brings the vehicle upright from the last attitude that is known, assuming that it follows the rates sent."""
+    """Brings the vehicle upright from its last known attitude, assuming that it follows the rates sent."""
 
     def __init__(self, weight: float, *, gain: float = 3.0, limit: float = 2.0) -> None:
         """weight: N. gain: 1/s. limit: rad/s."""
@@ -110,13 +117,13 @@ class LevelHold:
         self._attitude = quaternion.IDENTITY
 
     def observe(self, attitude: Floats) -> None:
-        """Take a trustworthy attitude. attitude: (4,)."""
+        """Take a current attitude. attitude: (4,)."""
         self._attitude = attitude
 
     def command(self, duration: float) -> tuple[Floats, float]:
         """Rates (3,) rad/s and collective thrust, N, to send for the next `duration` s without an attitude."""
         rate = level_rate(self._attitude, gain=self._gain, limit=self._limit)
         thrust = level_thrust(self._attitude, self._weight)
-        turned = quaternion.multiply(self._attitude, quaternion.exponential(rate * duration))
-        self._attitude = quaternion.normalise(turned)
+        rotated = quaternion.multiply(self._attitude, quaternion.exponential(rate * duration))
+        self._attitude = quaternion.normalise(rotated)
         return rate, thrust

@@ -1,7 +1,7 @@
-"""One tick of the control thread as a pure object: observation and estimate in, setpoint, requests and news out.
+"""One tick of the control thread as a pure object: observation and estimate in, setpoint, requests and changes out.
 
-`step` is the urgent half, `prepare` follows once the setpoint is on its way. No clock, no input or output: the daemon
-feeds it from the link, the replay from a recording, and both get the same setpoints.
+`step` is the urgent half, `prepare` follows once the setpoint has left. No clock, no input or output: the daemon feeds
+it from the link, the replay from a recording, and both get the same setpoints.
 """
 
 from __future__ import annotations
@@ -30,14 +30,21 @@ from runtime.record.records import ObservationRecord
 ZERO_RATE = np.zeros(3)
 SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
 DISARM_PATIENCE = 5.0  # s until landing is left to the autopilot
-STALE_SOLUTION = 0.2  # s without a solution after which the solver starts anew
+STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
-ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is no surprise
+ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is expected
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS, Event.LINK_LOST)
 
 
 class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Everything that decides how a flight is flown, besides vehicle, controller and mission. period: s."""
+    """How a flight is flown, besides vehicle, controller and mission.
+
+    period: of the control thread, s.
+    engagement: how control is taken.
+    bounds: of the fallbacks.
+    health: limits of the health checks.
+    thrust: of the effectiveness filter.
+    """
 
     period: float = 0.01
     engagement: EngagementSettings = EngagementSettings()
@@ -48,7 +55,18 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass
 class Decision:
-    """What a tick came to. rate_body: (3,) rad/s, None: nothing may be sent. thrust: 0..1. newtons: N behind it."""
+    """The outcome of a tick.
+
+    rate_body: (3,) rad/s; None: nothing may be sent.
+    thrust: 0..1, as it is sent.
+    collective_thrust: N, that it stands for.
+    fallback: that is flown.
+    solver_status: 0 is success, -1 no solution was computed.
+    feedback_seconds: of the solver.
+    requests: for the autopilot.
+    transitions: of the engagement.
+    event_changes: events raised and cleared.
+    """
 
     rate_body: Floats | None = None
     thrust: float = 0.0
@@ -62,7 +80,7 @@ class Decision:
 
 
 class Flyer:
-    """The flight's logic: engagement, mission phases, controller, fallbacks, thrust."""
+    """The flight logic: engagement, mission phases, controller, fallbacks, thrust."""
 
     def __init__(
         self,
@@ -74,7 +92,7 @@ class Flyer:
         *,
         nominal: Controller | None = None,
     ) -> None:
-        """nominal: the controller of the nominal model to fall back to, None when the first one is nominal already."""
+        """nominal: controller of the nominal model to fall back to, None when `controller` is nominal already."""
         self.engagement = Engagement(settings.engagement)
         self.events = EventMonitor()
         self.mission = mission
@@ -109,12 +127,12 @@ class Flyer:
 
     @property
     def over(self) -> bool:
-        """Whether there is nothing left to fly: it was flown and given up, or refused."""
+        """Whether the flight is over: flown and given up, or refused."""
         return not self.engagement.streaming and bool(self.engagement.refusal) and not self.engagement.requested
 
     @property
     def landed(self) -> bool:
-        """Whether the flight has ended on the ground, by our doing."""
+        """Whether the flight ended on the ground, by its own landing."""
         return self.over and self.mission.phase is Phase.SHUTDOWN
 
     @property
@@ -130,7 +148,7 @@ class Flyer:
         return self._controller.predicted_states, self._controller.predicted_inputs
 
     def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
-        """Decide what to send now. estimate: the newest believed one, the same object while there is no newer."""
+        """Decide what to send now. estimate: the newest accepted one, the same object while there is no newer."""
         decision = Decision()
         fresh = estimate is not None and estimate is not self._estimate
         if observation.engage:
@@ -147,7 +165,7 @@ class Flyer:
         return decision
 
     def prepare(self, time: float) -> None:
-        """Advance the mission and linearise for the tick after the one at a time, s; after the setpoint left."""
+        """Advance the mission and linearise for the next tick, after the setpoint has left. time: s, of this tick."""
         self._remember_sent()
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._prepared = False
@@ -165,11 +183,11 @@ class Flyer:
         self._prepare_nominal(window, time)
 
     def _prepare_nominal(self, window: tuple[Floats, Floats], time: float) -> None:
-        """Keep the nominal controller ready beside a learned one, and while something is wrong."""
+        """Keep the nominal controller ready while a learned model flies, and while something is wrong."""
         if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
             return
-        # what a model asked for that goes astray says nothing of what the vehicle did: physics begins without it
+        # a diverging model's commands are no evidence of what the vehicle did: the nominal model starts without them
         diverging = Event.MODEL_OSCILLATES in self._present and Event.MODEL_OSCILLATES not in self.events.active
         if (diverging or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
@@ -179,7 +197,7 @@ class Flyer:
         self._nominal_ready = True
 
     def _judge_model(self, time: float) -> None:
-        """Whether a learned model may be believed at the next tick."""
+        """Whether a learned model may fly the next tick."""
         waiting, outside, unfit = self._controller.distrust(time)
         if waiting:
             self._present[Event.MODEL_WAITING] = waiting
@@ -189,13 +207,13 @@ class Flyer:
             self._present[Event.MODEL_UNHEALTHY] = unfit
 
     def reference_now(self, time: float) -> Floats | None:
-        """The state (13,) that is asked for at a time, None when nothing is tracked."""
+        """The reference's state (13,) at a time, s; None when nothing is tracked."""
         if not self.mission.airborne or self._state is None:
             return None
         states, _ = self.mission.window(np.array([time]), self._state[ATTITUDE])
         return np.asarray(states[0])
 
-    # --- what is known
+    # --- observation
 
     def _take_estimate(self, observation: ObservationRecord, estimate: StateEstimate | None, fresh: bool) -> None:
         if observation.reset:
@@ -216,7 +234,7 @@ class Flyer:
         self._health.sent(rate_body, collective_thrust, time)
 
     def _learn(self, time: float) -> None:
-        """What can wait until the setpoint has left: keep the solution, judge the flight, follow the thrust."""
+        """What can wait until the setpoint has left: store the solution, check the flight, update the effectiveness."""
         if self._solution is not None:
             self._shifted.keep(*self._solution)
             self._solution = None
@@ -257,15 +275,15 @@ class Flyer:
             solution_left=self._shifted.reaches(time) or not self.mission.airborne,
             nominal_available=solves,
         )
-        # a flight on the nominal model flies already what it would fall back to
+        # a flight on the nominal model flies its fallback already
         return Fallback.NONE if chosen is Fallback.NOMINAL_MODEL and self._nominal is None else chosen
 
-    # --- who has control
+    # --- engagement
 
     def _engage(self, observation: ObservationRecord, decision: Decision) -> None:
         was_flying = self.engagement.flying
         if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
-            self.mission.shut_down(observation.time)  # an autopilot that notices the landing first disarms by itself
+            self.mission.shut_down(observation.time)  # the autopilot noticed the landing first and disarmed by itself
             decision.transitions += self.engagement.release("landed and disarmed", observation.time)
         facts = Facts(
             connected=observation.connected,
@@ -288,7 +306,7 @@ class Flyer:
             decision.transitions += self.engagement.release(observation.leave, observation.time)
 
     def _begin(self, observation: ObservationRecord) -> None:
-        """Control was just taken: from the ground by the ramp, in the air at once."""
+        """Start to fly after control was taken: from the ground by the ramp, in the air at once."""
         if self._state is None:
             return
         if observation.landed or not self.engagement.initially_armed:
@@ -304,7 +322,7 @@ class Flyer:
                 controller.reset(self._state, time)
         self._prepared, self._solved = False, time
 
-    # --- what to send
+    # --- setpoint
 
     def _command(self, observation: ObservationRecord, decision: Decision) -> None:
         if not self.engagement.flying:
@@ -320,7 +338,7 @@ class Flyer:
         self._finish(observation, decision)
 
     def _stand_by(self, decision: Decision) -> None:
-        """Setpoints for the time before control is taken: idle on the ground, level and hovering in the air."""
+        """Setpoints before control is taken: idle on the ground, level and hovering in the air."""
         if self.engagement.initially_armed:
             decision.rate_body, decision.collective_thrust = self._hold.command(0.0)
         else:
@@ -335,7 +353,7 @@ class Flyer:
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
         if self._ramp.failed:
-            self._present[Event.TAKEOFF_FAILED] = f"{self._ramp.thrust:.2f} N asked for"
+            self._present[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N"
         if not self._ramp.lifted:
             return
         settings = self._settings.thrust
@@ -346,7 +364,7 @@ class Flyer:
         decision.collective_thrust = self._hand_over.thrust
 
     def _shut_down(self, observation: ObservationRecord, decision: Decision) -> None:
-        since = observation.time - self.mission.time_in_phase_began
+        since = observation.time - self.mission.phase_started
         decision.rate_body = ZERO_RATE
         share = max(0.0, 1.0 - since / SHUTDOWN_TIME)
         decision.collective_thrust = share * min(self._last[1], 0.5 * self._vehicle.weight)
@@ -374,7 +392,7 @@ class Flyer:
         self._watch_ground(observation, decision.collective_thrust)
 
     def _solve(self, time: float, decision: Decision) -> tuple[Floats, float] | None:
-        """Rates and thrust of a fresh solution; None when none may or could be had."""
+        """Rates and thrust of a fresh solution; None when there is none or it may not be flown."""
         assert self._estimate is not None
         if decision.fallback is Fallback.SHIFTED_SOLUTION or not self._prepared:
             return None
@@ -385,8 +403,8 @@ class Flyer:
         decision.solver_status, decision.feedback_seconds = command.status, command.seconds
         finite = isfinite(float(command.rate_body.sum()) + command.collective_thrust)
         if command.status != 0 or not finite:
-            what = f"status {command.status}" if finite else "a solution that is not finite"
-            self._present[Event.SOLVER_FAILED] = what
+            detail = f"status {command.status}" if finite else "the solution is not finite"
+            self._present[Event.SOLVER_FAILED] = detail
             return None
         self._solution, self._flies = (time, command, controller), controller
         self._solved = time
@@ -398,14 +416,14 @@ class Flyer:
             return
         reported_landed = observation.landed and self.mission.phase is Phase.TOUCHDOWN
         climb_rate = float(self._state[VELOCITY][2])
-        long = observation.time - self.mission.time_in_phase_began > TOUCHDOWN_PATIENCE
+        long = observation.time - self.mission.phase_started > TOUCHDOWN_PATIENCE
         if self._landing.update(observation.time, climb_rate, collective_thrust, reported_landed=reported_landed):
             self.mission.shut_down(observation.time)
         elif long and self.mission.phase is Phase.TOUCHDOWN:
             self._present[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
 
     def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
-        """Clip to what the vehicle may be asked for and convert collective_thrust to the autopilot's 0..1."""
+        """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
         if decision.rate_body is None or not self.engagement.streaming:
             decision.rate_body = None
             return

@@ -1,4 +1,4 @@
-"""Checks on what the flight itself shows: age of the estimate, allowed box, thrust at its limit, rates not followed."""
+"""Health checks of a flight: age of the estimate, allowed box, thrust at its limit, rates not followed."""
 
 from __future__ import annotations
 
@@ -16,16 +16,17 @@ from runtime.running_mean import RunningMean
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """stale: s without an estimate. oldest: s that an estimate may be old, on the road or by a clock that slipped.
+    """Limits of the health checks. The last three end a learned model's flight before the loop diverges.
 
-    margin: m outside the box until control is given up.
-
-    unfollowed: rad/s by which body rates may miss their setpoints on average over `following_time` s. rate_delay: s by
-    which rates follow their setpoints.
-
-    A learned model that makes the vehicle oscillate is left earlier: swing: rad/s by which body rates may miss its
-    setpoints on average over `swing_time` s, chatter: rad/s by which those may turn back and forth from tick to tick
-    (the norm of their second difference).
+    stale: s without an estimate.
+    oldest: s, age of an estimate, by its way over the link or by a clock that slipped.
+    margin: m outside of the box until control is given up.
+    unfollowed: rad/s, mean error of body rates against their setpoints.
+    following_time: s of that mean.
+    rate_delay: s by which body rates follow their setpoints.
+    swing: rad/s, mean error of body rates against a learned model's setpoints.
+    chatter: rad/s, mean second difference of a learned model's setpoints from tick to tick (norm).
+    swing_time: s of these two means.
     """
 
     stale: float = 0.06
@@ -40,7 +41,7 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FlightHealth:
-    """Finds events in what is measured and sent. Pure: time is an argument, s."""
+    """Finds events in states and setpoints. Pure: time is an argument, s."""
 
     def __init__(self, vehicle: Vehicle, limits: HealthLimits | None = None) -> None:
         self.limits = limits or HealthLimits()
@@ -48,9 +49,9 @@ class FlightHealth:
         self._thrust_max = vehicle.thrust_limits[1]
         self._thrust = 0.0
         self._sent: deque[tuple[float, Floats]] = deque(maxlen=64)
-        self._forget()
+        self._reset()
 
-    def _forget(self) -> None:
+    def _reset(self) -> None:
         limits = self.limits
         self._miss, self._swing = RunningMean(limits.following_time, 0.0), RunningMean(limits.swing_time, 0.0)
         self._chatter = RunningMean(limits.swing_time, 0.0)
@@ -66,21 +67,21 @@ class FlightHealth:
 
     @property
     def oscillation(self) -> tuple[float, float]:
-        """By how much setpoints turn back from tick to tick, and by how much rates miss them; running means, rad/s."""
+        """Second difference of setpoints from tick to tick, and error of rates against them; running means, rad/s."""
         return self._chatter.value, self._swing.value
 
     def rest(self) -> None:
-        """Nothing is flown: forget what was sent."""
+        """Nothing is flown: forget the setpoints."""
         self._sent.clear()
-        self._forget()
+        self._reset()
         self._thrust = 0.0
 
     def is_current(self, estimate: StateEstimate, time: float) -> bool:
-        """Whether what an estimate says can be carried to now by the model."""
+        """Whether an estimate is young enough for the model to predict the present state from it."""
         return time - estimate.received <= self.limits.stale and time - estimate.time <= self.limits.oldest
 
     def estimate_age(self, estimate: StateEstimate | None, time: float) -> dict[Event, str]:
-        """Whether estimates still arrive, and in time. estimate: the newest, None before the first."""
+        """The event of stale estimates, if they are. estimate: the newest, None before the first."""
         if estimate is None:
             return {Event.ESTIMATE_STALE: "none has arrived yet"}
         if self.is_current(estimate, time):
@@ -91,14 +92,14 @@ class FlightHealth:
         return {Event.ESTIMATE_STALE: f"the newest is {1e3 * (time - estimate.time):.0f} ms old"}
 
     def flight(self, state: Floats, time: float, *, learned: bool = False) -> dict[Event, str]:
-        """What a fresh state (13,) of a vehicle in the air shows. learned: its controller has a learned model."""
+        """Events that a fresh state (13,) of a flying vehicle shows. learned: whether a learned model flies it."""
         present = self._position(state[POSITION])
         if self._thrust > 0.99 * self._thrust_max:
             present[Event.THRUST_LIMIT] = f"{self._thrust:.2f} of {self._thrust_max:.2f} N"
         self._compare(state[RATE], time)
         if self._miss.value > self.limits.unfollowed:
-            missed = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
-            present[Event.SETPOINT_REFUSED] = missed
+            detail = f"body rates miss their setpoints by {self._miss.value:.1f} rad/s on average"
+            present[Event.SETPOINT_REFUSED] = detail
         chatter, swing = self.oscillation
         if learned and chatter > self.limits.chatter:
             present[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"

@@ -1,4 +1,4 @@
-"""The previous solution, moved on in time: what to send for a few ticks when there is no new one. Pure."""
+"""The shifted solution: the previous one, continued for the few ticks without a new one. Pure."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from runtime.control.controller import Command, Controller
 
 
 class ShiftedSolution:
-    """Keeps the last good command with its prediction and continues both."""
+    """The last good command and its prediction, and their continuation."""
 
     def __init__(self, vehicle: Vehicle) -> None:
         self._constant = vehicle.rotors.thrust_constant
@@ -23,7 +23,7 @@ class ShiftedSolution:
         self._thrust = 0.0
 
     def keep(self, time: float, command: Command, controller: Controller) -> None:
-        """Remember a good solution of a tick at a time, s; copies what the solver will overwrite."""
+        """Store a good solution of the tick at `time`, s; copies what the solver will overwrite."""
         self._since, self._times = time, controller.node_times(time)
         self._rates = controller.predicted_states[:, RATE].copy()
         self._thrusts = self._constant * np.sum(controller.predicted_inputs**2, axis=1)
@@ -34,7 +34,7 @@ class ShiftedSolution:
         return self._times.size > 1 and self._since <= time < self._times[-2]
 
     def at(self, time: float) -> tuple[Floats, float]:
-        """Rates (3,) rad/s and collective thrust, N, at a time: the last command plus what was predicted to change."""
+        """Rates (3,) rad/s and collective thrust, N, at a time: the last command plus the predicted change since."""
         rate = np.array([np.interp(time, self._times, self._rates[:, axis]) for axis in range(3)])
         thrust = float(np.interp(time, self._times[:-1], self._thrusts))
         return self._rate + rate - self._rates[0], self._thrust + thrust - float(self._thrusts[0])

@@ -6,7 +6,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.state import POSITION
-from runtime.flight.mission import Motion
+from runtime.flight.motion import Motion
 
 MAX_DISTANCE = 50.0  # m from the vehicle to the start of the reference
 MIN_CLEARANCE = 0.15  # m of the reference above the ground on which the vehicle stands

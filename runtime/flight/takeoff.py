@@ -1,4 +1,4 @@
-"""Leaving the ground and coming back to it: thrust ramp, bumpless hand-over, landing detection. Pure.
+"""Take-off and landing: thrust ramp, bumpless hand-over, landing detection. Pure.
 
 In OFFBOARD the autopilot does not spool up: the first setpoint after arming reaches the motors within tens of
 milliseconds. So thrust rises slowly until the vehicle lifts off, and only then the controller takes over.
@@ -11,9 +11,14 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class RampSettings:
-    """rise: s from nothing to the weight. spool: thrust per weight to begin with. greatest: most thrust per weight.
+    """The thrust ramp of a take-off.
 
-    patience: s at the greatest thrust without lift-off. height: m and climb_rate: m/s that count as lift-off.
+    rise: s from zero thrust to the weight.
+    spool: initial thrust per weight.
+    max_thrust: per weight.
+    patience: s at the greatest thrust without lift-off.
+    height: m above the ground that counts as lift-off, together with
+    climb_rate: m/s.
     """
 
     rise: float = 1.5
@@ -25,7 +30,12 @@ class RampSettings:
 
 
 class TakeoffRamp:
-    """Raises the thrust until the vehicle leaves the ground."""
+    """Raises the thrust until the vehicle leaves the ground.
+
+    lifted: whether it has left.
+    failed: whether it stands at the greatest thrust.
+    thrust: the present one, N.
+    """
 
     def __init__(self, weight: float, thrust_max: float, settings: RampSettings | None = None) -> None:
         """weight, thrust_max: N."""
@@ -42,7 +52,7 @@ class TakeoffRamp:
         self.thrust = 0.0
 
     def update(self, time: float, height: float, climb_rate: float) -> float:
-        """Thrust to ask for now, N. height: m, climb_rate: m/s, both world up."""
+        """Thrust setpoint at this time, N. height: m, climb_rate: m/s, both world up."""
         settings = self._settings
         if self._started is None:
             self._started, self._ground = time, height
@@ -61,7 +71,7 @@ class TakeoffRamp:
         return self.thrust
 
     def effectiveness(self, response_time: float) -> float:
-        """Thrust per modelled thrust, from the thrust that was asked for when the weight came off the ground.
+        """Thrust per modelled thrust, from the thrust setpoint at which the vehicle left the ground.
 
         While thrust rises steadily, height grows with the cube and climb rate with the square of the time since then,
         so that time is 3 height / climb rate. response_time: s by which thrust follows its setpoint.
@@ -74,7 +84,7 @@ class TakeoffRamp:
 
 @dataclass(frozen=True)
 class HandOver:
-    """From one thrust to the controller's without a step. started: s. thrust: N at that time. duration: s."""
+    """A transition from one thrust to the controller's without a step. started: s. thrust: N, then. duration: s."""
 
     started: float
     thrust: float
@@ -88,10 +98,10 @@ class HandOver:
 
 
 class LandingDetector:
-    """Whether a vehicle that was asked to descend stands on the ground."""
+    """Whether a descending vehicle stands on the ground."""
 
     def __init__(self, weight: float, *, climb_rate: float = 0.12, thrust: float = 0.75, hold: float = 0.5) -> None:
-        """weight: N. climb_rate: m/s below which it stands. thrust: per weight it must be below. hold: s."""
+        """weight: N. climb_rate: m/s, upper bound. thrust: per weight, upper bound. hold: s that both must hold."""
         self._weight = weight
         self._climb_rate = climb_rate
         self._thrust = thrust
@@ -99,7 +109,7 @@ class LandingDetector:
         self._since: float | None = None
 
     def update(self, time: float, climb_rate: float, thrust: float, *, reported_landed: bool) -> bool:
-        """Take one tick. climb_rate: m/s. thrust: asked for, N. reported_landed: its landed state."""
+        """Take one tick. climb_rate: m/s. thrust: setpoint, N. reported_landed: the autopilot's landed state."""
         if reported_landed:
             return True
         standing = abs(climb_rate) < self._climb_rate and thrust < self._thrust * self._weight

@@ -1,8 +1,8 @@
-"""Newtons to the 0..1 of SET_ATTITUDE_TARGET and back, with the hover point corrected in flight.
+"""Collective thrust in N to the 0..1 of SET_ATTITUDE_TARGET and back, corrected in flight.
 
-The autopilot takes a thrust setpoint T and drives each motor with the signal s that solves f s^2 + (1 - f) s = T,
-f its parameter THR_MDL_FAC; the vehicle answers with thrust / thrust_max = c s^2 + (1 - c) s, c its file's
-thrust_curve. What both leave out (a sagging battery, a wrong mass or constant) is one factor, the effectiveness.
+The autopilot turns a thrust setpoint T into each motor's signal s by f s^2 + (1 - f) s = T, f its THR_MDL_FAC. The
+vehicle's thrust is then thrust_max (c s^2 + (1 - c) s), c its file's thrust_curve. What both omit (a sagging battery,
+a wrong mass or constant) is one factor, the effectiveness.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from dynamics.vehicle import GRAVITY
 
 
 def curve(signal: float, factor: float) -> float:
-    """Thrust per greatest thrust of a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""
+    """Thrust per greatest thrust at a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""
     return factor * signal * signal + (1.0 - factor) * signal
 
 
@@ -34,19 +34,24 @@ def curve_inverse(thrust: float, factor: float) -> float:
 
 @dataclass(frozen=True)
 class ThrustMap:
-    """thrust_max: of all rotors, N. vehicle_curve: c of the vehicle file. autopilot_curve: f, its THR_MDL_FAC."""
+    """From collective thrust to the autopilot's setpoint and back.
+
+    thrust_max: of all rotors, N.
+    vehicle_curve: c, the vehicle file's thrust_curve.
+    autopilot_curve: f, the autopilot's THR_MDL_FAC.
+    """
 
     thrust_max: float
     vehicle_curve: float
     autopilot_curve: float
 
     def setpoint(self, collective_thrust: float, effectiveness: float = 1.0) -> float:
-        """The 0..1 that makes the vehicle thrust so much. collective_thrust: N. effectiveness: see module."""
+        """The setpoint, 0..1, that gives a thrust. collective_thrust: N. effectiveness: see module."""
         share = min(max(collective_thrust / (self.thrust_max * effectiveness), 0.0), 1.0)
         return curve(curve_inverse(share, self.vehicle_curve), self.autopilot_curve)
 
     def collective_thrust(self, setpoint: float, effectiveness: float = 1.0) -> float:
-        """The thrust that a setpoint of 0..1 makes, N: the inverse of `setpoint`."""
+        """The thrust that a setpoint of 0..1 gives, N: the inverse of `setpoint`."""
         signal = curve_inverse(min(max(setpoint, 0.0), 1.0), self.autopilot_curve)
         return self.thrust_max * effectiveness * curve(signal, self.vehicle_curve)
 
@@ -67,21 +72,29 @@ def specific_force_z(
 
 
 class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Of the effectiveness filter. Standard deviations; process_noise per sqrt(s); times in s.
+    """The effectiveness filter's noise and limits.
 
-    delay, response_time: how thrust follows a setpoint: pure delay, then first order. timing: uncertainty of that
-    response as a share of the thrust's change. speed: m/s at which aerodynamic forces double the noise.
+    initial_deviation: standard deviation at the start.
+    process_noise: standard deviation per sqrt(s).
+    measurement_noise: standard deviation of the specific force, m/s^2.
+    delay: s, pure delay from a setpoint to thrust.
+    response_time: s, of the first-order response after it.
+    timing: uncertainty of that response as a share of the thrust's change.
+    speed: m/s at which aerodynamic forces double the noise.
+    gate: standard deviations beyond which a measurement is rejected.
+    patience: s of rejection after which the variance is reset.
+    minimum, maximum: of the effectiveness.
     """
 
     initial_deviation: float = 0.15
     process_noise: float = 0.02
-    measurement_noise: float = 1.5  # m/s^2
+    measurement_noise: float = 1.5
     delay: float = 0.02
     response_time: float = 0.05
     timing: float = 0.5
     speed: float = 3.0
     gate: float = 3.0
-    patience: float = 1.0  # of rejection until the filter doubts itself
+    patience: float = 1.0
     minimum: float = msgspec.field(default=0.4, name="least")
     maximum: float = msgspec.field(default=1.8, name="greatest")
 
@@ -89,19 +102,19 @@ class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=T
 class EffectivenessEstimator:
     """Thrust per modelled thrust, a one-state Kalman filter on the specific force along body z.
 
-    The same question as PX4's hover thrust estimator (ZeroOrderHoverThrustEkf), but linear, because the measurement
-    k F / m is linear in the effectiveness k. Pure: times are arguments.
+    The quantity of PX4's hover thrust estimator (ZeroOrderHoverThrustEkf), but linear, because the measurement k F / m
+    is linear in the effectiveness k. Pure: times are arguments.
     """
 
     def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
-        """mass: kg, as the controller believes it; a wrong one is part of the effectiveness."""
+        """mass: kg, of the controller's model; an error of it is part of the effectiveness."""
         self._mass = mass
         self._settings = settings or EffectivenessSettings()
         self._commands: deque[tuple[float, float]] = deque(maxlen=64)
         self.start(1.0)
 
     def start(self, value: float) -> None:
-        """Begin anew from a value, as at lift-off."""
+        """Restart from a value, as at lift-off."""
         self.value = self._bounded(value)
         self.variance = self._settings.initial_deviation**2
         self.rejected = 0
@@ -112,13 +125,13 @@ class EffectivenessEstimator:
         self._commands.clear()
 
     def command(self, modelled_thrust: float, time: float) -> None:
-        """A setpoint went out. modelled_thrust: what it would make at effectiveness 1, N."""
+        """A setpoint was sent. modelled_thrust: its thrust at effectiveness 1, N."""
         if not self._commands and self._time is None:
             self._target = self._force = modelled_thrust
         self._commands.append((time + self._settings.delay, modelled_thrust))
 
     def measure(self, specific_force: float, time: float, speed: float = 0.0) -> bool:
-        """A specific force along body z, m/s^2, was measured in flight. speed: m/s. Returns whether it was used."""
+        """Take a specific force along body z, m/s^2, measured in flight. speed: m/s. Returns whether it was used."""
         settings = self._settings
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
         self._follow(time)
@@ -141,7 +154,7 @@ class EffectivenessEstimator:
         return True
 
     def _follow(self, time: float) -> None:
-        """Carry the modelled force to a time through the delayed commands."""
+        """Advance the modelled force to a time through the delayed commands."""
         now = self._time if self._time is not None else time
         while self._commands and self._commands[0][0] <= time:
             at, target = self._commands.popleft()

@@ -1,4 +1,4 @@
-"""How well the reference was followed: errors of the vehicle's own estimates against the reference at their times."""
+"""Tracking errors: the vehicle's own estimates against the reference at their times."""
 
 from __future__ import annotations
 
@@ -15,7 +15,16 @@ from runtime.link.estimate import StateEstimate
 
 
 class TrackingReport(msgspec.Struct, frozen=True):
-    """Errors while a reference was tracked: position m (norm and world axes), velocity m/s, attitude rad."""
+    """Errors while a reference was tracked.
+
+    samples: estimates.
+    position_rmse: m, of the norm.
+    position_rmse_axes: m, of the world axes.
+    position_max: m.
+    velocity_rmse: m/s.
+    attitude_rmse: rad.
+    speed_max: m/s, the vehicle's.
+    """
 
     samples: int
     position_rmse: float
@@ -39,7 +48,7 @@ class Tracking:
         self._last: StateEstimate | None = None
 
     def add(self, phase: Phase, estimate: StateEstimate, reference: Floats) -> None:
-        """Take an estimate and the reference's state (13,) at the estimate's time."""
+        """Add an estimate and the reference's state (13,) at the estimate's time."""
         if phase is not Phase.TRACK or estimate is self._last:
             return
         self._last = estimate

@@ -10,7 +10,8 @@ from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Motion, Plan
+from runtime.flight.mission import Mission, Plan
+from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.recording import FlightRecording

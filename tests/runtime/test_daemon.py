@@ -28,7 +28,8 @@ from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
-from runtime.flight.mission import Plan, Transfer
+from runtime.flight.mission import Plan
+from runtime.flight.motion import Transfer
 from runtime.link.connection import parse_endpoint
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
@@ -189,7 +190,7 @@ import numpy as np
 from dynamics.vehicle_file import read_vehicle
 from runtime.link.connection import parse_endpoint
 from runtime.daemon import Daemon, FlightRequest
-from runtime.flight.mission import Transfer
+from runtime.flight.motion import Transfer
 vehicle = read_vehicle(sys.argv[1])
 reference = Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
 request = FlightRequest(endpoint=parse_endpoint(sys.argv[2]))

@@ -19,7 +19,8 @@ from runtime.control.controller import Controller
 from runtime.flight.engagement import AutopilotRequest, State, Transition
 from runtime.flight.events import Event, EventChange
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Motion, Phase, Plan
+from runtime.flight.mission import Mission, Phase, Plan
+from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord

@@ -17,7 +17,8 @@ from runtime.control.controller import Command, Controller
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
 from runtime.flight.flyer import FlyerSettings
-from runtime.flight.mission import Phase, Plan, Transfer
+from runtime.flight.mission import Phase, Plan
+from runtime.flight.motion import Transfer
 from tests.support.rate_controlled_vehicle import Flight
 
 PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)

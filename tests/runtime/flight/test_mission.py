@@ -11,7 +11,8 @@ from dynamics import quaternion
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
-from runtime.flight.mission import AIRBORNE, Mission, Phase, Plan, Transfer
+from runtime.flight.mission import AIRBORNE, Mission, Phase, Plan
+from runtime.flight.motion import Transfer
 
 STEP = 0.05
 

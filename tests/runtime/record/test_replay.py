@@ -13,7 +13,8 @@ from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.flyer import FlyerSettings
-from runtime.flight.mission import Plan, Transfer
+from runtime.flight.mission import Plan
+from runtime.flight.motion import Transfer
 from runtime.record.recorder import Recorder
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
