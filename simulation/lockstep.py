@@ -131,7 +131,7 @@ def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tupl
             following = hold
         phase = flyer.mission.phase
         tracking = phase is Phase.TRACK
-        since = now - flyer.mission.time_in_phase_began
+        since = now - flyer.mission.phase_started
         if tracking:
             _keep(rows, plant, since, following, flyer.reference_now(now))
             rows.away.append(decision.fallback is not Fallback.NONE)
