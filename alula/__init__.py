@@ -1,7 +1,11 @@
 """Alula identifies what a quadrotor's dynamics model is missing, and flies the better model.
 
+    import alula
+    vehicle = alula.load_vehicle("arpl_250g")
+    print(alula.diagnose(alula.read_flights("logs"), vehicle).sentence)
+
 Everything is imported when it is first used: importing this package takes milliseconds and needs nothing else, and a
-flight computer with the base install can fly.
+flight computer with the base install can fly. `docs/api.md` describes every function.
 """
 
 from __future__ import annotations
@@ -11,9 +15,13 @@ import sys
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from alula.rooms import ROOMS, require_own_rooms
+from alula.rooms import require_own_rooms
 
 if TYPE_CHECKING:
+    from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose
+    from alula.api.flights import inspect, load_vehicle, read_flight, read_flights
+    from alula.api.flying import fly, simulate
+    from alula.api.learning import evaluate, export, train
     from dynamics.effect import Effect
     from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
     from dynamics.vehicle import EffectUse, Vehicle
@@ -23,10 +31,15 @@ if TYPE_CHECKING:
 
 __all__ = [
     "AlulaError", "DataError", "Effect", "EffectUse", "Flight", "Log", "RequestError", "Vehicle", "VehicleError",
-    "__version__", "read_folder", "read_log", "write_vehicle",
+    "__version__", "add_effect", "compare", "compare_hover", "diagnose", "evaluate", "export", "fly", "inspect",
+    "load_vehicle", "read_flight", "read_flights", "read_folder", "read_log", "simulate", "train", "write_vehicle",
 ]  # fmt: skip
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
+    "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
+    "alula.api.flights": ("inspect", "load_vehicle", "read_flight", "read_flights"),
+    "alula.api.flying": ("fly", "simulate"),
+    "alula.api.learning": ("evaluate", "export", "train"),
     "dynamics.effect": ("Effect",),
     "dynamics.errors": ("AlulaError", "DataError", "RequestError", "VehicleError"),
     "dynamics.vehicle": ("EffectUse", "Vehicle"),
@@ -44,17 +57,10 @@ def __getattr__(name: str) -> Any:
     """A public name, imported now. Raises RequestError where the workbench's packages are not installed."""
     if name not in _HOME_OF:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    try:
-        value = getattr(importlib.import_module(_HOME_OF[name]), name)
-    except ModuleNotFoundError as error:
-        if error.name is not None and error.name.split(".")[0] in ("alula", *ROOMS):
-            raise
-        from dynamics.errors import RequestError
+    from alula.workbench import workbench
 
-        raise RequestError(
-            f"alula.{name} needs the package {error.name}, which the base install lacks: "
-            "python -m pip install 'alula[workbench]'."
-        ) from error
+    with workbench(f"alula.{name}"):
+        value = getattr(importlib.import_module(_HOME_OF[name]), name)
     globals()[name] = value
     return value
 

@@ -141,7 +141,7 @@ def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
     root = Path(folder)
     if not root.is_dir():
         raise RequestError(f"{root} is no folder. Give a folder of logs, or one log to Flight.read.")
-    for path in _logs_below(root):
+    for path in logs_below(root):
         try:
             yield path, read_log(path)
         except AlulaError as error:
@@ -168,14 +168,14 @@ def sniff(source: Source) -> str:
     raise RequestError(f"{source.path} is no log that is known: it begins with {source.head[:8]!r}. Known: {known}.")
 
 
-def _logs_below(root: Path) -> Iterator[Path]:
+def logs_below(root: Path) -> Iterator[Path]:
     """Files below a folder, a ROS 2 bag's folder as one."""
     if rosbag.is_bag_folder(root):
         yield root
         return
     for path in sorted(root.iterdir()):
         if path.is_dir():
-            yield from _logs_below(path)
+            yield from logs_below(path)
         elif not path.name.startswith("."):
             yield path
 

@@ -16,7 +16,7 @@ from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_vehicle
+from dynamics.vehicle_file import parse_vehicle, vehicle_toml
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
 from runtime.daemon import FlightRequest
@@ -36,7 +36,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     link: str
     reference: str
-    vehicle: str | None = None
+    vehicle: str | Vehicle | None = None
     bundle: Path | None = None
     duration: float | None = None
     height: float = 1.5
@@ -100,15 +100,18 @@ def exported_bundle(folder: Path | None) -> Bundle | None:
     return read_bundle(folder)
 
 
-def vehicle_text(vehicle: str | None, bundle: Path | None) -> str:
+def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
     """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
     if vehicle is not None and bundle is not None:
+        name = vehicle.name if isinstance(vehicle, Vehicle) else vehicle
         raise RequestError(
-            f"{bundle} has its own vehicle file, which its model was trained with: leave --vehicle {vehicle} out, or "
+            f"{bundle} has its own vehicle file, which its model was trained with: leave --vehicle {name} out, or "
             "train and export the model for that vehicle."
         )
     if vehicle is None and bundle is None:
         raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
+    if isinstance(vehicle, Vehicle):
+        return vehicle_toml(vehicle)
     path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
     try:
         return path.read_text(encoding="utf-8")

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import datetime
-import shlex
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,11 +10,10 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from alula.cli.logs_input import Effects, HoldOut, Mapped, VehicleOption, read_input
+import alula
+from alula.cli.options import Effects, HoldOut, Mapping, VehicleOption
 from dynamics.effects import CATALOGUE
-from dynamics.errors import RequestError
 from dynamics.files import write_json
-from vehicles import vehicle_path
 
 if TYPE_CHECKING:
     from diagnosis.addition import Addition
@@ -34,36 +30,25 @@ def add(
     vehicle: VehicleOption,
     hold_out: HoldOut = None,
     effects: Effects = None,
-    mapping: Mapped = None,
+    mapping: Mapping = None,
     rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect of one; else the best one.")] = None,
     out: Annotated[Path | None, typer.Option(help="File to write instead of the next version beside the old.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write what was added as JSON; - for standard output.")] = None,
 ) -> None:
     """Fit an effect and write the next vehicle file, unless the error on held-out flights does not fall."""
-    effect, logs = _told_apart(arguments)
-    if effect is None and rotor is not None:
-        raise RequestError("--rotor was given without an effect. Name the effect, or leave the rotor to the diagnosis.")
-    dataset, read, catalogue = read_input(logs, vehicle, hold_out, effects, mapping)
-    from diagnosis.addition import add_effect, write_next_version
-    from diagnosis.addition_report import report
-    from dynamics.vehicle_file import write_vehicle
-
-    command = shlex.join(["alula", *sys.argv[1:]])
-    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    added = add_effect(effect, dataset, read, catalogue, date=today, command=command, rotor=rotor)
-    path = out
-    if path is None:
-        path = write_next_version(added.vehicle, vehicle_path(vehicle))
-    else:
-        write_vehicle(added.vehicle, path)
+    effect, logs = _effect_and_logs(arguments)
+    result = alula.add_effect(
+        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping
+    )
+    path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:
-        write_json(msgspec.structs.replace(report(added), vehicle=str(path)), json)
+        write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
     if json != Path("-"):
-        _print(added, path, Console())
+        _print(result.details, path, Console())
 
 
-def _told_apart(arguments: list[str]) -> tuple[str | None, list[Path]]:
-    """The effect, if one was given, and the logs."""
+def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
+    """The effect, None where the first argument is a log, and the logs."""
     first = arguments[0]
     is_log = first not in CATALOGUE and (Path(first).exists() or "." in first or "/" in first)
     effect, logs = (None, arguments) if is_log else (first, arguments[1:])

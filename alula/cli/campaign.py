@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from alula.cli.workbench import workbench
+from alula.workbench import workbench
 from dynamics.errors import RequestError
 
 if TYPE_CHECKING:

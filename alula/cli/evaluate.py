@@ -8,10 +8,10 @@ from typing import Annotated
 import typer
 from rich.console import Console
 
-from alula.cli.workbench import workbench
-from dynamics.files import write_json
+import alula
+from studies.tables import terminal_table
 
-Given = Annotated[
+Arguments = Annotated[
     list[Path],
     typer.Argument(help="Models (.pt), then logs, folders of logs, or a campaign's folder for its test flights.",
                    metavar="MODEL... LOG..."),
@@ -19,7 +19,7 @@ Given = Annotated[
 
 
 def evaluate(
-    given: Given,
+    arguments: Arguments,
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle file (TOML) or name whose own model is judged beside the others.")
     ] = None,
@@ -31,29 +31,28 @@ def evaluate(
     html: Annotated[Path | None, typer.Option(help="Write tables and pictures as one page to this file.")] = None,
 ) -> None:
     """Judge models on flights that they were not trained on; with a campaign's flights, against the truth as well."""
-    with workbench("alula evaluate"):
-        from studies.evaluation.run import Answer, draw, run, write_html
-        from studies.evaluation.tables import summary_lines
-        from studies.tables import terminal_table, write_csv
+    models = [path for path in arguments if path.suffix == ".pt"]
+    logs = [path for path in arguments if path.suffix != ".pt"]
     console = Console(stderr=json_file == Path("-"))
     with console.status("reading the flights") as status:
-        results = run(
-            given, vehicle, mapping=mapping, timed=not no_timing, done=lambda name: status.update(f"judged {name}")
+        result = alula.evaluate(
+            models, logs, vehicle=vehicle, mapping=mapping, timing=not no_timing,
+            progress=lambda name: status.update(f"evaluated {name}"),
         )  # fmt: skip
-    for table in results.tables:
+    for table in result.tables:
         console.print(terminal_table(table))
         console.print()
-    for line in summary_lines(results.evaluated):
+    for line in result.summary:
         console.print(line, highlight=False)
     written: list[Path] = []
     if json_file is not None:
-        write_json(Answer(results.evaluated, results.timings), json_file)
+        result.write_json(json_file)
     if csv is not None:
-        written += write_csv(results.tables, csv)
+        written += result.write_csv(csv)
     if pictures is not None:
-        written += draw(results, pictures)
+        written += result.write_pictures(pictures)
     if html is not None:
-        write_html(results, html)
+        result.write_html(html)
         written.append(html)
     for path in written:
         console.print(f"written: {path}", highlight=False)

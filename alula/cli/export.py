@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import sys
 from pathlib import Path
 from typing import Annotated
@@ -10,9 +9,8 @@ from typing import Annotated
 import msgspec
 import typer
 
-from alula.cli.workbench import workbench
+import alula
 from runtime.control.bundle import Integrator
-from vehicles import vehicle_path
 
 
 def export(
@@ -40,24 +38,13 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print comparisons and flight check as JSON.")] = False,
 ) -> None:
     """Write ONNX, C and the real-time kernel of a model, and prove that they compute what was trained."""
-    with workbench("alula export"):
-        from export.bundle import ExportOptions, export_bundle, summary
-        from export.trained import read_model
-        from runtime.control.rti.problem import Problem
-        from runtime.control.rti.processor import named_processor
-        from simulation.flight_check import check_bundle
-
-    options = ExportOptions(
-        Problem(nodes=nodes, horizon=horizon), named_processor(processor), tuple(logs or ()), windows, seed, overwrite,
-        shlex.join(["alula", *sys.argv[1:]]),
+    result = alula.export(
+        model, out, logs=logs or (), member=member, processor=processor, integrator=integrator, nodes=nodes,
+        horizon=horizon, windows=windows, seed=seed, overwrite=overwrite, flight_check=flight_check,
     )  # fmt: skip
-    path = Path(model) if Path(model).suffix == ".pt" else vehicle_path(model)
-    exported = export_bundle(read_model(path, member=member, integrator=integrator), out, options)
-    check = check_bundle(out, exported.manifest) if flight_check else None
     if as_json:
-        told = {**msgspec.to_builtins(exported.parity), "flight_check": check and check.told}
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(told)) + b"\n")
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(result.report)) + b"\n")
         return
-    print("\n".join(summary(exported)))
-    if check is not None:
+    print("\n".join(result.summary))
+    if (check := result.flight_check) is not None:
         print(f"warning: {check.warning}" if check.warning else f"flight check: {check.text}")

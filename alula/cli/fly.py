@@ -2,23 +2,21 @@
 
 from __future__ import annotations
 
-import signal
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
-from types import FrameType
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
 
+import alula
 from dynamics.errors import VehicleError
-from runtime.daemon import Daemon, FlightReport
-from runtime.flight_setup import FlightSetup, prepare_flight
-from simulation.flight_check import read_check
+
+if TYPE_CHECKING:
+    from runtime.daemon import FlightReport
 
 REALTIME_PRIORITY = 50
 
@@ -53,21 +51,12 @@ def fly(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, the news on stderr.")] = False,
 ) -> None:
     """Take off, track a reference, land. SIGINT or SIGTERM lands, a second one stops streaming at once."""
-    setup = FlightSetup(
-        link=link, vehicle=vehicle, bundle=bundle, reference=reference, duration=duration, height=height,
-        rate=rate, record=record, arm=arm, resume=resume,
-        priority=REALTIME_PRIORITY if realtime else None, processor=processor, system=system, timeout=timeout,
-    )  # fmt: skip
     console = Console(stderr=as_json)
-    flight = prepare_flight(setup)
-    if flight.bundle is not None and (check := read_check(flight.bundle.folder)) is not None and check.warning:
-        console.print(f"warning: {check.warning}", style="yellow", markup=False)
-    daemon = Daemon(
-        flight.request, flight.vehicle, flight.reference, lambda text: console.print(text, markup=False),
-        bundle=flight.bundle,
+    report = alula.fly(
+        reference, vehicle=vehicle, bundle=bundle, link=link, duration=duration, height=height, rate=rate,
+        record=record, arm=arm, resume=resume, priority=REALTIME_PRIORITY if realtime else None, processor=processor,
+        system=system, timeout=timeout, announce=partial(_announce, console),
     )  # fmt: skip
-    with _interrupts(daemon.interrupt):
-        report = daemon.fly()
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
         sys.stdout.flush()
@@ -79,19 +68,8 @@ def fly(
         raise VehicleError(f"The flight was cut short and landed: {report.landing_reason}.")
 
 
-@contextmanager
-def _interrupts(tell: Callable[[str], None]) -> Iterator[None]:
-    """SIGINT and SIGTERM tell instead of interrupting."""
-
-    def handle(number: int, frame: FrameType | None) -> None:
-        tell(signal.Signals(number).name)
-
-    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _announce(console: Console, text: str) -> None:
+    console.print(text, style="yellow" if text.startswith("warning: ") else None, markup=False)
 
 
 def _print(report: FlightReport, console: Console) -> None:

@@ -12,12 +12,14 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from alula.cli.workbench import workbench
+import alula
 from dynamics.errors import AlulaError, DataError
 from studio.provenance import origin
 
 if TYPE_CHECKING:
+    from flights import Log
     from flights.quality import Inspection
+    from studio.inspected import Section
 
 MINOR = ("armed", "landed", "reset_counter", "position_reset_counter", "velocity_reset_counter",
          "attitude_reset_counter")  # fmt: skip
@@ -33,44 +35,48 @@ def inspect(
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
     """Judge logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
-    with workbench("alula inspect"):
-        from flights import Flight, read_log
-        from flights.quality.inspection import judge
-        from studio.inspected import Section, inspection_page, section
-        from studio.page import write_page
-    found: list[Inspection] = []
+    inspections: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
     for path in log:
         try:
-            streams = read_log(path, mapping=mapping)
-            found.append(judge(streams))
+            streams = alula.read_log(path, mapping=mapping)
+            inspections.append(alula.inspect(streams))
             if html is not None:
-                sections.append(section(found[-1], Flight.from_log(streams)))
+                sections.append(_section(inspections[-1], streams))
         except AlulaError as error:
             if len(log) == 1:
                 raise
             refused.append(error)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(found)) + b"\n")
+        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(inspections)) + b"\n")
     else:
         console = Console()
-        for inspection in found:
+        for inspection in inspections:
             _print(inspection, console, everything=everything)
     if html is not None:
-        hashes = {inspection.path: inspection.sha256 for inspection in found}
+        from studio.inspected import inspection_page
+        from studio.page import write_page
+
+        hashes = {inspection.path: inspection.sha256 for inspection in inspections}
         write_page(inspection_page(sections, origin=origin(hashes)), html)
         print(f"written: {html}", file=sys.stderr)
-    _end(found, refused)
+    _end(inspections, refused)
 
 
-def _end(found: list[Inspection], refused: list[AlulaError]) -> None:
+def _section(inspection: Inspection, streams: Log) -> Section:
+    from studio.inspected import section
+
+    return section(inspection, alula.Flight.from_log(streams))
+
+
+def _end(inspections: list[Inspection], refused: list[AlulaError]) -> None:
     """Exit as the worst of the logs demands."""
     for error in refused:
         print(f"alula: {error}", file=sys.stderr)
     if refused:
-        raise type(refused[0])(f"{len(refused)} of {len(found) + len(refused)} logs could not be read.")
-    unusable = [inspection for inspection in found if inspection.verdict == "unusable"]
+        raise type(refused[0])(f"{len(refused)} of {len(inspections) + len(refused)} logs could not be read.")
+    unusable = [inspection for inspection in inspections if inspection.verdict == "unusable"]
     if unusable:
         raise DataError("; ".join(f"{inspection.path}: {inspection.sentence}" for inspection in unusable))
 

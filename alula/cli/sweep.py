@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from alula.cli.workbench import workbench
+from alula.workbench import workbench
 
 if TYPE_CHECKING:
     from studies.sweep.cell import Outcome

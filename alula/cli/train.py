@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from alula.cli.workbench import workbench
+from alula.workbench import workbench
 from dynamics.errors import RequestError
 
 if TYPE_CHECKING:

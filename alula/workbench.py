@@ -1,4 +1,4 @@
-"""Commands of the workbench on an install that has none of its libraries."""
+"""What needs the workbench, on an install that has none of its libraries."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from dynamics.errors import RequestError
 
 
 @contextmanager
-def workbench(command: str) -> Iterator[None]:
-    """Import what a command of the workbench needs inside. Raises RequestError when it is not installed.
+def workbench(caller: str) -> Iterator[None]:
+    """Import inside what `caller` needs of the workbench. Raises RequestError when it is not installed.
 
     The flight computer's install has no SciPy and no Arrow, and still has to start the command line.
     """
@@ -21,5 +21,5 @@ def workbench(command: str) -> Iterator[None]:
         if error.name is not None and error.name.split(".")[0] in ("alula", *ROOMS):
             raise
         raise RequestError(
-            f"{command} needs {error.name}, which the flight computer's install leaves out. Install alula[workbench]."
+            f"{caller} needs {error.name}, which the flight computer's install leaves out. Install alula[workbench]."
         ) from error

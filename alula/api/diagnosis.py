@@ -1,0 +1,151 @@
+"""A vehicle's model beside its flights: where it errs, which effect it lacks, the vehicle with that effect."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from alula.api.inputs import catalogue_with, dataset_of, log_paths, vehicle_of
+from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult
+from alula.workbench import workbench
+from dynamics.command import command_line
+from dynamics.errors import RequestError
+
+if TYPE_CHECKING:
+    from diagnosis.hover_trim import TrimComparison
+    from dynamics.vehicle import Vehicle
+    from flights import Flight
+
+
+def compare(
+    flights: Flight | str | Path | Sequence[Flight | str | Path],
+    vehicle: Vehicle | str | Path,
+    *,
+    effects: Sequence[str | Path] = (),
+    mapping: str | Path | None = None,
+) -> ComparisonResult:
+    """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest.
+
+    flights: what `read_flights` returned, or logs, or a folder of logs; of one vehicle.
+    vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
+    effects: Python files with effects of your own that the vehicle names.
+    mapping: column mapping (TOML) for CSV files of another tool.
+
+    Returns a ComparisonResult.
+    Raises RequestError for logs or a vehicle that cannot be used, DataError for flights that cannot answer.
+
+    Example:
+        result = alula.compare("logs", "arpl_250g")
+        for axis in result.report.axes:
+            print(axis.kind, axis.axis, axis.rms / axis.floor)
+        result.write_html("comparison.html")
+    """
+    with workbench("alula.compare"):
+        from diagnosis.comparison import compare as compare_dataset
+    catalogue = catalogue_with(effects)
+    loaded = vehicle_of(vehicle, catalogue)
+    dataset = dataset_of(flights, loaded, None, mapping)
+    details = compare_dataset(dataset, loaded, catalogue)
+    return ComparisonResult(details.comparison, loaded, dataset, details)
+
+
+def diagnose(
+    flights: Flight | str | Path | Sequence[Flight | str | Path],
+    vehicle: Vehicle | str | Path,
+    *,
+    hold_out: str | None = None,
+    effects: Sequence[str | Path] = (),
+    mapping: str | Path | None = None,
+) -> DiagnosisResult:
+    """Name the physical effect that is missing from a vehicle's model, or that the model explains the flights.
+
+    flights: as for `compare`; four flights or more are best.
+    vehicle: as for `compare`.
+    hold_out: pattern of the file names to judge on, such as "hold_*"; by default the last fifth of the flights.
+    effects: Python files with effects of your own, considered beside the catalogue's.
+    mapping: column mapping (TOML) for CSV files of another tool.
+
+    Returns a DiagnosisResult: `report.verdict` is "explained", "effect", "ambiguous" or "unknown".
+    Raises RequestError for logs, a vehicle or a pattern that cannot be used, DataError for flights that cannot answer.
+
+    Example:
+        result = alula.diagnose("logs", "arpl_250g")
+        print(result.sentence)
+        print(result.report.next_flight)
+    """
+    with workbench("alula.diagnose"):
+        from diagnosis.diagnose import diagnose as diagnose_dataset
+    catalogue = catalogue_with(effects)
+    loaded = vehicle_of(vehicle, catalogue)
+    dataset = dataset_of(flights, loaded, hold_out, mapping)
+    details = diagnose_dataset(dataset, loaded, catalogue)
+    return DiagnosisResult(details.diagnosis, loaded, dataset, details)
+
+
+def compare_hover(
+    logs: str | Path | Sequence[str | Path],
+    normal: str | Path | Sequence[str | Path],
+    vehicle: Vehicle | str | Path,
+    *,
+    mapping: str | Path | None = None,
+) -> TrimComparison:
+    """Whether a rotor works harder in hover than in normal flights of the same vehicle.
+
+    Needs no more than motor commands and a way to see hover, and so answers where `diagnose` cannot.
+
+    logs: the flights in question: paths, a folder or a pattern.
+    normal: normal flights of the vehicle, likewise.
+    vehicle: as for `compare`.
+    mapping: column mapping (TOML) for CSV files of another tool.
+
+    Returns a TrimComparison: the verdict, and each rotor's share of the commands.
+    Raises RequestError for logs that cannot be found, DataError for flights without hover.
+
+    Example:
+        result = alula.compare_hover("logs/flight_2.csv", ["logs/flight_0.csv", "logs/flight_1.csv"], "arpl_250g")
+        print(result.verdict, [rotor.now for rotor in result.rotors])
+    """
+    with workbench("alula.compare_hover"):
+        from diagnosis.hover_trim import read_trim
+    loaded = vehicle_of(vehicle, catalogue_with(()))
+    return read_trim(log_paths(logs), log_paths(normal), loaded, None if mapping is None else Path(mapping))
+
+
+def add_effect(
+    flights: Flight | str | Path | Sequence[Flight | str | Path],
+    vehicle: Vehicle | str | Path,
+    effect: str | None = None,
+    *,
+    rotor: int | None = None,
+    hold_out: str | None = None,
+    effects: Sequence[str | Path] = (),
+    mapping: str | Path | None = None,
+) -> AdditionResult:
+    """Fit an effect and add it to a vehicle, if that lowers the error on held-out flights.
+
+    flights, vehicle: as for `compare`.
+    effect: name in the catalogue; by default the first effect of the diagnosis.
+    rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
+    hold_out, effects, mapping: as for `diagnose`.
+
+    Returns an AdditionResult, whose vehicle has the effect; nothing is written yet.
+    Raises RequestError for an unknown effect, DataError when the error on held-out flights does not fall.
+
+    Example:
+        result = alula.add_effect("logs", "heavy.toml", "mass")
+        print(result.report.parameters)
+        print(result.write_next_version("heavy.toml"))
+    """
+    if effect is None and rotor is not None:
+        raise RequestError("a rotor without an effect. Name the effect, or leave the rotor to the diagnosis.")
+    with workbench("alula.add_effect"):
+        from diagnosis.addition import add_effect as add_to_vehicle
+        from diagnosis.addition_report import report
+    catalogue = catalogue_with(effects)
+    loaded = vehicle_of(vehicle, catalogue)
+    dataset = dataset_of(flights, loaded, hold_out, mapping)
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)
+    return AdditionResult(details.vehicle, report(details), details)

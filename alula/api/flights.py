@@ -1,0 +1,89 @@
+"""Vehicles and flights: what the other functions start from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from alula.api.inputs import catalogue_with, log_paths, vehicle_of
+from alula.workbench import workbench
+
+if TYPE_CHECKING:
+    from dynamics.vehicle import Vehicle
+    from flights import Flight, Log
+    from flights.quality import Inspection
+
+
+def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> Vehicle:
+    """A vehicle from its file: body, rotors, limits, and the effects that are known of it.
+
+    vehicle: TOML file, or the name of a bundled one such as "arpl_250g".
+    effects: Python files with effects of your own that the vehicle file may name.
+
+    Returns the vehicle, a frozen struct.
+    Raises RequestError for a file that cannot be read, an unknown key, or a vehicle that cannot exist.
+
+    Example:
+        vehicle = alula.load_vehicle("arpl_250g")
+        print(vehicle.body.mass, vehicle.hover_speed)
+    """
+    return vehicle_of(vehicle, catalogue_with(effects))
+
+
+def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Flight:
+    """One flight from a log of any known format, as one table on one clock.
+
+    log: ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, Crazyflie log or ROS bag; told apart by content.
+    mapping: column mapping (TOML) for a CSV file of another tool.
+    rate: rows a second, Hz; by default the rate of the log's gyro.
+
+    Returns a Flight: `flight.time` is (n,) s, `flight["velocity"]` (n, 3) m/s, NaN where there was no sample.
+    Raises RequestError for a path, mapping or format that is wrong, DataError for a log without a flight.
+
+    Example:
+        flight = alula.read_flight("logs/flight_0.csv")
+        print(flight.duration, flight["velocity"].shape)
+    """
+    with workbench("alula.read_flight"):
+        from flights import Flight
+    return Flight.read(log, mapping=mapping, rate=rate)
+
+
+def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path | None = None) -> tuple[Flight, ...]:
+    """The flights of several logs at one rate, that of the slowest, as comparisons and diagnoses need them.
+
+    logs: paths, a folder, or a pattern such as "logs/*.ulg". A folder stands for every log below it; a tlog beside an
+        MCAP recording of the same name is the same flight and left out.
+    mapping: column mapping (TOML) for CSV files of another tool.
+
+    Returns the flights in the order of the logs.
+    Raises RequestError and DataError as `read_flight`, naming the log.
+
+    Example:
+        flights = alula.read_flights("logs")
+        print(len(flights), flights[0].rate)
+    """
+    with workbench("alula.read_flights"):
+        from diagnosis.data.dataset import read_flights as read
+    return tuple(read(log_paths(logs), mapping=mapping))
+
+
+def inspect(log: Log | str | Path, *, mapping: str | Path | None = None) -> Inspection:
+    """Whether a log is good enough, and for what: rates, gaps, clocks, frozen or impossible channels, excitation.
+
+    log: a file, or what `alula.read_log` returned.
+    mapping: column mapping (TOML) for a CSV file of another tool.
+
+    Returns an Inspection: `verdict` is "good", "limited" or "unusable", `sentence` the reason, `effects` what can be
+        identified, `advice` what would make a better log.
+    Raises RequestError and DataError for a log that cannot be read; a poor log is judged, not refused.
+
+    Example:
+        inspection = alula.inspect("logs/flight_0.csv")
+        print(inspection.sentence, *inspection.advice, sep="\\n")
+    """
+    with workbench("alula.inspect"):
+        from flights import read_log
+        from flights.quality.inspection import judge
+    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log)

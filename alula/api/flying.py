@@ -1,0 +1,132 @@
+"""Flights with a model in the controller: simulated in one process, or of a vehicle on a link."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from alula.api.signals import landing_on_signals
+from alula.workbench import workbench
+
+if TYPE_CHECKING:
+    from dynamics.vehicle import EffectUse, Vehicle
+    from runtime.daemon import FlightReport
+    from simulation.lockstep import FlownReference
+
+LINK = "udpin:0.0.0.0:14540"
+
+
+def simulate(
+    reference: str,
+    *,
+    vehicle: Vehicle | str | Path | None = None,
+    bundle: str | Path | None = None,
+    effects: Sequence[str | EffectUse] = (),
+    duration: float | None = None,
+    seed: int = 0,
+) -> FlownReference:
+    """Track a reference on a simulated vehicle in lockstep: simulated time, no link, the same bits for the same seed.
+
+    reference: name, "NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3", or a CSV file of your own.
+    vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
+    bundle: folder of an exported model that flies, instead of a vehicle.
+    effects: what the vehicle does and its model does not know: "name:key=value,...".
+    duration: length of the reference, s; by default its own.
+    seed: seed of sensors and gusts.
+
+    Returns a FlownReference: `log` is what the vehicle would have logged, `truth` what was true.
+    Raises RequestError for a reference that the vehicle cannot fly, VehicleError when it does not reach the start.
+
+    Example:
+        flown = alula.simulate("hover:laps=1", vehicle="arpl_250g", effects=["rotor_drag:coefficient=4e-5"])
+        print(flown.position_rmse, alula.Flight.from_log(flown.log).duration)
+    """
+    with workbench("alula.simulate"):
+        from simulation.lockstep import fly_reference
+    from dynamics.model import build_model
+    from dynamics.references import check_feasibility, named_reference
+    from dynamics.trim import find_trim
+    from dynamics.vehicle_file import parse_effect, parse_vehicle
+    from runtime.control.controller import Controller
+    from runtime.flight_setup import exported_bundle, vehicle_text
+
+    folder = None if bundle is None else Path(bundle)
+    flying = parse_vehicle(vehicle_text(_path_or_vehicle(vehicle), folder))
+    learned = exported_bundle(folder)
+    trim = find_trim(build_model(flying)).vehicle
+    path = named_reference(reference, trim, duration=duration)
+    check_feasibility(path, trim).require()
+    hidden = [parse_effect(use, flying.rotors.count) if isinstance(use, str) else use for use in effects]
+    return fly_reference(
+        flying, path, effects=hidden, seed=seed, name=reference,
+        controller=None if learned is None else Controller.of_bundle(learned),
+        nominal=None if learned is None else Controller.beside(learned),
+    )  # fmt: skip
+
+
+def fly(
+    reference: str,
+    *,
+    vehicle: Vehicle | str | Path | None = None,
+    bundle: str | Path | None = None,
+    link: str = LINK,
+    duration: float | None = None,
+    height: float = 1.5,
+    rate: float = 100.0,
+    record: str | Path | None = None,
+    arm: bool = True,
+    resume: bool = False,
+    priority: int | None = None,
+    processor: int | None = None,
+    system: int | None = None,
+    timeout: float = 10.0,
+    announce: Callable[[str], None] = print,
+) -> FlightReport:
+    """Take off, track a reference with real-time MPC beside PX4, land.
+
+    Called from the main thread, SIGINT and SIGTERM land the vehicle; a second one stops streaming at once.
+
+    reference: as for `simulate`.
+    vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
+    bundle: folder of an exported model, instead of a vehicle.
+    link: where the vehicle is: "udpin:", "udpout:", "tcp:", "tcpin:" or "serial:".
+    duration: length of the reference, s; by default its own.
+    height: of take-off, m.
+    rate: of control, Hz.
+    record: folder for the recording (MCAP and tlog).
+    arm: arm the vehicle, or wait for the pilot to do so.
+    resume: take control of a vehicle that is armed already.
+    priority: of SCHED_FIFO for the control thread.
+    processor: number of the processor that the control thread stays on.
+    system: the vehicle's system id; by default the first heard.
+    timeout: longest wait for the vehicle, s.
+    announce: called with a line for every event.
+
+    Returns a FlightReport: `landed`, `completed`, tracking errors, timing, events, the recording.
+    Raises RequestError for a flight that makes no sense, VehicleError for a vehicle that cannot be reached or engaged.
+
+    Example:
+        report = alula.fly("Lemniscate", vehicle="px4_sih", duration=20.0, record="recordings")
+        print(report.completed, report.tracking.position_rmse)
+    """
+    from runtime.daemon import Daemon
+    from runtime.flight_setup import FlightSetup, prepare_flight
+    from simulation.flight_check import read_check
+
+    setup = FlightSetup(
+        link=link, vehicle=_path_or_vehicle(vehicle), bundle=None if bundle is None else Path(bundle),
+        reference=reference, duration=duration, height=height, rate=rate,
+        record=None if record is None else Path(record), arm=arm, resume=resume, priority=priority,
+        processor=processor, system=system, timeout=timeout,
+    )  # fmt: skip
+    flight = prepare_flight(setup)
+    if flight.bundle is not None and (check := read_check(flight.bundle.folder)) is not None and check.warning:
+        announce(f"warning: {check.warning}")
+    daemon = Daemon(flight.request, flight.vehicle, flight.reference, announce, bundle=flight.bundle)
+    with landing_on_signals(daemon.interrupt):
+        return daemon.fly()
+
+
+def _path_or_vehicle(vehicle: Vehicle | str | Path | None) -> Vehicle | str | None:
+    return str(vehicle) if isinstance(vehicle, Path) else vehicle

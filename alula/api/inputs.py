@@ -1,0 +1,83 @@
+"""What users give to the functions of `alula.api`, as the rooms take it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynamics.errors import RequestError
+
+if TYPE_CHECKING:
+    from diagnosis.data.dataset import Dataset
+    from dynamics.effect import Effect
+    from dynamics.vehicle import Vehicle
+    from flights import Flight
+
+
+def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
+    """The catalogue and the effects of a user's files. Raises RequestError for a file that defines none."""
+    from dynamics.effect_file import with_effects_of
+    from dynamics.effects import CATALOGUE
+    from dynamics.vehicle_file import read_vehicle
+    from vehicles import FOLDER
+
+    if not effects:
+        return CATALOGUE
+    # tried on a bundled vehicle: the user's own may name these effects, and cannot be read before they are known
+    return with_effects_of(effects, read_vehicle(FOLDER / "arpl_250g.toml"))
+
+
+def vehicle_of(vehicle: Vehicle | str | Path, catalogue: Mapping[str, Effect]) -> Vehicle:
+    """A vehicle as it is, or read from its file. Raises RequestError for a file that cannot be used."""
+    from dynamics.vehicle_file import read_vehicle
+    from vehicles import vehicle_path
+
+    if not isinstance(vehicle, (str, Path)):
+        return vehicle
+    return read_vehicle(vehicle_path(vehicle), catalogue=catalogue)
+
+
+def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
+    """Logs as they are; every log below a folder and every match of a pattern, in the order of their names.
+
+    A tlog beside a recording of the same name holds the same flight and is left out. Raises RequestError for a folder
+    or a pattern without logs.
+    """
+    return [path for log in ([logs] if isinstance(logs, (str, Path)) else logs) for path in _files(Path(log))]
+
+
+def dataset_of(
+    logs: Flight | str | Path | Sequence[Flight | str | Path], vehicle: Vehicle, hold_out: str | None,
+    mapping: str | Path | None,
+) -> Dataset:  # fmt: skip
+    """Flights, read where they are logs, divided into those to fit and those held out.
+
+    Raises RequestError for logs that cannot be found or a mixture of logs and flights, DataError when they hold too
+    little.
+    """
+    from diagnosis.data.dataset import make_dataset, read_dataset
+    from flights import Flight
+
+    items = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
+    flights = [item for item in items if isinstance(item, Flight)]
+    paths = [item for item in items if not isinstance(item, Flight)]
+    if flights and paths:
+        raise RequestError("logs and flights are mixed. Give paths, or what `alula.read_flights` returned.")
+    if flights:
+        return make_dataset(flights, vehicle, hold_out=hold_out)
+    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping)
+
+
+def _files(path: Path) -> Sequence[Path]:
+    from flights.reading import logs_below
+
+    if path.is_dir():
+        logs = [log for log in logs_below(path) if not (log.suffix == ".tlog" and log.with_suffix(".mcap").exists())]
+    elif any(letter in path.name for letter in "*?[") and not path.exists():
+        logs = sorted(path.parent.glob(path.name))
+    else:
+        logs = [path]
+    if not logs:
+        raise RequestError(f"{path}: no log there. Give logs, a folder of logs, or a pattern in quotes.")
+    return logs

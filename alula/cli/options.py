@@ -1,0 +1,19 @@
+"""Options that several commands share."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+Logs = Annotated[
+    list[Path], typer.Argument(help="Logs of one vehicle in any format, or folders of them.", metavar="LOG...")
+]
+VehicleOption = Annotated[str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a bundled one.")]
+HoldOut = Annotated[
+    str | None, typer.Option(help="File names to judge on, as a pattern; by default the last fifth of the flights.")
+]
+Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
+Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
+Mapping = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
