@@ -55,7 +55,7 @@ def measure(folder: Path) -> list[list[float]]:
         for by in ("box_qp", "hpipm"):
             with undisturbed():
                 runs = [
-                    solvers.solve(program, tolerance=problem.tolerance, most=problem.iterations, by=by)
+                    solvers.solve(program, tolerance=problem.tolerance, max_iterations=problem.iterations, by=by)
                     for _ in range(3)
                 ]
             if not row:

@@ -79,7 +79,7 @@ def _controllers(model: str, folder: Path) -> tuple[Controller, Controller | Non
         export_bundle(read_model(path.with_suffix(f".{model}.pt")), folder / model, options)
     bundle = exported_bundle(folder / model)
     assert bundle is not None
-    return Controller.of_bundle(bundle), Controller.beside(bundle)
+    return Controller.from_bundle(bundle), Controller.fallback_from_bundle(bundle)
 
 
 def _row(body: Vehicle, model: str, manoeuvre: str, noise: float, folder: Path) -> str:

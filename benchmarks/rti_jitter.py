@@ -41,7 +41,7 @@ def learned_controller(period: float, folder: Path) -> Controller:
     """PI-TCN's, from a bundle as `alula export` writes it."""
     model = read_model(networks(NETWORKS) / "pi_tcn.pt")
     exported = export_bundle(model, folder / "bundle", ExportOptions(Problem(), native_processor(), windows=50))
-    return Controller.of_bundle(read_bundle(exported.folder), ControllerOptions(period=period, delay=0.0))
+    return Controller.from_bundle(read_bundle(exported.folder), ControllerOptions(period=period, delay=0.0))
 
 
 def fly(controller: Controller, reference: Reference, period: float, ticks: int) -> dict[str, np.ndarray]:

@@ -170,11 +170,11 @@ def _fallbacks(recording: FlightRecording) -> dict[str, float | int | None]:
 
 def in_lockstep(run: Run) -> Flown:
     body, bundle = read_vehicle(vehicle_path(VEHICLE)), exported_bundle(Path(run.path))
-    controller = Controller.build(read_vehicle(Path(run.path))) if bundle is None else Controller.of_bundle(bundle)
+    controller = Controller.build(read_vehicle(Path(run.path))) if bundle is None else Controller.from_bundle(bundle)
     reference = named_reference(run.manoeuvre, controller.trim, duration=DURATION)
     flown = fly_reference(
         body, reference, effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD], seed=run.seed,
-        controller=controller, nominal=None if bundle is None else Controller.beside(bundle),
+        controller=controller, nominal=None if bundle is None else Controller.fallback_from_bundle(bundle),
     )  # fmt: skip
     if flown.aborted:
         return Flown(run, flown.aborted)

@@ -29,7 +29,7 @@ from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, sealed
+from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, with_digest
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor
 from runtime.control.rti.solver import RtiSolver, solver_recipe
@@ -83,7 +83,7 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
         if model.network is not None:
             physics = _physics_recipe(build_model(model.vehicle), options)
             shutil.copyfile(build_kernel(physics), part / PHYSICS)
-        manifest = sealed(_manifest(model, options, part))
+        manifest = with_digest(_manifest(model, options, part))
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
     return Exported(folder, manifest, parity)
 

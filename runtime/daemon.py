@@ -192,7 +192,7 @@ class Daemon:
         options = self._controller_options()
         if self._bundle is None:
             return Controller.build(self._vehicle, options), None
-        return Controller.of_bundle(self._bundle, options), Controller.beside(self._bundle, options)
+        return Controller.from_bundle(self._bundle, options), Controller.fallback_from_bundle(self._bundle, options)
 
     def _warm_up(self, controller: Controller) -> None:
         """Warm a controller up: what a process does for the first time takes tens of milliseconds."""

@@ -95,7 +95,7 @@ def check_flight(bundle: Bundle) -> FlightCheck:
     """Fly a learned bundle, with the effects of its vehicle file and the noise of a vehicle's sensors."""
     from simulation.lockstep import fly_reference
 
-    controller, nominal = Controller.of_bundle(bundle), Controller.beside(bundle)
+    controller, nominal = Controller.from_bundle(bundle), Controller.fallback_from_bundle(bundle)
     reference = _gentle(controller.trim)
     try:
         flown = fly_reference(bundle.vehicle, reference, controller=controller, nominal=nominal)

@@ -1,6 +1,7 @@
-"""A bundle as the runtime takes it: a folder with a compiled kernel, its vehicle file, and a manifest that ties them.
+"""A bundle: a folder with a compiled kernel, its vehicle file, and a manifest with their hashes.
 
-`alula export` writes bundles; a folder with a vehicle file alone is one of a physical model, compiled when it is flown.
+`alula export` writes bundles. A folder with a vehicle file alone is a bundle of that file's model, compiled before it
+flies.
 """
 
 from __future__ import annotations
@@ -26,11 +27,11 @@ from runtime.control.rti.processor import PROCESSORS
 FORMAT, VERSION = "alula bundle", 1
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 Integrator = Literal["hold", "adams_bashforth", "rk4"]
-PHYSICS = "physics.so"  # the solver of the vehicle file's model, which a learned one falls back to
+PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
 
 
 class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Least and greatest value of an input in training, in SI units."""
+    """Smallest and largest value of an input in training, in SI units."""
 
     name: str
     unit: str
@@ -39,15 +40,27 @@ class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a bundle holds and what it was made from.
+    """A bundle's content and origin.
 
-    kind: the model's. learned: whether there is a network. physics: "none" for a network that replaces it, "nominal"
-    for the textbook model, "vehicle" for that of the vehicle file with its effects. motors: whether rotor speeds are
-    commanded or measured ones. history: columns of a window, dt seconds apart. inputs: frame and ranges of training's
-    inputs. filtered_inputs: training filtered them both ways, which no flight can. integrator: how the kernel makes
-    motion of accelerations. errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2. shapes: of ONNX
-    inputs and outputs. precision: of the kernel's network. files: sha256 by name. provenance: of the model, as training
-    tells it. notes: what whoever flies it should know. digest: sha256 of all the rest.
+    kind: of the model.
+    learned: whether there is a network.
+    physics: "none" for a network alone, "nominal" for the nominal model, "vehicle" for the identified one.
+    motors: whether rotor speeds are commanded or measured ones.
+    label: what the network predicts: accelerations at an instant, or their mean over a step.
+    filtered_inputs: whether training filtered its inputs with their future, which no flight has.
+    integrator: how the kernel integrates accelerations.
+    history: columns of a window.
+    dt: s between columns.
+    frame: of the network's inputs.
+    ranges: of the inputs in training.
+    errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2.
+    shapes: of ONNX inputs and outputs.
+    problem: the optimal control problem that the kernel was compiled for.
+    precision: of the kernel's network.
+    files: sha256 by name.
+    provenance: of the model, from its training.
+    notes: for the pilot.
+    digest: sha256 of everything else here.
     """
 
     kind: str
@@ -79,15 +92,18 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     version: int = VERSION
 
 
-def sealed(manifest: Manifest) -> Manifest:
-    """The manifest with its digest, from which an edit shows."""
+def with_digest(manifest: Manifest) -> Manifest:
+    """The manifest with its digest, which reveals a later edit."""
     rest = msgspec.json.encode(msgspec.structs.replace(manifest, digest=""))
     return msgspec.structs.replace(manifest, digest=hashlib.sha256(rest).hexdigest())
 
 
 @dataclass(frozen=True, eq=False)
 class Bundle:
-    """A bundle that may be flown. model: states, parameters and vehicle of the kernel's physics."""
+    """A bundle that has passed the checks.
+
+    model: states, parameters and vehicle of the kernel's physics.
+    """
 
     folder: Path
     manifest: Manifest
@@ -102,35 +118,38 @@ class Bundle:
 
     @property
     def physics(self) -> Path:
-        """The compiled solver of the vehicle file's model beside a learned one."""
+        """The compiled solver of the vehicle file's model, in a bundle of a learned one."""
         return self.folder / PHYSICS
 
     @property
     def range_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Least and greatest inputs (k,) of training."""
+        """Smallest and largest inputs (k,) in training."""
         ranges = self.manifest.ranges
         return np.array([r.lowest for r in ranges]), np.array([r.highest for r in ranges])
 
 
 def read_bundle(folder: Path) -> Bundle:
-    """Read and check a bundle. Raises RequestError for one that is damaged, edited, for another machine or the desk."""
+    """Read and check a bundle.
+
+    Raises RequestError for one that is damaged or edited, built for another machine, or only usable on a workbench.
+    """
     manifest = _read_manifest(folder / MANIFEST)
-    for name, wanted in manifest.files.items():
-        if _digest(folder / name) != wanted:
+    for name, digest in manifest.files.items():
+        if _digest(folder / name) != digest:
             raise RequestError(
                 f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
                 "is proven about it; export the model again."
             )
-    for needed in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
-        if needed not in manifest.files:
-            raise RequestError(f"{folder / MANIFEST} lists no {needed}: it was edited. Export the model again.")
+    for name in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
+        if name not in manifest.files:
+            raise RequestError(f"{folder / MANIFEST} lists no {name}: it was edited. Export the model again.")
     if manifest.filtered_inputs:
         raise RequestError(
             f"{folder} cannot fly: its model was trained on inputs filtered with their future, which no flight has. "
-            "Train it with --causal-inputs; its model.onnx and model.c serve at the desk."
+            "Train it with --causal-inputs; its model.onnx and model.c can be used on a workbench."
         )
     _require_machine(folder, manifest)
-    if sealed(manifest) != manifest:
+    if with_digest(manifest) != manifest:
         raise RequestError(
             f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
             "flight may have changed; export the model again."
@@ -141,7 +160,7 @@ def read_bundle(folder: Path) -> Bundle:
 
 
 def physics_of(vehicle: Vehicle, manifest: Manifest) -> Model:
-    """The physical model of a bundle: what its kernel was compiled with, or what gives the solver its shapes."""
+    """The nominal or identified model of a bundle: compiled into its kernel, or the source of the solver's shapes."""
     if manifest.physics != "vehicle":
         return build_model(vehicle, effects=())
     measured = manifest.motors == "measured"
@@ -172,7 +191,7 @@ def _digest(path: Path) -> str:
 def _require_machine(folder: Path, manifest: Manifest) -> None:
     processor = PROCESSORS.get(manifest.processor)
     if processor is None or not processor.runs_here:
-        usable = [name for name, known in PROCESSORS.items() if known.runs_here]
+        usable = [processor.name for processor in PROCESSORS.values() if processor.runs_here]
         raise RequestError(
             f"the kernel in {folder} was built for {manifest.processor}, which this processor does not have. Export "
             f"the model again here, or elsewhere with --processor {usable[0] if usable else 'native'}."

@@ -24,7 +24,7 @@ from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.solver import RtiSolver
 
-HISTORY = 64  # ticks of inputs kept for delay compensation
+HISTORY = 64  # ticks of inputs stored for delay compensation
 MAX_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
 
 
@@ -79,7 +79,7 @@ class Controller:
             manifest = bundle.manifest
             self._longest = manifest.dt
             self._columns = ColumnHistory(len(self.solver.history), manifest.dt, model.input_count)
-            self._range = TrainingRange.of(bundle)
+            self._range = TrainingRange.from_bundle(bundle)
             errors = manifest.errors
             self.health = ModelHealth(errors.get("linear", 0.0), errors.get("angular", 0.0), options.fit)
         self._acting = 0.0  # when the state of the last tick was
@@ -104,13 +104,13 @@ class Controller:
         return cls(build_model(vehicle), options or ControllerOptions())
 
     @classmethod
-    def of_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller:
+    def from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller:
         """The controller of an exported model, with the horizon that its kernel was built for."""
         options = msgspec.structs.replace(options or ControllerOptions(), problem=bundle.manifest.problem)
         return cls(bundle.model, options, bundle)
 
     @classmethod
-    def beside(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller | None:
+    def fallback_from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller | None:
         """The physical model's controller to fall back to from a learned one, None where a physical one flies."""
         if not bundle.manifest.learned:
             return None
@@ -198,11 +198,11 @@ class Controller:
         """
         columns, after = self._columns, self._acting + self.options.period
         if columns is not None:
-            columns.fill(self._acting, self.solver.history)
+            columns.write_columns(self._acting, self.solver.history)
         expected = self.solver.propagate(self._state, self.solver.inputs[0], self.options.period)
         if columns is not None:
-            columns.predicted(after, expected[:RIGID_BODY_STATES])
-            columns.fill(after, self.solver.history)
+            columns.add_prediction(after, expected[:RIGID_BODY_STATES])
+            columns.write_columns(after, self.solver.history)
         self.solver.shift(self.options.period)
         reference = self.solver.state_reference
         reference[:, :RIGID_BODY_STATES] = states
@@ -215,7 +215,7 @@ class Controller:
         self.solver.input_reference[:] = inputs * self._shares
         self.solver.prepare(expected)
 
-    def follow(self, other: Controller, state: Floats, taken: float, now: float) -> None:
+    def keep_warm(self, other: Controller, state: Floats, taken: float, now: float) -> None:
         """Keep up with another controller that flies in this one's place, so that either can take over without a step.
 
         state: (13,) taken at a time. Predictions are this one's own, inputs the other's.
@@ -224,7 +224,7 @@ class Controller:
         self.solver.inputs[:] = other.solver.inputs
         self._acted(found, now, other.solver.inputs[0])
 
-    def distrust(self, time: float) -> tuple[str, str, str]:
+    def model_faults(self, time: float) -> tuple[str, str, str]:
         """Why a learned model should not fly now: its history is not filled, it is outside of what it knows, it errs.
 
         Each is empty where there is no reason.
@@ -244,7 +244,7 @@ class Controller:
         last, predicted = columns.last_measured, columns.prediction_at(taken)
         if last is not None and predicted is not None:
             self.health.compare(predicted, state, taken - last[0])
-        return columns.measured(taken, state)
+        return columns.add_measurement(taken, state)
 
     def _acted(self, state: Floats, time: float, speed: Floats) -> None:
         self._state[:] = state
@@ -257,11 +257,11 @@ class Controller:
         while seconds > 1e-6:
             step = min(seconds, self._longest)
             if columns is not None:
-                columns.fill(start, self.solver.history)
+                columns.write_columns(start, self.solver.history)
             self._state[:] = self.solver.propagate(self._state, speed, step)
             start, seconds = start + step, seconds - step
             if columns is not None and keep:
-                columns.predicted(start, self._state[:RIGID_BODY_STATES])
+                columns.add_prediction(start, self._state[:RIGID_BODY_STATES])
 
     def _remember(self, time: float, speed: Floats) -> None:
         slot = self._ticks % HISTORY
@@ -269,5 +269,5 @@ class Controller:
         self._inputs[slot] = speed
         self._hidden[slot] = self._state[RIGID_BODY_STATES:]
         if self._columns is not None:
-            self._columns.commanded(time, speed)
+            self._columns.add_command(time, speed)
         self._ticks += 1

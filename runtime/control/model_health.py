@@ -1,4 +1,7 @@
-"""A learned model in flight: what it was trained on, and how well it still fits. Pure: time is an argument, s."""
+"""Health of a learned model in flight: its inputs against their range in training, and its running prediction error.
+
+Pure: time is an argument, s.
+"""
 
 from __future__ import annotations
 
@@ -10,6 +13,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from runtime.control.bundle import Bundle
 from runtime.running_mean import RunningMean
 
@@ -17,22 +21,25 @@ DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class FitLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """ratio: of the running error to training's, from which on the model does not fit. averaging: s of it.
+    """When a learned model does not fit any more.
 
-    margin: share of a range by which inputs may lie outside of it; networks bear a little. least_linear m/s^2,
-    least_angular rad/s^2: what estimates at 100 Hz cannot resolve, added to training's errors.
+    ratio: of the running error to that in training, above which the model does not fit.
+    averaging: time constant of the running error, s.
+    margin: by how much of a range inputs may lie outside of it.
+    linear_resolution: m/s^2, what estimates at 100 Hz cannot resolve; added to the error in training.
+    angular_resolution: rad/s^2, the same of angular accelerations.
     """
 
     ratio: float = 5.0
     averaging: float = 0.5
     margin: float = 0.1
-    least_linear: float = 0.5
-    least_angular: float = 2.0
+    linear_resolution: float = msgspec.field(default=0.5, name="least_linear")
+    angular_resolution: float = msgspec.field(default=2.0, name="least_angular")
 
 
 @dataclass(frozen=True, eq=False)
 class TrainingRange:
-    """Least and greatest inputs (k,) in training, in SI units, and their names; empty for a model without any."""
+    """Smallest and largest inputs (k,) in training, in SI units, and their names; empty for a model without any."""
 
     frame: str
     names: tuple[str, ...]
@@ -40,8 +47,8 @@ class TrainingRange:
     highest: Floats
 
     @classmethod
-    def of(cls, bundle: Bundle) -> TrainingRange:
-        """The range that a bundle's manifest tells."""
+    def from_bundle(cls, bundle: Bundle) -> TrainingRange:
+        """The ranges in a bundle's manifest."""
         low, high = bundle.range_limits
         return cls(bundle.manifest.frame, tuple(r.name for r in bundle.manifest.ranges), low, high)
 
@@ -49,10 +56,10 @@ class TrainingRange:
         """Which input of a state (13,) and rotor speeds (n,) lies outside, empty when none does."""
         if not self.names:
             return ""
-        velocity, attitude = state[3:6], state[6:10]
+        velocity, attitude = state[VELOCITY], state[ATTITUDE]
         if self.frame == "body":
-            velocity, attitude = (quaternion.rotate_inverse(state[6:10], vector) for vector in (velocity, DOWN))
-        inputs = np.concatenate([velocity, attitude, state[10:13], speed])
+            velocity, attitude = (quaternion.rotate_inverse(state[ATTITUDE], vector) for vector in (velocity, DOWN))
+        inputs = np.concatenate([velocity, attitude, state[RATE], speed])
         room = margin * (self.highest - self.lowest)
         excess = np.maximum(self.lowest - room - inputs, inputs - self.highest - room)
         worst = int(np.argmax(excess))
@@ -65,29 +72,30 @@ class TrainingRange:
 class ModelHealth:
     """The running ratio of a model's error in flight to its error in training.
 
-    Errors are averaged as vectors, so that the estimates' noise cancels and what the model misses remains.
+    Errors are averaged as vectors, so that the estimates' noise cancels and the model's error remains.
     """
 
     def __init__(self, linear: float, angular: float, limits: FitLimits) -> None:
         """linear, angular: RMSE of training, m/s^2 and rad/s^2."""
         self._scale = np.array(
-            [math.hypot(linear, limits.least_linear)] * 3 + [math.hypot(angular, limits.least_angular)] * 3
+            [math.hypot(linear, limits.linear_resolution)] * 3 + [math.hypot(angular, limits.angular_resolution)] * 3
         )
         self._averaging = limits.averaging
         self.reset()
 
     def compare(self, predicted: Floats, measured: Floats, elapsed: float) -> None:
-        """A prediction (13,) over `elapsed` s against what was then measured (13,)."""
+        """Compare a prediction (13,) over `elapsed` s with the measurement (13,)."""
         if elapsed < 1e-3:
             return
-        miss = np.concatenate([measured[3:6] - predicted[3:6], measured[10:13] - predicted[10:13]]) / elapsed
-        self._mean.add(miss / self._scale, elapsed)
+        change = measured - predicted
+        error = np.concatenate([change[VELOCITY], change[RATE]]) / elapsed
+        self._mean.add(error / self._scale, elapsed)
 
     @property
     def ratio(self) -> float:
-        """Error over training's error, 1 where the model fits as it did."""
+        """Running error over the error in training; 1 where the model fits as well as there."""
         return float(np.sqrt(np.mean(self._mean.value**2)))
 
     def reset(self) -> None:
-        """Begin anew."""
+        """Restart the average."""
         self._mean = RunningMean(self._averaging, np.zeros(6))

@@ -176,7 +176,7 @@ class Flyer:
         if time - self._solved > STALE_SOLUTION:
             self._controller.reset(self._state, time)
         if self._estimate is not None and self._nominal is not None and self._flies is self._nominal:
-            self._controller.follow(self._nominal, self._estimate.state, self._estimate.time, time)
+            self._controller.keep_warm(self._nominal, self._estimate.state, self._estimate.time, time)
         self._judge_model(time)
         self._controller.prepare(*window)
         self._prepared = True
@@ -192,13 +192,13 @@ class Flyer:
         if (diverging or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
         if not diverging and self._estimate is not None and self._flies is not self._nominal:
-            self._nominal.follow(self._controller, self._estimate.state, self._estimate.time, time)
+            self._nominal.keep_warm(self._controller, self._estimate.state, self._estimate.time, time)
         self._nominal.prepare(*window)
         self._nominal_ready = True
 
     def _judge_model(self, time: float) -> None:
         """Whether a learned model may fly the next tick."""
-        waiting, outside, unfit = self._controller.distrust(time)
+        waiting, outside, unfit = self._controller.model_faults(time)
         if waiting:
             self._present[Event.MODEL_WAITING] = waiting
         if outside:

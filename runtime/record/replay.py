@@ -78,8 +78,8 @@ def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bund
     settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
     options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
-    controller = Controller.build(vehicle, options) if bundle is None else Controller.of_bundle(bundle, options)
-    nominal = None if bundle is None else Controller.beside(bundle, options)
+    controller = Controller.build(vehicle, options) if bundle is None else Controller.from_bundle(bundle, options)
+    nominal = None if bundle is None else Controller.fallback_from_bundle(bundle, options)
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
     return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings, nominal=nominal)

@@ -195,7 +195,7 @@ def test_an_export_that_ends_half_way_leaves_nothing(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("export.bundle.sealed", interrupted)
+    monkeypatch.setattr("export.bundle.with_digest", interrupted)
     model = exported(untrained_model(KINDS["nominal"].config, lagging))
     with pytest.raises(KeyboardInterrupt):
         export_bundle(model, tmp_path / "b", ExportOptions(SHORT, native_processor(), windows=20))

@@ -36,7 +36,7 @@ def bundle(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Bund
 
 
 def flight_of(bundle: Bundle) -> Flight:
-    controller, nominal = Controller.of_bundle(bundle), Controller.beside(bundle)
+    controller, nominal = Controller.from_bundle(bundle), Controller.fallback_from_bundle(bundle)
     reference = named_reference("circle:laps=2,speed=0.8", controller.trim)
     return Flight(controller.trim, controller, reference, nominal=nominal)
 
@@ -122,18 +122,18 @@ def test_estimates_that_are_missing_leave_its_history_on_the_grid_and_the_flight
 
 
 def test_a_state_outside_of_the_training_range_is_noticed(bundle: Bundle) -> None:
-    controller = Controller.of_bundle(bundle)
+    controller = Controller.from_bundle(bundle)
     state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
     controller.reset(state, 0.0)
     controller.compensate(state, 0.01, 0.01)
-    assert controller.distrust(0.01)[1] == ""
+    assert controller.model_faults(0.01)[1] == ""
     state[10] = 30.0
     controller.compensate(state, 0.02, 0.02)
-    assert "rate_x is 30, trained on" in controller.distrust(0.02)[1]
+    assert "rate_x is 30, trained on" in controller.model_faults(0.02)[1]
 
 
 def test_a_vehicle_that_does_otherwise_than_predicted_is_noticed(bundle: Bundle) -> None:
-    controller = Controller.of_bundle(bundle)
+    controller = Controller.from_bundle(bundle)
     state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
     controller.reset(state, 0.0)
     for tick in range(100):
@@ -141,19 +141,19 @@ def test_a_vehicle_that_does_otherwise_than_predicted_is_noticed(bundle: Bundle)
         controller.compensate(state, now, now + 0.02)
         state = state.copy()
         state[3] += 0.2 * PERIOD  # a breeze, less than estimates resolve
-    assert controller.distrust(1.0)[2] == ""
+    assert controller.model_faults(1.0)[2] == ""
     for tick in range(100, 200):
         now = tick * PERIOD
         controller.compensate(state, now, now + 0.02)
         state = state.copy()
         state[3] += 8.0 * PERIOD
-    assert "times the training error" in controller.distrust(2.0)[2]
+    assert "times the training error" in controller.model_faults(2.0)[2]
 
 
 def test_delay_is_made_up_for_by_the_model_itself(bundle: Bundle) -> None:
     """A truth that the kernel itself flies is recovered from estimates 30 ms old."""
-    options = msgspec.structs.replace(Controller.of_bundle(bundle).options, delay=0.0)
-    controller, truth_of = Controller.of_bundle(bundle, options), Controller.of_bundle(bundle, options)
+    options = msgspec.structs.replace(Controller.from_bundle(bundle).options, delay=0.0)
+    controller, truth_of = Controller.from_bundle(bundle, options), Controller.from_bundle(bundle, options)
     state = np.array([0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
     controller.reset(state, 0.0)
     truth_of.reset(state, 0.0)

@@ -1,8 +1,8 @@
 """Where HPIPM and BLASFEO are: CasADi's own copies, or a faster build named by $ALULA_HPIPM.
 
 CasADi's wheel carries both with headers, BLASFEO for any processor. $ALULA_HPIPM names a folder with include/ and
-lib/ of another build, such as the install/ folder inside acados' wheel, whose BLASFEO knows the processor. Headers
-and libraries always come from the same build: their structs differ between versions.
+lib/ of another build, such as the install/ folder inside acados' wheel, whose BLASFEO is optimised for the processor.
+Headers and libraries always come from the same build: their structs differ between versions.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ class HpipmBuild:
 
     @property
     def compiler_flags(self) -> tuple[str, ...]:
-        """What the compiler needs."""
+        """Flags of the compiler."""
         return tuple(f"-I{folder}" for folder in self.includes)
 
     @property
     def linker_flags(self) -> tuple[str, ...]:
-        """What the linker needs; the libraries are found again at run time where they lie now."""
+        """Flags of the linker; at run time the libraries are loaded from the same folder."""
         folder = self.hpipm.parent
         return ("-Wl,--no-as-needed", str(self.hpipm), str(self.blasfeo), f"-Wl,--disable-new-dtags,-rpath,{folder}")
 
@@ -50,7 +50,7 @@ def find_hpipm() -> HpipmBuild:
     root = Path(ca.__file__).parent
     build = _build_in(root / "include", root)
     if build is None:
-        raise RequestError(f"the casadi in {root} brings no HPIPM; install casadi >= 3.7 from PyPI or set ALULA_HPIPM.")
+        raise RequestError(f"the casadi in {root} has no HPIPM; install casadi >= 3.7 from PyPI or set ALULA_HPIPM.")
     return build
 
 
@@ -60,5 +60,5 @@ def _build_in(include: Path, library: Path) -> HpipmBuild | None:
     hpipm, blasfeo = library / "libhpipm.so", library / "libblasfeo.so.0"
     if not blasfeo.exists():
         blasfeo = library / "libblasfeo.so"
-    found = hpipm.exists() and blasfeo.exists() and any((h / "hpipm_d_dense_qp.h").exists() for h in headers)
-    return HpipmBuild(headers, hpipm, blasfeo) if found else None
+    complete = hpipm.exists() and blasfeo.exists() and any((h / "hpipm_d_dense_qp.h").exists() for h in headers)
+    return HpipmBuild(headers, hpipm, blasfeo) if complete else None

@@ -13,7 +13,13 @@ from dynamics.errors import RequestError
 
 @dataclass(frozen=True)
 class Processor:
-    """A set of instructions. flags: the compiler's. vector: bytes of a register. needs: flags of /proc/cpuinfo."""
+    """An instruction set.
+
+    machine: as `platform.machine` names it.
+    flags: of the compiler.
+    vector: bytes of a register.
+    needs: flags of /proc/cpuinfo.
+    """
 
     name: str
     machine: str
@@ -34,8 +40,8 @@ class Processor:
 
 # best first
 PROCESSORS = {
-    found.name: found
-    for found in (
+    processor.name: processor
+    for processor in (
         Processor(
             "avx512", "x86_64", ("-march=x86-64-v4", "-mprefer-vector-width=512"), 64,
             ("avx512f", "avx512bw", "avx512cd", "avx512dq", "avx512vl"),
@@ -52,11 +58,11 @@ def native_processor() -> Processor:
     for processor in PROCESSORS.values():
         if processor.runs_here:
             return processor
-    raise RequestError(f"no kernel for this processor ({platform.machine()}); known: {', '.join(PROCESSORS)}.")
+    raise RequestError(f"no kernel for this processor ({platform.machine()}); supported: {', '.join(PROCESSORS)}.")
 
 
 def named_processor(name: str) -> Processor:
-    """The instruction set of a name, "native" for this machine's best. Raises RequestError for another."""
+    """The instruction set of a name; "native" is the best of this machine. Raises RequestError for an unknown name."""
     if name == "native":
         return native_processor()
     if name not in PROCESSORS:

@@ -1,4 +1,4 @@
-"""The RTI solver as Python sees it: arrays that the C code reads and writes, and one call a phase."""
+"""The RTI solver's Python interface: arrays that the C code reads and writes, and one call a phase."""
 
 from __future__ import annotations
 
@@ -46,15 +46,18 @@ class RtiReport(ctypes.Structure):
 
 
 class RtiSolver:
-    """One controller's solver: `prepare` linearises ahead of time, `feedback` answers a measured state.
+    """One controller's solver: `prepare` linearises before a tick, `feedback` solves for the measured state.
 
-    states: (N + 1, nx) and inputs: (N, nu) are the predicted trajectory, views of the C memory. An instance belongs
-    to one thread. history: (columns, 13 + nu) rigid-body states and commanded rotor speeds that a learned model looks
-    back at, oldest first, the last one a column before the state; to be filled before `propagate` and `prepare`.
+    states: (N + 1, nx) predicted, a view of the C memory.
+    inputs: (N, nu) predicted rotor speeds, rad/s, a view of the C memory.
+    history: (columns, 13 + nu) past rigid-body states and commanded rotor speeds of a learned model, oldest first, the
+        last one a column before the state; to be written before `propagate` and `prepare`.
+
+    An instance belongs to one thread.
     """
 
     def __init__(self, model: Model, problem: Problem, library: Path | None = None) -> None:
-        """library: a learned model's compiled kernel instead of the model's own code, which is compiled if needed."""
+        """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
         self._code = _load(library or build_solver(model, problem))
         self._declare()
@@ -78,8 +81,8 @@ class RtiSolver:
         address = ctypes.c_void_p
         self._state_at, self._input_at = address(self._state.ctypes.data), address(self._input.ctypes.data)
         self._next_at = address(self._next.ctypes.data)
-        self._found = np.zeros(6)
-        self._found_at = address(self._found.ctypes.data)
+        self._accelerations = np.zeros(6)
+        self._accelerations_at = address(self._accelerations.ctypes.data)
         self._references_at = (
             address(self.state_reference.ctypes.data),
             address(self.input_reference.ctypes.data),
@@ -95,7 +98,7 @@ class RtiSolver:
         self.inputs[:] = self.model.vehicle.hover_speed
 
     def propagate(self, state: NDArray[np.float64], speed: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
-        """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The array returned is used again."""
+        """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The next call overwrites the array."""
         self._state[:], self._input[:] = state, speed
         self._code.rti_propagate(self._handle, self._state_at, self._input_at, dt, self._next_at)
         return self._next
@@ -105,9 +108,9 @@ class RtiSolver:
         self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
 
     def prepare(self, expected: NDArray[np.float64]) -> int:
-        """Linearise and condense at the state (nx,) expected at the next tick, with the references set before.
+        """Linearise and condense at the state (nx,) expected at the next tick, with the references as they are set.
 
-        Returns 0, or less when a number is not finite; `feedback` then refuses.
+        Returns 0, or a negative number when one is not finite; `feedback` then refuses.
         """
         self._state[:] = expected
         return int(self._code.rti_prepare(self._handle, self._state_at, *self._references_at))
@@ -115,18 +118,18 @@ class RtiSolver:
     def accelerations(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """A learned model's mean accelerations (6,) after a state (nx,), world and body axes; needs a kernel."""
         self._state[:], self._input[:] = state, speed
-        self._code.rti_accelerations(self._handle, self._state_at, self._input_at, self._found_at)
-        return self._found.copy()
+        self._code.rti_accelerations(self._handle, self._state_at, self._input_at, self._accelerations_at)
+        return self._accelerations.copy()
 
     def stream(self, columns: NDArray[np.float64]) -> NDArray[np.float64]:
         """Accelerations (n, 6) at columns (n, 13 + nu) that follow the history one by one; needs a kernel.
 
-        The network alone, or on physics whose hidden states stand still.
+        Of the network alone, or with a model whose hidden states are held constant.
         """
-        given, found = np.ascontiguousarray(columns, dtype=float), np.empty((len(columns), 6))
-        at = ctypes.c_void_p
-        self._code.rti_stream(self._handle, at(given.ctypes.data), len(given), at(found.ctypes.data))
-        return found
+        rows, accelerations = np.ascontiguousarray(columns, dtype=float), np.empty((len(columns), 6))
+        address = ctypes.c_void_p
+        self._code.rti_stream(self._handle, address(rows.ctypes.data), len(rows), address(accelerations.ctypes.data))
+        return accelerations
 
     def feedback(self, state: NDArray[np.float64]) -> int:
         """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
@@ -147,33 +150,35 @@ class RtiSolver:
         code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
 
     def _require_dimensions(self, library: Path) -> int:
-        """Columns of history that a kernel looks back. Raises RequestError when it was built for something else."""
-        found = (ctypes.c_int * len(KERNEL_DIMENSIONS))()
-        self._code.rti_dimensions(found)
-        built = dict(zip(KERNEL_DIMENSIONS, found, strict=True))
-        wanted = {
+        """Columns of a kernel's history. Raises RequestError when it was built for other dimensions."""
+        dimensions = (ctypes.c_int * len(KERNEL_DIMENSIONS))()
+        self._code.rti_dimensions(dimensions)
+        built = dict(zip(KERNEL_DIMENSIONS, dimensions, strict=True))
+        required = {
             "states": self.model.state_count, "inputs": self.model.input_count, "nodes": self.problem.nodes,
             "parameters": self.model.parameter_values.size, "environment": ENVIRONMENT_DEFAULT.size,
         }  # fmt: skip
-        if wrong := [f"{name} {built[name]} instead of {size}" for name, size in wanted.items() if built[name] != size]:
+        if wrong := [
+            f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size
+        ]:
             raise RequestError(f"the kernel {library} was built for {', '.join(wrong)}. Export the model again.")
         return int(built["history"])
 
     def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        found = getattr(self._code, function)
-        found.restype, found.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
-        return np.ctypeslib.as_array(found(self._handle), shape=shape)
+        pointer = getattr(self._code, function)
+        pointer.restype, pointer.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
+        return np.ctypeslib.as_array(pointer(self._handle), shape=shape)
 
 
 def _load(library: Path) -> ctypes.CDLL:
-    """A compiled solver, with this machine's HPIPM loaded before it, wherever that was when it was built.
+    """A compiled solver, with this machine's HPIPM loaded before it, wherever HPIPM was at its build.
 
     Raises RequestError when it does not fit this machine.
     """
     hpipm = find_hpipm()
     try:
-        for needed in (hpipm.blasfeo, hpipm.hpipm):
-            ctypes.CDLL(str(needed))
+        for dependency in (hpipm.blasfeo, hpipm.hpipm):
+            ctypes.CDLL(str(dependency))
         return ctypes.CDLL(str(library))
     except OSError as error:
         raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None

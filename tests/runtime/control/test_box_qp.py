@@ -22,8 +22,10 @@ def random_program(seed: int, size: int) -> BoxProgram:
     return BoxProgram(scale * (hessian + hessian.T) / 2, gradient, -width * share, width * (1 - share))
 
 
-def solved(solvers: BoxSolvers, program: BoxProgram, most: int = 50) -> Solution:
-    return solvers.solve(program, tolerance=TOLERANCE * float(np.nanmax(np.abs(program.gradient))), most=most)
+def solved(solvers: BoxSolvers, program: BoxProgram, max_iterations: int = 50) -> Solution:
+    return solvers.solve(
+        program, tolerance=TOLERANCE * float(np.nanmax(np.abs(program.gradient))), max_iterations=max_iterations
+    )
 
 
 @pytest.mark.parametrize("name", ["avx512", "avx2", "sse2"])
@@ -35,18 +37,18 @@ def test_random_programs_are_solved_as_hpipm_solves_them(size: int, name: str) -
     acting, compared = 0, 0
     for seed in range(200):
         program = random_program(seed, size)
-        found = solved(solvers, program)
-        assert found.status == 0
-        assert found.iterations <= 15
-        assert (found.v >= program.lower).all()
-        assert (found.v <= program.upper).all()
+        solution = solved(solvers, program)
+        assert solution.status == 0
+        assert solution.iterations <= 15
+        assert (solution.v >= program.lower).all()
+        assert (solution.v <= program.upper).all()
         tolerance = 1e-3 * TOLERANCE * float(np.abs(program.gradient).max())  # it never solves on the bounds
-        wanted = solvers.solve(program, tolerance=tolerance, by="hpipm")
-        if wanted.status == 0:
-            assert program.cost(found.v) <= program.cost(wanted.v) + 1e-7 * abs(program.cost(wanted.v))
-            np.testing.assert_allclose(found.v, wanted.v, atol=1e-3 * np.abs(wanted.v).max())
+        reference = solvers.solve(program, tolerance=tolerance, by="hpipm")
+        if reference.status == 0:
+            assert program.cost(solution.v) <= program.cost(reference.v) + 1e-7 * abs(program.cost(reference.v))
+            np.testing.assert_allclose(solution.v, reference.v, atol=1e-3 * np.abs(reference.v).max())
             compared += 1
-        acting += int(np.count_nonzero((found.v == program.lower) | (found.v == program.upper)))
+        acting += int(np.count_nonzero((solution.v == program.lower) | (solution.v == program.upper)))
     assert acting > 10 * size  # else nothing was shown
     assert compared > 190
 
@@ -61,12 +63,12 @@ def test_an_optimum_on_bounds_is_one_to_rounding() -> None:
 def test_inside_the_box_the_optimum_is_newtons_step() -> None:
     solvers = BoxSolvers(13, native_processor())
     program = random_program(3, 13)
-    wanted = np.linalg.solve(program.hessian, -program.gradient)
+    newton_step = np.linalg.solve(program.hessian, -program.gradient)
     for room in (2.0, 0.5):
-        bound = room * np.abs(wanted)
-        found, inside = solvers.free_optimum(BoxProgram(program.hessian, program.gradient, -bound, bound))
+        bound = room * np.abs(newton_step)
+        optimum, inside = solvers.free_optimum(BoxProgram(program.hessian, program.gradient, -bound, bound))
         assert inside == (room > 1)
-        np.testing.assert_allclose(found, wanted, rtol=1e-8)
+        np.testing.assert_allclose(optimum, newton_step, rtol=1e-8)
 
 
 def test_what_is_no_such_program_is_refused() -> None:
@@ -87,7 +89,7 @@ def test_what_is_no_such_program_is_refused() -> None:
         BoxProgram(concave, good.gradient, good.lower, good.upper),
     ):
         assert solved(solvers, program).status == 3
-    assert solved(solvers, good, most=0).status == 1
+    assert solved(solvers, good, max_iterations=0).status == 1
     assert solved(solvers, good).status == 0
 
 
@@ -102,10 +104,10 @@ def test_where_rounding_leaves_no_room_nothing_is_called_an_optimum_that_is_none
         room = np.spacing(np.abs(place)) * rng.integers(2, 30, size)
         lower, upper = (place, place + room) if seed % 2 else (program.lower, program.upper)
         program = BoxProgram(scale * program.hessian, scale * program.gradient, lower, upper)
-        found = solved(solvers, program)
-        if found.status == 0:
-            assert (found.v >= program.lower).all()
-            assert (found.v <= program.upper).all()
-            assert seed % 2 or program.optimality(found.v) < 1e-10
-        answered += found.status == 0
+        solution = solved(solvers, program)
+        if solution.status == 0:
+            assert (solution.v >= program.lower).all()
+            assert (solution.v <= program.upper).all()
+            assert seed % 2 or program.optimality(solution.v) < 1e-10
+        answered += solution.status == 0
     assert answered >= 30  # nothing of a refusal stays behind

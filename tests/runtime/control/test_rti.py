@@ -75,9 +75,9 @@ def gauss_newton(solver: RtiSolver, state: np.ndarray) -> tuple[np.ndarray, np.n
     x0, v = ca.MX.sym("x0", function.size1_in(0)), ca.MX.sym("v", function.size1_in(1))
     value = function(x0, v)
     both = ca.Function("both", [x0, v], [value, ca.jacobian(value, v)])
-    found, jacobian = (np.array(part) for part in both(state, np.zeros(function.size1_in(1))))
+    residual, jacobian = (np.array(part) for part in both(state, np.zeros(function.size1_in(1))))
     damping = solver.problem.levenberg_marquardt * np.eye(jacobian.shape[1])
-    return jacobian.T @ jacobian + damping, (jacobian.T @ found).ravel()
+    return jacobian.T @ jacobian + damping, (jacobian.T @ residual).ravel()
 
 
 def six_rotors() -> Vehicle:
@@ -130,11 +130,11 @@ def test_feedback_finds_the_optimum_of_its_quadratic_program(push: float) -> Non
     for i in range(13):
         by_state[:, i] = gradient_by_state(solver, expected, i)
     gradient = solver.gradient + by_state @ (measured - expected)
-    wanted = reference_step(solver, hessian, gradient)
+    optimum = reference_step(solver, hessian, gradient)
     assert solver.feedback(measured) == 0
-    np.testing.assert_allclose(solver.inputs, wanted, atol=0.05)
-    limits = (wanted < fill_options(solver.problem, solver.model).u_lower[0] + 1e-3) | (
-        wanted > VEHICLE.rotors.speed_max - 1e-3
+    np.testing.assert_allclose(solver.inputs, optimum, atol=0.05)
+    limits = (optimum < fill_options(solver.problem, solver.model).u_lower[0] + 1e-3) | (
+        optimum > VEHICLE.rotors.speed_max - 1e-3
     )
     assert limits.any() == (push > 0)
 
@@ -283,12 +283,12 @@ def test_what_the_box_solver_refuses_hpipm_solves(monkeypatch: pytest.MonkeyPatc
     state = excited(solver)
     solver.inputs[:, 2] = speed
     assert solver.prepare(state) == 0
-    wanted = solver.inputs.ravel().copy()
-    free = np.arange(wanted.size) % 4 != 2
+    expected = solver.inputs.ravel().copy()
+    free = np.arange(expected.size) % 4 != 2
     scale = fill_options(solver.problem, solver.model).scale
-    wanted[free] -= scale * np.linalg.solve(solver.hessian[np.ix_(free, free)], solver.gradient[free])
+    expected[free] -= scale * np.linalg.solve(solver.hessian[np.ix_(free, free)], solver.gradient[free])
     assert solver.feedback(state) == 0
-    np.testing.assert_allclose(solver.inputs.ravel(), wanted, atol=1e-3 * speed)
+    np.testing.assert_allclose(solver.inputs.ravel(), expected, atol=1e-3 * speed)
 
 
 def test_shifting_by_a_whole_node_moves_every_input_to_the_node_before() -> None:
