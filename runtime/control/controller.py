@@ -220,9 +220,9 @@ class Controller:
 
         state: (13,) taken at a time. Predictions are this one's own, inputs the other's.
         """
-        found = self.compensate(state, taken, now)
+        state_now = self.compensate(state, taken, now)
         self.solver.inputs[:] = other.solver.inputs
-        self._acted(found, now, other.solver.inputs[0])
+        self._acted(state_now, now, other.solver.inputs[0])
 
     def model_faults(self, time: float) -> tuple[str, str, str]:
         """Why a learned model should not fly now: its history is not filled, it is outside of what it knows, it errs.
