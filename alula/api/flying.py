@@ -60,8 +60,8 @@ def simulate(
     hidden = [parse_effect(use, flying.rotors.count) if isinstance(use, str) else use for use in effects]
     return fly_reference(
         flying, path, effects=hidden, seed=seed, name=reference,
-        controller=None if learned is None else Controller.of_bundle(learned),
-        nominal=None if learned is None else Controller.beside(learned),
+        controller=None if learned is None else Controller.from_bundle(learned),
+        nominal=None if learned is None else Controller.fallback_from_bundle(learned),
     )  # fmt: skip
 
 
