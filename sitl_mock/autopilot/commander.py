@@ -42,7 +42,7 @@ class SystemStatus(IntEnum):
     TERMINATION = 8
 
 
-# COM_OBL_RC_ACT without a pilot: what needs sticks becomes a return
+# COM_OBL_RC_ACT without a pilot: a mode that needs sticks becomes a return
 OFFBOARD_LOSS_MODE = {0: Mode.RTL, 1: Mode.RTL, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.HOLD}
 TERMINATE, DISARM = 6, 7
 
@@ -136,7 +136,7 @@ class Commander:
     # time
 
     def update(self, time: float, *, landed: bool) -> None:
-        """Apply everything that happens by itself: offboard loss and return, automatic disarming."""
+        """Apply the automatic transitions: offboard loss and return, disarming."""
         if landed and not self.landed:
             self._landed_at = time
             self.texts.append(("info", "Landing detected"))

@@ -74,7 +74,7 @@ def is_addressed(message: Message, system: int) -> bool:
 
 
 class CommandHandler:
-    """Carries out commands by the commander, the navigator, the estimator's frame and the link that asked."""
+    """Carries out commands by the commander, the navigator, the estimator's frame and the link of the command."""
 
     def __init__(
         self, commander: Commander, navigator: Navigator, estimate_fault: EstimateFault, reporter: Reporter

@@ -28,7 +28,7 @@ class Mode(Enum):
 
     @property
     def needs_pilot(self) -> bool:
-        """Whether the mode flies by sticks, which nobody holds here."""
+        """Whether the mode flies by sticks; there is no pilot here."""
         return self.value[0] in (1, 2, 3, 5, 7)
 
     @property
@@ -42,7 +42,7 @@ CUSTOM, AUTO, GUIDED, STABILISED, MANUAL_INPUT, ARMED = 1, 4, 8, 16, 64, 128
 
 
 def mode_from_command(base_mode: int, main: int, sub: int) -> Mode | None:
-    """The mode that DO_SET_MODE's three parameters ask for, None where PX4 knows none."""
+    """The mode of DO_SET_MODE's three parameters, None where PX4 has none."""
     if not base_mode & CUSTOM:
         return Mode.MISSION if base_mode & AUTO else Mode.STABILIZED if base_mode & STABILISED else Mode.MANUAL
     sub = (sub or Mode.MISSION.value[1]) if main == Mode.HOLD.value[0] else 0  # an auto mode without sub is a mission
@@ -53,5 +53,5 @@ def mode_from_command(base_mode: int, main: int, sub: int) -> Mode | None:
 
 
 def mode_from_custom(base_mode: int, custom_mode: int) -> Mode | None:
-    """The mode that a SET_MODE message asks for, None where PX4 knows none."""
+    """The mode of a SET_MODE message, None where PX4 has none."""
     return mode_from_command(base_mode, custom_mode >> 16 & 0xFF, custom_mode >> 24 & 0xFF)

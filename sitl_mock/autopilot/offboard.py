@@ -1,4 +1,4 @@
-"""Offboard setpoints: what a message asks for by its type mask, and whether the stream of them is alive.
+"""Offboard setpoints: the setpoint of a message by its type mask, and whether the stream of them is alive.
 
 Measured on PX4 and described in the manual page of the mock: attitude (mask 7 or 3), body rates (mask 128), both (0,
 where the attitude wins because its loop overwrites the rates every step), nothing usable (7 + 128, no sign of life).
@@ -71,7 +71,7 @@ def _attitude_setpoint(attitude_frd_ned: Floats, yaw_rate_frd: float, thrust: fl
 def position_target(message: Message, attitude: Floats) -> ControlSetpoint | None:
     """The setpoint of a SET_POSITION_TARGET_LOCAL_NED, None where PX4 refuses it.
 
-    attitude: (4,) the vehicle's now, body to world, for velocities given in BODY_NED.
+    attitude: (4,) of the vehicle now, body to world, for velocities in BODY_NED.
     """
     if message.coordinate_frame not in (LOCAL_NED, BODY_NED):
         return None
@@ -122,17 +122,20 @@ def _masked(values: tuple[float, float, float], mask: int, shift: int) -> Floats
 
 @dataclass(slots=True)
 class OffboardStream:
-    """Whether offboard setpoints arrive. All times are simulated seconds.
+    """The stream of offboard setpoints. All times are simulated seconds.
 
-    rule: what PX4 wants to see before it lets OFFBOARD begin. documented: more than 2 Hz for more than 1 s;
-    measured: one setpoint (30 ms earlier was enough).
+    rule: condition for entering OFFBOARD. documented: more than 2 Hz for more than 1 s; measured: one setpoint (30 ms
+        earlier was enough).
+    last: when the newest setpoint arrived.
+    began: when the stream began without a gap since.
+    count: setpoints so far.
     """
 
     rule: Rule = "documented"
     last: float = -math.inf
     began: float = math.inf
     count: int = 0
-    _flown: ControlSetpoint | None = None
+    _active: ControlSetpoint | None = None
     _arrived: deque[tuple[float, ControlSetpoint]] = field(default_factory=lambda: deque(maxlen=16))
 
     def feed(self, time: float, setpoint: ControlSetpoint) -> None:
@@ -146,8 +149,8 @@ class OffboardStream:
     def setpoint(self, time: float) -> ControlSetpoint | None:
         """The newest setpoint that had arrived by a time, which later calls must not precede."""
         while self._arrived and self._arrived[0][0] <= time:
-            self._flown = self._arrived.popleft()[1]
-        return self._flown
+            self._active = self._arrived.popleft()[1]
+        return self._active
 
     def is_alive(self, time: float, timeout: float) -> bool:
         """Whether the last setpoint is younger than COM_OF_LOSS_T."""

@@ -1,4 +1,4 @@
-"""The parameters that the mock knows: PX4's names, types and defaults (its SIH quadrotor's where they differ).
+"""The parameters of the mock: PX4's names, types and defaults (its SIH quadrotor's where they differ).
 
 Those marked in `docs/mock.md` change what the mock does; the others are there because clients read them on connecting.
 """

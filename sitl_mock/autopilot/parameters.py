@@ -12,7 +12,7 @@ from sitl_mock.autopilot.parameter_table import FLOAT_DEFAULTS, INTEGER_DEFAULTS
 from sitl_mock.vehicle.vehicle_interface import Tuning
 from sitl_mock.wire.dialect import Message, mavlink
 
-Asker = tuple[int, int]  # system and component
+Requester = tuple[int, int]  # system and component
 
 INT32, REAL32 = 6, 9
 DOES_NOT_EXIST, OUT_OF_RANGE, TYPE_MISMATCH = 1, 2, 7
@@ -42,7 +42,7 @@ class Parameters:
     def override(self, name: str, value: float) -> None:
         """Set a value before the flight.
 
-        Raises RequestError for a name that the mock does not know or a value that PX4 does not allow.
+        Raises RequestError for a name that the mock lacks or a value that PX4 does not allow.
         """
         if name not in self._values:
             near = difflib.get_close_matches(name, self.names, 1)
@@ -69,9 +69,9 @@ class Parameters:
         return min(max(self[name], low), high)
 
     def tuning(self) -> Tuning:
-        """What the inner loops take from the parameters.
+        """The parameters of the inner loops.
 
-        PARAM_SET, like PX4's, stores any number; what could not fly is used at the limit of PX4's own meta data.
+        PARAM_SET, like PX4's, stores any number; unflyable values are used at the limits of PX4's meta data.
         """
 
         def three(pattern: str) -> tuple[float, float, float]:
@@ -113,35 +113,35 @@ class Parameters:
         wire = _float_of_bytes("<I", digest)
         return mavlink.MAVLink_param_value_message(HASH_NAME.encode(), wire, 5, len(self), NO_INDEX)
 
-    def read(self, name: str, index: int, asker: Asker) -> Message:
+    def read(self, name: str, index: int, requester: Requester) -> Message:
         """The answer to PARAM_REQUEST_READ: by index, or by name where the index is -1."""
         if index >= 0:
             if index >= len(self):
-                return error_message(asker, "", index, DOES_NOT_EXIST)
+                return error_message(requester, "", index, DOES_NOT_EXIST)
             return self.value_message(self.names[index])
         if name == HASH_NAME:
             return self.hash_message()
         if name not in self._values:
-            return error_message(asker, name, index, DOES_NOT_EXIST)
+            return error_message(requester, name, index, DOES_NOT_EXIST)
         return self.value_message(name)
 
-    def set(self, name: str, wire_value: float, kind: int, asker: Asker) -> tuple[Message, bool]:
+    def set(self, name: str, wire_value: float, kind: int, requester: Requester) -> tuple[Message, bool]:
         """The answer to PARAM_SET, and whether the value changed (then PX4 announces it a second time)."""
         if name not in self._values:
-            return error_message(asker, name, -1, DOES_NOT_EXIST), False
+            return error_message(requester, name, -1, DOES_NOT_EXIST), False
         if kind != (INT32 if self.is_integer(name) else REAL32):
-            return error_message(asker, name, -1, TYPE_MISMATCH), False
+            return error_message(requester, name, -1, TYPE_MISMATCH), False
         value = struct.unpack("<i", struct.pack("<f", wire_value))[0] if kind == INT32 else wire_value
         if not math.isfinite(value):
-            return error_message(asker, name, -1, OUT_OF_RANGE), False
+            return error_message(requester, name, -1, OUT_OF_RANGE), False
         changed = self._values[name] != value
         self._values[name] = value
         return self.value_message(name), changed
 
 
-def error_message(asker: Asker, name: str, index: int, reason: int) -> Message:
-    """PARAM_ERROR about a parameter, to whoever asked."""
-    return mavlink.MAVLink_param_error_message(*asker, name.encode()[:16], index, reason)
+def error_message(requester: Requester, name: str, index: int, reason: int) -> Message:
+    """PARAM_ERROR about a parameter, to the system and component that requested it."""
+    return mavlink.MAVLink_param_error_message(*requester, name.encode()[:16], index, reason)
 
 
 def _float_of_bytes(layout: str, value: float) -> float:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from dynamics.effect import Expression
 from dynamics.vehicle import Vehicle
 
-YAW_MARGIN = 0.15  # what yaw may ask beyond full signal, at the expense of thrust
+YAW_MARGIN = 0.15  # demand of yaw beyond full signal, at the expense of thrust
 
 
 def effectiveness(vehicle: Vehicle) -> NDArray[np.float64]:
@@ -61,8 +61,8 @@ def _desaturate(
 ) -> Expression:
     """Move motors along a direction until as little as possible is out of range: once fully, once by half."""
     gain = _desaturation_gain(motors, direction, upper)
-    wanted = ca.fmax(gain, 0) if only_forward else gain
-    moved = motors + wanted * direction
+    step = ca.fmax(gain, 0) if only_forward else gain
+    moved = motors + step * direction
     again = moved + 0.5 * _desaturation_gain(moved, direction, upper) * direction
     return ca.if_else(gain < 0, motors, again) if only_forward else again
 

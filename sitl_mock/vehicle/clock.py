@@ -9,7 +9,9 @@ from dataclasses import dataclass
 class VehicleClock:
     """Vehicle time as a function of simulated time.
 
-    uptime: s since boot at simulated time 0. drift: s gained per second of simulated time.
+    uptime: time since boot at simulated time 0, s.
+    drift: time gained per second of simulated time, s.
+    jumped: sum of all jumps, s.
     """
 
     uptime: float = 3.0

@@ -1,7 +1,7 @@
 """The ground: legs and hull of the vehicle on a flat, rough, slightly soft surface.
 
-Each contact point carries a share of a spring-damper and Coulomb friction. Forces are worked out for a unit of mass,
-so that a vehicle sinks in equally whatever it weighs; the stiffness is soft enough for 1 ms steps.
+Each contact point carries a share of a spring-damper and Coulomb friction. Forces are computed for a unit of mass,
+so that every vehicle sinks in equally; the stiffness is soft enough for 1 ms steps.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.effect import Expression
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from dynamics.vehicle import GRAVITY, Vehicle
 
 NATURAL_FREQUENCY = 60.0  # of the vehicle on its legs, rad/s
@@ -40,16 +41,16 @@ def contact_points(vehicle: Vehicle) -> NDArray[np.float64]:
 def contact_acceleration(
     x: Expression, points: Expression, mass_over_inertia: Expression, ground_height: Expression
 ) -> tuple[Expression, Expression]:
-    """Acceleration that the ground gives: linear in the world (3,), m/s^2, and angular about body axes (3,), rad/s^2.
+    """Acceleration by the ground: linear in the world (3,), m/s^2, and angular about body axes (3,), rad/s^2.
 
     x: rigid-body state. points: (3, n) from the centre of mass, body FLU. mass_over_inertia: (3,) 1/m^2.
     """
-    rotation, rate = quaternion.rotation_matrix(x[6:10]), x[10:13]
+    rotation, rate = quaternion.rotation_matrix(x[ATTITUDE]), x[RATE]
     share = 2.0 / points.shape[1]  # half of the points touch in any rest position
     linear, moment = ca.SX.zeros(3), ca.SX.zeros(3)
     for i in range(points.shape[1]):
         depth = ground_height - x[2] - ca.dot(rotation[2, :].T, points[:, i])
-        velocity = x[3:6] + rotation @ ca.cross(rate, points[:, i])
+        velocity = x[VELOCITY] + rotation @ ca.cross(rate, points[:, i])
         force = share * _point_force(depth, velocity)
         linear = linear + force
         moment = moment + ca.cross(points[:, i], rotation.T @ force)

@@ -16,18 +16,18 @@ INTEGRAL_FADES_AT = np.radians(400.0)  # rate error at which the integrator stop
 
 
 def rate_setpoint(
-    attitude: Expression, wanted: Expression, yaw_rate: Expression, *, gain: Expression, yaw_weight: Expression
+    attitude: Expression, setpoint: Expression, yaw_rate: Expression, *, gain: Expression, yaw_weight: Expression
 ) -> Expression:
-    """Body rates that turn the vehicle to a wanted attitude, tilt before yaw, rad/s, not yet limited.
+    """Body rates that turn the vehicle to an attitude setpoint, tilt before yaw, rad/s, not yet limited.
 
-    attitude, wanted: (4,). yaw_rate: feed-forward about the world's z axis, rad/s. gain: (3,) 1/s, at full yaw.
+    attitude, setpoint: (4,). yaw_rate: feed-forward about the world's z axis, rad/s. gain: (3,) 1/s, at full yaw.
     """
     current_z = quaternion.rotate(attitude, ca.SX([0, 0, 1]))
-    wanted_z = quaternion.rotate(wanted, ca.SX([0, 0, 1]))
-    tilt = _shortest_rotation(current_z, wanted_z)
+    setpoint_z = quaternion.rotate(setpoint, ca.SX([0, 0, 1]))
+    tilt = _shortest_rotation(current_z, setpoint_z)
     opposite = ca.fmax(ca.fabs(tilt[1]), ca.fabs(tilt[2])) > 1 - 1e-5
-    reduced = ca.if_else(opposite, wanted, quaternion.multiply(tilt, attitude))
-    yaw = _canonical(quaternion.multiply(quaternion.conjugate(reduced), wanted))
+    reduced = ca.if_else(opposite, setpoint, quaternion.multiply(tilt, attitude))
+    yaw = _canonical(quaternion.multiply(quaternion.conjugate(reduced), setpoint))
     cosine, sine = (ca.fmin(ca.fmax(part, -1), 1) for part in (yaw[0], yaw[3]))
     weighted = ca.vertcat(ca.cos(yaw_weight * ca.acos(cosine)), 0, 0, ca.sin(yaw_weight * ca.asin(sine)))
     target = quaternion.multiply(reduced, weighted)

@@ -14,12 +14,15 @@ from sitl_mock.vehicle.vehicle_interface import MotionState
 CLIMB_MAX, SPEED_MAX, TURN_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
 CONTACT_TIME, MAYBE_TIME, LANDED_TIME = 0.35, 0.25, 0.30  # s
 THRUST_MIN = 0.12  # MPC_THR_MIN, as a share of full thrust
-LOW_THRUST, MIN_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from the least to the hover thrust
+LOW_THRUST, MIN_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from THRUST_MIN to the hover thrust
 
 
 @dataclass(slots=True)
 class LandDetector:
-    """ground_contact, maybe_landed, landed: what is believed. Starts on the ground."""
+    """Detects the ground in three stages; starts on the ground.
+
+    ground_contact, maybe_landed, landed: the stages, each only after the one before.
+    """
 
     ground_contact: bool = True
     maybe_landed: bool = True
@@ -27,7 +30,7 @@ class LandDetector:
     _since: dict[str, float] = field(default_factory=dict)
 
     def update(self, time: float, now: MotionState, *, armed: bool, thrust: float, hover_thrust: float) -> None:
-        """Look at the motion and the thrust asked for at a time, s. Disarmed, the vehicle counts as landed."""
+        """Update by the motion and the commanded thrust at a time, s. Disarmed, the vehicle counts as landed."""
         if not armed:
             self.ground_contact = self.maybe_landed = self.landed = True
             self._since.clear()
@@ -37,11 +40,11 @@ class LandDetector:
         still = abs(climb) < CLIMB_MAX and math.hypot(speed_x, speed_y) < SPEED_MAX
         quiet = math.hypot(turn_x, turn_y) < TURN_MAX
         # a landed vehicle is only believed to fly when its thrust comes near what flying takes
-        low, least = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, MIN_THRUST)
+        low, lowest = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, MIN_THRUST)
         span = hover_thrust - THRUST_MIN
         contact = still and thrust < THRUST_MIN + low * span
         self.ground_contact = self._lasting("contact", contact, time, CONTACT_TIME, self.ground_contact)
-        maybe = self.ground_contact and quiet and thrust < THRUST_MIN + least * span
+        maybe = self.ground_contact and quiet and thrust < THRUST_MIN + lowest * span
         self.maybe_landed = self._lasting("maybe", maybe, time, MAYBE_TIME, self.maybe_landed)
         self.landed = self._lasting("landed", self.maybe_landed, time, LANDED_TIME, self.landed)
 

@@ -1,4 +1,4 @@
-"""Named places in a flat vector, for everything that goes into and comes out of the compiled step."""
+"""Named places in a flat vector, for the inputs and outputs of the compiled step."""
 
 from __future__ import annotations
 
@@ -15,7 +15,10 @@ from dynamics.effect import Expression
 
 @dataclass(frozen=True)
 class Layout:
-    """Where each named part stands in a vector. sizes: name -> number of entries, in order."""
+    """The place of each named part in a vector.
+
+    sizes: number of entries of each part, in order.
+    """
 
     sizes: Mapping[str, int]
 
@@ -39,11 +42,11 @@ class Layout:
         return vector, {part: vector[place] for part, place in self.places.items()}
 
     def join(self, parts: Mapping[str, Expression]) -> Expression:
-        """The vector of CasADi parts, all of which must be given."""
+        """The vector of all its parts, as CasADi expressions."""
         return ca.vertcat(*[ca.densify(ca.SX(parts[name])) for name in self.sizes])
 
     def fill(self, values: Mapping[str, Any]) -> NDArray[np.float64]:
-        """The vector of numbers; matrices are flattened by column, as CasADi does. Parts not given are zero."""
+        """The vector of numbers; matrices are flattened by column, as CasADi does. Missing parts are zero."""
         vector = np.zeros(self.size)
         for name, value in values.items():
             vector[self.places[name]] = np.asarray(value, dtype=float).ravel(order="F")

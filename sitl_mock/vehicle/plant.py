@@ -1,7 +1,7 @@
 """One millisecond of the vehicle as one CasADi function: inner loop, allocation, motors, flight, ground, battery.
 
-The physics is the flight model of `dynamics` with whatever effects it is given; here it only meets its autopilot,
-the ground and its sensors. Everything that a user may change is an input of the function, so that the machine code
+The flight model is that of `dynamics` with any effects; here the autopilot, the ground and the sensors are added.
+Everything that a user may change is an input of the function, so that the machine code
 serves all vehicles with as many rotors and the same set of effects.
 """
 
@@ -16,7 +16,7 @@ from dynamics import quaternion
 from dynamics.effect import Expression, Values
 from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import Model, build_model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
 from sitl_mock.vehicle.layout import Layout
@@ -30,9 +30,12 @@ CASCADE_STEPS = 4  # from attitude to rate control, which runs first in each of 
 
 @dataclass(frozen=True)
 class Plant:
-    """The step and the places of everything in its vectors.
+    """The compiled step and the layouts of its vectors.
 
-    step: (state, command, constants, noise) -> (next state, record of the time after the step).
+    model: the flight model in it.
+    state, command, constants, noise: layouts of the inputs.
+    record: layout of the second output, which holds the time after the step.
+    step: (state, command, constants, noise) -> (next state, record).
     """
 
     model: Model
@@ -53,7 +56,7 @@ def plant_effects(vehicle: Vehicle, hidden: Sequence[EffectUse]) -> tuple[Effect
 
 
 def build_plant(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Plant:
-    """The plant of a vehicle with effects that its file does not know."""
+    """The plant of a vehicle with effects that its file does not name."""
     model = build_model(vehicle, effects=plant_effects(vehicle, hidden))
     layouts = _layouts(model)
     inputs, parts = zip(*(layout.symbol(name) for name, layout in layouts.items() if name != "record"), strict=True)
@@ -109,10 +112,10 @@ def _step(
     observed = _observe(model, x, speed, environment, constants)
     battery_state, current = _discharge(state, observed["rotor_speed"], constants)
     jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
-    read = model.measure(observed["specific_force"], x[10:13], observed["rotor_speed"] + jitter, constants["model"])
+    read = model.measure(observed["specific_force"], x[RATE], observed["rotor_speed"] + jitter, constants["model"])
     measured, estimate = _measure(x, read[0], read[1], state, constants, noise)
     record = {
-        "truth": x[0:13], "estimate": estimate, "force_integral": measured["force_integral"],
+        "truth": x[:RIGID_BODY_STATES], "estimate": estimate, "force_integral": measured["force_integral"],
         "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
         "rotor_speed_measured": read[2], "motor_signal": signal,
         "ground_force": observed["ground_force"], "current": current, **battery_state,
@@ -121,10 +124,10 @@ def _step(
 
 
 def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
-    """The inner loop's own states after the step, and the motor signals that it asks for."""
-    known = _known_attitude(state["plant"], state["estimate_error"])
+    """The inner loop's own states after the step, and the motor signals that it commands."""
+    attitude = _estimated_attitude(state["plant"], state["estimate_error"])
     turn = inner_loop.rate_setpoint(
-        known, command["attitude"], command["yaw_rate"],
+        attitude, command["attitude"], command["yaw_rate"],
         gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
     )  # fmt: skip
     limited = ca.fmin(ca.fmax(turn, -constants["rate_limit"]), constants["rate_limit"])
@@ -135,11 +138,11 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
     yaw = inner_loop.low_pass(torque[2], state["yaw_torque"], constants["yaw_torque_cutoff"], DT)
     demand = ca.vertcat(torque[0:2], yaw, command["thrust"])
     motors = allocation.allocate(ca.reshape(constants["mixer"], count, 4), demand)
-    given = ca.reshape(constants["unmixer"], 4, count) @ motors
+    allocated = ca.reshape(constants["unmixer"], 4, count) @ motors
     integral = inner_loop.next_integral(state["integral"], error, state["unallocated"], constants, DT)
     integral = ca.if_else(command["landed"], state["integral"], integral)
     signal = ca.if_else(command["armed"], allocation.signal_for_thrust(motors, constants["thrust_model_factor"]), 0)
-    memory = {"integral": integral, "unallocated": demand[0:3] - given[0:3], "yaw_torque": yaw}
+    memory = {"integral": integral, "unallocated": demand[0:3] - allocated[0:3], "yaw_torque": yaw}
     after = {name: ca.if_else(command["armed"], value, 0) for name, value in memory.items()}
     after["turn_queue"] = ca.vertcat(limited, state["turn_queue"][:-3])
     after["signal_queue"] = ca.vertcat(signal, state["signal_queue"][:-count])
@@ -150,7 +153,9 @@ def _fly(
     model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values, noise: Expression
 ) -> Expression:
     white = noise / DT**0.5
-    push, turn = _contact(x, constants)  # held over the step: the ground is soft enough, and it is the dearest part
+    push, turn = _contact(
+        x, constants
+    )  # held over the step: the ground is soft enough, and it is the most expensive part
     contact = ca.vertcat(ca.SX.zeros(3), push, ca.SX.zeros(4), turn, ca.SX.zeros(model.hidden_count))
 
     def field(state: Expression) -> Expression:
@@ -170,7 +175,7 @@ def _observe(
     """Specific force (ground included), rotor speeds and the ground's upward force per unit of mass."""
     force, _, rotor_speed = model.observe(x, speed, constants["model"], environment)
     push, _ = _contact(x, constants)
-    felt = force + quaternion.rotate_inverse(x[6:10], push)
+    felt = force + quaternion.rotate_inverse(x[ATTITUDE], push)
     return {"specific_force": felt, "rotor_speed": rotor_speed, "ground_force": push[2]}
 
 
@@ -192,11 +197,11 @@ def _measure(
         "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "estimate_error": error,
         "force_integral": state["force_integral"] + felt * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
     }  # fmt: skip
-    return states, ca.vertcat(x[0:3] + error[0:3], x[3:6] + error[3:6], _known_attitude(x, error), rate)
+    return states, ca.vertcat(x[POSITION] + error[0:3], x[VELOCITY] + error[3:6], _estimated_attitude(x, error), rate)
 
 
-def _known_attitude(x: Expression, error: Expression) -> Expression:
-    return quaternion.multiply(x[6:10], quaternion.exponential(error[6:9]))
+def _estimated_attitude(x: Expression, error: Expression) -> Expression:
+    return quaternion.multiply(x[ATTITUDE], quaternion.exponential(error[6:9]))
 
 
 def _discharge(state: Values, rotor_speed: Expression, constants: Values) -> tuple[dict[str, Expression], Expression]:

@@ -23,7 +23,7 @@ CRUISE_SPEED, CLIMB_SPEED, DESCENT_SPEED = 5.0, 3.0, 1.5  # MPC_XY_CRUISE, MPC_Z
 TILT_MAX = math.radians(45.0)  # MPC_TILTMAX_AIR
 THRUST_MIN, THRUST_MAX = 0.12, 1.0  # MPC_THR_MIN, MPC_THR_MAX
 SLOW_FROM, SLOW_AT = 10.0, 5.0  # MPC_LAND_ALT1, MPC_LAND_ALT2: descent slows down between these heights, m
-TAKE_OFF_SPEED = 0.2  # upward speed wanted that makes a landed vehicle take off, m/s
+TAKE_OFF_SPEED = 0.2  # upward speed setpoint at which a landed vehicle takes off, m/s
 ARRIVED = 1.0  # m, closer to home than this the return becomes a landing
 
 
@@ -34,9 +34,12 @@ def is_home(position: Floats, home: Floats) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Demand:
-    """What the inner loop shall do.
+    """Setpoint of the inner loop.
 
-    attitude: body to world, w first. yaw_rate: feed-forward, rad/s. thrust: 0..1. climbs: whether going up is wanted.
+    attitude: body to world, w first.
+    yaw_rate: feed-forward, rad/s.
+    thrust: 0..1.
+    climbs: whether the setpoint is above the vehicle.
     """
 
     attitude: list[float]
@@ -46,7 +49,7 @@ class Demand:
 
 
 class PositionControl:
-    """Flies one position mode at a time; entering a mode remembers where that happened."""
+    """Flies one position mode at a time; a mode remembers where it was entered."""
 
     def __init__(self, home: Floats, tuning: Tuning) -> None:
         """home: (3,) world ENU, m: where a return ends, on the ground."""
@@ -59,11 +62,11 @@ class PositionControl:
         self._velocity = np.zeros(3)
 
     def leave(self) -> None:
-        """Another kind of setpoint took over."""
+        """Forget the mode: another kind of setpoint is followed."""
         self._kind = ""
 
     def fly(self, setpoint: ControlSetpoint, now: MotionState, dt: float) -> Demand:
-        """What the inner loop shall do for the next dt seconds in a position mode."""
+        """The inner loop's setpoint for the next dt seconds in a position mode."""
         if setpoint.kind != self._kind:
             self._enter(setpoint, now)
         target, velocity = self._target(setpoint, now)
@@ -79,7 +82,7 @@ class PositionControl:
         self._velocity = now.velocity_world.copy()
 
     def _target(self, setpoint: ControlSetpoint, now: MotionState) -> tuple[Floats, Floats]:
-        """Position to go to, NaN where only speed counts, and speed to go at besides."""
+        """Position setpoint, NaN where only velocity counts, and velocity setpoint besides."""
         if setpoint.kind == "land":
             return self._descend(self._anchor[0:2], now)
         if setpoint.kind == "rtl":
@@ -122,11 +125,11 @@ class PositionControl:
         """Position and velocity control with an acceleration besides; where the velocity is NaN, that alone."""
         pushed = np.isnan(velocity)
         velocity = np.where(pushed, now.velocity_world, velocity)
-        wanted = velocity + np.nan_to_num(POSITION_GAIN * (target - now.position_world))
+        velocity_setpoint = velocity + np.nan_to_num(POSITION_GAIN * (target - now.position_world))
         limit = max(CRUISE_SPEED, math.hypot(velocity[0], velocity[1]))
-        wanted[0:2] *= min(1.0, limit / max(math.hypot(wanted[0], wanted[1]), 1e-6))
-        wanted[2] = min(max(wanted[2], -DESCENT_SPEED), CLIMB_SPEED)
-        error = np.where(pushed, 0.0, wanted - now.velocity_world)
+        velocity_setpoint[0:2] *= min(1.0, limit / max(math.hypot(velocity_setpoint[0], velocity_setpoint[1]), 1e-6))
+        velocity_setpoint[2] = min(max(velocity_setpoint[2], -DESCENT_SPEED), CLIMB_SPEED)
+        error = np.where(pushed, 0.0, velocity_setpoint - now.velocity_world)
         slowing = (now.velocity_world - self._velocity) / dt
         self._velocity = now.velocity_world
         tracking = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
@@ -135,7 +138,10 @@ class PositionControl:
         if not saturated:
             self._integral = np.minimum(np.maximum(self._integral + INTEGRAL_GAIN * error * dt, -5.0), 5.0)
         return Demand(
-            attitude, self._yaw_rate, thrust, climbs=bool(wanted[2] > TAKE_OFF_SPEED or (pushed[2] and push[2] > 0.0))
+            attitude,
+            self._yaw_rate,
+            thrust,
+            climbs=bool(velocity_setpoint[2] > TAKE_OFF_SPEED or (pushed[2] and push[2] > 0.0)),
         )
 
 
@@ -143,14 +149,14 @@ def _attitude_for(acceleration: list[float], yaw: float, hover_thrust: float) ->
     """Attitude and thrust for an acceleration, m/s^2, and whether a limit of tilt or thrust was met."""
     horizontal = math.hypot(acceleration[0], acceleration[1])
     tilt = math.atan2(horizontal, GRAVITY)
-    wanted = hover_thrust * (acceleration[2] / GRAVITY + 1) / math.cos(min(tilt, TILT_MAX))
-    thrust = min(max(wanted, THRUST_MIN), THRUST_MAX)
+    unlimited = hover_thrust * (acceleration[2] / GRAVITY + 1) / math.cos(min(tilt, TILT_MAX))
+    thrust = min(max(unlimited, THRUST_MIN), THRUST_MAX)
     heading = [math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)]
-    return _tilted(heading, acceleration, min(tilt, TILT_MAX)), thrust, tilt > TILT_MAX or thrust != wanted
+    return _tilted(heading, acceleration, min(tilt, TILT_MAX)), thrust, tilt > TILT_MAX or thrust != unlimited
 
 
 def _tilted(heading: list[float], direction: list[float], tilt: float) -> list[float]:
-    """The attitude of a heading (w, 0, 0, z) leant by an angle, rad, towards a horizontal direction of the world."""
+    """The attitude of a heading (w, 0, 0, z) tilted by an angle, rad, towards a horizontal direction of the world."""
     length = max(math.hypot(direction[0], direction[1]), 1e-9)
     sine = math.sin(tilt / 2)
     a, b, c = math.cos(tilt / 2), -sine * direction[1] / length, sine * direction[0] / length

@@ -1,4 +1,4 @@
-"""What the vehicle's sensors and its estimator get wrong."""
+"""Errors of the vehicle's sensors and of its estimator."""
 
 from __future__ import annotations
 
@@ -16,13 +16,18 @@ Vector3 = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class SensorErrors:
-    """Standard deviations of what sensors and estimator add to the truth; all zero for perfect ones.
+    """Standard deviations of the errors of sensors and estimator; all zero for perfect ones.
 
-    gyro, rad/s, and accelerometer, m/s^2: white, a sample of 1 ms. gyro_bias, accelerometer_bias: constant of the
-    flight, drawn at its start. position (m), velocity (m/s), tilt and yaw (rad): of the estimate, wandering with
-    *_time (s); the error in velocity also drags the error in position along, as in any filter.
-    rotor_speed: white, rad/s; rotor_speed_step: resolution of the measured rotor speed, rad/s.
-    delay: age of the estimate when it is read, s. imu_average: s over which an inertial sample is averaged.
+    gyro: white, of a sample of 1 ms, rad/s.
+    accelerometer: white, of a sample of 1 ms, m/s^2.
+    gyro_bias, accelerometer_bias: constant during a flight, drawn at its start.
+    position, velocity, tilt, yaw: of the estimate, m, m/s, rad, rad; the velocity's error is integrated into the
+        position's, as in any filter.
+    position_time, velocity_time, attitude_time: correlation times of those, s.
+    rotor_speed: white, rad/s.
+    rotor_speed_step: resolution of the measured rotor speed, rad/s.
+    delay: age of the estimate when it is read, s.
+    imu_average: time over which an inertial sample is averaged, s.
     """
 
     gyro: float = 0.02
@@ -49,7 +54,7 @@ class SensorErrors:
         )  # fmt: skip
 
     def constants(self, random: np.random.Generator) -> dict[str, NDArray[np.float64]]:
-        """What the compiled step needs of these; the biases of this flight are drawn here."""
+        """The constants of the compiled step; the biases of this flight are drawn here."""
         return {
             "gyro_noise": np.array([self.gyro]),
             "accelerometer_noise": np.array([self.accelerometer]),

@@ -15,8 +15,8 @@ from sitl_mock.vehicle.plant import Plant
 class StepLoop:
     """State, inputs and a ring of the last records of one plant, advanced by compiled code.
 
-    state, command, constants: vectors in the plant's layouts, free to be written between calls. records:
-    (rows, record size); the record of step k stands in row k % rows.
+    state, command, constants: vectors in the plant's layouts, which may be written between calls.
+    records: (rows, record size); the record of step k is in row k % rows.
     """
 
     def __init__(self, plant: Plant, *, rows: int = 1024) -> None:
@@ -43,9 +43,12 @@ class StepLoop:
         self._records_address = self.records.ctypes.data
 
     def run(self, steps: int, first: int, noise: Floats, noise_row: int) -> None:
-        """Advance by a number of steps, the first of which has the given number, with noise from the given row on.
+        """Advance by a number of steps.
 
-        noise: (rows, noise size) of unit normal numbers, C-contiguous.
+
+        first: number of the first step.
+        noise: (rows, noise size) unit normal numbers, C-contiguous.
+        noise_row: row of the first step.
         """
         rows, width = self.records.shape
         address = noise.ctypes.data + noise_row * self._noise_row

@@ -1,7 +1,7 @@
-"""Inner-loop gains for a vehicle: PX4's defaults on PX4's own quadrotor, and as well tuned on any other.
+"""Inner-loop gains for a vehicle: PX4's defaults for PX4's own quadrotor, scaled to any other.
 
-PX4's defaults suit its SIH quadrotor; the owner of another vehicle would tune until the body-rate loop is as fast as
-the motors allow. The rule keeps the loop's shape: gains times authority over inertia, measured in units of the lag
+PX4's defaults suit its SIH quadrotor; another vehicle is tuned until its body-rate loop is as fast as the motors
+allow. The rule keeps the loop's shape: gains times authority over inertia, measured in units of the lag
 of motor and gyro filter, stay what they are on the SIH quadrotor.
 """
 
@@ -24,7 +24,7 @@ TILT_SPEED = 1.046  # proportional rate gain in units of 1 / lag
 TILT_DAMPING = 0.339  # derivative gain: 0.003 x 113
 TILT_INTEGRAL = 0.0785  # integral over proportional gain, per proportional rate gain: 0.2 / 0.15 / 17
 ATTITUDE_SPEED = 0.2357  # attitude gain per proportional rate gain: 4 / 17
-DEFAULT_HOVER = 0.5  # MPC_THR_HOVER, which nobody changes for a hundredth
+DEFAULT_HOVER = 0.5  # MPC_THR_HOVER, kept where the hover thrust differs by less than 0.02
 ATTITUDE_GAIN_MAX = 12.0  # PX4's own limit for MC_ROLL_P, 1/s
 YAW_GAIN = 0.2  # a fifth of the yaw authority for 1 rad/s, PX4's default, where that is not too fast for the motors
 MIN_YAW_FILTER = 0.016  # s: PX4 takes cutoffs up to 10 Hz (MC_YAW_TQ_CUTOFF)
@@ -39,9 +39,9 @@ def motor_time_constant(effects: Sequence[EffectUse]) -> float:
 
 
 def default_tuning(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Tuning:
-    """Parameters that a careful owner would set on this vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
+    """Gains derived from the vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
 
-    hidden: effects that the vehicle file does not know. The owner tunes the real vehicle, slow motors included.
+    hidden: effects that the vehicle file does not name. The gains suit the real vehicle, slow motors included.
     """
     motor = motor_time_constant((*vehicle.effects, *hidden))
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
@@ -70,10 +70,10 @@ def parameter_values(tuning: Tuning) -> dict[str, float]:
     """The tuning under PX4's parameter names and units, for the autopilot's parameter table."""
     values: dict[str, float] = {}
     for i, axis in enumerate(("ROLL", "PITCH", "YAW")):
-        values[f"MC_{axis}_P"] = _noted(tuning.attitude_gain[i])
-        values[f"MC_{axis}RATE_P"] = _noted(tuning.rate_gain_p[i])
-        values[f"MC_{axis}RATE_I"] = _noted(tuning.rate_gain_i[i])
-        values[f"MC_{axis}RATE_D"] = _noted(tuning.rate_gain_d[i])
+        values[f"MC_{axis}_P"] = _rounded(tuning.attitude_gain[i])
+        values[f"MC_{axis}RATE_P"] = _rounded(tuning.rate_gain_p[i])
+        values[f"MC_{axis}RATE_I"] = _rounded(tuning.rate_gain_i[i])
+        values[f"MC_{axis}RATE_D"] = _rounded(tuning.rate_gain_d[i])
         values[f"MC_{axis}RATE_MAX"] = math.degrees(tuning.rate_limit[i])
     values["THR_MDL_FAC"] = tuning.thrust_model_factor
     values["MPC_THR_HOVER"] = DEFAULT_HOVER if abs(tuning.hover_thrust - DEFAULT_HOVER) < 0.02 else tuning.hover_thrust
@@ -83,6 +83,6 @@ def parameter_values(tuning: Tuning) -> dict[str, float]:
     return values
 
 
-def _noted(gain: float) -> float:
-    """A gain as an owner writes it down: three digits, which gives PX4's own quadrotor PX4's round numbers."""
+def _rounded(gain: float) -> float:
+    """A gain with three digits, which gives PX4's own quadrotor PX4's round numbers."""
     return float(f"{gain:.3g}")

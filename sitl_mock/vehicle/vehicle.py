@@ -15,6 +15,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
@@ -29,18 +30,22 @@ from sitl_mock.vehicle.tuning import default_tuning
 from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
 
 NOISE_BLOCK = 512  # steps whose random numbers are drawn at once
-SUPERVISION = 8  # steps between two looks of position control and land detector
+SUPERVISION = 8  # steps between two updates of position control and land detector
 POSITION_KINDS = ("hold", "land", "rtl")
 LEVEL, NOTHING = [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
 
 
 @dataclass(frozen=True)
 class VehicleOptions:
-    """What surrounds the vehicle and how well it measures.
+    """The vehicle's surroundings, sensors and battery.
 
-    ground_height, position (east, north), yaw: where it stands at the start, m and rad. rotor_noise: standard
-    deviation of a rotor's speed over its speed, white. battery: None for one that suits the vehicle.
-    rotor_speed_fault: what the measured speed of single rotors is multiplied by (0: a dead sensor).
+    sensors: their errors.
+    ground_height: m.
+    position: of the start, east and north, m.
+    yaw: of the start, rad from east.
+    rotor_noise: standard deviation of a rotor's speed over its speed, white.
+    battery: None for one that suits the vehicle.
+    rotor_speed_fault: (rotor, factor) of measured speeds; 0 for a dead sensor.
     """
 
     sensors: SensorErrors = dataclasses.field(default_factory=SensorErrors)
@@ -55,7 +60,7 @@ class VehicleOptions:
 class SimulatedVehicle:
     """A vehicle on the ground, disarmed, at simulated time 0.
 
-    effects: what the vehicle file does not know about the vehicle. tuning: None for that of a careful owner.
+    effects: hidden from the vehicle file. tuning: None for gains derived from the vehicle.
     Raises RequestError when there is no C compiler.
     """
 
@@ -105,7 +110,7 @@ class SimulatedVehicle:
         self._due += duration
         end = round(self._due / DT)
         if setpoint is not self._last[0] or armed != self._last[1]:
-            self._take(setpoint, armed)
+            self._follow(setpoint, armed)
         while self._step < end:
             if self._step % SUPERVISION == 0:
                 self._supervise(setpoint, armed)
@@ -115,7 +120,7 @@ class SimulatedVehicle:
             self._loop.run(steps, self._step + 1, self._noise, self._step % NOISE_BLOCK)
             self._step += steps
 
-    # what it knows of itself
+    # measurements and state
 
     @property
     def time(self) -> float:
@@ -134,7 +139,7 @@ class SimulatedVehicle:
 
     @property
     def estimate(self) -> MotionState:
-        """What the estimator says: as old as its delay, with its errors, rates from the filtered gyro."""
+        """The estimator's output: as old as its delay, with its errors, rates from the filtered gyro."""
         oldest = min(self._step, len(self._loop.records) - 1)
         age = min(round(self.options.sensors.delay / DT), oldest)
         stamped, pose = self._motion("estimate", age), self._motion("estimate", min(age + self._pose_age, oldest))
@@ -181,7 +186,7 @@ class SimulatedVehicle:
 
     @property
     def on_ground(self) -> bool:
-        """Whether the land detector believes that the vehicle has landed."""
+        """Whether the land detector has detected a landing."""
         return self.land_detector.landed
 
     @property
@@ -200,7 +205,7 @@ class SimulatedVehicle:
 
     def _motion(self, name: str, age: int) -> MotionState:
         row = self._records[name][self._row(age)].copy()
-        return MotionState((self._step - age) * DT, row[0:3], row[3:6], row[6:10], row[10:13])
+        return MotionState((self._step - age) * DT, row[POSITION], row[VELOCITY], row[ATTITUDE], row[RATE])
 
     def _set_constants(self) -> None:
         vehicle, model = self.vehicle, self.plant.model
@@ -227,7 +232,7 @@ class SimulatedVehicle:
         self._loop.constants[:] = self.plant.constants.fill(constants)
 
     def _centre_of_mass(self) -> Floats:
-        """Where it really lies, body FLU, m."""
+        """The true centre of mass, body FLU, m."""
         moved = [item.values for item in self.plant.model.effects if item.effect.name == "centre_of_mass"]
         centre = np.array(self.vehicle.body.centre_of_mass)
         for values in moved:
@@ -248,13 +253,18 @@ class SimulatedVehicle:
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
         state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}
         self._loop.state[:] = self.plant.state.fill(state)
-        record = {"truth": x[0:13], "estimate": x[0:13], "charge": self._battery.charge, "voltage": voltage}
+        record = {
+            "truth": x[:RIGID_BODY_STATES],
+            "estimate": x[:RIGID_BODY_STATES],
+            "charge": self._battery.charge,
+            "voltage": voltage,
+        }
         self._loop.records[:] = self.plant.record.fill(record | {"ground_force": GRAVITY})
         before = np.arange(-len(self._loop.records), 0) * DT  # it has stood there for a while
         self._records["force_integral"][:, 2] = GRAVITY * before
         self._records["force_integral"][0] = 0.0
 
-    def _take(self, setpoint: ControlSetpoint, armed: bool) -> None:
+    def _follow(self, setpoint: ControlSetpoint, armed: bool) -> None:
         """Hand a new setpoint to the inner loop, unless it is one that position control flies."""
         if armed and not self._last[1]:
             self._position_control.home = self.estimate.position_world
@@ -272,10 +282,10 @@ class SimulatedVehicle:
             free = [float(setpoint.kind == "attitude" or not math.isfinite(value)) for value in rate]
             rate, yaw_rate = [0.0 if off else value for off, value in zip(free, rate, strict=True)], 0.0
         thrust = setpoint.thrust if setpoint.kind != "idle" and math.isfinite(setpoint.thrust) else 0.0
-        wanted = [value / length for value in attitude] if holds else LEVEL
-        self._give([armed, holds, *wanted, *rate, *free, yaw_rate], thrust)
+        direction = [value / length for value in attitude] if holds else LEVEL
+        self._command([armed, holds, *direction, *rate, *free, yaw_rate], thrust)
 
-    def _give(self, command: list[float], thrust: float) -> None:
+    def _command(self, command: list[float], thrust: float) -> None:
         """Write the inner loop's command, in the order of the plant's layout."""
         self._loop.command[:] = [*command, thrust, self.land_detector.maybe_landed]
         self._thrust = thrust
@@ -293,4 +303,4 @@ class SimulatedVehicle:
             stays = detector.landed and not demand.climbs
             stays = stays or (detector.ground_contact and setpoint.kind != "hold")
             thrust = 0.0 if stays else demand.thrust
-            self._give([armed, True, *demand.attitude, *NOTHING, *NOTHING, demand.yaw_rate], thrust)
+            self._command([armed, True, *demand.attitude, *NOTHING, *NOTHING, demand.yaw_rate], thrust)

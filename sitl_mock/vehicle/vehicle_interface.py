@@ -1,7 +1,7 @@
-"""What the wire side commands and reads of the flying vehicle, in ENU world and FLU body axes.
+"""The interface between the wire side and the flying vehicle, in ENU world and FLU body axes.
 
-The autopilot's wire half (commander, streams, links) holds a `Vehicle` and nothing else of the plant; the vehicle
-knows nothing of MAVLink.
+The autopilot's wire half (commander, streams, links) uses a `Vehicle` and nothing else of the plant; the vehicle
+is independent of MAVLink.
 """
 
 from __future__ import annotations
@@ -26,16 +26,19 @@ def _level() -> Floats:
 
 @dataclass(frozen=True, slots=True)
 class ControlSetpoint:
-    """What the vehicle flies until told otherwise.
+    """What the vehicle flies until it receives another setpoint.
 
-    kind: idle (armed, rotors at their least), rates, attitude, or a position mode that the vehicle flies by itself:
-    hold (to position_world where finite, by velocity_world where that is finite instead, otherwise where it was when
-    the kind changed), land, rtl (climb to rtl_height above home, return, land).
-    attitude: (4,) body to world, any sign, unit norm. rate_body: (3,) rad/s; with kind attitude a feed-forward of
-    which only the yaw rate is used. A rate that is NaN leaves that axis without control.
-    thrust: collective, 0..1 of the most, not clamped on the wire. yaw, yaw_rate: rad and rad/s for kind hold, NaN for
-    as it is. acceleration_world: m/s^2, for kind hold: added to what position and velocity ask for, and followed alone
-    where neither is finite.
+    kind: idle (armed, rotors at minimum speed), rates, attitude, or a position mode that the vehicle flies by itself:
+        hold (to position_world where finite, by velocity_world where that is finite instead, otherwise where it was
+        when the kind changed), land, rtl (climb to the return altitude above home, return, land).
+    attitude: (4,) body to world, any sign, unit norm.
+    rate_body: (3,) rad/s; a NaN leaves its axis without control; with kind attitude a feed-forward of which only the
+        yaw rate is used.
+    thrust: collective, 0..1 of the maximum, not clamped on the wire.
+    position_world, velocity_world: (3,) m and m/s, for kind hold; NaN for axes without a setpoint.
+    acceleration_world: (3,) m/s^2, for kind hold: added to the position and velocity control, and followed alone where
+        neither has a setpoint.
+    yaw, yaw_rate: rad and rad/s, for kind hold; NaN for the present heading.
     """
 
     kind: ControlKind
@@ -51,10 +54,13 @@ class ControlSetpoint:
 
 @dataclass(frozen=True, slots=True)
 class MotionState:
-    """Where the vehicle is and how it moves.
+    """Rigid-body state of the vehicle.
 
-    time: s of the vehicle's simulation at which it was so. position_world: (3,) m. velocity_world: (3,) m/s.
-    attitude: (4,) body to world. rate_body: (3,) rad/s.
+    time: simulated, s.
+    position_world: (3,) m.
+    velocity_world: (3,) m/s.
+    attitude: (4,) body to world.
+    rate_body: (3,) rad/s.
     """
 
     time: float
@@ -66,7 +72,12 @@ class MotionState:
 
 @dataclass(frozen=True, slots=True)
 class ImuSample:
-    """One inertial measurement. specific_force_body: (3,) m/s^2. rate_body: (3,) rad/s. time: s."""
+    """One inertial measurement.
+
+    time: simulated, s.
+    specific_force_body: (3,) m/s^2.
+    rate_body: (3,) rad/s.
+    """
 
     time: float
     specific_force_body: Floats
@@ -75,7 +86,12 @@ class ImuSample:
 
 @dataclass(frozen=True, slots=True)
 class BatteryState:
-    """voltage: V. current: A. remaining: 0..1 of the charge."""
+    """State of the battery.
+
+    voltage: at the terminals, V.
+    current: A.
+    remaining: charge, 0..1.
+    """
 
     voltage: float
     current: float
@@ -86,12 +102,20 @@ class BatteryState:
 class Tuning:
     """The autopilot parameters that the inner loops use, under PX4's names and units.
 
-    attitude_gain: MC_ROLL_P, MC_PITCH_P, MC_YAW_P, 1/s. rate_gain_p, _i, _d: MC_{ROLL,PITCH,YAW}RATE_{P,I,D}.
-    rate_limit: MC_{ROLL,PITCH,YAW}RATE_MAX, rad/s. thrust_model_factor: THR_MDL_FAC. hover_thrust: MPC_THR_HOVER.
-    return_altitude: RTL_RETURN_ALT, m. land_speed: MPC_LAND_SPEED, m/s. rate_gain_ff: MC_*RATE_FF.
-    integral_limit: MC_{RR,PR,YR}_INT_LIM. yaw_weight: MC_YAW_WEIGHT. gyro_cutoff: IMU_GYRO_CUTOFF,
-    acceleration_cutoff: IMU_DGYRO_CUTOFF, yaw_torque_cutoff: MC_YAW_TQ_CUTOFF, Hz. The defaults are PX4's;
-    `sitl_mock.vehicle.tuning.default_tuning` gives those of a vehicle file.
+    The defaults are PX4's; `sitl_mock.vehicle.tuning.default_tuning` derives those of a vehicle file.
+
+    attitude_gain: MC_ROLL_P, MC_PITCH_P, MC_YAW_P, 1/s.
+    rate_gain_p, rate_gain_i, rate_gain_d, rate_gain_ff: MC_{ROLL,PITCH,YAW}RATE_{P,I,D,FF}.
+    rate_limit: MC_{ROLL,PITCH,YAW}RATE_MAX, rad/s.
+    thrust_model_factor: THR_MDL_FAC.
+    hover_thrust: MPC_THR_HOVER.
+    return_altitude: RTL_RETURN_ALT, m.
+    land_speed: MPC_LAND_SPEED, m/s.
+    integral_limit: MC_{RR,PR,YR}_INT_LIM.
+    yaw_weight: MC_YAW_WEIGHT.
+    gyro_cutoff: IMU_GYRO_CUTOFF, Hz.
+    acceleration_cutoff: IMU_DGYRO_CUTOFF, Hz.
+    yaw_torque_cutoff: MC_YAW_TQ_CUTOFF, Hz.
     """
 
     attitude_gain: tuple[float, float, float] = (4.0, 4.0, 2.8)
@@ -124,7 +148,7 @@ class Vehicle(Protocol):
 
     @property
     def estimate(self) -> MotionState:
-        """What the estimator says: delayed (see its time) and noisy."""
+        """The estimator's output: delayed (see its time) and noisy."""
 
     @property
     def imu(self) -> ImuSample:
@@ -148,7 +172,7 @@ class Vehicle(Protocol):
 
     @property
     def on_ground(self) -> bool:
-        """Whether the vehicle's land detector believes that it has landed."""
+        """Whether the vehicle's land detector has detected a landing."""
 
     def advance(self, setpoint: ControlSetpoint, armed: bool, duration: float) -> None:
         """Simulate a duration (s) under a setpoint; rotors stand still when not armed."""

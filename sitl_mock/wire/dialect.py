@@ -1,4 +1,4 @@
-"""The MAVLink messages that the mock speaks: pymavlink's `common` dialect and three that its wheels leave out.
+"""The MAVLink messages of the mock: pymavlink's `common` dialect and three that its wheels leave out.
 
 ESC_INFO (290), ESC_STATUS (291) and PROTOCOL_VERSION (300) are marked as work in progress in MAVLink's common.xml, so
 that pymavlink's generated modules lack them although PX4 sends them; rotor speeds travel in nothing else.

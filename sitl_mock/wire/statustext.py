@@ -21,7 +21,7 @@ class TextWriter:
         self._id = self._id % 0xFFFF + 1
         chunks = [raw[start : start + CHUNK] for start in range(0, len(raw), CHUNK)]
         if len(chunks[-1]) == CHUNK:
-            chunks.append(b"")  # a receiver knows the end by a chunk that is not full
+            chunks.append(b"")  # a receiver recognises the end by a chunk that is not full
         return [
             mavlink.MAVLink_statustext_message(severity, chunk, self._id, number) for number, chunk in enumerate(chunks)
         ]

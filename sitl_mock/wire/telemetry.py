@@ -58,7 +58,7 @@ def attitude_quaternion(s: Snapshot) -> Message:
 
 
 def odometry(s: Snapshot) -> Message:
-    """ODOMETRY; the velocity is NED or, with the option, body FRD, as child_frame_id says."""
+    """ODOMETRY; the velocity is NED or, with the option, body FRD, see child_frame_id."""
     velocity = _in_body(s.motion.attitude, s.motion.velocity) if s.status.child_frame == BODY_FRD else s.motion.velocity
     return mavlink.MAVLink_odometry_message(
         s.estimate_us,
@@ -268,9 +268,20 @@ def autopilot_version(s: Snapshot) -> Message:
     """AUTOPILOT_VERSION: PX4 1.17 and what it can do over this link."""
     capabilities = 2 | 4 | 8 | 16 | 64 | 128 | 2048 | 8192  # params bytewise, mission and command int, setpoints
     version = 1 << 24 | 17 << 16 | 0 << 8 | 255
-    nobody = [0] * 8
+    no_revision = [0] * 8
     return mavlink.MAVLink_autopilot_version_message(
-        capabilities, version, version, 0, 0, nobody, nobody, nobody, 0x26AC, 0x10, 0x416C756C61, [0] * 18
+        capabilities,
+        version,
+        version,
+        0,
+        0,
+        no_revision,
+        no_revision,
+        no_revision,
+        0x26AC,
+        0x10,
+        0x416C756C61,
+        [0] * 18,
     )
 
 
@@ -336,7 +347,7 @@ BUILDERS: dict[int, Callable[[Snapshot], Built]] = {
     mavlink.MAVLINK_MSG_ID_AUTOPILOT_VERSION: autopilot_version,
     ProtocolVersion.id: protocol_version,
 }
-# what an estimator that has stopped no longer sends
+# messages that an estimator that has stopped no longer sends
 OF_THE_ESTIMATE = frozenset(
     {
         mavlink.MAVLINK_MSG_ID_ATTITUDE,

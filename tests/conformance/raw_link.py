@@ -1,4 +1,4 @@
-"""A stranger's end of the link for tests: pymavlink over UDP, nothing of ours; everything heard is kept with its time.
+"""An independent end of the link for tests: pymavlink over UDP, nothing of ours; it keeps all messages and their times.
 
 All times are the listener's monotonic clock, s.
 """
@@ -36,9 +36,10 @@ def attitude_target(
 
 
 class RawLink:
-    """A client that listens to a port, answers to whoever speaks there, and keeps what it hears.
+    """A client that listens to a port, answers its sender, and keeps all messages with their times.
 
-    component: whom it speaks as. kind: MAV_TYPE of its heartbeat, None for none.
+    component: its MAVLink component.
+    kind: MAV_TYPE of its heartbeat, None for no heartbeat.
     """
 
     def __init__(self, port: int, *, component: int = 191, kind: int | None = 18):
@@ -47,7 +48,7 @@ class RawLink:
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=component)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
-        self._news = threading.Condition()
+        self._arrival = threading.Condition()
         self._sending = threading.Lock()
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 1 << 20)
@@ -78,10 +79,10 @@ class RawLink:
             except TimeoutError:
                 continue
             now = time.monotonic()
-            found = self._parser.parse_buffer(data) or []
-            with self._news:
-                self.heard.extend((now, message) for message in found)
-                self._news.notify_all()
+            parsed = self._parser.parse_buffer(data) or []
+            with self._arrival:
+                self.heard.extend((now, message) for message in parsed)
+                self._arrival.notify_all()
 
     def _speak(self) -> None:
         beat = 0.0
@@ -93,7 +94,7 @@ class RawLink:
 
     @property
     def vehicle(self) -> Any:
-        """The address that speaks."""
+        """The vehicle's address."""
         return self._vehicle
 
     def fall_silent(self) -> None:
@@ -114,7 +115,7 @@ class RawLink:
 
     def since(self, start: float, kind: str) -> list[tuple[float, Any]]:
         """What was heard of a kind since a time, with when."""
-        with self._news:
+        with self._arrival:
             return [(at, message) for at, message in self.heard if at >= start and message.get_type() == kind]
 
     def wait_for(
@@ -129,7 +130,7 @@ class RawLink:
         start = time.monotonic() if since is None else since
         deadline = time.monotonic() + within
         index = 0
-        with self._news:
+        with self._arrival:
             while True:
                 while index < len(self.heard):
                     at, message = self.heard[index]
@@ -139,7 +140,7 @@ class RawLink:
                 left = deadline - time.monotonic()
                 if left <= 0:
                     raise AssertionError(f"no such {kind} within {within} s")
-                self._news.wait(left)
+                self._arrival.wait(left)
 
     def command(
         self, identifier: int, *parameters: float, target: tuple[int, int] = (1, 1), within: float = 5.0
@@ -155,33 +156,33 @@ class RawLink:
         return int(self.command(identifier, *parameters)[1].result)
 
     def set_rate(self, identifier: int, rate: float) -> None:
-        """Ask for a message at a rate, Hz."""
+        """Request a message at a rate, Hz."""
         assert self.result(SET_INTERVAL, identifier, 1e6 / rate) == 0
 
     def set_mode(self, custom_mode: int) -> int:
-        """Ask for a mode; returns the ACK's result."""
+        """Request a mode; returns the ACK's result."""
         return self.result(SET_MODE, 1, custom_mode >> 16 & 0xFF, custom_mode >> 24)
 
     def arm(self) -> int:
-        """Ask for arming; returns the ACK's result."""
+        """Request arming; returns the ACK's result."""
         return self.result(ARM_DISARM, 1)
 
     def disarm(self, *, force: bool = False) -> int:
-        """Ask for disarming; returns the ACK's result."""
+        """Request disarming; returns the ACK's result."""
         return self.result(ARM_DISARM, 0, 21196 if force else 0)
 
     def newest(self, kind: str) -> Any:
         """The newest message of a kind."""
-        with self._news:
+        with self._arrival:
             return next(message for _, message in reversed(self.heard) if message.get_type() == kind)
 
     def watching_mode(self) -> AbstractContextManager[Stream]:
-        """Ask for HEARTBEAT 100 times a second, for PX4's own comes but once."""
-        ask = mavlink.MAVLink_command_long_message(1, 1, REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0)
-        return self.setpoints(lambda _: ask)
+        """Request HEARTBEAT 100 times a second; PX4's own comes once."""
+        request = mavlink.MAVLink_command_long_message(1, 1, REQUEST_MESSAGE, 0, 0, 0, 0, 0, 0, 0, 0)
+        return self.setpoints(lambda _: request)
 
     def wait_for_mode(self, custom_mode: int, *, since: float | None = None, within: float = 5.0) -> float:
-        """When a HEARTBEAT first said a mode."""
+        """When a HEARTBEAT first showed a mode."""
         return self.wait_for("HEARTBEAT", lambda beat: beat.custom_mode == custom_mode, since=since, within=within)[0]
 
     def state(self) -> Any:
@@ -233,18 +234,18 @@ class Stream:
         return self.last
 
 
-def hover_at(height: float, *, lean: tuple[float, float] = (0.0, 0.0)) -> Callable[[RawLink], Any]:
+def hover_at(height: float, *, target: tuple[float, float] = (0.0, 0.0)) -> Callable[[RawLink], Any]:
     """A setpoint maker that climbs to and keeps a height, m, over the origin, by attitude and thrust (type_mask 7).
 
-    lean: NED x and y that it steers to, m.
+    target: NED x and y of the hover, m.
     """
 
     def make(link: RawLink) -> Any:
         here = link.newest("ODOMETRY")
         climb = 1.0 * (height + here.z) + 1.2 * here.vz
         thrust = min(max(0.5 * (1.0 + climb / 5.0), 0.2), 0.75)
-        pitch = max(min(0.15 * (here.x - lean[0]) + 0.25 * here.vx, 0.25), -0.25)
-        roll = max(min(-0.15 * (here.y - lean[1]) - 0.25 * here.vy, 0.25), -0.25)
+        pitch = max(min(0.15 * (here.x - target[0]) + 0.25 * here.vx, 0.25), -0.25)
+        roll = max(min(-0.15 * (here.y - target[1]) - 0.25 * here.vy, 0.25), -0.25)
         return attitude_target(thrust, attitude=from_euler(roll, pitch, 0.0))
 
     return make

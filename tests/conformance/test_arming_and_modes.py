@@ -1,4 +1,4 @@
-"""When PX4 arms, disarms and changes mode, and what it answers, seen from outside on a vehicle that stays down."""
+"""When PX4 arms, disarms and changes mode, and what it answers, observed from outside on a vehicle that stays down."""
 
 from __future__ import annotations
 

@@ -30,14 +30,14 @@ def frame(source: random.Random) -> bytes:
 
 
 def truncated(source: random.Random) -> bytes:
-    whole = frame(source)
-    return whole[: source.randrange(1, len(whole))]
+    complete = frame(source)
+    return complete[: source.randrange(1, len(complete))]
 
 
 def bad_crc(source: random.Random) -> bytes:
-    whole = bytearray(frame(source))
-    whole[-1] ^= 0xFF
-    return bytes(whole)
+    complete = bytearray(frame(source))
+    complete[-1] ^= 0xFF
+    return bytes(complete)
 
 
 def unknown_id(source: random.Random) -> bytes:

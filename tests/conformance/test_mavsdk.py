@@ -1,4 +1,4 @@
-"""MAVSDK, the client that most people fly PX4 with, against the mock: nothing that it asks for may be missing."""
+"""MAVSDK, the client that most people fly PX4 with, against the mock: every message that it requests is there."""
 
 # ruff: noqa: E402 - what is imported last needs MAVSDK, without which these tests are skipped
 from __future__ import annotations
@@ -64,11 +64,11 @@ async def connected(vehicle: MockProcess) -> AsyncIterator[SimpleNamespace]:
 def run(vehicle: MockProcess, flight: Callable[[SimpleNamespace], Coroutine[Any, Any, None]]) -> None:
     """Run a flight with a client of its own."""
 
-    async def whole() -> None:
+    async def connect_and_fly() -> None:
         async with connected(vehicle) as drone:
             await flight(drone)
 
-    asyncio.run(whole())
+    asyncio.run(connect_and_fly())
 
 
 async def until(
@@ -85,8 +85,8 @@ async def until(
     return await asyncio.wait_for(first(), within)
 
 
-async def mode(drone: SimpleNamespace, wanted: FlightMode) -> None:
-    await until(drone.telemetry.subscribe_flight_mode(), lambda now: now == wanted)
+async def mode(drone: SimpleNamespace, expected: FlightMode) -> None:
+    await until(drone.telemetry.subscribe_flight_mode(), lambda now: now == expected)
 
 
 async def steer(drone: SimpleNamespace, set_it: Callable[[], Awaitable[None]], seconds: float) -> Any:
@@ -137,21 +137,21 @@ def test_parameters_are_read_and_written(vehicle: MockProcess) -> None:
 
 
 def test_rates_are_what_was_set(vehicle: MockProcess) -> None:
-    async def count(drone: SimpleNamespace) -> None:
+    async def measure(drone: SimpleNamespace) -> None:
         await drone.telemetry.set_rate_odometry(100.0)
-        start, seen = 0, 0
+        start, count = 0, 0
         async for update in drone.telemetry.subscribe_odometry():
             start = start or update.time_usec
-            seen += 1
+            count += 1
             if update.time_usec - start > 1_500_000:
-                assert (seen - 1) / ((update.time_usec - start) * 1e-6) == pytest.approx(100.0, rel=0.05)
+                assert (count - 1) / ((update.time_usec - start) * 1e-6) == pytest.approx(100.0, rel=0.05)
                 return
 
-    run(vehicle, count)
+    run(vehicle, measure)
 
 
 @pytest.mark.slow
-def test_a_whole_flight(vehicle: MockProcess) -> None:
+def test_a_flight_from_arming_to_landing(vehicle: MockProcess) -> None:
     async def fly(drone: SimpleNamespace) -> None:
         action, offboard = drone.action, drone.offboard
         await until(drone.telemetry.subscribe_health_all_ok(), lambda well: well)

@@ -1,4 +1,4 @@
-"""What happens in the air when the stream of setpoints stops, and when it comes back, seen from outside."""
+"""What happens in the air when the stream of setpoints stops, and when it comes back, observed from outside."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MARGIN = 0.08  # s that a busy machine may add to what PX4 takes
 
 @pytest.fixture(scope="module")
 def stream(link: RawLink) -> Iterator[Stream]:
-    """The stream of setpoints of a vehicle that has taken off in OFFBOARD, its mode asked for 100 times a second."""
+    """The stream of setpoints of a vehicle that has taken off in OFFBOARD, its mode requested 100 times a second."""
     link.set_rate(331, 100.0)
     with link.setpoints(hover_at(HEIGHT)) as stream, link.watching_mode():
         link.set_mode(OFFBOARD)

@@ -1,4 +1,4 @@
-"""PX4's parameter protocol and its texts, seen from outside."""
+"""PX4's parameter protocol and its texts, observed from outside."""
 
 from __future__ import annotations
 

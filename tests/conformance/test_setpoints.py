@@ -1,4 +1,4 @@
-"""What a SET_ATTITUDE_TARGET does in the air by its type mask, seen from outside on PX4's SIH quadrotor."""
+"""What a SET_ATTITUDE_TARGET does in the air by its type mask, observed from outside on PX4's SIH quadrotor."""
 
 from __future__ import annotations
 
@@ -60,9 +60,11 @@ def mean(values: list[float]) -> float:
 
 @pytest.mark.slow
 def test_mask_7_follows_the_attitude_and_ignores_the_rates(link: RawLink, flying: Stream) -> None:
-    leant = from_euler(0.1, 0.0, 0.0)
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=leant, rates=(1.0, 1.0, 1.0)), 0.8)
-    assert [seen[-1].q[1], seen[-1].q[2], seen[-1].q[3]] == pytest.approx([leant[1], 0.0, 0.0], abs=0.02)
+    tilted_attitude = from_euler(0.1, 0.0, 0.0)
+    course = fly(flying, link, lambda _: attitude_target(HOVER, attitude=tilted_attitude, rates=(1.0, 1.0, 1.0)), 0.8)
+    assert [course[-1].q[1], course[-1].q[2], course[-1].q[3]] == pytest.approx(
+        [tilted_attitude[1], 0.0, 0.0], abs=0.02
+    )
 
 
 def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream) -> None:
@@ -74,39 +76,41 @@ def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream) -> No
     tilted = attitude_target(HOVER, attitude=from_euler(0.15, 0.0, 0.0))
     fly(flying, link, lambda _: tilted, 0.9)
     began = min(sent for sent in flying.sent if sent > step)
-    seen = link.since(before, "ATTITUDE")
-    start = mean([message.roll for at, message in seen if step - 0.1 < at < step])
-    course = [(message.time_boot_ms * 1e-3 + offset - began, message.roll - start) for at, message in seen if at > step]
-    whole = 0.15 - start
-    reached = [next(at for at, roll in course if roll > share * whole) for share in (0.1, 0.63, 0.9)]
+    attitudes = link.since(before, "ATTITUDE")
+    start = mean([message.roll for at, message in attitudes if step - 0.1 < at < step])
+    course = [
+        (message.time_boot_ms * 1e-3 + offset - began, message.roll - start) for at, message in attitudes if at > step
+    ]
+    size = 0.15 - start
+    reached = [next(at for at, roll in course if roll > share * size) for share in (0.1, 0.63, 0.9)]
     assert 0.070 < reached[0] < 0.150  # measured 84 to 132 ms; bounds wider by what a busy machine may add
     assert 0.240 < reached[1] < 0.310  # 264 to 284
     assert 0.370 < reached[2] < 0.475  # 396 to 448
-    assert max(roll for _, roll in course) < 1.06 * whole
+    assert max(roll for _, roll in course) < 1.06 * size
 
 
 @pytest.mark.slow
 def test_mask_3_adds_the_yaw_rate(link: RawLink, flying: Stream) -> None:
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, mask=3, rates=(0.0, 0.0, 0.4)), 1.5)
+    course = fly(flying, link, lambda _: attitude_target(HOVER, mask=3, rates=(0.0, 0.0, 0.4)), 1.5)
     # where attitude control and feed-forward balance: 0.4 rad/s over MC_YAW_P of 2.8
-    assert 2 * seen[-1].q[3] == pytest.approx(0.4 / 2.8, rel=0.3)
+    assert 2 * course[-1].q[3] == pytest.approx(0.4 / 2.8, rel=0.3)
 
 
 @pytest.mark.slow
 def test_mask_128_follows_the_rates_and_ignores_the_attitude(link: RawLink, flying: Stream) -> None:
     rates = (0.4, 0.0, 0.3)
     upside = (0.0, 1.0, 0.0, 0.0)
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, mask=128, attitude=upside, rates=rates), 0.6)[-10:]
-    assert mean([here.rollspeed for here in seen]) == pytest.approx(0.4, abs=0.08)
-    assert mean([here.pitchspeed for here in seen]) == pytest.approx(0.0, abs=0.08)
-    assert mean([here.yawspeed for here in seen]) == pytest.approx(0.3, abs=0.12)
+    course = fly(flying, link, lambda _: attitude_target(HOVER, mask=128, attitude=upside, rates=rates), 0.6)[-10:]
+    assert mean([here.rollspeed for here in course]) == pytest.approx(0.4, abs=0.08)
+    assert mean([here.pitchspeed for here in course]) == pytest.approx(0.0, abs=0.08)
+    assert mean([here.yawspeed for here in course]) == pytest.approx(0.3, abs=0.12)
 
 
 def test_mask_7_and_64_is_zero_thrust(link: RawLink, flying: Stream) -> None:
     began = link.newest("ODOMETRY")
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, mask=7 + 64), 0.6)
+    course = fly(flying, link, lambda _: attitude_target(HOVER, mask=7 + 64), 0.6)
     flying.make = hover_at(HEIGHT)
-    after = next(here for here in seen if here.time_usec >= began.time_usec + 500_000)
+    after = next(here for here in course if here.time_usec >= began.time_usec + 500_000)
     assert after.vz - began.vz == pytest.approx(3.4, abs=0.4)
     assert link.state().custom_mode == OFFBOARD
 
@@ -123,23 +127,25 @@ def test_a_mask_without_anything_usable_is_no_sign_of_life(link: RawLink, flying
 
 
 def test_an_ignored_yaw_rate_leaves_the_other_rates(link: RawLink, flying: Stream) -> None:
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, mask=128 + 4, rates=(0.4, 0.0, 2.0)), 0.6)[-10:]
-    assert mean([here.rollspeed for here in seen]) == pytest.approx(0.4, abs=0.08)
-    assert abs(mean([here.yawspeed for here in seen])) < 0.3
+    course = fly(flying, link, lambda _: attitude_target(HOVER, mask=128 + 4, rates=(0.4, 0.0, 2.0)), 0.6)[-10:]
+    assert mean([here.rollspeed for here in course]) == pytest.approx(0.4, abs=0.08)
+    assert abs(mean([here.yawspeed for here in course])) < 0.3
 
 
 @pytest.mark.slow
 def test_the_quaternions_sign_and_length_do_not_matter(link: RawLink, flying: Stream) -> None:
-    leant = from_euler(0.1, 0.0, 0.0)
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=tuple(-3 * part for part in leant)), 0.8)
-    assert seen[-1].q[1] == pytest.approx(leant[1], abs=0.02)
+    tilted_attitude = from_euler(0.1, 0.0, 0.0)
+    course = fly(
+        flying, link, lambda _: attitude_target(HOVER, attitude=tuple(-3 * part for part in tilted_attitude)), 0.8
+    )
+    assert course[-1].q[1] == pytest.approx(tilted_attitude[1], abs=0.02)
 
 
 @pytest.mark.slow
 def test_nan_counts_as_alive_but_removes_attitude_control(link: RawLink, flying: Stream) -> None:
     fly(flying, link, lambda _: attitude_target(HOVER, attitude=from_euler(0.15, 0.0, 0.0)), 0.15)
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=(NAN,) * 4), 0.5)
-    assert abs(seen[-1].q[1] - seen[15].q[1]) > 0.01  # it goes on turning
+    course = fly(flying, link, lambda _: attitude_target(HOVER, attitude=(NAN,) * 4), 0.5)
+    assert abs(course[-1].q[1] - course[15].q[1]) > 0.01  # it goes on turning
     assert link.state().custom_mode == OFFBOARD
     flying.make = hover_at(HEIGHT)
 
@@ -153,13 +159,13 @@ def test_thrust_is_not_clamped_at_the_input(link: RawLink, flying: Stream) -> No
 @pytest.mark.slow
 @pytest.mark.parametrize(("target", "taken"), [((0, 0), True), ((1, 0), True), ((2, 1), False), ((1, 7), False)])
 def test_setpoints_for_others_are_ignored(link: RawLink, flying: Stream, target: tuple[int, int], taken: bool) -> None:
-    leant = from_euler(0.12, 0.0, 0.0)
-    seen = fly(flying, link, lambda _: attitude_target(HOVER, attitude=leant, target=target), 0.7)
-    assert (seen[-1].q[1] > 0.04) == taken
+    tilted_attitude = from_euler(0.12, 0.0, 0.0)
+    course = fly(flying, link, lambda _: attitude_target(HOVER, attitude=tilted_attitude, target=target), 0.7)
+    assert (course[-1].q[1] > 0.04) == taken
 
 
 @pytest.mark.slow
-def test_quaternions_are_continuous_through_a_whole_turn(link: RawLink, flying: Stream) -> None:
+def test_quaternions_are_continuous_through_a_full_turn(link: RawLink, flying: Stream) -> None:
     start = time.monotonic()
     fly(flying, link, lambda _: attitude_target(HOVER, mask=128, rates=(0.0, 0.0, 2.5)), 3.0)
     for kind, read in (("ODOMETRY", lambda m: m.q), ("ATTITUDE_QUATERNION", lambda m: [m.q1, m.q2, m.q3, m.q4])):

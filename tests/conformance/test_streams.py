@@ -1,4 +1,4 @@
-"""What PX4 streams unasked and asked, how evenly, and what the messages say, measured from outside."""
+"""The streams that PX4 sends by default and on request, their regularity and their content, measured from outside."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ def spacing(link: RawLink, kind: str, seconds: float) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("asked", "got"), [(100.0, 100.0), (200.0, 124.0), (125.0, 124.0), (20.0, 20.0)])
-def test_rates_are_quantised_to_steps_of_4_ms(link: RawLink, asked: float, got: float) -> None:
-    link.set_rate(ATTITUDE_QUATERNION, asked)
+@pytest.mark.parametrize(("requested", "achieved"), [(100.0, 100.0), (200.0, 124.0), (125.0, 124.0), (20.0, 20.0)])
+def test_rates_are_quantised_to_steps_of_4_ms(link: RawLink, requested: float, achieved: float) -> None:
+    link.set_rate(ATTITUDE_QUATERNION, requested)
     gaps = spacing(link, "ATTITUDE_QUATERNION", 1.0)
-    assert 1.0 / statistics.mean(gaps) == pytest.approx(got, rel=0.04)
+    assert 1.0 / statistics.mean(gaps) == pytest.approx(achieved, rel=0.04)
     assert all(gap * 1e3 / 4 == pytest.approx(round(gap * 1e3 / 4), abs=0.3) for gap in gaps)
 
 
@@ -88,7 +88,7 @@ def test_a_stream_of_10_ms_has_px4s_jitter(link: RawLink) -> None:
     assert gaps[len(gaps) * 9 // 10] < 20.0
 
 
-def test_message_interval_reports_what_was_asked_not_what_is_achieved(link: RawLink) -> None:
+def test_message_interval_reports_the_request_not_what_is_achieved(link: RawLink) -> None:
     link.set_rate(ATTITUDE_QUATERNION, 200.0)
     start = time.monotonic()
     assert link.result(510, ATTITUDE_QUATERNION) == 0
@@ -110,7 +110,7 @@ def test_the_interval_of_a_heartbeat_or_of_an_unknown_message_cannot_be_set(link
     assert link.result(SET_INTERVAL, identifier, 10_000) == mavlink.MAV_RESULT_FAILED
 
 
-def test_acks_come_within_16_ms_to_whoever_asked(link: RawLink) -> None:
+def test_acks_come_within_16_ms_to_their_requester(link: RawLink) -> None:
     delays = []
     for _ in range(30):
         delay, ack = link.command(510, ODOMETRY)
@@ -160,10 +160,10 @@ def test_timesync_is_answered_with_the_vehicles_nanoseconds(link: RawLink) -> No
     assert reply.tc1 * 1e-9 == pytest.approx(boot, abs=0.1)
 
 
-def test_the_vehicle_asks_for_the_time_itself(link: RawLink) -> None:
-    asked = [message for _, message in link.messages("TIMESYNC", 0.5) if message.tc1 == 0]
-    assert 3 <= len(asked) <= 7
-    assert asked[-1].ts1 * 1e-9 == pytest.approx(link.newest("ATTITUDE").time_boot_ms * 1e-3, abs=0.3)
+def test_the_vehicle_requests_the_time_itself(link: RawLink) -> None:
+    requests = [message for _, message in link.messages("TIMESYNC", 0.5) if message.tc1 == 0]
+    assert 3 <= len(requests) <= 7
+    assert requests[-1].ts1 * 1e-9 == pytest.approx(link.newest("ATTITUDE").time_boot_ms * 1e-3, abs=0.3)
 
 
 @pytest.mark.parametrize("identifier", [148, 242, 245, 264, 300, 331])

@@ -125,7 +125,7 @@ def test_a_flood_does_not_stop_the_streams(mock: MockProcess) -> None:
         assert len([m for m in client.messages(1.0) if m.get_type() == "ATTITUDE"]) > 30
 
 
-def test_a_port_in_use_is_said_with_what_to_do() -> None:
+def test_a_port_in_use_is_named_with_what_to_do() -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("0.0.0.0", 0))
         port = taken.getsockname()[1]
@@ -147,7 +147,7 @@ def test_a_port_in_use_is_said_with_what_to_do() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--link", "carrier-pigeon:1"], "udpout"),
         (["--link", "udpout:127.0.0.1:99999"], "99999"),
@@ -161,14 +161,14 @@ def test_a_port_in_use_is_said_with_what_to_do() -> None:
     ],
 )
 def test_a_wrong_request_ends_with_2_and_no_traceback(
-    arguments: list[str], says: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     usual = ["--link", f"udpout:127.0.0.1:{free_port()}"] if "--link" not in arguments else []
     monkeypatch.setattr(sys, "argv", ["alula", "mock", "--vehicle", VEHICLE, *usual, *arguments])
     with pytest.raises(SystemExit) as ended:
         main()
     assert ended.value.code == 2
-    assert says in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -60,7 +60,7 @@ def test_an_empty_scenario_is_the_mock_without_one() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("effect = 1", "did you mean 'effects'"),
         ("[sensors]\ndelai = 0.01", "did you mean 'delay'"),
@@ -78,8 +78,8 @@ def test_an_empty_scenario_is_the_mock_without_one() -> None:
         ("yaw = 'north'", "yaw"),
     ],
 )
-def test_what_cannot_be_is_refused_by_name(text: str, says: str) -> None:
-    with pytest.raises(RequestError, match=says):
+def test_what_is_not_possible_is_refused_by_name(text: str, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
         parse_scenario(text, 4)
 
 

@@ -13,11 +13,14 @@ from tests.support.kinematic_vehicle import KinematicVehicle
 
 ARM, SET_MODE, SET_INTERVAL, GET_INTERVAL, REQUEST = 400, 176, 511, 510, 512
 HOLD, RTL, LAND, OFFBOARD = 4 << 16 | 3 << 24, 4 << 16 | 5 << 24, 4 << 16 | 6 << 24, 6 << 16
-FINE = 0.0005  # s, resolution of the times at which messages are seen
+FINE = 0.0005  # s, resolution of the times at which messages are heard
 
 
 class Bench:
-    """Sends messages to the mock and keeps every message that it answers with, and when."""
+    """Sends messages to the mock and keeps every message that it sends, with its time.
+
+    heard: (time, message) in order.
+    """
 
     def __init__(
         self,
@@ -30,7 +33,7 @@ class Bench:
         self.vehicle: Any = KinematicVehicle() if mock is None else mock.vehicle
         self.mock = mock or Autopilot(self.vehicle, Parameters(parameters), Behaviour(**behaviour))
         self.link = self.mock.add_link("test", role)
-        self.seen: list[tuple[float, Any]] = []
+        self.heard: list[tuple[float, Any]] = []
         self._packer = mavlink.MAVLink(None, srcSystem=1, srcComponent=191)
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
@@ -45,27 +48,27 @@ class Bench:
 
     def run(self, seconds: float) -> list[Any]:
         """Let time pass; returns what was sent meanwhile."""
-        first = len(self.seen)
+        first = len(self.heard)
         for _ in range(round(seconds / STEP)):
             start = self.mock.time
             self.mock.step()
             for part in range(round(STEP / FINE)):
                 self.hear(start + (part + 1) * FINE)
-        return [message for _, message in self.seen[first:]]
+        return [message for _, message in self.heard[first:]]
 
     def hear(self, until: float | None = None) -> None:
         """Take what the mock has sent until a time, now by default."""
         time = self.time if until is None else until
         for frame in self.link.take(time):
-            self.seen.extend((time, message) for message in self._parser.parse_buffer(frame) or [])
+            self.heard.extend((time, message) for message in self._parser.parse_buffer(frame) or [])
 
     def of(self, kind: str) -> list[Any]:
         """All messages of a kind so far."""
-        return [message for _, message in self.seen if message.get_type() == kind]
+        return [message for _, message in self.heard if message.get_type() == kind]
 
     def times(self, kind: str) -> list[float]:
         """When those arrived, s."""
-        return [time for time, message in self.seen if message.get_type() == kind]
+        return [time for time, message in self.heard if message.get_type() == kind]
 
     def command(self, number: int, *parameters: float, component: int = 1, system: int = 1) -> None:
         """Send a COMMAND_LONG."""

@@ -11,7 +11,7 @@ GRAVITY = np.array([0.0, 0.0, -9.81])
 
 
 class KinematicVehicle:
-    """Hovers at half thrust, turns as told, comes to rest on the ground."""
+    """Hovers at half thrust, follows rates and attitudes at once, comes to rest on the ground."""
 
     def __init__(self) -> None:
         self.time = 0.0

@@ -19,7 +19,7 @@ def bench_with(kind: str, **fields: object) -> Bench:
     return Bench(faults=(Fault(kind=kind, at=1.0, **fields),))
 
 
-def seen(bench: Bench, seconds: float, kind: str = "ODOMETRY") -> list[object]:
+def messages_of(bench: Bench, seconds: float, kind: str = "ODOMETRY") -> list[object]:
     before = len(bench.of(kind))
     bench.run(seconds)
     return bench.of(kind)[before:]
@@ -27,7 +27,7 @@ def seen(bench: Bench, seconds: float, kind: str = "ODOMETRY") -> list[object]:
 
 def test_an_estimator_reset_jumps_and_counts() -> None:
     bench = bench_with("estimator_reset", shift=(2.0, 0.0, 0.0), yaw=0.5)
-    before, after = seen(bench, 0.9)[-1], seen(bench, 0.3)[-1]
+    before, after = messages_of(bench, 0.9)[-1], messages_of(bench, 0.3)[-1]
     assert after.y - before.y == pytest.approx(2.0)
     assert after.reset_counter == before.reset_counter + 1
 
@@ -35,7 +35,7 @@ def test_an_estimator_reset_jumps_and_counts() -> None:
 def test_an_estimate_turns_to_nan_and_comes_back() -> None:
     bench = bench_with("estimate_nan", duration=1.0)
     bench.run(1.1)
-    during, after = seen(bench, 0.5), seen(bench, 1.0)
+    during, after = messages_of(bench, 0.5), messages_of(bench, 1.0)
     assert all(math.isnan(message.x) and math.isnan(message.q[0]) for message in during)
     assert during
     assert math.isfinite(after[-1].x)
@@ -45,7 +45,7 @@ def test_every_stream_survives_an_estimate_of_nan() -> None:
     bench = bench_with("estimate_nan")
     bench.run(3.0)
     assert bench.of("HEARTBEAT")[-1].custom_mode
-    assert seen(bench, 0.5, "SYS_STATUS")[-1].onboard_control_sensors_health & 1 == 0
+    assert messages_of(bench, 0.5, "SYS_STATUS")[-1].onboard_control_sensors_health & 1 == 0
 
 
 def test_a_frozen_estimate_stands_while_its_time_goes_on() -> None:
@@ -53,24 +53,24 @@ def test_a_frozen_estimate_stands_while_its_time_goes_on() -> None:
     bench.vehicle.velocity = np.array([1.0, 0.0, 0.0])
     bench.vehicle.position = np.array([0.0, 0.0, 50.0])
     bench.run(1.1)
-    during = seen(bench, 0.5)
+    during = messages_of(bench, 0.5)
     assert len({message.y for message in during}) == 1
     assert during[-1].time_usec > during[0].time_usec
     bench.run(0.5)
-    assert len({message.y for message in seen(bench, 0.5)}) > 5
+    assert len({message.y for message in messages_of(bench, 0.5)}) > 5
 
 
 def test_a_stopped_estimator_sends_no_estimate_but_the_rest() -> None:
     bench = bench_with("estimate_stop", duration=1.0)
     bench.run(1.1)
-    assert not seen(bench, 0.8)
-    assert seen(bench, 1.0)
+    assert not messages_of(bench, 0.8)
+    assert messages_of(bench, 1.0)
     assert len(bench.of("HIGHRES_IMU")) > 100
 
 
 def test_the_clock_jumps_backwards() -> None:
     bench = bench_with("clock_jump", seconds=-2.0)
-    before, after = seen(bench, 0.9, "SYSTEM_TIME"), seen(bench, 1.5)
+    before, after = messages_of(bench, 0.9, "SYSTEM_TIME"), messages_of(bench, 1.5)
     assert before
     stamps = np.array([message.time_usec for message in bench.of("ODOMETRY")]) * 1e-6
     assert after
@@ -80,31 +80,31 @@ def test_the_clock_jumps_backwards() -> None:
 def test_a_link_that_is_down_passes_nothing_either_way() -> None:
     bench = bench_with("link_down", duration=1.0)
     bench.run(1.1)
-    before = len(bench.seen)
+    before = len(bench.heard)
     bench.command(ARM, 1)
     bench.run(0.8)
-    assert len(bench.seen) == before
+    assert len(bench.heard) == before
     assert not bench.mock.commander.armed
     bench.run(0.5)
-    assert len(bench.seen) > before
+    assert len(bench.heard) > before
 
 
 def test_packets_are_lost_with_the_given_probability() -> None:
     bench = bench_with("packet_loss", probability=0.3)
     bench.run(1.0)
-    before = len(bench.seen)
-    assert len(seen(bench, 10.0, "ATTITUDE")) == pytest.approx(700, abs=60)
-    numbers = np.array([int(message.get_msgbuf()[4]) for _, message in bench.seen[before:]])
+    before = len(bench.heard)
+    assert len(messages_of(bench, 10.0, "ATTITUDE")) == pytest.approx(700, abs=60)
+    numbers = np.array([int(message.get_msgbuf()[4]) for _, message in bench.heard[before:]])
     assert (np.diff(numbers) % 256 > 1).mean() == pytest.approx(0.3, abs=0.05)  # the gaps by which a client knows
 
 
 def test_packets_are_duplicated() -> None:
     bench = bench_with("packet_duplication", probability=0.5)
     bench.run(1.0)
-    messages = seen(bench, 5.0, "ATTITUDE")
+    messages = messages_of(bench, 5.0, "ATTITUDE")
     assert len(messages) == pytest.approx(750, abs=60)
     numbers = [message.get_seq() for message in messages]
-    same = sum(a == b for a, b in itertools.pairwise(message.get_msgbuf()[4] for _, message in bench.seen[-1000:]))
+    same = sum(a == b for a, b in itertools.pairwise(message.get_msgbuf()[4] for _, message in bench.heard[-1000:]))
     assert same > 200
     assert len(set(numbers)) > 100
 
@@ -112,7 +112,7 @@ def test_packets_are_duplicated() -> None:
 def test_packets_are_reordered() -> None:
     bench = bench_with("packet_reorder", probability=0.3)
     bench.run(1.0)
-    stamps = np.array([message.time_boot_ms for message in seen(bench, 5.0, "ATTITUDE")])
+    stamps = np.array([message.time_boot_ms for message in messages_of(bench, 5.0, "ATTITUDE")])
     assert len(stamps) == pytest.approx(500, abs=5)
     assert (np.diff(stamps) < 0).sum() > 20
 
@@ -120,9 +120,9 @@ def test_packets_are_reordered() -> None:
 def test_a_flood_adds_messages_at_its_rate_and_ends() -> None:
     bench = bench_with("message_flood", rate=2000.0, duration=1.0)
     bench.run(1.0)
-    assert len(seen(bench, 1.0, "DEBUG")) == pytest.approx(2000, abs=50)
+    assert len(messages_of(bench, 1.0, "DEBUG")) == pytest.approx(2000, abs=50)
     bench.run(0.1)
-    assert not seen(bench, 0.5, "DEBUG")
+    assert not messages_of(bench, 0.5, "DEBUG")
 
 
 def test_arming_and_offboard_can_be_refused() -> None:

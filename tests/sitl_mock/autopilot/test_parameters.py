@@ -66,11 +66,11 @@ def test_the_list_holds_every_parameter_once() -> None:
 
 def test_a_change_is_announced_twice() -> None:
     bench = Bench()
-    asked = bench.time
+    sent = bench.time
     write(bench, "COM_OF_LOSS_T", 0.5, REAL32)
     bench.run(0.1)
     first, second = bench.times("PARAM_VALUE")
-    assert first - asked <= 0.005
+    assert first - sent <= 0.005
     assert 0.014 <= second - first <= 0.023
     assert [value.param_value for value in bench.of("PARAM_VALUE")] == [0.5, 0.5]
 
@@ -169,7 +169,7 @@ def test_the_hash_changes_with_a_value() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "value", "says"),
+    ("name", "value", "message"),
     [
         ("COM_OF_LOS_T", 1.0, "did you mean COM_OF_LOSS_T"),
         ("COM_OBL_RC_ACT", 9, "0 to 7"),
@@ -177,6 +177,6 @@ def test_the_hash_changes_with_a_value() -> None:
         ("THR_MDL_FAC", math.nan, "0 to 1"),
     ],
 )
-def test_a_parameter_that_cannot_be_is_refused_with_what_is_wanted(name: str, value: float, says: str) -> None:
-    with pytest.raises(RequestError, match=says):
+def test_an_impossible_parameter_is_refused_with_what_is_possible(name: str, value: float, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
         Parameters({name: value})

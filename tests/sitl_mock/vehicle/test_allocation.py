@@ -25,7 +25,7 @@ def motors(vehicle: Vehicle, *demand: float) -> np.ndarray:
     return np.array(ca.evalf(allocate(ca.SX(ca.DM(mixer(vehicle))), ca.SX(ca.DM(demand))))).ravel()
 
 
-def given(vehicle: Vehicle, thrusts: np.ndarray) -> np.ndarray:
+def allocated(vehicle: Vehicle, thrusts: np.ndarray) -> np.ndarray:
     """The normalised torques and thrust that motor thrusts amount to."""
     return np.linalg.pinv(mixer(vehicle)) @ thrusts
 
@@ -51,21 +51,21 @@ def test_the_mixer_takes_arms_from_the_centre_of_mass(sih: Vehicle) -> None:
 
 @pytest.mark.parametrize("demand", [(0.1, -0.05, 0.02, 0.5), (0, 0, 0, 0.3), (-0.2, 0.1, 0.0, 0.6)])
 def test_what_fits_is_given_exactly(sih: Vehicle, demand: tuple[float, ...]) -> None:
-    np.testing.assert_allclose(given(sih, motors(sih, *demand)), demand, atol=1e-9)
+    np.testing.assert_allclose(allocated(sih, motors(sih, *demand)), demand, atol=1e-9)
 
 
 def test_roll_is_kept_at_the_expense_of_thrust(sih: Vehicle) -> None:
-    found = given(sih, motors(sih, 0.4, 0.0, 0.0, 0.95))
-    assert found[0] == pytest.approx(0.4, abs=1e-9)
-    assert found[3] < 0.95
+    reached = allocated(sih, motors(sih, 0.4, 0.0, 0.0, 0.95))
+    assert reached[0] == pytest.approx(0.4, abs=1e-9)
+    assert reached[3] < 0.95
 
 
 def test_roll_and_pitch_are_kept_at_the_expense_of_yaw(sih: Vehicle) -> None:
     thrusts = motors(sih, 0.3, 0.0, 0.9, 0.5)
-    found = given(sih, thrusts)
-    assert found[0] == pytest.approx(0.3, abs=1e-6)
-    assert found[1] == pytest.approx(0.0, abs=1e-6)
-    assert 0 < found[2] < 0.5
+    reached = allocated(sih, thrusts)
+    assert reached[0] == pytest.approx(0.3, abs=1e-6)
+    assert reached[1] == pytest.approx(0.0, abs=1e-6)
+    assert 0 < reached[2] < 0.5
     assert thrusts.min() >= 0
     assert thrusts.max() <= 1
 
@@ -75,7 +75,7 @@ def test_airmode_is_off_thrust_never_grows(sih: Vehicle) -> None:
     for _ in range(50):
         demand = random.uniform([-1, -1, -1, 0], [1, 1, 1, 1])
         thrusts = motors(sih, *demand)
-        assert given(sih, thrusts)[3] <= demand[3] + 1e-9
+        assert allocated(sih, thrusts)[3] <= demand[3] + 1e-9
         assert thrusts.min() >= 0
         assert thrusts.max() <= 1
 
@@ -88,7 +88,7 @@ def test_a_hexacopter_is_allocated(sih: Vehicle) -> None:
     angles = np.radians(np.arange(30, 390, 60))
     ring = tuple((0.3 * float(np.cos(a)), 0.3 * float(np.sin(a)), 0.0) for a in angles)
     hexa = Vehicle("hexa", Body(2.0, (0.04, 0.04, 0.07)), Rotors(ring, (1, -1, 1, -1, 1, -1), 1e-5, 2e-7, 800.0))
-    np.testing.assert_allclose(given(hexa, motors(hexa, 0.1, 0.1, 0.02, 0.5)), [0.1, 0.1, 0.02, 0.5], atol=1e-9)
+    np.testing.assert_allclose(allocated(hexa, motors(hexa, 0.1, 0.1, 0.02, 0.5)), [0.1, 0.1, 0.02, 0.5], atol=1e-9)
 
 
 @pytest.mark.parametrize("factor", [0.0, 0.3, 1.0])

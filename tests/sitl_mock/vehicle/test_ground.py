@@ -10,8 +10,8 @@ from sitl_mock.vehicle import ground
 def push(vehicle: Vehicle, *, height: float, velocity: tuple[float, float, float] = (0, 0, 0), roll: float = 0.0):
     x = np.concatenate([[0, 0, height], velocity, quaternion.from_euler(roll, 0, 0), np.zeros(3)])
     ratio = vehicle.body.mass / np.array(vehicle.body.inertia)
-    found = ground.contact_acceleration(ca.DM(x), ca.DM(ground.contact_points(vehicle)), ca.DM(ratio), 0.0)
-    return [np.array(ca.evalf(part)).ravel() for part in found]
+    acceleration = ground.contact_acceleration(ca.DM(x), ca.DM(ground.contact_points(vehicle)), ca.DM(ratio), 0.0)
+    return [np.array(ca.evalf(part)).ravel() for part in acceleration]
 
 
 def test_in_the_air_the_ground_does_nothing(arpl_250g: Vehicle) -> None:

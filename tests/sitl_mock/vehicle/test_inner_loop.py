@@ -8,11 +8,11 @@ from sitl_mock.vehicle.inner_loop import butterworth, low_pass, next_integral, r
 GAIN = [4.0, 4.0, 2.8]
 
 
-def turn(attitude: np.ndarray, wanted: np.ndarray, yaw_rate: float = 0.0, weight: float = 0.4) -> np.ndarray:
-    found = rate_setpoint(
-        ca.SX(ca.DM(attitude)), ca.SX(ca.DM(wanted)), yaw_rate, gain=ca.SX(ca.DM(GAIN)), yaw_weight=ca.SX(weight)
+def turn(attitude: np.ndarray, setpoint: np.ndarray, yaw_rate: float = 0.0, weight: float = 0.4) -> np.ndarray:
+    rates = rate_setpoint(
+        ca.SX(ca.DM(attitude)), ca.SX(ca.DM(setpoint)), yaw_rate, gain=ca.SX(ca.DM(GAIN)), yaw_weight=ca.SX(weight)
     )
-    return np.array(ca.evalf(found)).ravel()
+    return np.array(ca.evalf(rates)).ravel()
 
 
 def test_nothing_turns_at_the_wanted_attitude() -> None:
@@ -27,16 +27,16 @@ def test_small_errors_turn_by_the_gains() -> None:
 
 
 def test_both_signs_of_a_setpoint_mean_the_same() -> None:
-    attitude, wanted = quaternion.from_euler(0.1, 0.4, -2.0), quaternion.from_euler(-0.3, 0.2, 1.5)
-    np.testing.assert_allclose(turn(attitude, wanted), turn(attitude, -wanted), atol=1e-12)
-    np.testing.assert_allclose(turn(attitude, wanted), turn(-attitude, wanted), atol=1e-12)
+    attitude, setpoint = quaternion.from_euler(0.1, 0.4, -2.0), quaternion.from_euler(-0.3, 0.2, 1.5)
+    np.testing.assert_allclose(turn(attitude, setpoint), turn(attitude, -setpoint), atol=1e-12)
+    np.testing.assert_allclose(turn(attitude, setpoint), turn(-attitude, setpoint), atol=1e-12)
 
 
 def test_tilt_is_corrected_before_yaw() -> None:
-    wanted = quaternion.from_euler(0.5, 0.0, 2.5)
-    thrust_axis = quaternion.rotate(wanted, np.array([0.0, 0.0, 1.0]))
+    setpoint = quaternion.from_euler(0.5, 0.0, 2.5)
+    thrust_axis = quaternion.rotate(setpoint, np.array([0.0, 0.0, 1.0]))
     shortest = np.cross([0.0, 0.0, 1.0], thrust_axis)
-    straight, yawing = turn(quaternion.IDENTITY, wanted, weight=0.05), turn(quaternion.IDENTITY, wanted, weight=1.0)
+    straight, yawing = turn(quaternion.IDENTITY, setpoint, weight=0.05), turn(quaternion.IDENTITY, setpoint, weight=1.0)
 
     def detour(rate: np.ndarray) -> float:
         return float(abs(rate[0] * shortest[1] - rate[1] * shortest[0]) / np.hypot(*rate[:2]) / np.hypot(*shortest[:2]))
@@ -68,10 +68,10 @@ def test_the_integrator_integrates() -> None:
 
 
 def test_a_saturated_axis_is_not_wound_further_but_may_unwind() -> None:
-    found = integrate([0.5, -0.5, -0.5], [0.1, -0.1, 0.1])
-    assert found[0] == 0
-    assert found[1] == 0
-    assert found[2] < 0
+    integral = integrate([0.5, -0.5, -0.5], [0.1, -0.1, 0.1])
+    assert integral[0] == 0
+    assert integral[1] == 0
+    assert integral[2] < 0
 
 
 def test_the_integrator_fades_out_at_large_errors_and_has_a_limit() -> None:

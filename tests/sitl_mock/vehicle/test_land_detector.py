@@ -14,12 +14,12 @@ def motion(climb: float = 0.0, turning: float = 0.0, sliding: float = 0.0) -> Mo
 
 def run(detector: LandDetector, start: float, duration: float, *, thrust: float, state: MotionState) -> float:
     """Feed it every 20 ms; when it first said landed, s after the start, or infinity."""
-    found = np.inf
+    landed_at = np.inf
     for k in range(round(duration / 0.02)):
         detector.update(start + 0.02 * k, state, armed=True, thrust=thrust, hover_thrust=HOVER)
-        if detector.landed and found == np.inf:
-            found = 0.02 * k
-    return found
+        if detector.landed and landed_at == np.inf:
+            landed_at = 0.02 * k
+    return landed_at
 
 
 def flying() -> LandDetector:

@@ -1,4 +1,4 @@
-"""How simulated time passes: in whole steps, without loss, and never ahead of what has arrived."""
+"""How simulated time passes: in full steps, without loss, and never beyond what has arrived."""
 
 from __future__ import annotations
 

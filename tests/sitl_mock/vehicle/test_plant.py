@@ -1,4 +1,4 @@
-"""The plant flies the flight model: every effect that is given changes the truth as its own formula says."""
+"""The plant flies the flight model: every effect changes the truth by its own formula."""
 
 from collections.abc import Iterator
 
@@ -9,6 +9,7 @@ import pytest
 from dynamics import quaternion
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from sitl_mock.vehicle.plant import DT, plant_effects
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
@@ -40,13 +41,13 @@ CASES = [(group, name) for group in GROUPS for name in group]
 
 def uses(group: dict[str, dict[str, float]], active: str | None) -> list[EffectUse]:
     """All effects of a group, those not active at the values at which they vanish."""
-    found = []
+    uses = []
     for name, values in group.items():
         effect = CATALOGUE[name]
         neutral = {p.name: 0.0 if p.name in ("x", "y", "z") else p.neutral for p in effect.parameters}
         rotor = 1 if effect.per_rotor else None
-        found.append(EffectUse(name, values if name == active else neutral, rotor))
-    return found
+        uses.append(EffectUse(name, values if name == active else neutral, rotor))
+    return uses
 
 
 def fly(mock: SimulatedVehicle) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -70,7 +71,7 @@ def test_an_effect_changes_the_truth_as_its_formula_says(
     differences = []
     for before, after in fly(mock):
         environment = [0.0, mock.battery.voltage / (3 * 4.2)]
-        measured = np.concatenate([(after[3:6] - before[3:6]) / DT, (after[10:13] - before[10:13]) / DT])
+        measured = np.concatenate([(after[VELOCITY] - before[VELOCITY]) / DT, (after[RATE] - before[RATE]) / DT])
         modelled = [np.mean([acceleration(model, x, environment) for x in (before, after)], axis=0) for model in models]
         np.testing.assert_allclose(measured, modelled[0], atol=0.02)
         differences.append(np.abs(measured - modelled[1]).max())
@@ -80,7 +81,7 @@ def test_an_effect_changes_the_truth_as_its_formula_says(
 def acceleration(model: object, x: np.ndarray, environment: list[float]) -> np.ndarray:
     """Linear, world, m/s^2, and angular, body, rad/s^2, acceleration that the model observes in a state."""
     force, angular, _ = model.observe(x, ca.DM.zeros(4), model.parameter_values, environment)  # type: ignore[attr-defined]
-    linear = quaternion.rotate(x[6:10], np.array(force).ravel()) - [0, 0, GRAVITY]
+    linear = quaternion.rotate(x[ATTITUDE], np.array(force).ravel()) - [0, 0, GRAVITY]
     return np.concatenate([linear, np.array(angular).ravel()])
 
 
@@ -97,9 +98,9 @@ def test_the_accelerometer_feels_what_moves_the_vehicle(arpl_250g: Vehicle) -> N
 
 
 def test_a_hidden_effect_takes_the_place_of_the_files_own(arpl_250g: Vehicle) -> None:
-    known = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 1e-5}))
-    found = plant_effects(known, [EffectUse("rotor_drag", {"coefficient": 3e-5})])
-    assert [use.parameters for use in found if use.name == "rotor_drag"] == [{"coefficient": 3e-5}]
+    vehicle = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 1e-5}))
+    uses = plant_effects(vehicle, [EffectUse("rotor_drag", {"coefficient": 3e-5})])
+    assert [use.parameters for use in uses if use.name == "rotor_drag"] == [{"coefficient": 3e-5}]
 
 
 def test_there_is_always_a_motor_lag(arpl_250g: Vehicle) -> None:
@@ -120,8 +121,8 @@ def test_rotors_follow_their_command_with_the_motor_lag(arpl_250g: Vehicle) -> N
 def test_a_gust_blows_at_its_strength(arpl_250g: Vehicle) -> None:
     mock = SimulatedVehicle(arpl_250g, effects=uses(GROUPS[1], "gust"), options=QUIET, seed=4)
     gust = next(item for item in mock.plant.model.effects if item.effect.name == "gust")
-    seen = []
+    winds = []
     for _ in range(2000):
         mock.advance(ControlSetpoint("idle"), False, 0.05)
-        seen.append([mock.plant_state[gust.hidden[f"wind_{axis}"]][0] for axis in "xyz"])
-    np.testing.assert_allclose(np.std(seen, axis=0), [3.0, 3.0, 1.5], rtol=0.2)
+        winds.append([mock.plant_state[gust.hidden[f"wind_{axis}"]][0] for axis in "xyz"])
+    np.testing.assert_allclose(np.std(winds, axis=0), [3.0, 3.0, 1.5], rtol=0.2)

@@ -30,11 +30,11 @@ def test_an_error_in_velocity_drags_the_position_along() -> None:
 
 def test_the_estimates_error_keeps_its_spread() -> None:
     constants = {"estimate_time": ca.DM([0.01] * 9), "estimate_noise": ca.DM([0.0] * 3 + [0.5] * 6)}
-    random, error, seen = np.random.default_rng(3), ca.DM.zeros(9), []
+    random, error, errors = np.random.default_rng(3), ca.DM.zeros(9), []
     for _ in range(3000):
         error = next_estimate_error(error, ca.DM(random.standard_normal(9)), constants, 0.001)
-        seen.append(np.array(error).ravel()[3:])
-    assert np.std(seen) == pytest.approx(0.5, rel=0.1)
+        errors.append(np.array(error).ravel()[3:])
+    assert np.std(errors) == pytest.approx(0.5, rel=0.1)
 
 
 def test_a_resolution_of_zero_changes_nothing() -> None:

@@ -12,9 +12,9 @@ from vehicles import FOLDER
 
 
 def test_px4s_defaults_come_out_on_px4s_quadrotor() -> None:
-    found, px4 = default_tuning(read_vehicle(FOLDER / "px4_sih.toml")), Tuning()
+    derived, px4 = default_tuning(read_vehicle(FOLDER / "px4_sih.toml")), Tuning()
     for field in dataclasses.fields(Tuning):
-        assert getattr(found, field.name) == pytest.approx(getattr(px4, field.name), rel=0.03), field.name
+        assert getattr(derived, field.name) == pytest.approx(getattr(px4, field.name), rel=0.03), field.name
 
 
 def test_a_small_vehicle_with_fast_motors_gets_a_faster_loop() -> None:
@@ -34,9 +34,9 @@ def test_the_tuning_survives_the_parameter_table() -> None:
     tuning = default_tuning(read_vehicle(FOLDER / "arpl_250g.toml"))
     values = parameter_values(tuning)
     parameters = Parameters(values)
-    found = parameters.tuning()
+    derived = parameters.tuning()
     for field in dataclasses.fields(Tuning):
-        assert getattr(found, field.name) == pytest.approx(getattr(tuning, field.name), rel=2e-2), field.name
+        assert getattr(derived, field.name) == pytest.approx(getattr(tuning, field.name), rel=2e-2), field.name
 
 
 @pytest.mark.parametrize("motor_lag", [0.01, 0.02, 0.05, 0.1])

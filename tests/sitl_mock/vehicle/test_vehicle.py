@@ -75,8 +75,8 @@ def test_without_thrust_it_falls_freely(small: SimulatedVehicle) -> None:
 def test_attitude_steps_as_measured_on_px4(sih: Vehicle) -> None:
     mock = SimulatedVehicle(sih, options=QUIET)
     take_off(mock, duration=8.0)
-    wanted = ControlSetpoint("attitude", attitude=quaternion.from_euler(0.15, 0, 0), thrust=mock.tuning.hover_thrust)
-    roll = response(mock, wanted, 1.2, lambda v: float(quaternion.to_euler(v.estimate.attitude)[0])) / 0.15
+    setpoint = ControlSetpoint("attitude", attitude=quaternion.from_euler(0.15, 0, 0), thrust=mock.tuning.hover_thrust)
+    roll = response(mock, setpoint, 1.2, lambda v: float(quaternion.to_euler(v.estimate.attitude)[0])) / 0.15
     on_the_link = 10  # ms: setpoints wait for PX4's 4 ms cycle, estimates for the next message of a 100 Hz stream
     assert 84 <= milliseconds_to(0.10, roll) + on_the_link <= 132
     assert 264 <= milliseconds_to(0.63, roll) + on_the_link <= 284
@@ -88,8 +88,7 @@ def test_attitude_steps_as_measured_on_px4(sih: Vehicle) -> None:
 def test_rates_follow_as_fast_as_the_motors_allow(vehicle: Vehicle, axis: int) -> None:
     mock = SimulatedVehicle(vehicle, options=QUIET)
     take_off(mock)
-    wanted = np.eye(3)[axis]
-    setpoint = ControlSetpoint("rates", rate_body=wanted, thrust=mock.tuning.hover_thrust)
+    setpoint = ControlSetpoint("rates", rate_body=np.eye(3)[axis], thrust=mock.tuning.hover_thrust)
     rate = response(mock, setpoint, 0.4, lambda v: float(v.truth.rate_body[axis]))
     lag = 0.05 if vehicle.name == "px4_sih" else 0.02
     assert milliseconds_to(0.63, rate) <= 2200 * lag
@@ -105,8 +104,8 @@ def test_rate_setpoints_are_not_limited_by_the_attitude_loops_limit(small: Simul
 
 def test_attitude_setpoints_are_limited_by_the_rate_limit(small: SimulatedVehicle) -> None:
     take_off(small, height=20.0, duration=12.0)
-    wanted = ControlSetpoint("attitude", attitude=quaternion.from_euler(2.0, 0, 0), thrust=small.tuning.hover_thrust)
-    rate = response(small, wanted, 0.5, lambda v: float(v.truth.rate_body[0]))
+    setpoint = ControlSetpoint("attitude", attitude=quaternion.from_euler(2.0, 0, 0), thrust=small.tuning.hover_thrust)
+    rate = response(small, setpoint, 0.5, lambda v: float(v.truth.rate_body[0]))
     assert 0.9 * small.tuning.rate_limit[0] < rate.max() < 1.25 * small.tuning.rate_limit[0]
 
 

@@ -27,8 +27,8 @@ def test_odometry_is_ned_with_ned_velocity() -> None:
     assert (odometry.frame_id, odometry.child_frame_id) == (1, 1)
     assert enu_from_ned([odometry.x, odometry.y, odometry.z])[:2] == pytest.approx(truth.position[:2], abs=0.02)
     assert enu_from_ned([odometry.vx, odometry.vy, odometry.vz])[:2] == pytest.approx([0.5, -0.25], abs=1e-3)
-    seen = attitude_enu_flu(odometry.q)
-    assert abs(float(seen @ truth.attitude)) == pytest.approx(1.0, abs=1e-6)
+    attitude = attitude_enu_flu(odometry.q)
+    assert abs(float(attitude @ truth.attitude)) == pytest.approx(1.0, abs=1e-6)
 
 
 def test_velocity_can_be_body_frd_and_says_so() -> None:

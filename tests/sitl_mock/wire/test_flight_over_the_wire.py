@@ -27,9 +27,9 @@ def hold_height(bench: Bench, height: float, seconds: float) -> None:
         o = bench.of("ODOMETRY")[-1]
         heading = 2 * math.atan2(o.q[3], o.q[0])
         north, east = -0.6 * o.x - 1.2 * o.vx, -0.6 * o.y - 1.2 * o.vy
-        ahead = math.cos(heading) * north + math.sin(heading) * east
+        forward = math.cos(heading) * north + math.sin(heading) * east
         right = -math.sin(heading) * north + math.cos(heading) * east
-        roll, pitch = max(-0.3, min(0.3, right / 9.81)), max(-0.3, min(0.3, -ahead / 9.81))
+        roll, pitch = max(-0.3, min(0.3, right / 9.81)), max(-0.3, min(0.3, -forward / 9.81))
         climb = 2.0 * (height + o.z) + 2.5 * o.vz
         cr, sr, cp, sp = math.cos(roll / 2), math.sin(roll / 2), math.cos(pitch / 2), math.sin(pitch / 2)
         cy, sy = math.cos(heading / 2), math.sin(heading / 2)

@@ -51,13 +51,13 @@ def test_ground_station_link_is_slower() -> None:
     assert not bench.of("ODOMETRY")
 
 
-@pytest.mark.parametrize(("asked", "got"), [(250, 250), (200, 124), (100, 100), (50, 50), (10, 10)])
-def test_rates_are_quantised_to_the_four_millisecond_step(asked: float, got: float) -> None:
+@pytest.mark.parametrize(("requested", "achieved"), [(250, 250), (200, 124), (100, 100), (50, 50), (10, 10)])
+def test_rates_are_quantised_to_the_four_millisecond_step(requested: float, achieved: float) -> None:
     bench = Bench()
-    assert bench.ask(SET_INTERVAL, ODOMETRY, 1e6 / asked) == 0
+    assert bench.ask(SET_INTERVAL, ODOMETRY, 1e6 / requested) == 0
     before = len(bench.of("ODOMETRY"))
     bench.run(5.0)
-    assert (len(bench.of("ODOMETRY")) - before) / 5.0 == pytest.approx(got, rel=0.015)
+    assert (len(bench.of("ODOMETRY")) - before) / 5.0 == pytest.approx(achieved, rel=0.015)
 
 
 def test_message_interval_reports_the_request_and_not_what_is_achieved() -> None:
@@ -134,10 +134,10 @@ def test_rotor_speeds_travel_in_px4s_motor_order_at_up_to_250_hertz() -> None:
     bench = Bench()
     bench.fly()
     assert bench.ask(SET_INTERVAL, 291, 4000) == 0
-    before = len(bench.seen)
+    before = len(bench.heard)
     for _ in range(10):
         bench.stream(0.1, thrust=0.5)
-    frames = [message for _, message in bench.seen[before:] if message.get_msgId() == -2]
+    frames = [message for _, message in bench.heard[before:] if message.get_msgId() == -2]
     status = [bytes(frame.get_msgbuf()) for frame in frames if frame.get_msgbuf()[7] == 291 & 0xFF]
     assert len(status) == pytest.approx(250, abs=3)
     payload = status[-1][10:-2].ljust(57, b"\0")
@@ -163,7 +163,7 @@ QUATERNION = 31
 @pytest.mark.parametrize("seed", range(20))
 def test_200_hz_is_quantised_whenever_it_was_asked(seed: int) -> None:
     streams = Streams("onboard", frozenset({QUATERNION}), seed)
-    asked = 0.004 * 7 + 0.004 * seed / 20
-    streams.set_interval(asked, QUATERNION, 5000)
+    start = 0.004 * 7 + 0.004 * seed / 20
+    streams.set_interval(start, QUATERNION, 5000)
     sent = sum(QUATERNION in streams.due(0.004 * step) for step in range(8, 1008))
     assert sent == pytest.approx(500, abs=3)
