@@ -22,7 +22,7 @@ import pyarrow.csv as pa_csv
 from provenance import write_result
 
 from dynamics.errors import AlulaError
-from flights import Flight, Log, read_folder, read_pieces
+from flights import Flight, Log, read_chunks, read_folder
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
@@ -81,7 +81,7 @@ def peak_memory() -> float:
 
 def measure_pieces(path: Path, seconds: float) -> None:
     """Read one log in pieces and print the seconds of data, the number of pieces and peak memory, MB."""
-    lengths = [Flight.from_log(piece).duration for piece in read_pieces(path, seconds)]
+    lengths = [Flight.from_log(piece).duration for piece in read_chunks(path, seconds)]
     print(sum(lengths), len(lengths), peak_memory())
 
 

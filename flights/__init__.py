@@ -5,9 +5,9 @@ from flights.delays import estimate_delays, remove_delays
 from flights.exclusion import find_exclusions, free_flight
 from flights.flight import Flight
 from flights.log import Log, Origin, Provenance, Repair, Stream
-from flights.reading import read_folder, read_log, read_pieces
+from flights.reading import read_chunks, read_folder, read_log
 
 __all__ = [
     "AlignedFlight", "Flight", "Log", "Origin", "Provenance", "Repair", "Stream", "estimate_delays", "find_exclusions",
-    "free_flight", "read_aligned", "read_folder", "read_log", "read_pieces", "remove_delays",
+    "free_flight", "read_aligned", "read_chunks", "read_folder", "read_log", "remove_delays",
 ]  # fmt: skip

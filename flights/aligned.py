@@ -1,4 +1,4 @@
-"""A log as it should be fitted: its streams' clocks put right, and only its free flight."""
+"""A log as it should be fitted: stamps corrected for delays, and free flight only."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from flights.reading import read_log
 
 @dataclass(frozen=True, eq=False)
 class AlignedFlight:
-    """A whole flight with its clocks put right. delays: as found before. exclusions: what is no free flight."""
+    """A flight whose streams' delays are removed.
+
+    delays: as estimated before their removal.
+    exclusions: segments that are not free flight.
+    """
 
     flight: Flight
     delays: tuple[Delay, ...]
@@ -25,10 +29,12 @@ class AlignedFlight:
 
 
 def read_aligned(path: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> AlignedFlight:
-    """Read a log, find what is no free flight and how late its streams are, and put their stamps right.
+    """Read a log, estimate its streams' delays, and remove those known to 8 ms or better, never a command's response.
 
-    mapping: column-mapping TOML for a foreign CSV. rate: Hz of the common clock, by default that of the gyro. Delays
-    that are known to 8 ms or better are taken off, a command's response never. Raises as `Flight.read` does.
+    mapping: column-mapping TOML for a foreign CSV.
+    rate: Hz of the common clock, by default that of the gyro.
+
+    Raises as `Flight.read` does.
     """
     log = read_log(path, mapping=mapping)
     exclusions = find_exclusions(Flight.from_log(log, rate=rate))

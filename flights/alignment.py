@@ -23,20 +23,25 @@ MIN_GAP = 0.02  # s, but never less than this
 JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
 MAX_RATE = 2000.0  # Hz
 THINNING = 0.8  # of a stream's rate, below which a common clock would fold its noise back
-ROUNDING = 1e-9  # s by which a common clock may miss a stamp that is meant
-MAX_ROWS = 10_000_000  # 11 h at 250 Hz; more is read in pieces
+ROUNDING = 1e-9  # s of rounding between a common clock and a stream's stamps
+MAX_ROWS = 10_000_000  # 11 h at 250 Hz; more is read in chunks
 
 
 @dataclass(frozen=True, eq=False)
-class Table:
-    """Streams on one uniform clock. time: (n,) s. columns: (n,) each, NaN in gaps."""
+class AlignedTable:
+    """Streams on one uniform clock.
+
+    time: (n,) s.
+    columns: (n,) each, NaN in gaps.
+    origins: by quantity.
+    """
 
     time: Floats
     columns: Mapping[str, Floats]
     origins: Mapping[str, Origin]
 
 
-def align(log: Log, *, rate: float | None = None) -> Table:
+def align(log: Log, *, rate: float | None = None) -> AlignedTable:
     """The log's streams, the first of each quantity, on one uniform clock.
 
     rate: Hz; by default that of the body rates, or else of the fastest stream of motion. The table spans the streams
@@ -53,7 +58,7 @@ def align(log: Log, *, rate: float | None = None) -> Table:
         values = stream.values if np.array_equal(stream.time, time) else resample(_thinned(stream, time), time)
         columns.update(zip(stream.columns, np.ascontiguousarray(values.T), strict=True))
     origins = {s.name: Origin(s.source, round(s.rate, 3), len(s.time)) for s in streams}
-    return Table(time, columns, origins)
+    return AlignedTable(time, columns, origins)
 
 
 def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
@@ -72,7 +77,7 @@ def _common_clock(streams: list[Stream], rate: float | None) -> Floats:
     if count > MAX_ROWS:
         raise DataError(
             f"{end - start:.0f} s at {chosen:g} Hz are {count} rows. Check the time's unit, give a lower rate, or "
-            "read it with flights.read_pieces."
+            "read it with flights.read_chunks."
         )
     return np.asarray(start + np.arange(count) / chosen)
 
@@ -94,22 +99,25 @@ def is_uniform(time: Floats) -> bool:
 
 
 def resample(stream: Stream, time: Floats) -> Floats:
-    """A stream's values at other times: (m, k), NaN in its gaps and beyond its ends. time: (m,) s, increasing."""
+    """A stream's values at other times, (m, k); NaN in its gaps and beyond its ends.
+
+    time: (m,) s, increasing.
+    """
     if stream.quantity.kind == "step":
         return _held(stream, time)
     finite = np.isfinite(stream.values)
     if stream.quantity.kind == "linear" and (finite.any(axis=1) != finite.all(axis=1)).any():
-        # a height may be known where a place is not: each column by itself
+        # a height may be finite where a horizontal position is not: each column by itself
         return np.concatenate([_between(stream, column[:, None], time) for column in stream.values.T], axis=1)
     return _between(stream, stream.values, time)
 
 
 def _between(stream: Stream, values: Floats, time: Floats) -> Floats:
-    """Values (n, k) of a stream at other times, between the rows that are whole."""
-    known = np.flatnonzero(np.isfinite(values).all(axis=1))
-    if not len(known):
+    """Values (n, k) of a stream at other times, interpolated between complete rows."""
+    complete = np.flatnonzero(np.isfinite(values).all(axis=1))
+    if not len(complete):
         return np.full((len(time), values.shape[1]), np.nan)
-    stamps, values = stream.time[known], values[known]
+    stamps, values = stream.time[complete], values[complete]
     if len(stamps) == 1:
         hit = time == stamps[0]
         return np.where(hit[:, None], values[0], np.nan)
@@ -139,10 +147,10 @@ def _on_sphere(attitude: Floats, untouched: NDArray[np.bool_]) -> Floats:
 
 
 def _thinned(stream: Stream, time: Floats) -> Stream:
-    """The stream as it may be sampled on a slower clock: a zero-phase low-pass takes away what that would fold back.
+    """The stream without frequencies that a slower clock would alias: a zero-phase low-pass.
 
-    It looks ahead by about two periods of the slower clock. Streams that hold their values, and slower ones, are
-    left alone.
+    It looks ahead by about two periods of the slower clock. Step quantities and slower streams are returned as they
+    are.
     """
     if len(time) < 2 or len(stream.time) < 3 or stream.quantity.kind == "step":
         return stream

@@ -1,4 +1,4 @@
-"""Putting a reading together: every reader hands its raw columns to one `Assembly`, which mends or refuses them."""
+"""Checking and repair of what a reader extracts: every reader hands its raw columns to one `Assembly`."""
 
 from __future__ import annotations
 
@@ -8,24 +8,24 @@ from numpy.typing import ArrayLike, NDArray
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
-from flights.log import Reading, Repair, Stream
+from flights.log import LogContent, Repair, Stream
 from flights.quantities import QUANTITIES
 from flights.source import MAX_STEP_BACK
 
 MAX_DISORDER = 0.05  # share of rows whose stamp may go back before the file counts as shuffled
 STRAY_BY = 1.0  # s that a single stamp may lie away from those around it,
-STRAY_END = 3600.0  # s, and at the ends, where a late first or last word is nothing unusual
-MAX_STRAY = 0.02  # share of rows beyond which stamps are no damage any more
+STRAY_END = 3600.0  # s, and at the ends, where a late first or last sample is usual
+MAX_STRAY = 0.02  # share of stray rows above which the stamps are not damaged but another clock's
 _MIN_TO_JUDGE = 10
 MAX_VALUE = 1e12  # nothing that flies has a value beyond it
 LENGTH_TOLERANCE = 0.05  # of an attitude quaternion
 
 
 class Assembly:
-    """Collects streams with what had to be noted or mended about them.
+    """Collects a file's streams, and the notes and repairs about them.
 
-    Times are seconds of the file's clock until `finish` subtracts their start; give integers through `seconds`, so
-    that nothing is lost on clocks that count from 1970.
+    Times are seconds of the file's clock until `finish` subtracts their start. Integer stamps go through `seconds`,
+    which loses no resolution on clocks that count from 1970.
     """
 
     def __init__(self) -> None:
@@ -38,18 +38,18 @@ class Assembly:
         self._epoch: int | None = None
 
     def note(self, text: str) -> None:
-        """Something a user should know, told once."""
+        """Add a note for the user, each once."""
         if text not in self._notes:
             self._notes.append(text)
 
     def repair(self, name: str, detail: str) -> None:
-        """Something that was changed, told once."""
+        """Add a change to the file's content, each once."""
         repair = Repair(name, detail)
         if repair not in self._repairs:
             self._repairs.append(repair)
 
     def seconds(self, ticks: ArrayLike, per_second: int) -> Floats:
-        """Integer stamps as seconds since the first stamp ever given here, exact to the stamp's own resolution."""
+        """Integer stamps as seconds since the first stamp of the first call, exact to the stamp's own resolution."""
         stamps = np.asarray(ticks).astype(np.int64)
         if self._epoch is None and len(stamps):
             self._epoch = int(stamps[0]) * (1_000_000_000 // per_second)
@@ -57,9 +57,11 @@ class Assembly:
         return np.asarray((stamps - epoch) / per_second, dtype=float)
 
     def add(self, name: str, time: ArrayLike, values: ArrayLike, source: str, *, spare: bool = False) -> None:
-        """Add a stream. time: (n,) s. values: (n,) or (n, k), in our units and frames.
+        """Add a stream; of several for one quantity the first is used.
 
-        Of two streams for one quantity the first is the one to use; a spare one comes behind all others.
+        time: (n,) s.
+        values: (n,) or (n, k), in our units and frames.
+        spare: goes behind all others.
 
         Raises DataError when the time stamps cannot be those of one recording.
         """
@@ -81,10 +83,10 @@ class Assembly:
 
     def _in_order(self, time: Floats, values: Floats, what: str) -> tuple[Floats, Floats]:
         """Rows with finite, strictly increasing stamps."""
-        known = np.isfinite(time)
-        if not known.all():
-            self.repair("missing_stamps", f"{what}: {np.count_nonzero(~known)} rows without a time stamp dropped")
-            time, values = time[known], values[known]
+        stamped = np.isfinite(time)
+        if not stamped.all():
+            self.repair("missing_stamps", f"{what}: {np.count_nonzero(~stamped)} rows without a time stamp dropped")
+            time, values = time[stamped], values[stamped]
         stray = _stray(time)
         if stray.any():
             self.repair("stray_stamps", f"{what}: {np.count_nonzero(stray)} rows with a damaged time stamp dropped")
@@ -92,17 +94,17 @@ class Assembly:
         steps = np.diff(time)
         back = steps < 0
         if back.any():
-            furthest = float(-steps.min())
+            largest = float(-steps.min())
             share = np.count_nonzero(back) / len(steps)
-            if share > MAX_DISORDER or furthest > MAX_STEP_BACK:
+            if share > MAX_DISORDER or largest > MAX_STEP_BACK:
                 row = int(np.argmax(back)) + 2
                 raise DataError(
                     f"{what}: the time stamps go back in {np.count_nonzero(back)} of {len(time)} rows, by up to "
-                    f"{furthest:.3g} s, first at row {row}. Wanted one recording in the order of its time; split the "
+                    f"{largest:.3g} s, first at row {row}. Wanted one recording in the order of its time; split the "
                     "file where its clock was set, or sort it."
                 )
             self.repair(
-                "reversed_stamps", f"{what}: {np.count_nonzero(back)} rows put in order, by up to {furthest:.3g} s"
+                "reversed_stamps", f"{what}: {np.count_nonzero(back)} rows put in order, by up to {largest:.3g} s"
             )
             order = np.argsort(time, kind="stable")
             time, values = time[order], values[order]
@@ -118,7 +120,7 @@ class Assembly:
         return time, values
 
     def _finite(self, values: Floats, what: str) -> Floats:
-        """The same values with NaN for what cannot be a measurement."""
+        """The values with NaN in place of impossible ones."""
         with np.errstate(invalid="ignore"):
             absurd = np.abs(values) > MAX_VALUE
         if not absurd.any():
@@ -128,7 +130,7 @@ class Assembly:
         return np.where(absurd, np.nan, values)
 
     def _unit_length(self, values: Floats, what: str) -> Floats:
-        """Attitudes of unit length and continuous sign, unless they have both already; NaN where they are none."""
+        """Attitudes of unit length and continuous sign; NaN where the values are no quaternion."""
         length = np.linalg.norm(values, axis=1)
         empty = length < 1e-6  # how senders write that there is none
         values = np.where(empty[:, None], np.nan, values)
@@ -141,23 +143,23 @@ class Assembly:
             )
         if wrong.any():
             self.repair("no_attitude", f"{what}: {np.count_nonzero(wrong)} rows that are no unit quaternion masked")
-        known = np.flatnonzero(np.isfinite(length) & ~wrong)
+        valid = np.flatnonzero(np.isfinite(length) & ~wrong)
         fixed = np.full_like(values, np.nan)
-        good = values[known]
-        if np.max(np.abs(length[known] - 1), initial=0) > 1e-3:  # what is rounded is left as it was written
+        good = values[valid]
+        if np.max(np.abs(length[valid] - 1), initial=0) > 1e-3:  # rounded values stay as they were written
             good = quaternion.normalise(good)
-        fixed[known] = quaternion.continuous(good) if len(known) else good
+        fixed[valid] = quaternion.continuous(good) if len(valid) else good
         return fixed
 
-    def finish(self, *, keep_time: bool = False) -> Reading:
-        """The reading, its time starting at 0 with the first sample of any stream unless it shall be kept as it is."""
-        found = [*self._streams, *self._spares]
-        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in found), default=0.0)
-        streams = tuple(
-            Stream(stream.name, _shifted(stream.time, start), stream.values, stream.source) for stream in found
-        )
-        return Reading(
-            streams,
+    def finish(self, *, keep_time: bool = False) -> LogContent:
+        """The content, its time starting at 0 with the first sample of any stream.
+
+        keep_time: leave the time as it is.
+        """
+        streams = [*self._streams, *self._spares]
+        start = 0.0 if keep_time else min((float(stream.time[0]) for stream in streams), default=0.0)
+        return LogContent(
+            tuple(Stream(one.name, _shifted(one.time, start), one.values, one.source) for one in streams),
             start + (self._epoch or 0) * 1e-9,
             self.metadata,
             self.parameters,
@@ -167,14 +169,14 @@ class Assembly:
 
 
 def _stray(time: Floats) -> NDArray[np.bool_]:
-    """Single rows whose stamp lies far from those around them, as a damaged byte makes it. time: (n,) s."""
+    """(n,) whether a single row's stamp lies far from its neighbours', as after a damaged byte. time: (n,) s."""
     stray = np.zeros(len(time), dtype=bool)
     if len(time) < _MIN_TO_JUDGE:
         return stray
     around = np.stack([np.roll(time, shift) for shift in (-2, -1, 0, 1, 2)])
     off = np.abs(time - np.median(around, axis=0))
     period = float(np.median(np.abs(np.diff(time))))
-    stray[2:-2] = off[2:-2] > STRAY_BY + 20 * period  # in a clock that runs forwards a row is its own median
+    stray[2:-2] = off[2:-2] > STRAY_BY + 20 * period  # where the clock runs forwards, a row is its own median
     for end, inner in ((slice(0, 2), time[2:5]), (slice(-2, None), time[-5:-2])):
         stray[end] = np.abs(time[end] - np.median(inner)) > STRAY_END + 1000 * period
     return stray if stray.mean() < MAX_STRAY else np.zeros(len(time), dtype=bool)

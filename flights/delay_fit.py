@@ -18,26 +18,32 @@ from dynamics.arrays import Floats
 from flights import filters
 
 Band = tuple[float, float]
-Curve = Callable[[Floats], Floats]
+ThrustCurve = Callable[[Floats], Floats]
 
-NARROWEST = 2.0  # highest over lowest frequency
+MIN_BAND_RATIO = 2.0  # highest over lowest frequency
 OVERSAMPLING = 2.2  # rows compared per period of the highest frequency, so that they fill their band
 AUTOREGRESSION = 6  # of the noise
-EARLIEST, LATEST, STEP = -0.12, 0.2, 0.01  # s searched for delays,
-LAGS = (0.002, 0.25)  # s, and for lags
-EDGE = 0.5  # s at the ends of each segment that the filters spoil
+MIN_DELAY, MAX_DELAY, STEP = -0.12, 0.2, 0.01  # s, grid of the search for delays
+LAGS = (0.002, 0.25)  # s, limits of the search for lags
+EDGE = 0.5  # s at both ends of a segment that the filters' transients disturb
 BLOCK = 2.0  # s over which scores are summed
 MIN_BLOCKS = 4
 CALIBRATION = 1.1  # on the standard deviation
 CONFIDENCE = 0.95
-STAMPS = 0.00015  # s to which the middle of a sample is known at all
+STAMPS = 0.00015  # s, uncertainty of a sample's middle
 ITERATIONS = 8
 DIFFERENCE = 1e-4  # s, for slopes by the delay
 
 
 @dataclass(frozen=True)
 class FittedDelay:
-    """seconds, std, and half of the 95 % interval, s. compared: s of flight. explained: share of the answer."""
+    """A delay with its uncertainty.
+
+    seconds, std: the estimate and its standard deviation.
+    reach: half of the 95 % interval, s.
+    compared: s of flight.
+    explained: share of the answer's variance.
+    """
 
     seconds: float
     std: float
@@ -47,32 +53,36 @@ class FittedDelay:
 
 
 def fit_delay(
-    answer: Floats, drive: Floats, beside: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
-    *, paired: bool = False, lagged: Curve | None = None, whiten: bool = True, closed_loop: float = 0.0,
+    answer: Floats, drive: Floats, undelayed: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
+    *, paired: bool = False, lagged: ThrustCurve | None = None, whiten: bool = True, closed_loop: float = 0.0,
 ) -> FittedDelay | None:  # fmt: skip
-    """How far `answer` (n, m) is behind `drive` (n, p); beside: (n, q) what else it follows, undelayed.
+    """The delay of `answer` behind `drive`; None with too little flight, or with no optimum inside the search limits.
 
-    All on one grid of a rate, Hz; NaN where not known. band: Hz compared. usable: (n,) rows. paired: each answer
-    follows its own drive only, with m = p: on a circle, a turn of the axes cannot be told from a delay. lagged: fit a
-    first-order lag of the drive instead, this curve of which is what the answer follows. whiten: let no frequency count
-    for more than it knows; without it the model serves where most of the motion is. closed_loop: s within which a
-    controller answers what is not explained, which then looks like a delay; the unexplained share of it goes into the
-    interval. None when there is too little flight, or no best delay within reach.
+    answer, drive, undelayed: (n, m), (n, p), (n, q) on one grid; NaN where missing. undelayed: further regressors.
+    rate: of the grid, Hz.
+    band: frequencies that are compared, Hz.
+    usable: (n,) rows.
+    paired: each answer follows its own drive only, with m = p: on a circle, a rotation of the axes and a delay look
+        the same.
+    lagged: fit a first-order lag of the drive instead; the answer follows this curve of it.
+    whiten: weight frequencies by the noise there; without it the fit is best where most of the motion is.
+    closed_loop: s within which a controller answers an unexplained part, which then looks like a delay; its share goes
+        into the interval.
     """
-    if band[1] < NARROWEST * band[0]:
-        return None  # logged too slowly to be compared at all
-    known = usable & np.isfinite(np.hstack([answer, drive, beside])).all(axis=1)
+    if band[1] < MIN_BAND_RATIO * band[0]:
+        return None  # logged too slowly for a comparison
+    comparable = usable & np.isfinite(np.hstack([answer, drive, undelayed])).all(axis=1)
     segments = [
-        _Segment.of([part[start:stop] for part in (answer, drive, beside)], rate, band, paired=paired, lagged=lagged)
-        for start, stop in filters.runs(known)
+        _Segment.of([part[start:stop] for part in (answer, drive, undelayed)], rate, band, paired=paired, lagged=lagged)
+        for start, stop in filters.runs(comparable)
         if (stop - start) / rate >= 2 * EDGE + BLOCK
     ]
     count = sum(len(segment.blocks) for segment in segments)
     if count < MIN_BLOCKS:
         return None
-    first, last = (EARLIEST, LATEST) if lagged is None else LAGS
+    first, last = (MIN_DELAY, MAX_DELAY) if lagged is None else LAGS
     trials = np.arange(first, last + STEP / 2, STEP)
-    best = int(np.argmin([_misfit(segments, float(trial)) for trial in trials]))
+    best = int(np.argmin([_log_variance(segments, float(trial)) for trial in trials]))
     if best == len(trials) - 1 or (best == 0 and lagged is None):
         return None
     delay, std, unexplained = float(trials[best]), float("inf"), 1.0
@@ -89,23 +99,26 @@ def fit_delay(
 
 @dataclass(frozen=True, eq=False)
 class _Segment:
-    """A segment of flight without a gap. answer: (n, m), beside: (n, q), of the rows compared.
+    """A segment of flight without a gap, of the rows that are compared.
 
-    blocks: first row of each block. driven: rows of what drives it (n, p), delayed or lagged by so many seconds.
+    answer: (n, m).
+    undelayed: (n, q).
+    blocks: first row of each block.
+    driven: rows of the drive (n, p), delayed or lagged by a number of seconds.
     paired: whether each answer follows its own drive only.
     """
 
     answer: Floats
-    beside: Floats
+    undelayed: Floats
     blocks: NDArray[np.intp]
     driven: Callable[[float], Floats]
     paired: bool
 
     @classmethod
-    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lagged: Curve | None) -> _Segment:
-        """sides: answer, drive and beside, (n, .) each on a grid of a rate, Hz."""
+    def of(cls, sides: list[Floats], rate: float, band: Band, *, paired: bool, lagged: ThrustCurve | None) -> _Segment:
+        """sides: answer, drive and undelayed regressors, (n, .) each on a grid of a rate, Hz."""
         drive = sides[1]
-        answer, beside = (_band(part, rate, band) for part in (sides[0], sides[2]))
+        answer, undelayed = (_band(part, rate, band) for part in (sides[0], sides[2]))
         every = max(1, int(rate / (OVERSAMPLING * band[1])))
         length = round(BLOCK * rate / every)
         count = int((len(answer) / rate - 2 * EDGE) / (length * every / rate))
@@ -114,7 +127,7 @@ class _Segment:
             driven = _delayed(_band(drive, rate, band), rate, rows)
         else:
             driven = _lagged(drive, rate, band, lagged, rows)
-        return cls(answer[rows], beside[rows], np.arange(count) * length, driven, paired)
+        return cls(answer[rows], undelayed[rows], np.arange(count) * length, driven, paired)
 
 
 def _delayed(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
@@ -122,7 +135,9 @@ def _delayed(drive: Floats, rate: float, rows: NDArray[np.intp]) -> Callable[[fl
     return lambda seconds: np.asarray(spline(rows / rate - seconds))
 
 
-def _lagged(drive: Floats, rate: float, band: Band, curve: Curve, rows: NDArray[np.intp]) -> Callable[[float], Floats]:
+def _lagged(
+    drive: Floats, rate: float, band: Band, curve: ThrustCurve, rows: NDArray[np.intp]
+) -> Callable[[float], Floats]:
     since_start = drive - drive[0]  # so that the lag begins settled
 
     def driven(seconds: float) -> Floats:
@@ -145,7 +160,7 @@ def _band(values: Floats, rate: float, band: tuple[float, float]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """One answer (n,), the columns (n, p + q) that it is compared with, and their slopes (n, p) by the delay."""
+    """One answer (n,), its regressors (n, p + q), and their derivatives (n, p) by the delay."""
 
     answer: Floats
     columns: Floats
@@ -153,11 +168,11 @@ class _Side:
 
     @property
     def residual(self) -> Floats:
-        """What free coefficients leave of the answer, (n,)."""
+        """The least-squares residual, (n,)."""
         return self.answer - self.columns @ _solve(self.columns, self.answer)
 
     def whitened(self, ends: NDArray[np.intp]) -> _Side:
-        """The same with the residual's spectrum made flat, so that no frequency counts for more than it knows."""
+        """The same after a filter that makes the residual white."""
         whitening = _prediction_error(self.residual)
 
         def white(values: Floats) -> Floats:
@@ -167,9 +182,9 @@ class _Side:
 
 
 def _sides(segments: list[_Segment], delay: float, *, sloped: bool = True) -> list[_Side]:
-    """Every answer over all segments, with what it is compared with at a delay. sloped: or else all slopes are 0."""
+    """Every answer over all segments, with its regressors at a delay. sloped: else all slopes are 0."""
     answer = np.concatenate([segment.answer for segment in segments])
-    beside = np.concatenate([segment.beside for segment in segments])
+    undelayed = np.concatenate([segment.undelayed for segment in segments])
 
     def driven(seconds: float) -> Floats:
         return np.concatenate([segment.driven(seconds) for segment in segments])
@@ -178,10 +193,10 @@ def _sides(segments: list[_Segment], delay: float, *, sloped: bool = True) -> li
     apart = 2 * DIFFERENCE
     slope = (driven(delay + DIFFERENCE) - driven(delay - DIFFERENCE)) / apart if sloped else np.zeros_like(now)
     choose = [[k] if segments[0].paired else slice(None) for k in range(answer.shape[1])]
-    return [_Side(answer[:, k], np.hstack([now[:, c], beside]), slope[:, c]) for k, c in enumerate(choose)]
+    return [_Side(answer[:, k], np.hstack([now[:, c], undelayed]), slope[:, c]) for k, c in enumerate(choose)]
 
 
-def _misfit(segments: list[_Segment], delay: float) -> float:
+def _log_variance(segments: list[_Segment], delay: float) -> float:
     """Sum of the log residual variances at a delay."""
     return float(sum(np.log(np.mean(side.residual**2) + 1e-300) for side in _sides(segments, delay, sloped=False)))
 
@@ -194,15 +209,15 @@ def _gauss_newton(segments: list[_Segment], delay: float, *, whiten: bool) -> tu
     sums = np.zeros(len(edges))
     for raw in _sides(segments, delay):
         if float(np.mean(raw.residual**2)) < 1e-20:
-            continue  # a channel that stands still says nothing
+            continue  # a channel that stands still has no information
         side = raw.whitened(starts[1:-1]) if whiten else raw
         coefficients, residual = _solve(side.columns, side.answer), side.residual
         direction = side.slope @ coefficients[: side.slope.shape[1]]
-        direction = direction - side.columns @ _solve(side.columns, direction)  # what free coefficients explain
+        direction = direction - side.columns @ _solve(side.columns, direction)  # orthogonal to the regressors
         weight = 1 / float(np.mean(residual**2))
-        known = weight * float(np.sum(direction**2))
-        information += known
-        unexplained += known * float(np.mean(raw.residual**2) / np.mean(raw.answer**2))
+        share_of_information = weight * float(np.sum(direction**2))
+        information += share_of_information
+        unexplained += share_of_information * float(np.mean(raw.residual**2) / np.mean(raw.answer**2))
         parts = weight * direction * residual
         score += float(parts.sum())
         sums += np.add.reduceat(parts, edges)

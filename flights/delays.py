@@ -1,9 +1,9 @@
-"""How late each stream's stamps are against the gyro's, with an interval, and their removal.
+"""Delays of streams against the gyro's clock, with intervals, and their removal.
 
 A value stamped t that was true at t - d is late by d. Attitude is compared with the gyro, velocity with the rotated
 accelerometer, position with velocity, measured rotor speeds with the forces and torques that they make. Commands have
-a response time instead, which is physics and never removed: of thrust and of angular acceleration each, as a
-first-order lag and as a pure delay, with the share that either explains.
+a response time instead, which belongs to the vehicle and is never removed: of thrust and of angular acceleration each,
+as a first-order lag and as a pure delay, with the share that either explains.
 
 Each comparison leaves gains, biases and rotor constants free; see `flights.delay_fit`.
 """
@@ -21,31 +21,34 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from flights import filters
 from flights.alignment import resample
-from flights.delay_fit import Band, Curve, fit_delay
+from flights.delay_fit import Band, ThrustCurve, fit_delay
 from flights.exclusion import Exclusion
 from flights.log import Log, Stream
 from flights.quantities import ROTORS
 
 GRID_RATE = 200.0  # Hz of the comparisons
 CUTOFF = 10.0  # Hz, or a quarter of the slowest rate
-LOWEST = 0.5  # Hz: slower differences are biases
+MIN_FREQUENCY = 0.5  # Hz: slower differences are biases
 VELOCITY_BAND = (0.2, 5.0)  # Hz: slower is tilt, faster the controller's answer to the estimate's noise
 POSITION_BAND = (0.05, 10.0)  # Hz: nothing but noise is between position and velocity
 ROTOR_BAND = (4.0, 15.0)  # Hz: slower forces are drag, inflow and gusts
 RESPONSE_BAND = (0.05, 10.0)  # Hz: where a vehicle moves; slower is its battery
-MIN_COMMANDS = 20.0  # Hz at which commands must be logged to tell how they are followed
+MIN_COMMANDS = 20.0  # Hz at which commands must be logged for their response to be estimated
 # s within which controllers answer gusts, by their rotors, and noise of the estimate, by their motion; by the seeds for
 # calibration of benchmarks/delay_estimation.py
 ROTOR_LOOP, VELOCITY_LOOP = 0.03, 0.01
-MAX_REACH = 0.008  # s of half an interval; a delay known less well than this is told and not removed
+MAX_REACH = 0.008  # s of half an interval; a less certain delay is reported and not removed
 
 
 @dataclass(frozen=True)
 class Delay:
-    """One stream against another. seconds: by which its stamps are late. low, high: 95 % interval, s.
+    """The delay of one stream against another.
 
-    kind: an error of a clock, or what follows a command with a first-order lag (seconds: its time constant) or a pure
-    delay. seconds_compared: of flight it rests on. explained: share of the variance of what it is compared with.
+    seconds: by which its stamps are late; of a lag its time constant.
+    low, high: 95 % interval, s.
+    kind: an error of a clock, or the response to a command as a first-order lag or a pure delay.
+    seconds_compared: length of the flight that was compared.
+    explained: share of the variance of the stream compared with.
     """
 
     stream: str
@@ -65,7 +68,7 @@ class Delay:
 
     @property
     def is_known(self) -> bool:
-        """Whether the flight moved enough to tell it."""
+        """Whether the flight moved enough for a certain estimate."""
         return self.high - self.low <= 2 * MAX_REACH
 
     def __str__(self) -> str:
@@ -77,7 +80,7 @@ class Delay:
 
 
 def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[Delay, ...]:
-    """Every delay that the log's streams can tell. exclusions: segments to leave out, of the log's time."""
+    """Every delay that the log's streams determine. exclusions: segments to leave out, of the log's time."""
     frame = _Frame.of(log, exclusions)
     if frame is None:
         return ()
@@ -85,20 +88,20 @@ def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[
     late = attitude.seconds if attitude is not None and attitude.is_known else 0.0
     velocity = _velocity(frame, late)
     later = velocity.seconds if velocity is not None and velocity.is_known else 0.0
-    found = (attitude, velocity, _position(frame), *_rotors(frame, late, later))
-    return tuple(delay for delay in found if delay is not None)
+    delays = (attitude, velocity, _position(frame), *_rotors(frame, late, later))
+    return tuple(delay for delay in delays if delay is not None)
 
 
 def removable(delays: Sequence[Delay]) -> dict[str, float]:
-    """What to take off each stream's stamps, s: known errors of clocks, position's by way of velocity."""
-    known = {delay.stream: delay.seconds for delay in delays if delay.is_known and not delay.is_response}
-    if "position" in known:
-        known["position"] += known.get("velocity", 0.0)
-    return known
+    """Seconds to subtract from each stream's stamps: certain errors of clocks, position's by way of velocity's."""
+    seconds = {delay.stream: delay.seconds for delay in delays if delay.is_known and not delay.is_response}
+    if "position" in seconds:
+        seconds["position"] += seconds.get("velocity", 0.0)
+    return seconds
 
 
 def remove_delays(log: Log, delays: Sequence[Delay]) -> Log:
-    """The log with the stamps of late streams put right."""
+    """The log with the delays of its streams removed."""
     late = removable(delays)
     streams = tuple(
         Stream(stream.name, stream.time - late[stream.name], stream.values, stream.source)
@@ -132,11 +135,11 @@ class _Frame:
         return cls(time, rate, streams, usable)
 
     def get(self, name: str, *, late: float = 0.0) -> Floats | None:
-        """A stream's values at the grid's times, its stamps put right by `late` seconds."""
+        """A stream's values at the grid's times, its stamps corrected by `late` seconds."""
         stream = self.streams.get(name)
         return None if stream is None else resample(stream, self.time + late)
 
-    def band(self, *names: str, band: Band = (LOWEST, CUTOFF)) -> Band:
+    def band(self, *names: str, band: Band = (MIN_FREQUENCY, CUTOFF)) -> Band:
         """The frequencies that streams can be compared at, Hz."""
         return band[0], min(band[1], *(0.25 * self.streams[name].rate for name in names))
 
@@ -173,53 +176,55 @@ def _rotors(frame: _Frame, attitude_late: float, velocity_late: float) -> tuple[
     rate, force = frame.get("rate"), frame.get("specific_force")
     if rate is None:
         return ()
-    beside = _beside_rotors(rate, frame.get("velocity", late=velocity_late), frame.get("attitude", late=attitude_late))
+    undelayed = _rotorless_regressors(
+        rate, frame.get("velocity", late=velocity_late), frame.get("attitude", late=attitude_late)
+    )
     answers = {"angular acceleration": filters.derivative(rate, 1 / frame.rate)}
     if force is not None:
         answers = {"thrust": force[:, 2:3], **answers}
     return (
-        _rotor_clock(frame, answers, beside),
-        *(delay for name in _CURVES for delay in _responses(frame, name, answers, beside)),
+        _rotor_clock(frame, answers, undelayed),
+        *(delay for name in _CURVES for delay in _responses(frame, name, answers, undelayed)),
     )
 
 
-def _rotor_clock(frame: _Frame, answers: Mapping[str, Floats], beside: Floats) -> Delay | None:
+def _rotor_clock(frame: _Frame, answers: Mapping[str, Floats], undelayed: Floats) -> Delay | None:
     speed = frame.get("rotor_speed")
     if speed is None:
         return None
     against = "IMU" if len(answers) > 1 else next(iter(answers))
     band = frame.band("rotor_speed", "rate", band=ROTOR_BAND)
     answer = np.hstack(list(answers.values()))
-    delay = _compare(frame, answer, speed**2, "rotor_speed", against, band, beside=beside)
+    delay = _compare(frame, answer, speed**2, "rotor_speed", against, band, undelayed=undelayed)
     if delay is None:
         return None
     # the IMU is what is compared: it is late when the rotors are early
     return replace(delay, seconds=-delay.seconds, low=-delay.high, high=-delay.low)
 
 
-def _responses(frame: _Frame, name: str, answers: Mapping[str, Floats], beside: Floats) -> list[Delay | None]:
-    """How thrust and turning follow a command, as a lag and as a delay each."""
+def _responses(frame: _Frame, name: str, answers: Mapping[str, Floats], undelayed: Floats) -> list[Delay | None]:
+    """How thrust and angular acceleration follow a command, as a lag and as a delay each."""
     command = frame.get(name)
     if command is None or frame.streams[name].rate < MIN_COMMANDS:
         return []
-    curve, band, found = _CURVES[name], frame.band(name, "rate", band=RESPONSE_BAND), []
+    curve, band, delays = _CURVES[name], frame.band(name, "rate", band=RESPONSE_BAND), []
     for against, answer in answers.items():
-        found.append(_compare(frame, answer, command, name, against, band, beside=beside, lagged=curve))
-        found.append(_compare(frame, answer, curve(command), name, against, band, beside=beside))
-    return found
+        delays.append(_compare(frame, answer, command, name, against, band, undelayed=undelayed, lagged=curve))
+        delays.append(_compare(frame, answer, curve(command), name, against, band, undelayed=undelayed))
+    return delays
 
 
-# What a rotor gives for its command: by the square of its speed; the curve of a signal is not known, so that its square
-# stands beside itself.
-_CURVES: Mapping[str, Curve] = {
+# A rotor's thrust by its command: the square of a speed; the curve of a signal is unknown, so that the signal and its
+# square are both regressors.
+_CURVES: Mapping[str, ThrustCurve] = {
     "rotor_speed_command": np.square,
     "rotor_thrust_command": np.asarray,
     "rotor_command": lambda values: np.hstack([values, values**2]),
 }
 
 
-def _beside_rotors(rate: Floats, velocity: Floats | None, attitude: Floats | None) -> Floats:
-    """What turns and lifts a vehicle besides its rotors: damping, gyroscopic moments, airspeed."""
+def _rotorless_regressors(rate: Floats, velocity: Floats | None, attitude: Floats | None) -> Floats:
+    """Regressors of forces and moments other than the rotors': damping, gyroscopic moments, airspeed."""
     products = rate[:, [1, 2, 0]] * rate[:, [2, 0, 1]]
     if velocity is None or attitude is None:
         return np.hstack([rate, products])
@@ -228,14 +233,14 @@ def _beside_rotors(rate: Floats, velocity: Floats | None, attitude: Floats | Non
 
 def _compare(
     frame: _Frame, answer: Floats, drive: Floats, name: str, against: str, band: Band,
-    *, beside: Floats | None = None, lagged: Curve | None = None,
+    *, undelayed: Floats | None = None, lagged: ThrustCurve | None = None,
 ) -> Delay | None:  # fmt: skip
-    beside = np.empty((len(answer), 0)) if beside is None else beside
+    undelayed = np.empty((len(answer), 0)) if undelayed is None else undelayed
     paired = name not in ROTORS
     closed_loop = VELOCITY_LOOP if name == "velocity" else 0.0 if paired else ROTOR_LOOP
     kind: Literal["clock", "lag", "delay"] = "clock" if name not in _CURVES else "delay" if lagged is None else "lag"
     fit = fit_delay(
-        answer, drive, beside, frame.rate, band, frame.usable,
+        answer, drive, undelayed, frame.rate, band, frame.usable,
         paired=paired, lagged=lagged, whiten=kind == "clock", closed_loop=closed_loop,
     )  # fmt: skip
     if fit is None:

@@ -1,7 +1,7 @@
-"""What of a log is no free flight: standing on the ground, hitting something, crashing. Mask it before any fit.
+"""Segments that are not free flight: ground contact, impacts, crashes. Mask them before any fit.
 
-Everything is found from what the log has: the land detector's word, effort of the rotors, specific force, motion. A
-log without rotors, accelerometer and motion is left as it is.
+They are detected from what the log has: the land detector, effort of the rotors, specific force, motion. A log without
+rotors, accelerometer and motion has no exclusions.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from flights.flight import MIN_SEGMENT, Flight
 Reason = Literal["ground", "impact", "crash"]
 Rows = NDArray[np.bool_]
 
-IDLE_EFFORT = 0.35  # of the usual effort, below which rotors do not carry the vehicle
-IDLE_TIME = 0.15  # s for which it must last
+IDLE_EFFORT = 0.35  # of the usual effort, below which rotors do not carry the vehicle,
+IDLE_TIME = 0.15  # s, and for how long
 RESTING_FORCE = 0.5  # g of specific force: less is free fall, not the ground
 STILL_SPEED, STILL_RATE = 0.15, 0.3  # m/s, rad/s
 GROUND_HEIGHT = 0.07  # m
@@ -42,7 +42,11 @@ RECOVERED = 1.0  # s of upright flight that end a crash
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A segment that no fit may use. start, stop: s of the flight's time. detail: what was seen."""
+    """A segment that no fit may use.
+
+    start, stop: s of the flight's time.
+    detail: the evidence, for people.
+    """
 
     reason: Reason
     start: float
@@ -54,21 +58,21 @@ class Exclusion:
 
 
 def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
-    """Every segment of a flight that is no free flight, in the order of time."""
+    """Every segment of a flight that is not free flight, in the order of time."""
     if len(flight) < 3:
         return ()
-    seen = _Seen.of(flight)
-    ground = seen.ground()
-    impacts, force = seen.impacts()
-    crash = _crashes(seen, ground, impacts)
-    touching = _grown(ground, seen.rows(GROUND_MARGIN))
-    bumps = _grown(impacts, seen.rows(IMPACT_MARGIN)) & ~touching & ~crash
-    found = [
+    indicators = _Indicators.of(flight)
+    ground = indicators.ground()
+    impacts, force = indicators.impacts()
+    crash = _crashes(indicators, ground, impacts)
+    touching = _grown(ground, indicators.rows(GROUND_MARGIN))
+    bumps = _grown(impacts, indicators.rows(IMPACT_MARGIN)) & ~touching & ~crash
+    exclusions = [
         *_named("crash", flight, crash, "hit something or fell over, and did not fly on"),
         *_named("ground", flight, touching & ~crash, "stood on the ground"),
         *_named("impact", flight, bumps, f"specific force jumped by {force:.0f} m/s^2"),
     ]
-    return tuple(sorted(found, key=lambda item: item.start))
+    return tuple(sorted(exclusions, key=lambda item: item.start))
 
 
 def excluded_rows(flight: Flight, exclusions: Sequence[Exclusion]) -> Rows:
@@ -85,7 +89,7 @@ def free_flight(flight: Flight, *, shortest: float = MIN_SEGMENT) -> tuple[Fligh
 
 
 def effort(flight: Flight) -> Floats | None:
-    """(n,) collective thrust over its usual value in flight, as far as rotors or commands tell; None if none do."""
+    """(n,) collective thrust over its usual value in flight, from rotor speeds or commands; None without any."""
     for name, power in (
         ("rotor_speed", 2.0), ("rotor_speed_command", 2.0), ("rotor_thrust_command", 1.0), ("rotor_command", 1.5),
         ("collective_thrust_command", 1.0), ("thrust_setpoint", 1.0),
@@ -93,16 +97,16 @@ def effort(flight: Flight) -> Floats | None:
         if not flight.has(name):
             continue
         total = np.sum(np.abs(flight[name].reshape(len(flight), -1)) ** power, axis=1)
-        known = total[np.isfinite(total)]
-        working = known[known > 0.2 * np.percentile(known, 95)] if len(known) else known
+        finite = total[np.isfinite(total)]
+        working = finite[finite > 0.2 * np.percentile(finite, 95)] if len(finite) else finite
         if len(working) and np.median(working) > 0:
             return np.asarray(total / np.median(working))
     return None
 
 
 @dataclass(frozen=True, eq=False)
-class _Seen:
-    """What decides, (n,) each, None where the log cannot tell."""
+class _Indicators:
+    """The signals that decide, (n,) each, None where the log has none."""
 
     count: int
     period: float
@@ -115,7 +119,7 @@ class _Seen:
     height: Floats | None
 
     @classmethod
-    def of(cls, flight: Flight) -> _Seen:
+    def of(cls, flight: Flight) -> _Indicators:
         def norm(name: str) -> Floats | None:
             return np.linalg.norm(flight[name], axis=1) if flight.has(name) else None
 
@@ -138,17 +142,17 @@ class _Seen:
         return _lasting(np.nan_to_num(self.effort, nan=1.0) < IDLE_EFFORT, self.rows(IDLE_TIME))
 
     def still(self) -> Rows | None:
-        """Rows in which nothing moves, as far as that can be seen."""
+        """Rows in which nothing moves, by the signals that there are."""
         parts = [(self.speed, STILL_SPEED), (self.turning, STILL_RATE)]
-        known = [np.nan_to_num(values, nan=np.inf) < most for values, most in parts if values is not None]
-        return None if self.speed is None else np.logical_and.reduce(known)
+        below = [np.nan_to_num(values, nan=np.inf) < limit for values, limit in parts if values is not None]
+        return None if self.speed is None else np.logical_and.reduce(below)
 
     def ground(self) -> Rows:
-        """Standing on the ground: the land detector's word, or idle rotors under something that carries."""
+        """Standing on the ground: by the land detector, or idle rotors without a fall."""
         carried = self._carried()
         if self.landed is not None and np.any(np.isfinite(self.landed)):
             landed = np.asarray(np.nan_to_num(self.landed, nan=1.0) != 0.0)
-            return landed if self.force is None else landed | carried  # detectors speak seconds after touch-down
+            return landed if self.force is None else landed | carried  # detectors are seconds late after touch-down
         return carried | self._at_rest_on(carried, self.still())
 
     def _carried(self) -> Rows:
@@ -165,16 +169,16 @@ class _Seen:
 
     def _at_rest_on(self, resting: Rows, still: Rows | None) -> Rows:
         """Standing with turning rotors: still, and as high as where the vehicle has rested with idle ones."""
-        found = np.zeros_like(resting)
+        at_rest = np.zeros_like(resting)
         if self.height is None or still is None:
-            return found
+            return at_rest
         for start, stop in runs(resting):
             level = float(np.nanmedian(self.height[max(start, stop - self.rows(0.2)) : stop]))
-            found |= still & (np.abs(np.nan_to_num(self.height, nan=np.inf) - level) < GROUND_HEIGHT)
-        return _lasting(found, self.rows(IDLE_TIME))
+            at_rest |= still & (np.abs(np.nan_to_num(self.height, nan=np.inf) - level) < GROUND_HEIGHT)
+        return _lasting(at_rest, self.rows(IDLE_TIME))
 
     def impacts(self) -> tuple[Rows, float]:
-        """Instants at which the specific force jumps as no rotor makes it, and by how much at most, m/s^2."""
+        """Instants at which the specific force jumps more than rotors can make it, and the largest jump, m/s^2."""
         none = np.zeros(self.count, dtype=bool)
         if self.force is None or not np.any(np.isfinite(self.force)):
             return none, 0.0
@@ -192,54 +196,54 @@ class _Seen:
         return _lasting(still & (np.nan_to_num(self.tilt) > TILT_RESTING), self.rows(0.5))
 
     def overturned(self) -> Rows:
-        """Tilted further than any flight that ends well."""
+        """Tilted further than in any normal flight."""
         return np.zeros(self.count, dtype=bool) if self.tilt is None else np.nan_to_num(self.tilt) > TILT_FALLEN
 
 
-def _crashes(seen: _Seen, ground: Rows, impacts: Rows) -> Rows:
+def _crashes(indicators: _Indicators, ground: Rows, impacts: Rows) -> Rows:
     """From each crash until the vehicle flies again, if it does."""
-    count, fallen = len(ground), seen.fallen()
-    bad_end = fallen | seen.overturned() | ground
+    count, fallen = len(ground), indicators.fallen()
+    bad_end = fallen | indicators.overturned() | ground
     flew = ~ground & ~fallen
     crash = np.zeros(count, dtype=bool)
     for start, _ in runs(impacts):
-        before = flew[max(0, start - seen.rows(AFTERMATH)) : start]
-        after = bad_end[start : start + seen.rows(AFTERMATH)]
-        gentle = _touches_down(seen, start)
+        before = flew[max(0, start - indicators.rows(AFTERMATH)) : start]
+        after = bad_end[start : start + indicators.rows(AFTERMATH)]
+        gentle = _touches_down(indicators, start)
         if len(before) and before.mean() > 0.9 and after.any() and not gentle:
-            crash[max(0, start - seen.rows(IMPACT_MARGIN)) : _recovery(seen, ground, start)] = True
+            crash[max(0, start - indicators.rows(IMPACT_MARGIN)) : _recovery(indicators, ground, start)] = True
     for start, _ in runs(fallen & ~crash):
-        crash[_loss_of_control(seen, start) : _recovery(seen, ground, start)] = True
+        crash[_loss_of_control(indicators, start) : _recovery(indicators, ground, start)] = True
     return crash
 
 
-def _touches_down(seen: _Seen, row: int) -> bool:
+def _touches_down(indicators: _Indicators, row: int) -> bool:
     """Whether an impact is a landing: slow and upright before and after it, and nowhere to fall from."""
-    before = slice(max(0, row - seen.rows(0.2)), row)
-    after = slice(row, row + seen.rows(AFTERMATH))
-    if seen.tilt is None or seen.speed is None:
+    before = slice(max(0, row - indicators.rows(0.2)), row)
+    after = slice(row, row + indicators.rows(AFTERMATH))
+    if indicators.tilt is None or indicators.speed is None:
         return False
-    upright = bool(np.all(seen.tilt[before] < TILT_RESTING) and np.all(seen.tilt[after] < TILT_FALLEN))
-    fell = seen.height is not None and float(seen.height[row] - np.nanmin(seen.height[after])) > FALL
-    return upright and bool(np.all(seen.speed[before] < LANDING_SPEED)) and not fell
+    upright = bool(np.all(indicators.tilt[before] < TILT_RESTING) and np.all(indicators.tilt[after] < TILT_FALLEN))
+    fell = indicators.height is not None and float(indicators.height[row] - np.nanmin(indicators.height[after])) > FALL
+    return upright and bool(np.all(indicators.speed[before] < LANDING_SPEED)) and not fell
 
 
-def _loss_of_control(seen: _Seen, row: int) -> int:
-    """Where a vehicle that lies on its side at a row was last seen flying upright."""
-    assert seen.tilt is not None
-    upright = np.flatnonzero(seen.tilt[:row] < TILT_RESTING)
+def _loss_of_control(indicators: _Indicators, row: int) -> int:
+    """The last upright row before a vehicle lies on its side."""
+    assert indicators.tilt is not None
+    upright = np.flatnonzero(indicators.tilt[:row] < TILT_RESTING)
     last = int(upright[-1]) if len(upright) else 0
-    return max(0, last - seen.rows(IMPACT_MARGIN))
+    return max(0, last - indicators.rows(IMPACT_MARGIN))
 
 
-def _recovery(seen: _Seen, ground: Rows, row: int) -> int:
+def _recovery(indicators: _Indicators, ground: Rows, row: int) -> int:
     """The first row after a crash from which on it flies upright for a while; the end if it never does."""
-    idle = seen.idle()
-    flies = ~ground & ~seen.fallen() & ~seen.overturned()
+    idle = indicators.idle()
+    flies = ~ground & ~indicators.fallen() & ~indicators.overturned()
     if idle is not None:
         flies &= ~idle
     for start, stop in runs(flies[row:]):
-        if stop - start >= seen.rows(RECOVERED) and start > 0:
+        if stop - start >= indicators.rows(RECOVERED) and start > 0:
             return row + start
     return len(ground)
 
@@ -248,13 +252,13 @@ def _named(reason: Reason, flight: Flight, rows: Rows, detail: str) -> list[Excl
     return [Exclusion(reason, float(flight.time[a]), float(flight.time[b - 1]), detail) for a, b in runs(rows)]
 
 
-def _lasting(rows: Rows, least: int) -> Rows:
-    """Rows without runs shorter than `least`."""
-    kept = np.zeros_like(rows)
+def _lasting(rows: Rows, min_rows: int) -> Rows:
+    """Rows without runs shorter than `min_rows`."""
+    lasting = np.zeros_like(rows)
     for start, stop in runs(rows):
-        if stop - start >= least:
-            kept[start:stop] = True
-    return kept
+        if stop - start >= min_rows:
+            lasting[start:stop] = True
+    return lasting
 
 
 def _grown(rows: Rows, margin: int) -> Rows:

@@ -1,7 +1,7 @@
 """Filters for flight data, applied to every segment without a gap by itself.
 
-`lowpass` and `derivative` look ahead: they make labels and judgements, never the input of a network that shall fly.
-`causal_lowpass` looks back only.
+`lowpass` and `derivative` are not causal: they are for labels and analysis, never for the input of a network in flight.
+`causal_lowpass` is.
 """
 
 from __future__ import annotations
@@ -21,9 +21,10 @@ ANTI_ALIAS = 0.4  # cutoff over the new rate when a stream is thinned out
 
 
 def lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
-    """Zero-phase Butterworth low-pass: forward and backward, so that nothing is delayed.
+    """Zero-phase Butterworth low-pass, forward and backward.
 
-    values: (n,) or (n, k); NaN rows split it, segments too short to filter become NaN. rate, cutoff: Hz.
+    values: (n,) or (n, k); NaN rows split it, segments too short to filter become NaN.
+    rate, cutoff: Hz.
 
     Raises RequestError for a cutoff that the rate does not reach.
     """
@@ -39,9 +40,11 @@ def lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -
 
 
 def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
-    """The same Butterworth low-pass, forward only: what a network in flight may be given.
+    """The same Butterworth low-pass, forward only, as for a network in flight; settled at each segment's first value.
 
-    values: (n,) or (n, k), NaN rows split it. rate, cutoff: Hz. It starts settled at the first value of each segment.
+    values: (n,) or (n, k); NaN rows split it.
+    rate, cutoff: Hz.
+
     Raises RequestError for a cutoff that the rate does not reach.
     """
     sections = _sections(rate, cutoff, order)
@@ -55,9 +58,10 @@ def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = O
 
 
 def anti_aliased(values: Floats, rate: float, new_rate: float) -> Floats:
-    """Values as they may be sampled at a lower rate: without what that rate would fold back; unchanged at a higher one.
+    """Values without the frequencies that a lower rate would alias; unchanged for a higher one.
 
-    values: (n,) or (n, k). rate, new_rate: Hz.
+    values: (n,) or (n, k).
+    rate, new_rate: Hz.
     """
     if new_rate >= 0.99 * rate:
         return values
@@ -80,9 +84,9 @@ def each_segment(values: Floats, function: Callable[[Floats], Floats]) -> Floats
     if not len(values):
         return values
     table = values.reshape(len(values), -1)
-    known = np.asarray(np.isfinite(table).all(axis=1))
+    finite = np.asarray(np.isfinite(table).all(axis=1))
     result = np.full_like(values, np.nan, dtype=float)
-    for start, stop in runs(known):
+    for start, stop in runs(finite):
         result[start:stop] = function(values[start:stop])
     return result
 

@@ -1,4 +1,4 @@
-"""A flight: one aligned table whose every column has a unit and a frame, and which knows where it came from."""
+"""A flight: one aligned table with unit and frame of every column, and its provenance."""
 
 from __future__ import annotations
 
@@ -26,8 +26,11 @@ MIN_SEGMENT = 0.5  # s
 class Flight:
     """One flight on one uniform clock; unit and frame of every column are those of `flights.quantities`.
 
-    time: (n,) s. columns: name to (n,), read-only, NaN where there was no sample. origins: where each quantity came
-    from and at which rate it was logged. parameters: of the vehicle, as it logged them.
+    time: (n,) s.
+    columns: name to (n,), read-only, NaN where there was no sample.
+    provenance: the file.
+    origins: source and logged rate of each quantity.
+    parameters: of the vehicle, as it logged them.
     """
 
     time: Floats
@@ -52,10 +55,13 @@ class Flight:
 
     @classmethod
     def read(cls, path: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Self:
-        """The flight that any log holds, told apart by content. mapping: column-mapping TOML for a foreign CSV.
+        """The flight of a log of any format; the format is detected by content.
 
-        rate: Hz of the common clock, by default that of the log's gyro. Raises RequestError for a path or a mapping
-        that is wrong, DataError for a log that cannot be read or holds no flight.
+        mapping: column-mapping TOML for a foreign CSV.
+        rate: Hz of the common clock, by default that of the log's gyro.
+
+        Raises RequestError for a path or a mapping that is wrong, DataError for a log that cannot be read or holds no
+        flight.
         """
         return cls.from_log(read_log(path, mapping=mapping), rate=rate)
 
@@ -109,18 +115,18 @@ class Flight:
 
     def unit(self, name: str) -> str:
         """Unit of a column or quantity. Raises RequestError for one that no flight has."""
-        return self._known(name).unit
+        return self._quantity(name).unit
 
     def frame(self, name: str) -> str:
         """Frame of a column or quantity, empty where there is none. Raises RequestError for one that no flight has."""
-        return self._known(name).frame
+        return self._quantity(name).frame
 
     @staticmethod
-    def _known(name: str) -> Quantity:
-        known = quantity_of(name) or QUANTITIES.get(name)
-        if known is None:
+    def _quantity(name: str) -> Quantity:
+        quantity = quantity_of(name) or QUANTITIES.get(name)
+        if quantity is None:
             raise RequestError(f"{name!r} is no column of a flight. Known: {', '.join(known_columns())}.")
-        return known
+        return quantity
 
     def rows(self, start: int, stop: int) -> Self:
         """The rows from start to before stop, with their times as they are."""
@@ -131,7 +137,7 @@ class Flight:
         """(n,) whether the vehicle was armed, as far as that was logged, and no quantity of motion has a gap."""
         good = np.ones(len(self.time), dtype=bool)
         if "armed" in self.columns:
-            good &= self.columns["armed"] != 0.0  # before the first word about it nothing is excluded
+            good &= self.columns["armed"] != 0.0  # before its first sample nothing is excluded
         for name in MOTION:
             if self.has(name):
                 good &= np.isfinite(self[name]).all(axis=1)
@@ -140,7 +146,8 @@ class Flight:
     def segments(self, *, exclude: NDArray[np.bool_] | None = None, shortest: float = MIN_SEGMENT) -> tuple[Self, ...]:
         """The segments without a gap, a disarmed vehicle or an estimator reset inside.
 
-        exclude: (n,) further rows to leave out, as ground contact and crashes. shortest: s, shorter ones are dropped.
+        exclude: (n,) further rows to leave out, as ground contact and crashes.
+        shortest: s; shorter ones are dropped.
         """
         good = self.usable()
         if exclude is not None:
@@ -151,16 +158,16 @@ class Flight:
                 breaks[1:] |= np.diff(_filled(self.columns[name])) != 0
         segment = np.cumsum(breaks | np.concatenate([[True], good[1:] != good[:-1]])) if len(good) else good
         edges = np.flatnonzero(np.diff(segment, prepend=-1, append=-1)) if len(good) else np.empty(0, dtype=int)
-        pieces = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
-        least = max(2, round(shortest * self.rate))
-        return tuple(self.rows(start, stop) for start, stop in pieces if good[start] and stop - start >= least)
+        bounds = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
+        min_rows = max(2, round(shortest * self.rate))
+        return tuple(self.rows(start, stop) for start, stop in bounds if good[start] and stop - start >= min_rows)
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write the flight CSV, numbers so that reading them gives the same bits. Raises RequestError if it cannot."""
+        """Write the flight CSV, which is read back bit for bit. Raises RequestError when it cannot be written."""
         return tables.write_csv(self.time, self.columns, Path(path))
 
     def to_parquet(self, path: str | Path) -> Path:
-        """Write a Parquet file that also holds origins and provenance. Raises RequestError if it cannot."""
+        """Write a Parquet file with origins and provenance. Raises RequestError when it cannot be written."""
         notes = tables.Notes(self.provenance, dict(self.origins), dict(self.parameters), dict(self.metadata))
         return tables.write_parquet(self.time, self.columns, notes, Path(path))
 
@@ -181,9 +188,9 @@ def _read_only(values: Floats) -> Floats:
 
 
 def _filled(values: Floats) -> Floats:
-    """Values with what is unknown at the start replaced by the first known one."""
-    known = np.flatnonzero(np.isfinite(values))
-    if not len(known):
+    """Values with NaN replaced by the value before it, at the start by the first finite one."""
+    finite = np.flatnonzero(np.isfinite(values))
+    if not len(finite):
         return np.zeros_like(values)
-    at = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), known[0]))
+    at = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), finite[0]))
     return values[at]

@@ -1,7 +1,7 @@
-"""What one file says of a flight, before anything is joined: streams, each on its own clock and rate.
+"""One file's flight data before alignment: streams, each on its own clock and rate.
 
-Readers turn files into a `Reading`; `flights.reading.read_log` adds where it came from and makes it a `Log`.
-Whatever a reader changes about the file's content is a named `Repair`.
+Readers turn files into `LogContent`; `flights.reading.read_log` adds the provenance and makes it a `Log`. Every change
+that a reader makes to the file's content is a named `Repair`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,11 @@ from flights.quantities import QUANTITIES, Quantity
 
 @dataclass(frozen=True)
 class Repair:
-    """One change that reading made to what the file holds. name: for programs. detail: for people."""
+    """One change that a reader made to the file's content.
+
+    name: for programs.
+    detail: for people.
+    """
 
     name: str
     detail: str
@@ -29,10 +33,12 @@ class Repair:
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One quantity as one source told it.
+    """One quantity from one source.
 
-    time: (n,) s since the log's start, strictly increasing. values: (n, k) SI in our frames; NaN where the source had
-    no value. source: the topic or the columns it was read from.
+    name: of the quantity.
+    time: (n,) s since the log's start, strictly increasing.
+    values: (n, k) SI in our frames; NaN where the source had no value.
+    source: the topic or the columns it was read from.
     """
 
     name: str
@@ -73,7 +79,12 @@ class Stream:
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a quantity of a flight came from. rate: Hz, samples: as they were logged."""
+    """Where a quantity of a flight came from.
+
+    source: topic or columns.
+    rate: at which it was logged, Hz.
+    samples: as logged.
+    """
 
     source: str
     rate: float
@@ -81,11 +92,14 @@ class Origin:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """A file's content. start: the file's own clock at time 0, s. parameters: of the vehicle, by their own names.
+class LogContent:
+    """A file's content.
 
-    Several streams may tell the same quantity; the first is the one to use. notes: what the file could not give or
-    what had to be assumed.
+    streams: several may be of the same quantity; the first is the one to use.
+    start: the file's own clock at time 0, s.
+    parameters: of the vehicle, by their own names.
+    notes: assumptions, and data that the file lacks or that were left out.
+    repairs: changes to the file's content.
     """
 
     streams: tuple[Stream, ...]
@@ -98,7 +112,11 @@ class Reading:
 
 @dataclass(frozen=True)
 class Provenance:
-    """Where a log came from. sha256: of the file as it lies on disk, compressed or not."""
+    """Where a log came from.
+
+    sha256: of the file on disk, compressed or not.
+    format, reader: name for people, and module.
+    """
 
     path: str
     sha256: str
@@ -120,16 +138,16 @@ class Log:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """The quantities it tells, each once, in the order of the flight CSV."""
-        told = {stream.name for stream in self.streams}
-        return tuple(name for name in QUANTITIES if name in told)
+        """Its quantities, each once, in the order of the flight CSV."""
+        present = {stream.name for stream in self.streams}
+        return tuple(name for name in QUANTITIES if name in present)
 
     def stream(self, name: str) -> Stream | None:
         """The stream to use for a quantity, None when there is none."""
         return next((stream for stream in self.streams if stream.name == name), None)
 
     def alternatives(self, name: str) -> tuple[Stream, ...]:
-        """Every stream that tells a quantity, the one to use first."""
+        """Every stream of a quantity, the one to use first."""
         return tuple(stream for stream in self.streams if stream.name == name)
 
     @property

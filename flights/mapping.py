@@ -20,13 +20,13 @@ from flights.quantities import MAX_ROTORS, QUANTITIES
 FOLDER = Path(__file__).parent / "mappings"
 
 TIME_UNITS: Table[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# What a unit is in the quantity's own unit.
+# Factor from a unit to the quantity's own unit.
 UNITS: Table[str, float] = {
     "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "rad": 1.0, "deg": np.pi / 180,
     "rad/s": 1.0, "deg/s": np.pi / 180, "m/s^2": 1.0, "g": GRAVITY, "N": 1.0, "N m": 1.0, "rpm": 2 * np.pi / 60,
     "V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3, "1": 1.0, "0..1": 1.0, "%": 0.01, "0..65535": 1 / 65_535,
 }  # fmt: skip
-# Units that each unit of a quantity may be given in.
+# Units that a mapping may name for each unit of a quantity.
 _KIND_OF_UNIT: Table[str, tuple[str, ...]] = {
     "m": ("m", "mm", "cm"), "m/s": ("m/s", "mm/s", "cm/s"), "rad": ("rad", "deg"),
     "rad/s": ("rad/s", "deg/s", "rpm"), "m/s^2": ("m/s^2", "g"), "N": ("N",), "N m": ("N m",), "V": ("V", "mV"),
@@ -35,14 +35,20 @@ _KIND_OF_UNIT: Table[str, tuple[str, ...]] = {
 
 
 class FileLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the text is laid out. prefix: regular expression of what every line begins with besides its cells."""
+    """Layout of the text.
+
+    prefix: regular expression of what precedes the cells in every line.
+    """
 
     delimiter: str = ","
     prefix: str = ""
 
 
 class TimeColumn(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The time. from_first_row: count from the first row, for clocks that start long before the log."""
+    """The column of time.
+
+    from_first_row: count from the first row, for clocks that start long before the log.
+    """
 
     column: str
     unit: Literal["s", "ms", "us", "ns"] = "s"
@@ -57,10 +63,13 @@ class Frames(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One quantity. columns: in the order of its parts; rotors in the vehicle file's order.
+    """One quantity's columns.
 
-    unit: theirs, the quantity's own if left out. scale: further factor. order: of an attitude, wxyz, xyzw, or euler for
-    roll, pitch and yaw. frame: when it differs from [frames].
+    columns: in the order of its parts; rotors in the vehicle file's order.
+    unit: of the columns; the quantity's own by default.
+    scale: further factor.
+    order: of an attitude: wxyz, xyzw, or euler for roll, pitch and yaw.
+    frame: when it differs from [frames].
     """
 
     quantity: str
@@ -83,16 +92,16 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         if parts == ("w", "x", "y", "z"):
             count = 3 if self.order == "euler" else 4
             if not self.order:
-                raise RequestError(f"{self.quantity}: say order = 'wxyz', 'xyzw' or 'euler'; it cannot be guessed.")
+                raise RequestError(f"{self.quantity}: give order = 'wxyz', 'xyzw' or 'euler'; it cannot be guessed.")
         elif self.order:
             raise RequestError(f"{self.quantity} is no attitude: leave order out.")
         if count is None and not 1 <= len(self.columns) <= MAX_ROTORS:
             raise RequestError(f"{self.quantity}: give one column a rotor, 1 to {MAX_ROTORS} of them.")
         if count is not None and len(self.columns) != count:
             raise RequestError(f"{self.quantity} has {count} columns; {len(self.columns)} are given.")
-        known = _KIND_OF_UNIT[quantity.unit]
-        if self.unit and self.unit not in known:
-            raise RequestError(f"{self.quantity}: unit {self.unit!r} is none of {', '.join(known)}.")
+        units = _KIND_OF_UNIT[quantity.unit]
+        if self.unit and self.unit not in units:
+            raise RequestError(f"{self.quantity}: unit {self.unit!r} is none of {', '.join(units)}.")
         if isinstance(self.scale, tuple) and len(self.scale) != len(self.columns):
             raise RequestError(f"{self.quantity}: give one scale, or one a column.")
 
@@ -141,5 +150,5 @@ def read_mapping(path: Path) -> Mapping:
 @cache
 def shipped() -> tuple[Mapping, ...]:
     """The mappings that come with Alula, those with the most columns first."""
-    found = [read_mapping(path) for path in sorted(FOLDER.glob("*.toml"))]
-    return tuple(sorted(found, key=lambda mapping: -len(mapping.columns)))
+    mappings = [read_mapping(path) for path in sorted(FOLDER.glob("*.toml"))]
+    return tuple(sorted(mappings, key=lambda mapping: -len(mapping.columns)))

@@ -1,7 +1,6 @@
-"""One function over independent items: in this process, in local processes, or on a Dask cluster.
+"""The parallel map of campaigns, sweeps and studies: in this process, in local processes, or on a Dask cluster.
 
-Campaigns, sweeps, Monte-Carlo flights and diagnosis over fleets of logs are all of this shape. Results come as they are
-finished; what a function returns must not depend on which process ran it.
+Results come as they are finished; what a function returns must not depend on which process ran it.
 """
 
 from __future__ import annotations
@@ -25,11 +24,12 @@ def parallel_map(
 ) -> Iterator[tuple[int, Result]]:
     """(index of the item, result) pairs in the order in which they are finished.
 
-    function: importable by name, as are items and results by pickle. jobs: processes, None for one a core; 1 runs
-    everything in this process. scheduler: address of a Dask scheduler (tcp://host:port) that runs them instead.
+    function: importable by name; items and results are pickled.
+    jobs: processes, None for one a core; 1 runs everything in this process.
+    scheduler: address of a Dask scheduler (tcp://host:port) that runs them instead.
 
-    What the function raises is raised here, and nothing further is started. Raises RequestError for jobs below 1 or a
-    scheduler that cannot be reached, VehicleError when a process was killed.
+    An exception of the function is raised here, and no further item is started. Raises RequestError for jobs below 1 or
+    a scheduler that cannot be reached, VehicleError when a process was killed.
     """
     if scheduler is not None:
         return _on_cluster(function, items, scheduler)
@@ -49,13 +49,13 @@ def _in_processes(
     try:
         places = {pool.submit(function, item): index for index, item in enumerate(items)}
         for done in as_completed(places):
-            yield places[done], _result(done)
+            yield places[done], _local_result(done)
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def _end_with_parent() -> None:
-    """A process whose parent was killed ends: it would write on to files that a resumed run takes over."""
+    """End this process with its parent: it would otherwise go on writing files that a resumed run takes over."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 
@@ -66,7 +66,7 @@ def _end_with_parent() -> None:
     threading.Thread(target=wait, name="end with parent", daemon=True).start()
 
 
-def _result(done: Future[Result]) -> Result:
+def _local_result(done: Future[Result]) -> Result:
     try:
         return done.result()
     except BrokenProcessPool as error:
@@ -76,7 +76,7 @@ def _result(done: Future[Result]) -> Result:
         ) from error
 
 
-def _gathered(done: Any, killed: type[Exception]) -> Any:
+def _cluster_result(done: Any, killed: type[Exception]) -> Any:
     try:
         return done.result()
     except killed as error:
@@ -102,4 +102,4 @@ def _on_cluster(
     with client:
         places = {client.submit(function, item, pure=False): index for index, item in enumerate(items)}
         for done in distributed.as_completed(list(places), loop=client.loop):
-            yield places[done], _gathered(done, distributed.KilledWorker)
+            yield places[done], _cluster_result(done, distributed.KilledWorker)

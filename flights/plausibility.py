@@ -1,8 +1,8 @@
-"""Do units and frames hold? What a file only claims is held against physics before anybody relies on it.
+"""Checks of a log's units and frames, by streams that must agree.
 
 Each check compares two streams that must agree whatever was flown: velocity with the change of position, body rates
-with the change of attitude, specific force with gravity, horizontal acceleration with tilt. It speaks only when the
-flight moved enough to tell.
+with the change of attitude, specific force with gravity, horizontal acceleration with tilt. A flight that moved too
+little for a comparison passes it.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from flights.log import Stream
 from flights.quantities import MOTION
 
 _GRID_RATE = 50.0  # Hz of the comparisons
-_LONGEST = 60_000  # rows compared at most
+_MAX_ROWS = 60_000  # rows compared at most
 _SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
 _MAX_PERIOD = {"rate": 0.9, "attitude": 0.9, "specific_force": 0.9, "position": 3.0, "velocity": 3.0}  # s
 _MAX_RATE = 100.0  # rad/s; gyroscopes end at 35 to 70
@@ -33,21 +33,25 @@ _DEGREES = 180 / np.pi
 
 
 @dataclass(frozen=True)
-class Finding:
-    """A contradiction. name: for programs. text: what was seen, wanted and to be done."""
+class Contradiction:
+    """A contradiction between streams.
+
+    name: for programs.
+    text: the observation, what was expected, and what to do.
+    """
 
     name: str
     text: str
 
 
-def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
-    """Everything about units and frames that the streams contradict, empty when they agree or cannot tell."""
+def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
+    """Every contradiction of units and frames; empty when the streams agree or move too little."""
     first: dict[str, Stream] = {}
     for stream in streams:
         first.setdefault(stream.name, stream)
     grid = _grid(list(first.values()))
     on_grid: dict[str, Floats] = {name: resample(first[name], grid) for name in MOTION if name in first}
-    found = [
+    contradictions = [
         _too_slow(first),
         _impossible_rates(first),
         _rates_against_attitude(on_grid, grid),
@@ -56,21 +60,21 @@ def check(streams: Sequence[Stream]) -> tuple[Finding, ...]:
         _tilt_against_acceleration(on_grid, grid),
         _force_against_acceleration(on_grid, grid),
     ]
-    return tuple(finding for finding in found if finding is not None)
+    return tuple(finding for finding in contradictions if finding is not None)
 
 
 def _grid(streams: list[Stream]) -> Floats:
     start = min((float(stream.time[0]) for stream in streams), default=0.0)
     end = max((float(stream.time[-1]) for stream in streams), default=0.0)
-    count = min(int((end - start) * _GRID_RATE) + 1, _LONGEST)
+    count = min(int((end - start) * _GRID_RATE) + 1, _MAX_ROWS)
     return np.asarray(start + np.arange(count) / _GRID_RATE)
 
 
-def _too_slow(first: dict[str, Stream]) -> Finding | None:
-    """No log has its attitude or its gyro once a second: such a clock counts something shorter."""
+def _too_slow(first: dict[str, Stream]) -> Contradiction | None:
+    """No log has its attitude or its gyro once a second: such a clock counts a shorter unit."""
     for name, longest in _MAX_PERIOD.items():
         if name in first and longest < first[name].period < float("inf"):
-            return Finding(
+            return Contradiction(
                 "time_unit",
                 f"the {name} comes every {first[name].period:.3g} s, which is no flight log's rate: the time is not in "
                 "seconds. Wanted seconds; divide it, or give a column mapping with its unit (ms, us, ns).",
@@ -78,20 +82,20 @@ def _too_slow(first: dict[str, Stream]) -> Finding | None:
     return None
 
 
-def _impossible_rates(first: dict[str, Stream]) -> Finding | None:
+def _impossible_rates(first: dict[str, Stream]) -> Contradiction | None:
     if "rate" not in first:
         return None
     largest = float(np.nanpercentile(np.abs(first["rate"].values), 99.5))
     if largest <= _MAX_RATE:
         return None
-    return Finding(
+    return Contradiction(
         "rates_in_degrees",
         f"the body rates reach {largest:.0f} rad/s, which no gyroscope measures: they are in deg/s. Wanted rad/s; "
         "multiply by pi/180, or give a column mapping with unit = 'deg/s'.",
     )
 
 
-def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
     """Body rates must be those by which the attitude turns, on every axis that turns."""
     if not {"attitude", "rate"} <= on_grid.keys():
         return None
@@ -99,24 +103,24 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
     attitude, rate = on_grid["attitude"], _mean(on_grid["rate"], span)
     turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-span]), attitude[span:]))
     turning = turned / (span / _GRID_RATE)
-    known = np.isfinite(turning).all(axis=1) & np.isfinite(rate).all(axis=1)
-    known &= np.linalg.norm(turned, axis=1) < 1.5  # a long turn between two samples is no rotation vector's rate
-    if np.count_nonzero(known) < 50:
+    valid = np.isfinite(turning).all(axis=1) & np.isfinite(rate).all(axis=1)
+    valid &= np.linalg.norm(turned, axis=1) < 1.5  # a long turn between two samples is no rotation vector's rate
+    if np.count_nonzero(valid) < 50:
         return None
-    turning, rate = turning[known], rate[known]
+    turning, rate = turning[valid], rate[valid]
     speed = _rms(turning)
     if speed < _MIN_RATE:
         return None
     ratio = _rms(rate) / speed
     if 0.5 * _DEGREES < ratio < 2 * _DEGREES:
-        return Finding(
+        return Contradiction(
             "rates_in_degrees",
             f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
         )
     for axis in range(3):
         a, b = turning[:, axis], rate[:, axis]
         if min(_rms(a), _rms(b)) > _MIN_RATE and _agreement(a, b) < -_AGREEMENT:
-            return Finding(
+            return Contradiction(
                 "rate_frame",
                 f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
                 "the same axes (FRD and FLU?), or the attitude is world to body. Wanted both in body FLU, w first.",
@@ -124,47 +128,47 @@ def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Finding
     return None
 
 
-def _gravity(on_grid: dict[str, Floats]) -> Finding | None:
+def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
     """The mean specific force must point up with about g."""
     if "specific_force" not in on_grid:
         return None
     force = on_grid["specific_force"]
     attitude = on_grid.get("attitude")
-    known = np.isfinite(force).all(axis=1)
+    valid = np.isfinite(force).all(axis=1)
     if attitude is not None:
-        known &= np.isfinite(attitude).all(axis=1)
-    if np.count_nonzero(known) < 20:
+        valid &= np.isfinite(attitude).all(axis=1)
+    if np.count_nonzero(valid) < 20:
         return None
-    up = force[known] if attitude is None else quaternion.rotate(attitude[known], force[known])
+    up = force[valid] if attitude is None else quaternion.rotate(attitude[valid], force[valid])
     mean = np.median(up, axis=0)
     if mean[2] < -0.5 * GRAVITY:
-        return Finding(
+        return Contradiction(
             "frames_upside_down",
             f"the specific force points down ({mean[2]:.1f} m/s^2 along z): these are FRD or NED axes. Wanted FLU and "
             "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
         )
     if 0.5 < float(np.linalg.norm(mean)) < 2.0:
-        return Finding(
+        return Contradiction(
             "force_in_g",
             f"the specific force is {np.linalg.norm(mean):.2f} on average: it is in g. Wanted m/s^2.",
         )
     return None
 
 
-def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
+def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
     if not {"position", "velocity"} <= on_grid.keys():
         return None
     span = max(1, round(_SMOOTHING * _GRID_RATE))
     moved = (on_grid["position"][span:] - on_grid["position"][:-span]) / (span / _GRID_RATE)
     velocity = _mean(on_grid["velocity"], span)
-    known = np.isfinite(moved).all(axis=1) & np.isfinite(velocity).all(axis=1)
-    known &= np.linalg.norm(np.nan_to_num(moved), axis=1) < 50.0  # an estimator's reset is no motion
-    if np.count_nonzero(known) < 50:
+    valid = np.isfinite(moved).all(axis=1) & np.isfinite(velocity).all(axis=1)
+    valid &= np.linalg.norm(np.nan_to_num(moved), axis=1) < 50.0  # an estimator's reset is no motion
+    if np.count_nonzero(valid) < 50:
         return None
     for axis in range(3):
-        a, b = moved[known, axis], velocity[known, axis]
+        a, b = moved[valid, axis], velocity[valid, axis]
         if min(_rms(a), _rms(b)) > _MIN_SPEED and _agreement(a, b) < -_AGREEMENT:
-            return Finding(
+            return Contradiction(
                 "velocity_frame",
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
                 "same axes (NED and ENU?). Wanted both in ENU.",
@@ -172,23 +176,23 @@ def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Find
     return None
 
 
-def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
-    """Thrust pulls where body z leans: a multirotor that leans east accelerates east."""
+def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+    """Thrust acts along body z: a multirotor that tilts to the east accelerates east."""
     if not {"attitude", "velocity"} <= on_grid.keys():
         return None
     span = max(1, round(_SMOOTHING * _GRID_RATE))
     acceleration = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) / (span / _GRID_RATE)
-    lean = _mean(GRAVITY * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)
-    known = np.isfinite(acceleration).all(axis=1) & np.isfinite(lean).all(axis=1)
-    if np.count_nonzero(known) < 50:
+    thrust_direction = _mean(GRAVITY * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)
+    valid = np.isfinite(acceleration).all(axis=1) & np.isfinite(thrust_direction).all(axis=1)
+    if np.count_nonzero(valid) < 50:
         return None
-    a, b = acceleration[known, :2], lean[known, :2]
+    a, b = acceleration[valid, :2], thrust_direction[valid, :2]
     if min(_rms(a), _rms(b)) < _MIN_ACCELERATION:
         return None
     agreement = _agreement(a, b)
     exchanged = _agreement(a, b[:, ::-1])
     if agreement < _NO_AGREEMENT and exchanged > _AGREEMENT:
-        return Finding(
+        return Contradiction(
             "attitude_frame",
             f"the vehicle accelerates along x where its thrust leans along y (agreement {agreement:.2f}, exchanged "
             f"{exchanged:.2f}): attitude and velocity are not in the same axes, as NED labelled as ENU. Wanted ENU and "
@@ -196,28 +200,28 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Find
         )
     if agreement > -_AGREEMENT:
         return None
-    return Finding(
+    return Contradiction(
         "attitude_frame",
         f"the vehicle accelerates away from where its thrust points (agreement {agreement:.2f}): attitude and velocity "
         "are not in the same axes, as NED labelled as ENU. Wanted ENU and FLU; convert them, or give a column mapping.",
     )
 
 
-def _force_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Finding | None:
-    """The accelerometer feels what the velocity does, upwards too."""
+def _force_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+    """Vertical acceleration agrees between accelerometer and velocity."""
     if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
         return None
     span = max(1, round(_SMOOTHING * _GRID_RATE))
     climb = on_grid["velocity"][:, 2:]
     acceleration = (climb[span:] - climb[:-span]) / (span / _GRID_RATE)
     felt = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY, span)
-    known = np.isfinite(acceleration[:, 0]) & np.isfinite(felt[:, 0])
-    if np.count_nonzero(known) < 50:
+    valid = np.isfinite(acceleration[:, 0]) & np.isfinite(felt[:, 0])
+    if np.count_nonzero(valid) < 50:
         return None
-    a, b = acceleration[known], felt[known] - np.median(felt[known])
+    a, b = acceleration[valid], felt[valid] - np.median(felt[valid])
     if min(_rms(a), _rms(b)) < _MIN_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
         return None
-    return Finding(
+    return Contradiction(
         "velocity_frame",
         f"the velocity along z falls when the accelerometer feels the vehicle rise (agreement {_agreement(a, b):.2f}): "
         "position and velocity are NED labelled as ENU. Wanted z up; convert them, or give a column mapping.",

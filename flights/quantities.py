@@ -16,8 +16,9 @@ _ROTOR_COLUMN = re.compile(r"_(0|[1-9]\d*)$")
 class Quantity:
     """One physical quantity.
 
-    parts: suffixes of its columns, empty for a scalar, None for one column a rotor. frame: world ENU, body FLU, or
-    empty. kind: how values between two samples follow from them: on a straight line, on the unit sphere, or held.
+    parts: suffixes of its columns, empty for a scalar, None for one column a rotor.
+    frame: world ENU, body FLU, or empty.
+    kind: interpolation between two samples: linear, on the unit sphere, or held.
     """
 
     name: str
@@ -36,7 +37,7 @@ class Quantity:
 _XYZ = ("x", "y", "z")
 _WXYZ = ("w", "x", "y", "z")
 
-# In the order of the flight CSV; what a flight cannot do without comes first.
+# In the order of the flight CSV; what every flight needs comes first.
 QUANTITIES: Mapping[str, Quantity] = {
     quantity.name: quantity
     for quantity in (

@@ -1,4 +1,4 @@
-"""Any log into streams: the format is told by the content, never by the file's name."""
+"""Reading of logs of any format; the format is detected by content, never by the file's name."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility
-from flights.log import Log, Provenance, Reading, Stream
+from flights.log import Log, LogContent, Provenance, Stream
 from flights.readers import (
     betaflight,
     crazyflie,
@@ -21,24 +21,25 @@ from flights.readers import (
     tlog,
     ulog,
 )
-from flights.source import Source, Span, opened, sha256
+from flights.source import Source, TimeSpan, opened, sha256
 
 
 @dataclass(frozen=True)
 class Format:
-    """A kind of log. declares_frames: whether its specification fixes units and frames, so that they need no proof.
+    """A format of logs.
 
-    reads_spans: whether its reader can keep to a segment of a file; the others hold all of a flight's quantities.
+    declares_frames: whether its specification fixes units and frames; else a contradiction refuses the log.
+    reads_spans: whether its reader can read a span of a file; the others hold all of a flight's quantities.
     """
 
     label: str
     matches: Callable[[Source], bool]
-    read: Callable[[Source], Reading]
+    read: Callable[[Source], LogContent]
     declares_frames: bool
     reads_spans: bool = True
 
 
-# Asked in this order: what begins with a signature first, text last.
+# In the order of detection: formats with a signature first, text last.
 FORMATS: Mapping[str, Format] = {
     "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
@@ -56,8 +57,8 @@ FORMATS: Mapping[str, Format] = {
 def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
     """The streams of any log, gzipped or not. mapping: column-mapping TOML for a foreign CSV.
 
-    Raises RequestError for a path or mapping that is wrong or a format that is not known, DataError for a log that
-    cannot be read or contradicts the units and frames it ought to be in.
+    Raises RequestError for a path or mapping that is wrong or an unknown format, DataError for a log that cannot be
+    read or contradicts its units and frames.
     """
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
@@ -65,24 +66,25 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
         return _judge(source, name, sha256(path), _read(source, name))
 
 
-def read_pieces(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
-    """A log that is larger than memory as consecutive logs of so many seconds; segments without data are passed over.
+def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
+    """A log that is larger than memory as consecutive logs of so many seconds; chunks without data are skipped.
 
-    The file is read once, and only one piece of it is held; of a ULog and a DataFlash log the flight's own quantities
-    are held as a whole, which are a small part of the file. Raises what `read_log` raises, and RequestError for seconds
-    that are not positive.
+    The file is read once, and only one chunk of it is held; of a ULog and a DataFlash log all of the flight's own
+    quantities are held, which are a small part of the file.
+
+    Raises what `read_log` raises, and RequestError for seconds that are not positive.
     """
     if not seconds > 0:
-        raise RequestError(f"pieces of {seconds} s cannot be; give a positive number of seconds.")
+        raise RequestError(f"a chunk cannot last {seconds} s; give a positive number of seconds.")
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
         name, digest = _format_name(source), sha256(path)
-        whole = None if FORMATS[name].reads_spans else _read(source, name)
-        span = Span(0.0, seconds)
+        content = None if FORMATS[name].reads_spans else _read(source, name)
+        span = TimeSpan(0.0, seconds)
         while True:
-            reading = _read(replace(source, span=span), name) if whole is None else _cut(whole, span)
-            if reading.streams or not (span.start or span.more):
-                yield _judge(source, name, digest, reading)
+            chunk = _read(replace(source, span=span), name) if content is None else _cut(content, span)
+            if chunk.streams or not (span.start or span.more):
+                yield _judge(source, name, digest, chunk)
             if not span.more:
                 return
             span = span.next(seconds)
@@ -92,49 +94,49 @@ def _format_name(source: Source) -> str:
     return "mapped_csv" if source.mapping is not None else sniff(source)
 
 
-def _read(source: Source, name: str) -> Reading:
+def _read(source: Source, name: str) -> LogContent:
     try:
         return FORMATS[name].read(source)
     except AlulaError as error:
         raise type(error)(_naming(source.path, str(error))) from error
     except OSError:
         raise
-    except Exception as error:  # the parsers are others', and what damaged bytes make them raise is listed nowhere
+    except Exception as error:  # third-party parsers; what damaged bytes make them raise is not documented
         raise DataError(
             f"{source.path} is a {FORMATS[name].label}, but so damaged that it cannot be read ({error!r})."
         ) from error
 
 
-def _cut(reading: Reading, span: Span) -> Reading:
-    """The segment of a reading whose time starts at 0; the segment's time does so too."""
-    kept = [(stream, span.mask(stream.time)) for stream in reading.streams]
-    start = min((float(stream.time[rows][0]) for stream, rows in kept if rows.any()), default=0.0)
+def _cut(content: LogContent, span: TimeSpan) -> LogContent:
+    """A span of content whose time starts at 0; the result's time does so too."""
+    rows_by_stream = [(stream, span.mask(stream.time)) for stream in content.streams]
+    start = min((float(stream.time[rows][0]) for stream, rows in rows_by_stream if rows.any()), default=0.0)
     streams = tuple(
         Stream(stream.name, stream.time[rows] - start, stream.values[rows], stream.source)
-        for stream, rows in kept
+        for stream, rows in rows_by_stream
         if rows.any()
     )
-    return replace(reading, streams=streams, start=reading.start + start)
+    return replace(content, streams=streams, start=content.start + start)
 
 
-def _judge(source: Source, name: str, digest: str, reading: Reading) -> Log:
-    """The log that a reading makes, refused when it is empty or contradicts its units and frames."""
+def _judge(source: Source, name: str, digest: str, content: LogContent) -> Log:
+    """The log of a file's content. Raises DataError when it is empty or contradicts its units and frames."""
     form, path = FORMATS[name], source.path
-    if not reading.streams:
-        raise DataError(f"{path} is a {form.label} without flight data. {' '.join(reading.notes)}".rstrip())
-    notes = list(reading.notes)
-    for finding in plausibility.check(reading.streams):
+    if not content.streams:
+        raise DataError(f"{path} is a {form.label} without flight data. {' '.join(content.notes)}".rstrip())
+    notes = list(content.notes)
+    for finding in plausibility.check(content.streams):
         if not form.declares_frames:
             raise DataError(f"{path}: {finding.text}")
         notes.append(finding.text)
     provenance = Provenance(
-        str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + reading.repairs
+        str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + content.repairs
     )
-    return Log(reading.streams, provenance, reading.start, reading.metadata, reading.parameters)
+    return Log(content.streams, provenance, content.start, content.metadata, content.parameters)
 
 
 def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
-    """Every log below a folder in the order of names, each with what it holds or why it cannot be read.
+    """Every log below a folder in the order of names, each with its streams or the error that reading it raised.
 
     Raises RequestError when it is no folder.
     """
@@ -149,23 +151,23 @@ def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:
 
 
 def sniff(source: Source) -> str:
-    """The name of a log's format. Raises RequestError when it is none that is known."""
+    """The name of a log's format. Raises RequestError for an unknown format."""
     name = next((name for name, form in FORMATS.items() if form.matches(source)), None)
     if name is not None:
         return name
-    known = ", ".join(form.label for form in FORMATS.values())
+    labels = ", ".join(form.label for form in FORMATS.values())
     if source.is_folder:
         raise RequestError(
-            f"{source.path} is a folder, and no bag of ROS 2. Give one log, or read it with flights.read_folder."
+            f"{source.path} is a folder, and not a bag of ROS 2. Give one log, or read it with flights.read_folder."
         )
     columns = mapped_csv.header_of(source)
     if columns:
         raise RequestError(
             f"{source.path} is a text table, but its columns ({', '.join(columns[:8])}, ...) are neither those of the "
-            "flight CSV nor those of a mapping that is known. Write a column-mapping TOML as in flights/mappings/ and "
+            "flight CSV nor those of a known mapping. Write a column-mapping TOML as in flights/mappings/ and "
             "give it as mapping."
         )
-    raise RequestError(f"{source.path} is no log that is known: it begins with {source.head[:8]!r}. Known: {known}.")
+    raise RequestError(f"{source.path} has no known log format: it begins with {source.head[:8]!r}. Known: {labels}.")
 
 
 def logs_below(root: Path) -> Iterator[Path]:

@@ -1,4 +1,4 @@
-"""What drives the rotors, as speeds: measured ones, or those that commands would give by the vehicle file."""
+"""Rotor speeds of a flight: measured, or those that the commands give by the vehicle file."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from dynamics.errors import DataError
 from dynamics.vehicle import Rotors, Vehicle
 from flights.flight import Flight
 from flights.quality.advice import faster_rotors
+from flights.quality.inspection import MIN_ROTOR_RATE
 
-RotorSource = Literal["measured", "speed_command", "command"]  # speeds asked for are taken at their word
+RotorSource = Literal["measured", "speed_command", "command"]  # commanded speeds are taken as reached
 SOURCES: dict[str, RotorSource] = {"rotor_speed": "measured", "rotor_speed_command": "speed_command"}
-SLOWEST = 40.0  # Hz
+
 COMMANDS = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
 QUANTITIES = ("rotor_speed", *COMMANDS)
 
@@ -22,9 +23,10 @@ QUANTITIES = ("rotor_speed", *COMMANDS)
 def rotor_speeds(
     flight: Flight, vehicle: Vehicle, *, prefer: Literal["measured", "command"] = "measured"
 ) -> tuple[Floats, RotorSource]:  # fmt: skip
-    """(n, rotors) rad/s, measured if there are such, else those that the commands stand for by the vehicle file.
+    """(n, rotors) rad/s: measured, or else those that the commands give by the vehicle file.
 
-    prefer: "command" takes commands first, for models that shall be given what is asked of the rotors.
+    prefer: "command" takes commands first, for models whose inputs are commands.
+
     Raises DataError when there are neither, or none is logged fast enough.
     """
     name, count, slow = flight.provenance.path, vehicle.rotors.count, []
@@ -32,7 +34,7 @@ def rotor_speeds(
         if not flight.has(quantity):
             continue
         origin = flight.origins.get(quantity)
-        if origin is not None and origin.rate < SLOWEST:
+        if origin is not None and origin.rate < MIN_ROTOR_RATE:
             slow.append(f"{quantity} at {origin.rate:.0f} Hz")
             continue
         values = flight[quantity]
@@ -46,7 +48,7 @@ def rotor_speeds(
         if "SDLOG_PROFILE" not in advice:  # a table may have been a PX4 log
             advice += f"; with PX4, {faster_rotors('PX4 ULog', {})}"
         raise DataError(
-            f"{name} has {', '.join(slow)}. Wanted {SLOWEST:.0f} Hz or more, for rotors answer within tens of "
+            f"{name} has {', '.join(slow)}. Wanted {MIN_ROTOR_RATE:.0f} Hz or more, for rotors answer within tens of "
             f"milliseconds: {advice}. Then fly again."
         )
     raise DataError(
@@ -56,7 +58,7 @@ def rotor_speeds(
 
 
 def _speeds(quantity: str, values: Floats, rotors: Rotors) -> Floats:
-    """Rotor speeds that values of a quantity (n, rotors) stand for."""
+    """Rotor speeds of a quantity's values (n, rotors)."""
     if quantity == "rotor_thrust_command":
         return np.asarray(np.sqrt(np.maximum(values, 0.0) / rotors.thrust_constant))
     if quantity == "rotor_command":
@@ -66,8 +68,8 @@ def _speeds(quantity: str, values: Floats, rotors: Rotors) -> Floats:
 
 
 def _allocated(flight: Flight, vehicle: Vehicle) -> Floats:
-    """(n, rotors) rad/s that give the commanded thrust and torque, where the log knows no rotors."""
+    """(n, rotors) rad/s that give the commanded thrust and torque, for logs without rotors."""
     thrust = flight["collective_thrust_command"].reshape(-1, 1)
-    wanted = np.hstack([thrust, flight["torque_command"]])
-    squares = wanted @ np.linalg.pinv(vehicle.rotors.allocation).T
+    wrench = np.hstack([thrust, flight["torque_command"]])
+    squares = wrench @ np.linalg.pinv(vehicle.rotors.allocation).T
     return np.asarray(np.sqrt(np.maximum(squares, 0.0)))

@@ -21,17 +21,19 @@ from flights.log import Repair
 
 HEAD_BYTES = 65_536
 MAX_STEP_BACK = 0.5  # s; more is a clock that was set or a second recording in the same file
-_PIECE = 1 << 20
+_CHUNK_BYTES = 1 << 20
 _GZIP = b"\x1f\x8b"
 
 
 @dataclass
-class Span:
-    """A segment of a log that is larger than memory: what lies before start or from end on is not kept.
+class TimeSpan:
+    """A span of a log that is larger than memory; a reader drops samples outside of it and updates it.
 
-    start, end: s since the log's first sample. origin: that sample's stamp on the file's own clock, once it is known.
-    place: where in the file its reader begins, and at last where the next segment begins, in a form of the reader's
-    own; None for the beginning. following: the earliest sample seen at or after the end, s.
+    start, end: s since the log's first sample; end excluded.
+    origin: that sample's stamp on the file's own clock, None before it is read.
+    place: where in the file the reader starts, and after reading where the next span starts, in the reader's own form;
+        None for the file's start.
+    following: the earliest sample at or after the end, s.
     """
 
     start: float
@@ -42,7 +44,7 @@ class Span:
 
     @property
     def more(self) -> bool:
-        """Whether anything came at or after the end."""
+        """Whether the log has samples at or after the end."""
         return math.isfinite(self.following)
 
     def holds(self, elapsed: float) -> bool:
@@ -58,22 +60,26 @@ class Span:
         return np.asarray((elapsed >= self.start) & (elapsed < self.end))
 
     def is_past(self, elapsed: float) -> bool:
-        """Whether nothing of it comes any more, as far as stamps may be out of order."""
+        """Whether no further sample can belong to it; stamps may be out of order by MAX_STEP_BACK."""
         return elapsed >= self.end + MAX_STEP_BACK
 
-    def next(self, seconds: float) -> Span:
-        """The segment of so many seconds that the next sample lies in."""
+    def next(self, seconds: float) -> TimeSpan:
+        """The span of so many seconds that the next sample lies in."""
         start = max(self.end, math.floor(self.following / seconds) * seconds)
         end = max(start + seconds, math.nextafter(self.following, math.inf))
-        return Span(start, end, self.origin, self.place)
+        return TimeSpan(start, end, self.origin, self.place)
 
 
 @dataclass(frozen=True)
 class Source:
-    """A log to read. path: as it was given. file: the same content unpacked, on disk. head: its first bytes.
+    """A log to read.
 
-    repairs: what unpacking had to leave out. mapping: column-mapping TOML that the user gave. span: the segment to
-    keep, everything if None.
+    path: the user's.
+    file: the same content unpacked, on disk.
+    head: its first bytes.
+    repairs: damage that unpacking left out.
+    mapping: the user's column-mapping TOML.
+    span: None for the whole log.
     """
 
     path: Path
@@ -81,7 +87,7 @@ class Source:
     head: bytes
     repairs: tuple[Repair, ...] = ()
     mapping: Path | None = None
-    span: Span | None = None
+    span: TimeSpan | None = None
 
     @property
     def is_folder(self) -> bool:
@@ -100,7 +106,7 @@ class Source:
 
 @contextmanager
 def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
-    """The log at a path, its gzip unpacked into a temporary file so that nothing has to fit into memory.
+    """The log at a path; a gzip is unpacked into a temporary file, so that it need not fit into memory.
 
     Raises RequestError when there is no such file or it cannot be read, DataError for an empty one.
     """
@@ -119,7 +125,7 @@ def opened(path: Path, mapping: Path | None = None) -> Iterator[Source]:
             file = Path(folder) / path.name.removesuffix(".gz")
             repairs = _unpack(path, file)
             if not file.stat().st_size:
-                raise DataError(f"{path} is gzipped and holds nothing. Wanted a flight log.")
+                raise DataError(f"{path} is gzipped and empty. Wanted a flight log.")
             yield Source(path, file, _head(file), repairs, mapping)
     except OSError as error:
         raise RequestError(f"cannot read {path}: {error.strerror or error}. Give a flight log.") from error
@@ -131,8 +137,8 @@ def sha256(path: Path) -> str:
     files = sorted(file for file in path.rglob("*") if file.is_file()) if path.is_dir() else [path]
     for file in files:
         with file.open("rb") as stream:
-            while piece := stream.read(_PIECE):
-                digest.update(piece)
+            while chunk := stream.read(_CHUNK_BYTES):
+                digest.update(chunk)
     return digest.hexdigest()
 
 
@@ -142,11 +148,11 @@ def _head(file: Path) -> bytes:
 
 
 def _unpack(path: Path, file: Path) -> tuple[Repair, ...]:
-    """Unpack what can be unpacked; a torn or damaged end is left out and named."""
+    """Unpack up to a torn or damaged end, which becomes a repair."""
     with gzip.open(path, "rb") as packed, file.open("wb") as plain:
         try:
-            while piece := packed.read1(_PIECE):  # read1 hands over what is whole before it meets the damage
-                plain.write(piece)
+            while chunk := packed.read1(_CHUNK_BYTES):  # read1 returns whole data before it reaches the damage
+                plain.write(chunk)
         except (EOFError, zlib.error, gzip.BadGzipFile) as error:
             return (Repair("torn_gzip", f"the gzip file ends early or is damaged ({error}); read up to there"),)
     return ()

@@ -21,7 +21,7 @@ _KEY = b"alula.flight"
 
 
 class Notes(msgspec.Struct, frozen=True):
-    """What a Parquet file says of a flight besides its columns."""
+    """A flight's metadata in a Parquet file."""
 
     provenance: Provenance
     origins: dict[str, Origin]
@@ -30,7 +30,7 @@ class Notes(msgspec.Struct, frozen=True):
 
 
 def write_csv(time: Floats, columns: Mapping[str, Floats], path: Path) -> Path:
-    """Write the flight CSV; what is not known is an empty cell. Raises RequestError when it cannot be written."""
+    """Write the flight CSV; NaN is an empty cell. Raises RequestError when it cannot be written."""
     arrays = [pa.array(time), *(pa.array(values, from_pandas=True) for values in columns.values())]
     table = pa.table(arrays, names=[TIME, *columns])
     header = (",".join([TIME, *columns]) + "\n").encode()
@@ -56,6 +56,6 @@ def write_parquet(time: Floats, columns: Mapping[str, Floats], notes: Notes, pat
 
 
 def decode_notes(metadata: Mapping[bytes, bytes] | None) -> Notes | None:
-    """The notes in a Parquet schema, None for a file that was not written here."""
+    """The notes in a Parquet schema, None for a file of another program."""
     text = (metadata or {}).get(_KEY)
     return None if text is None else msgspec.json.decode(text, type=Notes)

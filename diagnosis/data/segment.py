@@ -15,10 +15,11 @@ from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
-from flights.rotors import SLOWEST, RotorSource, rotor_speeds
+from flights.quality.inspection import MIN_ROTOR_RATE
+from flights.rotors import RotorSource, rotor_speeds
 
 FASTEST = 500.0  # Hz
-MIN_LOGGED = 0.95 * SLOWEST  # Hz; clocks are not exact
+MIN_LOGGED = 0.95 * MIN_ROTOR_RATE  # Hz; clocks are not exact
 SHORTEST = 3.0  # s
 FULL_CELL = 4.2  # V
 VOLTAGE_CUTOFF = 4.0  # Hz: voltage falls with every manoeuvre, and its noise would stand in the thrust
@@ -125,10 +126,10 @@ def segments(flight: Flight, vehicle: Vehicle) -> tuple[Segment, ...]:
 
     Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
     """
-    if flight.rate < SLOWEST:
+    if flight.rate < MIN_ROTOR_RATE:
         raise DataError(
-            f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {SLOWEST:.0f} Hz or more of gyro "
-            "and pose."
+            f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {MIN_ROTOR_RATE:.0f} Hz or more "
+            "of gyro and pose."
         )
     posed = fast(flight, "attitude") and (fast(flight, "velocity") or fast(flight, "position"))
     if not posed and not (fast(flight, "rate") and fast(flight, "specific_force")):
@@ -160,9 +161,9 @@ def lacking(flight: Flight) -> str:
     missing = [names.get(name, name) for name in wanted if not flight.has(name)] + slow_ones(flight)
     return (
         f"{flight.provenance.path} has {', '.join(flight.quantities)}; it lacks {', '.join(missing)}. Wanted attitude "
-        f"with velocity or position, or else gyro and accelerometer, at {SLOWEST:.0f} Hz or more: log them and fly "
-        "again. With other flights of this vehicle that were normal, `alula diagnose LOG --vehicle V --normal NORMAL` "
-        "compares how the rotors share the load in hover, which needs the motor commands alone."
+        f"with velocity or position, or else gyro and accelerometer, at {MIN_ROTOR_RATE:.0f} Hz or more: log them and "
+        "fly again. With other flights of this vehicle that were normal, `alula diagnose LOG --vehicle V --normal "
+        "NORMAL` compares how the rotors share the load in hover, which needs the motor commands alone."
     )
 
 

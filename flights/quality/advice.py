@@ -1,4 +1,4 @@
-"""How to log so that the next flight answers more, for each kind of log."""
+"""How to log so that the next flight identifies more, for each kind of log."""
 
 from __future__ import annotations
 
@@ -31,7 +31,11 @@ MEASURED_SPEEDS: Mapping[str, str] = {
 
 
 def faster_rotors(form: str, parameters: Mapping[str, float]) -> str:
-    """What to set so that rotors are logged fast enough. form: the log's format. parameters: the vehicle's."""
+    """What to set so that rotors are logged fast enough.
+
+    form: the log's format.
+    parameters: the vehicle's.
+    """
     advice = FASTER_ROTORS.get(form, "log the rotors' speeds or commands at 100 Hz or more")
     profile = parameters.get("SDLOG_PROFILE")
     if form == "PX4 ULog" and profile is not None:
@@ -40,5 +44,5 @@ def faster_rotors(form: str, parameters: Mapping[str, float]) -> str:
 
 
 def measured_speeds(form: str) -> str:
-    """How to get measured rotor speeds, empty when nothing is known of it."""
+    """How to get measured rotor speeds; empty for a format without advice."""
     return MEASURED_SPEEDS.get(form, "")

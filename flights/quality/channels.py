@@ -1,4 +1,4 @@
-"""Each stream by itself: rate, jitter, gaps, noise, values that stand still, repeat or clip."""
+"""Quality of single streams: rate, jitter, gaps, noise, values that stand still, repeat or clip."""
 
 from __future__ import annotations
 
@@ -22,9 +22,14 @@ MIN_CLIPPED = 5  # samples in a row
 
 
 class Channel(msgspec.Struct, frozen=True):
-    """One stream. rate: Hz. jitter: s that 1 in 20 periods are off. longest_gap: s. noise: of single samples, in unit.
+    """One stream's quality.
 
-    renewed: Hz at which its values change, less than rate where samples are repeated.
+    rate: Hz.
+    renewed: Hz at which its values change; less than rate where samples are repeated.
+    jitter: s by which 1 in 20 periods is off.
+    longest_gap: s.
+    missing: share of samples with NaN.
+    noise: standard deviation of single samples, in unit.
     """
 
     quantity: str
@@ -46,20 +51,20 @@ def channels_of(log: Log) -> tuple[Channel, ...]:
 
 
 def channel_findings(log: Log, flying: Sequence[tuple[float, float]]) -> list[Finding]:
-    """What is wrong with single streams. flying: segments of free flight, s."""
-    found: list[Finding] = []
+    """Findings about single streams. flying: segments of free flight, s."""
+    findings: list[Finding] = []
     for channel in channels_of(log):
         if channel.quantity in MOTION or channel.quantity in ROTORS:
-            found += _timing(channel)
+            findings += _timing(channel)
     for name in log.names:
         stream = log.stream(name)
         if stream is None or name in RESET_COUNTERS or name in ("armed", "landed") or name.endswith("setpoint"):
             continue
         airborne = _within(stream, flying)
         if len(airborne) > 20:
-            found += _standing_still(stream, airborne)
-            found += _clipping(stream, airborne)
-    return found
+            findings += _standing_still(stream, airborne)
+            findings += _clipping(stream, airborne)
+    return findings
 
 
 def _channel(stream: Stream) -> Channel:
@@ -91,31 +96,31 @@ def _repeats(values: Floats) -> float:
 
 
 def _noise(values: Floats) -> float:
-    """Standard deviation of single samples, from second differences: what motion makes of them is smaller."""
+    """Standard deviation of single samples, from second differences, in which motion is small."""
     second = np.diff(values, n=2, axis=0)
-    known = second[np.isfinite(second).all(axis=1)]
-    return float(1.4826 * np.median(np.abs(known)) / np.sqrt(6)) if len(known) else 0.0
+    finite = second[np.isfinite(second).all(axis=1)]
+    return float(1.4826 * np.median(np.abs(finite)) / np.sqrt(6)) if len(finite) else 0.0
 
 
 def _timing(channel: Channel) -> list[Finding]:
-    found = []
+    findings = []
     name, where = channel.quantity, f"{channel.quantity} ({channel.source})"
     if channel.gaps:
-        found.append(Finding(
+        findings.append(Finding(
             "warning", "gaps", f"{where} has {channel.gaps} gaps, the longest of {channel.longest_gap:.2f} s",
             "they are masked; a faster card or fewer topics avoids them",
         ))  # fmt: skip
     if channel.jitter * channel.rate > MAX_JITTER:
-        found.append(Finding(
+        findings.append(Finding(
             "warning", "jitter", f"{where}: 1 in 20 periods is off by {1e3 * channel.jitter:.1f} ms at "
             f"{channel.rate:.0f} Hz", "use the stamps of the samples, not those of their arrival",
         ))  # fmt: skip
     if channel.renewed < (1 - MAX_REPEATS) * channel.rate and name in MOTION:
-        found.append(Finding(
+        findings.append(Finding(
             "warning", "repeated_samples", f"{where} is logged at {channel.rate:.0f} Hz but changes only "
             f"{channel.renewed:.0f} times a second", "log it when it is measured",
         ))  # fmt: skip
-    return found
+    return findings
 
 
 def _within(stream: Stream, flying: Sequence[tuple[float, float]]) -> Floats:
@@ -126,42 +131,42 @@ def _within(stream: Stream, flying: Sequence[tuple[float, float]]) -> Floats:
 
 
 def _standing_still(stream: Stream, values: Floats) -> list[Finding]:
-    """Columns that keep one value in flight as nothing that is measured does."""
+    """Columns that keep one value in flight for longer than a measurement does."""
     battery = stream.name.startswith("battery")
-    least = (STUCK_BATTERY if battery else STUCK_TIME) / stream.period
-    found = []
+    min_samples = (STUCK_BATTERY if battery else STUCK_TIME) / stream.period
+    findings = []
     for name, column in zip(stream.columns, values.T, strict=True):
-        known = column[np.isfinite(column)]
-        if len(known) < least or (stream.quantity.kind == "step" and not battery):
+        finite = column[np.isfinite(column)]
+        if len(finite) < min_samples or (stream.quantity.kind == "step" and not battery):
             continue
-        changes = np.flatnonzero(np.diff(known))
-        longest = int(np.diff(np.concatenate([[-1], changes, [len(known) - 1]])).max())
-        if longest >= least:
-            text = f"{name} stands at {known[0] if not len(changes) else known[changes[-1]]:.6g} {stream.unit}"
-            found.append(Finding(
+        steps = np.flatnonzero(np.diff(finite))
+        longest = int(np.diff(np.concatenate([[-1], steps, [len(finite) - 1]])).max())
+        if longest >= min_samples:
+            text = f"{name} stands at {finite[0] if not len(steps) else finite[steps[-1]]:.6g} {stream.unit}"
+            findings.append(Finding(
                 "warning", "frozen_channel", f"{text} for {longest * stream.period:.0f} s of flight",
                 "it is no measurement there; check its sensor, and leave the column out until it works",
             ))  # fmt: skip
-    return found
+    return findings
 
 
 def _clipping(stream: Stream, values: Floats) -> list[Finding]:
     """Columns that stay exactly at an extreme value again and again."""
     if stream.name not in (*ROTORS, "rate", "specific_force"):
         return []
-    found = []
+    findings = []
     for name, column in zip(stream.columns, values.T, strict=True):
-        known = column[np.isfinite(column)]
-        if not len(known) or np.ptp(known) == 0.0:
+        finite = column[np.isfinite(column)]
+        if not len(finite) or np.ptp(finite) == 0.0:
             continue
-        for extreme in (known.max(), known.min()):
-            share = _share_in_rows(known == extreme)
+        for extreme in (finite.max(), finite.min()):
+            share = _share_in_rows(finite == extreme)
             if share > CLIPPED and (extreme != 0.0 or stream.name not in ROTORS):
                 text = f"{name} stays at {extreme:.6g} {stream.unit} for {share:.1%} of the flight"
-                slower = "fly slower or lighter: at its limit a channel says nothing about the model"
+                slower = "fly slower or lighter: at its limit a channel has no information about the model"
                 wider = "set a wider range of the sensor"
-                found.append(Finding("warning", "saturation", text, slower if stream.name in ROTORS else wider))
-    return found
+                findings.append(Finding("warning", "saturation", text, slower if stream.name in ROTORS else wider))
+    return findings
 
 
 def _share_in_rows(at_extreme: np.ndarray) -> float:

@@ -1,4 +1,4 @@
-"""What the verdict is made of: findings with their severity."""
+"""Findings with their severity, of which the verdict is made."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ from typing import Literal
 
 import msgspec
 
-Severity = Literal["error", "warning", "note"]
+FindingSeverity = Literal["error", "warning", "note"]
 
 
 class Finding(msgspec.Struct, frozen=True):
-    """Something a user should know. name: for programs. advice: what to do about it, empty when nothing."""
+    """One defect or remark about a log.
 
-    severity: Severity
+    name: for programs.
+    text: for people.
+    advice: what to do, empty when nothing.
+    """
+
+    severity: FindingSeverity
     name: str
     text: str
     advice: str = ""

@@ -1,8 +1,8 @@
-"""What can be identified from a flight, effect by effect: the channels each needs, and the motion that shows it.
+"""Which effects a flight identifies: the channels that each needs, and the motion that excites it.
 
 The thresholds are where the effect of usual size on a quadrotor stands out of its sensors' noise: half a newton per
-kilogram of drag at 1 m/s, an angular acceleration of 2 rad/s^2. They say what to expect; whether an effect is really
-told apart is measured by the diagnosis itself.
+kilogram of drag at 1 m/s, an angular acceleration of 2 rad/s^2. They are an expectation; whether an effect is separable
+is measured by the diagnosis itself.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.excitation import COMMAND, DRIVE, FORCE, MEASURES, WRENCH, Excitation
 
-Answer = Literal["yes", "weakly", "no"]
+Identifiability = Literal["yes", "weakly", "no"]
 
 WORDS = {
     FORCE: "an accelerometer or velocity",
@@ -27,10 +27,14 @@ WORDS = {
 
 
 class EffectAnswer(msgspec.Struct, frozen=True):
-    """Whether an effect can be identified, and why not. ambiguous_with: what no data of this kind separates it from."""
+    """Whether an effect can be identified.
+
+    why: the measure or channel that decides.
+    ambiguous_with: an effect that no data of this kind separates it from.
+    """
 
     name: str
-    answer: Answer
+    answer: Identifiability
     why: str
     ambiguous_with: str = ""
 
@@ -38,9 +42,10 @@ class EffectAnswer(msgspec.Struct, frozen=True):
 def answers(
     have: Collection[str], measured: Mapping[str, float], catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> tuple[EffectAnswer, ...]:
-    """For every effect of the catalogue that names its excitation, whether it can be identified.
+    """Whether each effect of the catalogue that names its excitation can be identified.
 
-    have: quantities that can be used. measured: of `excitation.measures`.
+    have: usable quantities.
+    measured: by `excitation.measures`.
     """
     return tuple(
         _answer(effect, effect.excitation, have, measured)
@@ -50,7 +55,7 @@ def answers(
 
 
 def _answer(effect: Effect, need: Excitation, have: Collection[str], measured: Mapping[str, float]) -> EffectAnswer:
-    def answer(possible: Answer, why: str) -> EffectAnswer:
+    def answer(possible: Identifiability, why: str) -> EffectAnswer:
         return EffectAnswer(effect.name, possible, why, ", ".join(effect.confounded_with))
 
     lacking = [group for group in need.channels if not set(group) & set(have)]
@@ -60,7 +65,7 @@ def _answer(effect: Effect, need: Excitation, have: Collection[str], measured: M
         return answer("weakly", f"the log does not say {need.unlogged}; {need.flight}")
     size = measured.get(need.measure)
     if size is None:
-        return answer("no", f"{need.measure} cannot be told from this log")
+        return answer("no", f"{need.measure} cannot be computed from this log")
     measure = f"{need.measure.replace('_', ' ')} {size:.3g} {MEASURES[need.measure]}".removesuffix(" 1")
     if size >= need.enough:
         return answer("yes", measure)

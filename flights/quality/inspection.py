@@ -1,4 +1,4 @@
-"""A log's verdict: what it holds, what is wrong with it, and what it can answer."""
+"""Inspection of a log: its channels, its defects, and the effects that it can identify."""
 
 from __future__ import annotations
 
@@ -37,10 +37,16 @@ GOOD_SHARE = 0.6  # of the effects
 
 
 class Inspection(msgspec.Struct, frozen=True):
-    """Everything that is said of one log. Times are s since the log's start.
+    """The inspection of one log. Times are s since the log's start.
 
-    verdict: unusable when the data cannot answer anything. segments: segments of free flight. free_flight: their
-    sum, s. delays: by which streams are late.
+    verdict: unusable when the data identifies no effect.
+    sentence: the verdict with its reason.
+    duration: of the log.
+    free_flight: sum of the segments.
+    segments: of free flight, start and end.
+    exclusions: segments that are not free flight.
+    delays: of streams and of responses.
+    excitation, coverage: how much the flight moves, and where its time was spent.
     """
 
     path: str
@@ -64,25 +70,25 @@ class Inspection(msgspec.Struct, frozen=True):
 
 
 def inspect_log(path: str | Path, *, mapping: str | Path | None = None) -> Inspection:
-    """Judge a log. Raises RequestError and DataError as `read_log` does; a poor log is judged, not refused."""
+    """Inspect a log's file. Raises RequestError and DataError as `read_log` does; a poor log is no error."""
     return judge(read_log(path, mapping=mapping))
 
 
 def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
-    """Judge what was read. Raises DataError when there is nothing to align.
+    """Inspect a log. Raises DataError when there is nothing to align.
 
     catalogue: the effects that might be identified from it.
     """
     flight = Flight.from_log(log)
     exclusions = find_exclusions(flight)
-    pieces = flight.segments(exclude=excluded_rows(flight, exclusions))
-    flying = tuple((float(piece.time[0]), float(piece.time[-1])) for piece in pieces)
+    segments = flight.segments(exclude=excluded_rows(flight, exclusions))
+    flying = tuple((float(segment.time[0]), float(segment.time[-1])) for segment in segments)
     delays = estimate_delays(log, exclusions=exclusions)
-    measured = measures(pieces, ground=_ground_height(flight, exclusions))
+    measured = measures(segments, ground=_ground_height(flight, exclusions))
     usable = _usable(log)
     findings = [
         *_framed(log), *_actuation(log), *_amount(measured), *_clocks(delays), *_resets(log),
-        *rotor_findings(pieces), *channel_findings(log, flying),
+        *rotor_findings(segments), *channel_findings(log, flying),
     ]  # fmt: skip
     effects = answers(_trusted(usable, findings), measured, catalogue)
     verdict = _verdict(findings, effects)
@@ -99,7 +105,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
         channels=channels_of(log),
         delays=delays,
         excitation=tuple(Measure(name, value, MEASURES[name]) for name, value in measured.items()),
-        coverage=coverages(pieces),
+        coverage=coverages(segments),
         effects=effects,
         findings=tuple(sorted(findings, key=lambda finding: ("error", "warning", "note").index(finding.severity))),
         advice=tuple(dict.fromkeys(f.advice for f in findings if f.advice and f.severity != "note")),
@@ -117,46 +123,46 @@ def _ground_height(flight: Flight, exclusions: Sequence[Exclusion]) -> float:
 
 
 def _usable(log: Log) -> set[str]:
-    """Quantities logged fast enough to be used for what they are."""
+    """Quantities that are logged fast enough."""
     slow = dict.fromkeys(WRENCH, MIN_ROTOR_RATE) | {"rate": MIN_MOTION_RATE}
     streams = {name: log.stream(name) for name in log.names}
     return {name for name, stream in streams.items() if stream is not None and stream.rate >= slow.get(name, 0.0)}
 
 
 def _trusted(usable: set[str], findings: Sequence[Finding]) -> set[str]:
-    """Without a battery that stands still."""
+    """The usable quantities without a battery whose voltage stands still."""
     stuck = any(f.name == "frozen_channel" and f.text.startswith("battery_voltage") for f in findings)
     return usable - {"battery_voltage"} if stuck else usable
 
 
 def _framed(log: Log) -> list[Finding]:
-    found = plausibility.check(log.streams)
-    return [Finding("error", item.name, item.text, "convert it, or give a column mapping") for item in found]
+    contradictions = plausibility.check(log.streams)
+    return [Finding("error", item.name, item.text, "convert it, or give a column mapping") for item in contradictions]
 
 
 def _actuation(log: Log) -> list[Finding]:
-    """Whether rotors or commands are there, and fast enough."""
+    """Whether rotor speeds or commands are logged, and fast enough."""
     form, parameters = log.provenance.format, log.parameters
     rates = {name: stream.rate for name in WRENCH if (stream := log.stream(name)) is not None}
     faster = advice.faster_rotors(form, parameters)
     if not rates:
         return [Finding("error", "no_rotors", "neither rotor speeds nor commands are in this log", faster)]
     best = max(rates, key=lambda name: rates[name])
-    told = f"{best} is logged at {rates[best]:.0f} Hz"
+    text = f"{best} is logged at {rates[best]:.0f} Hz"
     if rates[best] < MIN_ROTOR_RATE:
         return [Finding(
-            "error", "rotors_too_slow", f"{told}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
-            "moments can be told from it", faster,
+            "error", "rotors_too_slow", f"{text}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
+            "moments can be estimated from it", faster,
         )]  # fmt: skip
-    found = []
+    findings = []
     if rates[best] < GOOD_ROTOR_RATE:
-        found.append(Finding("warning", "rotors_slow", f"{told}; 100 Hz or more would tell more", faster))
+        findings.append(Finding("warning", "rotors_slow", f"{text}; 100 Hz or more would identify more", faster))
     if "rotor_speed" not in rates and best in DRIVE:
-        found.append(Finding(
-            "note", "commands_only", f"{best} is a command: its gain and lag are unknowns beside every effect",
+        findings.append(Finding(
+            "note", "commands_only", f"{best} is a command: its gain and lag are further unknowns of every fit",
             advice.measured_speeds(form),
         ))  # fmt: skip
-    return found
+    return findings
 
 
 def _amount(measured: dict[str, float]) -> list[Finding]:
@@ -171,14 +177,14 @@ def _amount(measured: dict[str, float]) -> list[Finding]:
 def _clocks(delays: Sequence[Delay]) -> list[Finding]:
     clocks = [delay for delay in delays if not delay.is_response]
     late = [d for d in clocks if d.is_known and abs(d.seconds) > NOTABLE_DELAY and not d.low <= 0.0 <= d.high]
-    found = [
-        Finding("note", "clock_offset", str(delay), "take it off with flights.delays.remove_delays before a fit")
+    findings = [
+        Finding("note", "clock_offset", str(delay), "remove it with flights.delays.remove_delays before a fit")
         for delay in late
     ]
-    return found + [
+    return findings + [
         Finding(
-            "note", "uncertain_delay", f"{delay}: known less well than to {1e3 * MAX_REACH:.0f} ms, so that it is "
-            "not taken off", "fly more briskly, and where the air is still: gusts hide when rotors act",
+            "note", "uncertain_delay", f"{delay}: less certain than {1e3 * MAX_REACH:.0f} ms, so that it is "
+            "not removed", "fly more briskly, and where the air is still: gusts mask the rotors' response",
         )
         for delay in clocks
         if not delay.is_known
@@ -186,13 +192,13 @@ def _clocks(delays: Sequence[Delay]) -> list[Finding]:
 
 
 def _resets(log: Log) -> list[Finding]:
-    found = []
+    findings = []
     for name in RESET_COUNTERS:
         stream = log.stream(name)
-        changes = 0 if stream is None else int((stream.values[1:, 0] != stream.values[:-1, 0]).sum())
-        if changes:
-            found.append(Finding("note", "estimator_reset", f"{name} changed {changes} times; segments end there"))
-    return found
+        count = 0 if stream is None else int((stream.values[1:, 0] != stream.values[:-1, 0]).sum())
+        if count:
+            findings.append(Finding("note", "estimator_reset", f"{name} changed {count} times; segments end there"))
+    return findings
 
 
 def _verdict(findings: Sequence[Finding], effects: Sequence[EffectAnswer]) -> Verdict:
@@ -212,13 +218,13 @@ def _sentence(
 ) -> str:
     yes = sum(effect.answer == "yes" for effect in effects)
     weakly = sum(effect.answer == "weakly" for effect in effects)
-    told = (
-        f"{measured['duration']:.0f} s of free flight can tell {yes} of {len(effects)} effects, {weakly} more of them "
-        "weakly"
+    summary = (
+        f"{measured['duration']:.0f} s of free flight can identify {yes} of {len(effects)} effects, {weakly} more "
+        "of them weakly"
     )
     worst = next((finding for finding in findings if finding.severity == "error"), None)
     if verdict == "unusable":
-        return f"This log cannot answer: {worst.text if worst is not None else 'no effect is excited'}."
+        return f"This log is unusable: {worst.text if worst is not None else 'no effect is excited'}."
     if worst is not None:
-        return f"This log is of limited use: {worst.text}. {told}."
-    return f"This log is good: {told}." if verdict == "good" else f"This log is of limited use: {told}."
+        return f"This log is of limited use: {worst.text}. {summary}."
+    return f"This log is good: {summary}." if verdict == "good" else f"This log is of limited use: {summary}."

@@ -1,13 +1,13 @@
 """Betaflight blackbox logs: recognised, and refused with the tool that converts them.
 
-No kept-up parser can be installed (orangebox 0.5 is refused by current installers), and the format's predictors are
-no place for one of our own.
+No maintained parser can be installed (orangebox 0.5 is refused by current installers), and the format's predictors are
+too many for one of our own.
 """
 
 from __future__ import annotations
 
 from dynamics.errors import DataError
-from flights.log import Reading
+from flights.log import LogContent
 from flights.source import Source
 
 
@@ -16,8 +16,8 @@ def matches(source: Source) -> bool:
     return source.head.startswith(b"H Product:Blackbox")
 
 
-def read(source: Source) -> Reading:
-    """Raises DataError with the way to a CSV."""
+def read(source: Source) -> LogContent:
+    """Raises DataError, which names the converter to CSV."""
     raise DataError(
         "this is a Betaflight blackbox log, which is not read directly. Convert it with blackbox_decode of "
         "blackbox-tools (--unit-rotation rad/s --unit-acceleration m/s2) and give its CSV with a column-mapping TOML."

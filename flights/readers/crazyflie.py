@@ -22,14 +22,14 @@ from dynamics.errors import DataError
 from dynamics.frames import quaternion_from_xyzw
 from dynamics.vehicle import GRAVITY
 from flights.assembly import Assembly
-from flights.log import Reading
-from flights.source import Source, Span
+from flights.log import LogContent
+from flights.source import Source, TimeSpan
 
 _MAGIC = 0xBC
 _CLOCKS = {1: ("<u4", 1_000), 2: ("<u8", 1_000_000)}
 _LETTERS = frozenset("bBhHiIqQefd?")
 _CRC_BYTES = 4
-_FIRST_RUN, _MAX_RUN = 64, 1 << 20  # records of one type looked at in one go
+_FIRST_RUN, _MAX_RUN = 64, 1 << 20  # records of one type that are decoded together
 _FULL_COMMAND = 65_535.0
 _DEGREE = np.pi / 180
 # Crazyflie's motors 1 front right, 2 back right, 3 back left, 4 front left in our order
@@ -38,7 +38,12 @@ _ROTORS = ("m4", "m3", "m2", "m1")
 
 @dataclass(frozen=True)
 class EventType:
-    """One kind of record. dtype: of a whole record, id and time included."""
+    """One type of record.
+
+    number: its id.
+    dtype: of a whole record, id and time included.
+    variables: group.name of its values.
+    """
 
     number: int
     name: str
@@ -48,7 +53,12 @@ class EventType:
 
 @dataclass(frozen=True)
 class Header:
-    """What the file says of itself. size: bytes before the first record. ticks: of the clock, a second."""
+    """The header of a log.
+
+    types: by id.
+    size: bytes before the first record.
+    ticks: of the clock, a second.
+    """
 
     version: int
     types: Mapping[int, EventType]
@@ -67,7 +77,7 @@ def matches(source: Source) -> bool:
     return True
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a micro-SD log. Raises DataError for an unknown version or a damaged header."""
     assembly = Assembly()
     header = parse_header(source.head)
@@ -91,7 +101,7 @@ def read(source: Source) -> Reading:
 
 
 def parse_header(head: bytes) -> Header:
-    """The header of a log. Raises DataError when it is damaged or of a version that is not known."""
+    """The header of a log. Raises DataError when it is damaged or of an unknown version."""
     try:
         magic, version, count = struct.unpack_from("<BHH", head)
         if magic != _MAGIC:
@@ -133,7 +143,7 @@ def _text(head: bytes, position: int) -> tuple[str, int]:
 
 
 def _end_of_records(data: mmap.mmap, header: Header, assembly: Assembly) -> int:
-    """Where the records end: before the checksum if it holds, or else at the end of the file, which is then noted."""
+    """Where the records end: before a correct checksum, or else at the end of the file, which becomes a repair."""
     size = len(data)
     if size < header.size + _CRC_BYTES:
         return size
@@ -147,10 +157,10 @@ def _end_of_records(data: mmap.mmap, header: Header, assembly: Assembly) -> int:
 
 
 def _records(
-    data: mmap.mmap, header: Header, start: int, end: int, span: Span | None
+    data: mmap.mmap, header: Header, start: int, end: int, span: TimeSpan | None
 ) -> tuple[dict[int, NDArray[np.void]], int | None]:
-    """Records by type, in runs of one type each, and where reading ended: an id that is none ends it, or the span."""
-    found: dict[int, list[NDArray[np.void]]] = {}
+    """Records by type, and where reading ended, None where the span ended it. An unknown id ends it as well."""
+    runs: dict[int, list[NDArray[np.void]]] = {}
     position, run = start, _FIRST_RUN
     while position + 2 <= end:
         kind = header.types.get(int.from_bytes(data[position : position + 2], "little"))
@@ -162,24 +172,24 @@ def _records(
             break
         records = np.frombuffer(data[position : position + count * size], dtype=kind.dtype)
         other = np.flatnonzero(records["id"] != kind.number)
-        whole = int(other[0]) if len(other) else count
-        kept = records[:whole]
+        same_kind = int(other[0]) if len(other) else count
+        rows = records[:same_kind]
         if span is not None:
-            span.origin = float(kept["time"][0]) if span.origin is None else span.origin
-            elapsed = (kept["time"].astype(np.int64) - int(span.origin)) / header.ticks
+            span.origin = float(rows["time"][0]) if span.origin is None else span.origin
+            elapsed = (rows["time"].astype(np.int64) - int(span.origin)) / header.ticks
             if not span.more:
                 span.place = (position + size * int(np.count_nonzero(np.cumsum(elapsed >= span.end) == 0)), end)
-            kept = kept[span.mask(elapsed)]
+            rows = rows[span.mask(elapsed)]
             if span.is_past(float(elapsed.min())):
-                return _joined_runs(found), None
-        found.setdefault(kind.number, []).append(kept)
-        position += whole * size
-        run = min(2 * run, _MAX_RUN) if whole == count else _FIRST_RUN
-    return _joined_runs(found), position
+                return _joined_runs(runs), None
+        runs.setdefault(kind.number, []).append(rows)
+        position += same_kind * size
+        run = min(2 * run, _MAX_RUN) if same_kind == count else _FIRST_RUN
+    return _joined_runs(runs), position
 
 
-def _joined_runs(found: Mapping[int, list[NDArray[np.void]]]) -> dict[int, NDArray[np.void]]:
-    return {number: np.concatenate(runs) for number, runs in found.items()}
+def _joined_runs(runs_by_type: Mapping[int, list[NDArray[np.void]]]) -> dict[int, NDArray[np.void]]:
+    return {number: np.concatenate(runs) for number, runs in runs_by_type.items()}
 
 
 def _main_type(header: Header, tables: Mapping[int, NDArray[np.void]]) -> int:
@@ -242,8 +252,8 @@ def _group(group: str, *names: str) -> tuple[str, ...]:
 
 
 _MILLI = 1e-3
-# Quantity, variables in the order of its columns, conversion; of two for one quantity the first is preferred.
-# stateEstimateZ's acceleration is not among them: firmwares differ in whether gravity is in it.
+# Quantity, variables in the order of its columns, conversion; of several for one quantity the first is used.
+# stateEstimateZ's acceleration is left out: firmwares differ in whether gravity is in it.
 _STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = (
     ("position", _group("stateEstimate", "x", "y", "z"), _scaled(1.0)),
     ("position", _group("stateEstimateZ", "x", "y", "z"), _scaled(_MILLI)),

@@ -16,45 +16,51 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle_file import nearest
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.quantities import QUANTITIES, known_columns, quantity_of
-from flights.source import Source, Span
+from flights.source import Source, TimeSpan
 from flights.tables import TIME
 
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
-_SECTION = 8 << 20  # bytes of a long file that are looked at together
+_SECTION = 8 << 20  # bytes of a long file that are parsed together
 _MAX_TORN = 0.01  # share of rows with another number of cells than the header
 
 
 class Cut:
-    """Keeps a span of the rows by their time. column: of the time. unit: of it, s."""
+    """Selects the rows of a span by their time.
 
-    def __init__(self, span: Span, column: str, unit: float = 1.0) -> None:
+    column: of the time.
+    unit: of the time, s.
+    """
+
+    def __init__(self, span: TimeSpan, column: str, unit: float = 1.0) -> None:
         self.span, self._column, self._unit = span, column, unit
         self.is_over = False
 
     def begin(self, place: int) -> None:
-        """A part of the file begins here, in bytes or rows: where the next span begins unless this one goes on."""
+        """Mark the start of a part of the file, bytes or rows; the next span starts at the last one marked."""
         if not self.span.more:
             self.span.place = place
 
     def mask(self, block: Mapping[str, Floats]) -> NDArray[np.bool_]:
         """Which rows of the next block belong to the span."""
         time = block[self._column]
-        known = time[np.isfinite(time)]
-        if self.span.origin is None and len(known):
-            self.span.origin = float(known[0])
+        finite = time[np.isfinite(time)]
+        if self.span.origin is None and len(finite):
+            self.span.origin = float(finite[0])
         origin = self.span.origin or 0.0
-        self.is_over = bool(len(known)) and self.span.is_past((float(known.min()) - origin) * self._unit)
+        self.is_over = bool(len(finite)) and self.span.is_past((float(finite.min()) - origin) * self._unit)
         return self.span.mask((time - origin) * self._unit)
 
 
 @dataclass(frozen=True)
 class Layout:
-    """A text table. names: of all columns in the file's order. cut: what to keep of it, everything if None.
+    """Layout of a text table.
 
-    prefix: what every line begins with besides its cells, if anything.
+    names: of all columns in the file's order.
+    cut: the rows to select, None for all.
+    prefix: what precedes the cells in every line.
     """
 
     names: Sequence[str]
@@ -69,21 +75,21 @@ def matches(source: Source) -> bool:
     return TIME in names and any(quantity_of(name) is not None for name in names)
 
 
-def read(source: Source) -> Reading:
-    """The streams of a flight CSV. Raises DataError for one that contradicts itself."""
+def read(source: Source) -> LogContent:
+    """The streams of a flight CSV. Raises DataError for an inconsistent one."""
     assembly = Assembly()
     names = _names(source.first_line())
     _refuse_duplicates(names)
-    wanted = [name for name in names if name == TIME or quantity_of(name) is not None]
+    used = [name for name in names if name == TIME or quantity_of(name) is not None]
     layout = Layout(names, cut=None if source.span is None else Cut(source.span, TIME))
-    columns = read_columns(source.file, layout, wanted, assembly)
+    columns = read_columns(source.file, layout, used, assembly)
     if len(columns[TIME]):
         add_table(assembly, columns, names)
     return assembly.finish(keep_time=True)
 
 
 def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[str]) -> None:
-    """Streams from columns of a flight table. names: all columns of the file, to say which were left out.
+    """Add streams from columns of a flight table. names: all columns of the file; others than a flight's become notes.
 
     Raises DataError when a part of a quantity is missing.
     """
@@ -106,17 +112,17 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
         assembly.add(name, time, table, ", ".join((parts[0], "...", parts[-1]) if len(parts) > 2 else parts))
 
 
-def read_columns(file: Path, layout: Layout, wanted: Sequence[str], assembly: Assembly) -> dict[str, Floats]:
+def read_columns(file: Path, layout: Layout, names: Sequence[str], assembly: Assembly) -> dict[str, Floats]:
     """Columns of a delimited text file as numbers, read in blocks; blank cells are NaN.
 
     Rows with another number of cells, as a torn last one, are dropped and named. Raises DataError when cells are no
     numbers or many rows are torn.
     """
     try:
-        columns, torn = _parsed(file, layout, wanted, strict=True)
+        columns, torn = _parsed(file, layout, names, strict=True)
     except DataError:
-        columns, torn = _parsed(file, layout, wanted, strict=False)
-    rows = len(columns[wanted[0]])
+        columns, torn = _parsed(file, layout, names, strict=False)
+    rows = len(columns[names[0]])
     if not rows and layout.cut is None:
         raise DataError("it has a header but no rows. Wanted at least one sample.")
     if torn:
@@ -126,8 +132,8 @@ def read_columns(file: Path, layout: Layout, wanted: Sequence[str], assembly: As
     return columns
 
 
-def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) -> tuple[dict[str, Floats], list[str]]:
-    """The wanted columns, and what was wrong with each row that was dropped. strict: drop none, and be fast."""
+def _parsed(file: Path, layout: Layout, names: Sequence[str], *, strict: bool) -> tuple[dict[str, Floats], list[str]]:
+    """The columns of these names, and the defect of each dropped row. strict: drop none, which is fast."""
     torn: list[str] = []
 
     def drop(row: pa_csv.InvalidRow) -> str:
@@ -135,15 +141,15 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
         return "skip"
 
     keys = [f"{index}:{name}" for index, name in enumerate(layout.names)]  # names may be blank or there twice
-    included = [keys[layout.names.index(name)] for name in wanted]
-    # in Latin-1 every byte is a letter, so that a damaged row can be told from a whole one
+    included = [keys[layout.names.index(name)] for name in names]
+    # in Latin-1 every byte is a letter, so that a damaged row can be recognised
     encoding = "utf8" if strict else "latin-1"
     read = pa_csv.ReadOptions(column_names=keys, block_size=_BLOCK, encoding=encoding, use_threads=False)
     parse = pa_csv.ParseOptions(delimiter=layout.delimiter, invalid_row_handler=None if strict else drop)
     convert = pa_csv.ConvertOptions(
         column_types=dict.fromkeys(included, pa.float64()), include_columns=included, null_values=_BLANKS
     )
-    parts: dict[str, list[Floats]] = {name: [] for name in wanted}
+    parts: dict[str, list[Floats]] = {name: [] for name in names}
     try:
         for start, section in _sections(file, layout):
             read.skip_rows = 0 if start else 1
@@ -151,11 +157,11 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
                 for batch in reader:
                     block = {
                         name: column.to_numpy(zero_copy_only=False).astype(float)
-                        for name, column in zip(wanted, batch.columns, strict=True)
+                        for name, column in zip(names, batch.columns, strict=True)
                     }
-                    kept = slice(None) if layout.cut is None else layout.cut.mask(block)
+                    rows = slice(None) if layout.cut is None else layout.cut.mask(block)
                     for name, values in block.items():
-                        parts[name].append(values[kept])
+                        parts[name].append(values[rows])
             if layout.cut is not None and layout.cut.is_over:
                 break
     except pa.ArrowInvalid as error:
@@ -166,7 +172,7 @@ def _parsed(file: Path, layout: Layout, wanted: Sequence[str], *, strict: bool) 
 
 
 def _sections(file: Path, layout: Layout) -> Iterator[tuple[int, Path | pa.BufferReader]]:
-    """What to parse after each other, with its place in the file: all of it, or lines from where a span begins."""
+    """Parts to parse with their places in the file: all of it, or sections from where a span starts."""
     cut, prefix = layout.cut, layout.prefix
     if cut is None and prefix is None:
         yield 0, file
@@ -198,15 +204,15 @@ def _refuse_duplicates(names: Sequence[str]) -> None:
         )
 
 
-def _all_parts(name: str, found: list[str]) -> tuple[str, ...]:
-    """The quantity's columns in their own order; DataError when some of them are missing."""
+def _all_parts(name: str, present: list[str]) -> tuple[str, ...]:
+    """The quantity's columns in their own order. Raises DataError when some of them are missing."""
     quantity = QUANTITIES[name]
-    width = len(found) if quantity.parts is None else len(quantity.parts)
+    width = len(present) if quantity.parts is None else len(quantity.parts)
     parts = quantity.columns(width)
-    missing = [part for part in parts if part not in found]
+    missing = [part for part in parts if part not in present]
     if missing:
         raise DataError(
-            f"{', '.join(missing)} missing beside {', '.join(sorted(found))}. Wanted all columns of {name} or none; "
+            f"{', '.join(missing)} missing beside {', '.join(sorted(present))}. Wanted all columns of {name} or none; "
             "rename or add them."
         )
     return parts

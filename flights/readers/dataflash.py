@@ -15,7 +15,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.readers.px4_rotors import QUAD_X, in_our_order
 from flights.source import Source
 
@@ -27,7 +27,7 @@ _MOTOR_1 = 33  # SERVOn_FUNCTION
 _QUAD_FRAME = 1  # FRAME_CLASS
 
 # Message to its fields; instances other than the first are left out where the message has an instance field.
-_WANTED: Mapping[str, tuple[str, ...]] = {
+_FIELDS: Mapping[str, tuple[str, ...]] = {
     "XKF1": ("PN", "PE", "PD", "VN", "VE", "VD"),
     "NKF1": ("PN", "PE", "PD", "VN", "VE", "VD"),
     "XKQ": ("Q1", "Q2", "Q3", "Q4"),
@@ -48,11 +48,11 @@ def matches(source: Source) -> bool:
     return source.head.startswith(_MAGIC)
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a DataFlash log. Raises DataError when it cannot be read."""
     assembly = Assembly()
-    said = io.StringIO()  # pymavlink prints what it finds wrong
-    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+    printed = io.StringIO()  # pymavlink prints errors
+    with contextlib.redirect_stderr(printed), contextlib.redirect_stdout(printed):
         log = DFReader_binary.__new__(DFReader_binary)  # in two steps: one that fails would leave its file open
         try:
             log.__init__(os.fspath(source.file), zero_time_base=True)
@@ -61,10 +61,10 @@ def read(source: Source) -> Reading:
             raise DataError(f"this DataFlash log cannot be read ({error!r}): it is cut off or damaged.") from None
         finally:
             for held in ("data_map", "filehandle"):
-                with contextlib.suppress(AttributeError, BufferError):  # never opened, or still looked at by the error
+                with contextlib.suppress(AttributeError, BufferError):  # never opened, or still viewed by the error
                     getattr(log, held).close()
-    if said.getvalue():
-        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {said.getvalue().splitlines()[0]}")
+    if printed.getvalue():
+        assembly.repair("damaged_messages", f"pymavlink skipped damaged parts: {printed.getvalue().splitlines()[0]}")
     _add_streams(assembly, collected)
     _add_rotors(assembly, collected, speeds)
     return assembly.finish()
@@ -89,7 +89,7 @@ class _Rows:
 def _collect(log: DFReader_binary, assembly: Assembly) -> tuple[dict[str, _Rows], dict[int, _Rows]]:
     collected: dict[str, _Rows] = {}
     speeds: dict[int, _Rows] = {}
-    while (message := log.recv_match(type=[*_WANTED, "PARM", "ESC"])) is not None:
+    while (message := log.recv_match(type=[*_FIELDS, "PARM", "ESC"])) is not None:
         kind = message.get_type()
         if kind == "PARM":
             assembly.parameters[str(message.Name)] = float(message.Value)
@@ -101,7 +101,7 @@ def _collect(log: DFReader_binary, assembly: Assembly) -> tuple[dict[str, _Rows]
             if hasattr(message, "Instance"):
                 speeds.setdefault(int(message.Instance), _Rows()).add(message.TimeUS, [message.RPM])
         elif not any(getattr(message, name, 0) for name in _INSTANCES):
-            numbers = [getattr(message, field, np.nan) for field in _WANTED[kind]]
+            numbers = [getattr(message, field, np.nan) for field in _FIELDS[kind]]
             collected.setdefault(kind, _Rows()).add(message.TimeUS, numbers)
     return collected, speeds
 
@@ -113,31 +113,31 @@ def _add_streams(assembly: Assembly, collected: Mapping[str, _Rows]) -> None:
             return None
         return assembly.seconds(np.array(collected[kind].stamps), 1_000_000), collected[kind].table, kind
 
-    if found := rows("XKF1", "NKF1"):
-        time, table, kind = found
+    if samples := rows("XKF1", "NKF1"):
+        time, table, kind = samples
         assembly.add("position", time, frames.enu_from_ned(table[:, :3]), kind)
         assembly.add("velocity", time, frames.enu_from_ned(table[:, 3:]), kind)
-    if found := rows("XKQ", "NKQ"):
-        time, table, kind = found
+    if samples := rows("XKQ", "NKQ"):
+        time, table, kind = samples
         assembly.add("attitude", time, frames.attitude_enu_flu(table), kind)
-    if found := rows("ATT"):
-        time, table, kind = found
+    if samples := rows("ATT"):
+        time, table, kind = samples
         angles = np.radians(table)
         attitude = frames.attitude_enu_flu(quaternion.from_euler(angles[:, 0], angles[:, 1], angles[:, 2]))
         assembly.add("attitude", time, attitude, kind)
-    if found := rows("IMU"):
-        time, table, kind = found
+    if samples := rows("IMU"):
+        time, table, kind = samples
         assembly.add("rate", time, frames.flu_from_frd(table[:, :3]), kind)
         assembly.add("specific_force", time, frames.flu_from_frd(table[:, 3:]), kind)
-    if found := rows("RATE"):
-        time, table, kind = found
+    if samples := rows("RATE"):
+        time, table, kind = samples
         assembly.add("rate_setpoint", time, frames.flu_from_frd(np.radians(table)), kind)
-    if found := rows("BAT", "CURR"):
-        time, table, kind = found
+    if samples := rows("BAT", "CURR"):
+        time, table, kind = samples
         assembly.add("battery_voltage", time, table[:, 0], kind)
         assembly.add("battery_current", time, table[:, 1], kind)
-    if found := rows("ARM"):
-        time, table, kind = found
+    if samples := rows("ARM"):
+        time, table, kind = samples
         assembly.add("armed", time, table[:, 0] != 0, kind)
 
 
@@ -158,7 +158,7 @@ def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapp
             time = assembly.seconds(np.array(collected["RCOU"].stamps), 1_000_000)
             assembly.add("rotor_command", time, in_our_order(command, order), "RCOU")
         else:
-            assembly.note("no SERVOn_FUNCTION says which output is a motor: RCOU is left out")
+            assembly.note("no SERVOn_FUNCTION names the motors' outputs: RCOU is left out")
     if speeds and sorted(speeds) == list(range(len(speeds))):
         count = min(len(rows.stamps) for rows in speeds.values())
         time = assembly.seconds(np.array(speeds[0].stamps)[:count], 1_000_000)

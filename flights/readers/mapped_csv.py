@@ -1,6 +1,6 @@
-"""Any other table of text, by a column mapping: a TOML file that names columns, units, frames and the time.
+"""Text tables of other tools, by a column mapping: a TOML file that names columns, units, frames and the time.
 
-The mappings in flights/mappings/ are tried by themselves when all of their columns are there.
+The mappings in flights/mappings/ are applied without being named when all of their columns are in the table.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from flights import mapping as mappings
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
 from flights.readers import csv
 from flights.source import Source
@@ -23,7 +23,7 @@ _MAX_LINE = 60_000
 
 
 def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]:
-    """The names of a text table's columns, empty for anything that is no text table."""
+    """The names of a text table's columns, empty for any other file."""
     line = source.first_line()
     if mapping is not None:
         line = re.sub(mapping.file.prefix, "", line, count=1) if mapping.file.prefix else line
@@ -35,12 +35,12 @@ def header_of(source: Source, mapping: Mapping | None = None) -> tuple[str, ...]
 
 
 def matches(source: Source) -> bool:
-    """Whether one of the shipped mappings finds all of its columns."""
+    """Whether the file has all columns of one of the shipped mappings."""
     return not source.is_folder and _shipped_for(source) is not None
 
 
-def read(source: Source) -> Reading:
-    """The streams that a mapping makes of a table. Raises RequestError when mapping and table do not fit."""
+def read(source: Source) -> LogContent:
+    """The streams of a table by its mapping. Raises RequestError when mapping and table do not fit."""
     mapping = _shipped_for(source) if source.mapping is None else mappings.read_mapping(source.mapping)
     if mapping is None:
         raise RequestError("no mapping fits these columns.")
@@ -48,7 +48,7 @@ def read(source: Source) -> Reading:
     missing = [column for column in mapping.columns if column not in names]
     if missing:
         raise RequestError(
-            f"the mapping {mapping.name!r} wants the columns {', '.join(missing)}, which are not among "
+            f"the mapping {mapping.name!r} needs the columns {', '.join(missing)}, which are not among "
             f"{', '.join(names) or '(no columns: is it text?)'}. Correct the mapping."
         )
     assembly = Assembly()
@@ -70,17 +70,17 @@ def _shipped_for(source: Source) -> Mapping | None:
 
 
 def _columns(source: Source, names: tuple[str, ...], mapping: Mapping, assembly: Assembly) -> dict[str, Floats]:
-    wanted = list(dict.fromkeys(mapping.columns))
+    needed = list(dict.fromkeys(mapping.columns))
     unit = mappings.TIME_UNITS[mapping.time.unit]
     cut = None if source.span is None else csv.Cut(source.span, mapping.time.column, unit)
     prefix = re.compile(mapping.file.prefix.encode()) if mapping.file.prefix else None
-    return csv.read_columns(source.file, csv.Layout(names, mapping.file.delimiter, cut, prefix), wanted, assembly)
+    return csv.read_columns(source.file, csv.Layout(names, mapping.file.delimiter, cut, prefix), needed, assembly)
 
 
 def _time(values: Floats, mapping: Mapping) -> Floats:
-    """Seconds; what counts in small units from far away is first counted from the first row."""
-    known = np.flatnonzero(np.isfinite(values))
-    origin = values[known[0]] if len(known) and mapping.time.from_first_row else 0.0
+    """Seconds, counted from the first row before scaling, so that clocks that count from 1970 lose no digits."""
+    finite = np.flatnonzero(np.isfinite(values))
+    origin = values[finite[0]] if len(finite) and mapping.time.from_first_row else 0.0
     return np.asarray((values - origin) * mappings.TIME_UNITS[mapping.time.unit])
 
 
@@ -108,5 +108,5 @@ def _attitude(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
 
 
 def _default_frame(stream: MappedStream, mapping: Mapping) -> str:
-    """The frame of a vector by what the mapping says of the world and the body."""
+    """The frame of a vector by the mapping's frames of world and body."""
     return {"world ENU": mapping.frames.world, "body FLU": mapping.frames.body}.get(stream.frame_of_quantity, "")

@@ -21,14 +21,18 @@ ESC_STATUS = np.dtype(
 ESC_STATUS_EXTRA = 10
 _ESC_STATUS_ID = 291
 
-_SLICE = 5.0  # s over which the fastest message tells the clocks' offset
+_SLICE = 5.0  # s over which the message with the least delay gives the clocks' offset
 _IGNORE_ATTITUDE, _IGNORE_THRUST, _IGNORE_ROLL_PITCH_YAW_RATE = 128, 64, 7
 _IGNORE_POSITION, _IGNORE_VELOCITY = 7, 56
 
 
 @dataclass(frozen=True)
 class Received:
-    """All messages of one kind. time: (n,) s of the vehicle's clock. fields: (n,) structured."""
+    """All messages of one kind.
+
+    time: (n,) s of the vehicle's clock.
+    fields: (n,) structured.
+    """
 
     time: Floats
     fields: NDArray[np.void]
@@ -46,17 +50,17 @@ _STAMPS = (("time_usec", 1), ("time_boot_ms", 1000))  # field, microseconds of o
 
 
 def add_streams(assembly: Assembly, arrived: Arrived) -> None:
-    """Streams of all messages that belong to a flight. arrived: message number to arrivals, unix us, and fields."""
+    """Add the streams of a flight's messages. arrived: message number to arrivals, unix us, and fields."""
     clock = _VehicleClock(arrived)
     if not clock.is_known:
-        assembly.note("no message bears the vehicle's time: times are those of arrival")
+        assembly.note("no message has the vehicle's time: times are those of arrival")
     for number, convert in _CONVERTERS.items():
         if number in arrived:
             convert(assembly, Received(clock.times(number, *arrived[number]), arrived[number][1]))
 
 
 class _VehicleClock:
-    """The vehicle's time of messages, those without a stamp by their arrival and the least delay seen around it."""
+    """The vehicle's time of messages; of those without a stamp by their arrival and the minimum delay around it."""
 
     def __init__(self, arrived: Arrived) -> None:
         references = [
@@ -71,9 +75,9 @@ class _VehicleClock:
         since = (arrival - self._start) * 1e-6
         offset = arrival - stamps
         slices = (since // _SLICE).astype(int)
-        kept = np.unique(slices)
-        self._at = (kept + 0.5) * _SLICE
-        self._offset = np.array([int(offset[slices == index].min()) for index in kept], dtype=np.int64)
+        filled = np.unique(slices)
+        self._at = (filled + 0.5) * _SLICE
+        self._offset = np.array([int(offset[slices == index].min()) for index in filled], dtype=np.int64)
 
     def times(self, number: int, arrival: NDArray[np.int64], fields: NDArray[np.void]) -> Floats:
         """Seconds of the vehicle's clock."""
@@ -86,7 +90,7 @@ class _VehicleClock:
         if stamps is None:
             return np.asarray(by_arrival)
         by_stamp = stamps * 1e-6
-        plausible = np.abs(by_stamp - by_arrival) < 60.0  # a stamp of another clock says nothing here
+        plausible = np.abs(by_stamp - by_arrival) < 60.0  # else the stamp is of another clock
         return np.asarray(by_stamp if plausible.all() else by_arrival)
 
 
@@ -103,19 +107,19 @@ def _stamps(fields: NDArray[np.void]) -> NDArray[np.int64] | None:
 
 
 def _odometry(assembly: Assembly, got: Received) -> None:
-    known = got["frame_id"] == mavlink.MAV_FRAME_LOCAL_NED
+    supported = got["frame_id"] == mavlink.MAV_FRAME_LOCAL_NED
     child = got["child_frame_id"]
     in_world, in_body = child == mavlink.MAV_FRAME_LOCAL_NED, child == mavlink.MAV_FRAME_BODY_FRD
-    if not (known & (in_world | in_body)).all():
-        count = np.count_nonzero(~(known & (in_world | in_body)))
+    if not (supported & (in_world | in_body)).all():
+        count = np.count_nonzero(~(supported & (in_world | in_body)))
         assembly.repair("unknown_frame", f"{count} ODOMETRY messages in frames other than NED and FRD dropped")
-        keep = known & (in_world | in_body)
+        keep = supported & (in_world | in_body)
         got, in_body = Received(got.time[keep], got.fields[keep]), in_body[keep]
     attitude = frames.attitude_enu_flu(got["q"])
-    given = got.stack("vx", "vy", "vz")
-    velocity = frames.enu_from_ned(given)
+    velocity_sent = got.stack("vx", "vy", "vz")
+    velocity = frames.enu_from_ned(velocity_sent)
     if in_body.any():
-        velocity = np.where(in_body[:, None], quaternion.rotate(attitude, frames.flu_from_frd(given)), velocity)
+        velocity = np.where(in_body[:, None], quaternion.rotate(attitude, frames.flu_from_frd(velocity_sent)), velocity)
     assembly.add("position", got.time, frames.enu_from_ned(got.stack("x", "y", "z")), "ODOMETRY")
     assembly.add("velocity", got.time, velocity, "ODOMETRY")
     assembly.add("attitude", got.time, attitude, "ODOMETRY")
@@ -215,7 +219,7 @@ def _position_target(source: str) -> Callable[[Assembly, Received], None]:
     return convert
 
 
-# Of two messages for one quantity the first is preferred.
+# Of several messages for one quantity the first is used.
 _CONVERTERS: Mapping[int, Callable[[Assembly, Received], None]] = {
     mavlink.MAVLINK_MSG_ID_ODOMETRY: _odometry,
     mavlink.MAVLINK_MSG_ID_LOCAL_POSITION_NED: _local_position,
@@ -231,7 +235,7 @@ _CONVERTERS: Mapping[int, Callable[[Assembly, Received], None]] = {
     mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: _attitude_target("SET_ATTITUDE_TARGET"),
     mavlink.MAVLINK_MSG_ID_POSITION_TARGET_LOCAL_NED: _position_target("POSITION_TARGET_LOCAL_NED"),
 }
-WANTED = tuple(_CONVERTERS)
+NUMBERS = tuple(_CONVERTERS)
 SENT_TO_VEHICLE = frozenset({mavlink.MAVLINK_MSG_ID_SET_ATTITUDE_TARGET})
 _CLOCK_SOURCES = frozenset(
     {

@@ -1,4 +1,4 @@
-"""Alula's own recordings: MCAP with JSON messages, read by scanning so that a torn one gives all it holds."""
+"""Alula's own recordings: MCAP with JSON messages, read by scanning, so that a torn one is read up to its end."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from zstandard import ZstdError
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.readers import rosbag
 from flights.readers.px4_rotors import QUAD_X, commands_of_pulses, in_our_order, join_groups
-from flights.source import Source, Span
+from flights.source import Source, TimeSpan
 
 _MAGIC = b"\x89MCAP0\r\n"
 
@@ -80,7 +80,7 @@ class _Observation(msgspec.Struct):
 
 _Row = _Estimate | _Reference | _Setpoint | _Imu | _Rotors | _Motors | _Battery | _Observation
 
-# topic: its struct, and per field the quantity it tells; of two for one quantity the first is preferred
+# topic: its struct, and the quantity of each field; of several for one quantity the first is used
 _TOPICS: Mapping[str, tuple[type[_Row], Mapping[str, str]]] = {
     "/imu": (_Imu, {"specific_force_body": "specific_force", "rate_body": "rate"}),  # the estimate's rate is filtered
     "/estimate": (_Estimate, {"position_world": "position", "velocity_world": "velocity", "attitude": "attitude",
@@ -118,7 +118,7 @@ def matches(source: Source) -> bool:
     return source.head.startswith(_MAGIC) and not rosbag.is_ros2_mcap(source.head)
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a recording. Raises DataError for an MCAP file that is none of ours."""
     assembly = Assembly()
     collected = {topic: _Collected(kind, fields) for topic, (kind, fields) in _TOPICS.items()}
@@ -194,15 +194,15 @@ def _add_motors(assembly: Assembly, rows: _Collected) -> None:
         assembly.add("rotor_command", time, command, "/motors")
 
 
-def _resumed(span: Span | None) -> tuple[dict[int, str], dict[str, str]]:
-    """Topics by channel and metadata, as far as they are known from before a span begins."""
+def _resumed(span: TimeSpan | None) -> tuple[dict[int, str], dict[str, str]]:
+    """Topics by channel, and metadata, from before a span."""
     if span is None or span.place is None:
         return {}, {}
     return dict(span.place[1]), dict(span.place[2])
 
 
 def _parts(source: Source, topics: Mapping[int, str], metadata: Mapping[str, str]) -> Iterator[McapRecord]:
-    """Records up to the end, to that of a span, or to where the file was torn off; chunks as what is in them."""
+    """Records up to the end of the file or of a span, or to where the file is torn; chunks as their records."""
     span = source.span
     with source.file.open("rb") as stream:
         place = 0 if span is None or span.place is None else span.place[0]

@@ -11,7 +11,7 @@ import pyarrow.parquet as pa_parquet
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.quantities import quantity_of
 from flights.readers import csv
 from flights.source import Source
@@ -23,19 +23,19 @@ def matches(source: Source) -> bool:
     return source.head.startswith(b"PAR1")
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a Parquet file. Raises DataError for a torn one or one without the columns of a flight."""
     assembly = Assembly()
     try:
         with pa_parquet.ParquetFile(source.file) as file:
             names = file.schema_arrow.names
-            wanted = [name for name in names if name == TIME or quantity_of(name) is not None]
-            if TIME not in wanted or len(wanted) < 2:
+            used = [name for name in names if name == TIME or quantity_of(name) is not None]
+            if TIME not in used or len(used) < 2:
                 raise DataError(
                     f"this Parquet file has the columns {', '.join(names[:12])}; wanted {TIME} and columns of the "
                     "flight CSV, as position_x. Rename them."
                 )
-            columns = _columns(file, wanted, None if source.span is None else csv.Cut(source.span, TIME))
+            columns = _columns(file, used, None if source.span is None else csv.Cut(source.span, TIME))
             notes = decode_notes(file.schema_arrow.metadata)
     except (pa.ArrowInvalid, OSError) as error:
         raise DataError(f"this Parquet file is torn or damaged: {error}. Wanted a whole one; write it again.") from None
@@ -50,19 +50,19 @@ def read(source: Source) -> Reading:
     return assembly.finish(keep_time=True)
 
 
-def _columns(file: pa_parquet.ParquetFile, wanted: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
-    """The wanted columns, all rows or those of a span, of which no more row groups are read than it needs."""
+def _columns(file: pa_parquet.ParquetFile, used: Sequence[str], cut: csv.Cut | None) -> dict[str, Floats]:
+    """The used columns, all rows or those of a span, for which only the row groups of the span are read."""
     if cut is None:
-        table = file.read(columns=list(wanted))
-        return {name: _numbers(table.column(name), name) for name in wanted}
-    parts: dict[str, list[Floats]] = {name: [] for name in wanted}
+        table = file.read(columns=list(used))
+        return {name: _numbers(table.column(name), name) for name in used}
+    parts: dict[str, list[Floats]] = {name: [] for name in used}
     for group in range(cut.span.place or 0, file.num_row_groups):
         cut.begin(group)
-        table = file.read_row_group(group, columns=list(wanted))
-        block = {name: _numbers(table.column(name), name) for name in wanted}
-        kept = cut.mask(block)
+        table = file.read_row_group(group, columns=list(used))
+        block = {name: _numbers(table.column(name), name) for name in used}
+        rows = cut.mask(block)
         for name, values in block.items():
-            parts[name].append(values[kept])
+            parts[name].append(values[rows])
         if cut.is_over:
             break
     return {name: np.concatenate(blocks or [np.empty(0)]) for name, blocks in parts.items()}

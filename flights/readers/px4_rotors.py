@@ -1,4 +1,4 @@
-"""PX4's motor numbers in our rotor order, from the geometry that the log states."""
+"""PX4's motor numbers in our rotor order, from the geometry in the log."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ _QUADRANTS = ((1, 1), (-1, 1), (-1, -1), (1, -1))  # of our rotors 0 to 3: signs
 
 
 def rotor_order(parameters: Mapping[str, float], vehicle_type: int | None) -> tuple[tuple[int, ...] | None, str]:
-    """For each of our rotors PX4's motor index, or None to leave them in PX4's order; and what it rests on.
+    """For each of our rotors PX4's motor index, or None to leave them in PX4's order; and a note with the reason.
 
-    parameters: PX4's, by name. vehicle_type: MAV_TYPE, where it is known.
+    parameters: PX4's, by name.
+    vehicle_type: MAV_TYPE, None where the log has none.
     """
     count = int(parameters.get("CA_ROTOR_COUNT", 0))
     if count == 4:
@@ -46,7 +47,7 @@ def in_our_order(motors: Floats, order: tuple[int, ...] | None) -> Floats:
 
 
 def commands_of_pulses(pulses: Floats) -> tuple[Floats, str]:
-    """Rotor commands 0..1 of SERVO_OUTPUT_RAW's pulses in us, and what that rests on; none when no pulse ever changes.
+    """Rotor commands 0..1 of SERVO_OUTPUT_RAW's pulses in us, and a note; no columns when no pulse ever changes.
 
     pulses: (n, outputs). Returns (n, k), in our order if there are four.
     """

@@ -38,7 +38,7 @@ class Samples:
         return len(self.stamps)
 
     def add(self, recorded: int, message: Message) -> None:
-        """One message. recorded: when the bag took it, ns; stands in for a header without a stamp."""
+        """Add a message. recorded: its time in the bag, ns; used where the header has no stamp."""
         numbers = [float(number) for number in self._extract(message)]
         if self.stamps and len(numbers) != self.width:
             raise ValueError(f"{len(numbers)} instead of {self.width} numbers")
@@ -52,9 +52,9 @@ class Samples:
             self.frames.add((header.frame_id, getattr(message, "child_frame_id", "")))
 
     def _extract(self, message: Message) -> Iterable[float]:
-        known = CONVERTERS.get(self.kind)
-        if known is not None:
-            return known[0](message)
+        converter = CONVERTERS.get(self.kind)
+        if converter is not None:
+            return converter[0](message)
         if not self._fields:
             self._fields = rotor_fields([name for name in dir(message) if not name.startswith("_")])
         return (getattr(message, field) for field in self._fields)
@@ -66,15 +66,21 @@ class Samples:
             assembly.note(f"{topic}: {self.unstamped} messages without a stamp have the time of their recording")
         values = np.array(self._numbers).reshape(len(self), -1)
         values[~(np.abs(values) < MAX_VALUE)] = np.nan  # before anything is computed with damage
-        known = CONVERTERS.get(self.kind)
-        if known is None:
+        converter = CONVERTERS.get(self.kind)
+        if converter is None:
             assembly.add("rotor_speed", time, np.abs(values) * _RPM, topic)
             return
-        known[1](assembly, Rows(topic, time, values, frozenset(self.frames), is_paper))
+        converter[1](assembly, TopicRows(topic, time, values, frozenset(self.frames), is_paper))
 
 
-class Rows:
-    """All messages of one topic. time: (n,) s. values: (n, k) in the order of the extraction."""
+class TopicRows:
+    """All messages of one topic.
+
+    time: (n,) s.
+    values: (n, k) in the order of the extraction.
+    frames: frame_id and child_frame_id of the headers.
+    is_paper: whether they are of a bag of the paper's set.
+    """
 
     def __init__(
         self, topic: str, time: Floats, values: Floats, named_frames: frozenset[tuple[str, str]], is_paper: bool
@@ -106,7 +112,7 @@ def _of_odometry(m: Message) -> Iterable[float]:
     return (*_vector(pose.position), *_quaternion(pose.orientation), *_vector(twist.linear), *_vector(twist.angular))
 
 
-def _odometry(assembly: Assembly, rows: Rows) -> None:
+def _odometry(assembly: Assembly, rows: TopicRows) -> None:
     position, attitude, velocity, rate = np.split(rows.values, [3, 7, 10], axis=1)
     assembly.add("position", rows.time, position, rows.topic)
     assembly.add("attitude", rows.time, attitude, rows.topic)
@@ -121,12 +127,12 @@ def _odometry(assembly: Assembly, rows: Rows) -> None:
 
 
 def _of_imu(m: Message) -> Iterable[float]:
-    given = m.orientation_covariance[0] != -1
-    orientation = _quaternion(m.orientation) if given else (np.nan,) * 4
+    has_orientation = m.orientation_covariance[0] != -1
+    orientation = _quaternion(m.orientation) if has_orientation else (np.nan,) * 4
     return (*_vector(m.angular_velocity), *_vector(m.linear_acceleration), *orientation)
 
 
-def _imu(assembly: Assembly, rows: Rows) -> None:
+def _imu(assembly: Assembly, rows: TopicRows) -> None:
     rate, force, attitude = np.split(rows.values, [3, 6], axis=1)
     if rows.is_paper:
         rate = frames.flu_from_frd(rate)
@@ -159,7 +165,7 @@ def _of_transform(m: Message) -> Iterable[float]:
     return (*_vector(m.transform.translation), *_quaternion(m.transform.rotation))
 
 
-def _pose(assembly: Assembly, rows: Rows) -> None:
+def _pose(assembly: Assembly, rows: TopicRows) -> None:
     prefix = "setpoint" in rows.topic or "command" in rows.topic
     names = ("position_setpoint", "attitude_setpoint") if prefix else ("position", "attitude")
     assembly.add(names[0], rows.time, rows.values[:, :3], rows.topic)
@@ -170,8 +176,8 @@ def _of_twist(m: Message) -> Iterable[float]:
     return (*_vector(m.twist.linear), *_vector(m.twist.angular))
 
 
-def _twist(assembly: Assembly, rows: Rows) -> None:
-    """mavros publishes `velocity_local` in the world and `velocity_body` in the body; others say nothing of it."""
+def _twist(assembly: Assembly, rows: TopicRows) -> None:
+    """mavros publishes `velocity_local` in the world and `velocity_body` in the body; others define no frame."""
     if "setpoint" in rows.topic or "command" in rows.topic:
         assembly.add("velocity_setpoint", rows.time, rows.values[:, :3], rows.topic)
     elif "body" in rows.topic:
@@ -185,7 +191,7 @@ def _of_battery(m: Message) -> Iterable[float]:
     return m.voltage, abs(m.current)
 
 
-def _battery(assembly: Assembly, rows: Rows) -> None:
+def _battery(assembly: Assembly, rows: TopicRows) -> None:
     assembly.add("battery_voltage", rows.time, rows.values[:, 0], rows.topic)
     assembly.add("battery_current", rows.time, rows.values[:, 1], rows.topic)
 
@@ -194,7 +200,7 @@ def _of_state(m: Message) -> Iterable[float]:
     return (m.armed,)
 
 
-def _state(assembly: Assembly, rows: Rows) -> None:
+def _state(assembly: Assembly, rows: TopicRows) -> None:
     assembly.add("armed", rows.time, rows.values, rows.topic)
 
 
@@ -202,7 +208,7 @@ def _of_extended_state(m: Message) -> Iterable[float]:
     return (np.nan if m.landed_state == 0 else m.landed_state == _ON_GROUND,)
 
 
-def _extended_state(assembly: Assembly, rows: Rows) -> None:
+def _extended_state(assembly: Assembly, rows: TopicRows) -> None:
     assembly.add("landed", rows.time, rows.values, rows.topic)
 
 
@@ -212,7 +218,7 @@ def _of_attitude_target(m: Message) -> Iterable[float]:
     return (*attitude, *rate, m.thrust)
 
 
-def _attitude_target(assembly: Assembly, rows: Rows) -> None:
+def _attitude_target(assembly: Assembly, rows: TopicRows) -> None:
     assembly.add("attitude_setpoint", rows.time, rows.values[:, :4], rows.topic)
     assembly.add("rate_setpoint", rows.time, rows.values[:, 4:7], rows.topic)
     assembly.add("thrust_setpoint", rows.time, rows.values[:, 7], rows.topic)
@@ -222,8 +228,8 @@ def _of_actuators(m: Message) -> Iterable[float]:
     return [abs(speed) for speed in m.angular_velocities]
 
 
-def _actuators(assembly: Assembly, rows: Rows) -> None:
-    """RotorS and its kin: speeds in rad/s, commanded on topics that say so."""
+def _actuators(assembly: Assembly, rows: TopicRows) -> None:
+    """Speeds in rad/s as of RotorS; commands where the topic's name has the word."""
     name = "rotor_speed_command" if "command" in rows.topic else "rotor_speed"
     assembly.add(name, rows.time, rows.values, rows.topic)
     assembly.note(f"{rows.topic}: rotors in the order of the message")
@@ -233,14 +239,14 @@ def _of_esc(m: Message) -> Iterable[float]:
     return [abs(esc.rpm) * _RPM for esc in (m.esc_telemetry if hasattr(m, "esc_telemetry") else m.esc_status)]
 
 
-def _esc(assembly: Assembly, rows: Rows) -> None:
+def _esc(assembly: Assembly, rows: TopicRows) -> None:
     assembly.add("rotor_speed", rows.time, rows.values, rows.topic)
     assembly.note(f"{rows.topic}: rotors in the order of the message, which is the autopilot's")
 
 
 _Extract = Callable[[Message], Iterable[float]]
-_Convert = Callable[[Assembly, Rows], None]
-# Message type, ROS 1's spelt as rosbags does: the numbers to keep of each message, and what they are.
+_Convert = Callable[[Assembly, TopicRows], None]
+# Message type, ROS 1's spelt as rosbags does: extraction of a message's numbers, and their conversion to streams.
 CONVERTERS: Mapping[str, tuple[_Extract, _Convert]] = {
     "nav_msgs/msg/Odometry": (_of_odometry, _odometry),
     "sensor_msgs/msg/Imu": (_of_imu, _imu),

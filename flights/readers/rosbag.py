@@ -1,10 +1,10 @@
 """Bags of ROS 1 and ROS 2, read without ROS (rosbags).
 
 World frames of ROS are ENU and bodies FLU (REP 103), but the twist of an Odometry may be in either, and some vehicles
-publish an IMU in FRD: what the convention leaves open is measured against the bag's own motion and noted.
+publish an IMU in FRD: what the convention leaves open is detected by the bag's own motion and noted.
 
-The paper's published bags (PI-TCN) are told by their three topics, `odom`, `imu` and `motor_rpm` under one vehicle's
-namespace: there the velocity is in the world and the IMU's rates are FRD.
+The paper's published bags (PI-TCN) are recognised by their three topics, `odom`, `imu` and `motor_rpm` under one
+vehicle's namespace: there the velocity is in the world and the IMU's rates are FRD.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from rosbags.typesys import Stores, TypesysError, get_typestore
 
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.readers.ros_messages import CONVERTERS, Samples, rotor_fields
-from flights.source import Source, Span
+from flights.source import Source, TimeSpan
 
 _ROS1 = b"#ROSBAG V2.0"
 _ANY_ROS1 = b"#ROSBAG"
@@ -58,13 +58,13 @@ def matches(source: Source) -> bool:
     return source.head.startswith((_ANY_ROS1, _SQLITE)) or is_ros2_mcap(source.head)
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a bag. Raises DataError for a version or a storage that cannot be read."""
     if source.head.startswith(_ANY_ROS1) and not source.head.startswith(_ROS1):
         version = source.head.split(b"\n", 1)[0].decode("ascii", "replace")
         raise DataError(f"this is a bag of another version ({version}); wanted #ROSBAG V2.0. Use `rosbag migrate`.")
     assembly = Assembly()
-    store = get_typestore(Stores.ROS2_HUMBLE)  # for bags of ROS 2 from before definitions travelled with them
+    store = get_typestore(Stores.ROS2_HUMBLE)  # for older bags of ROS 2, without definitions in them
     try:
         with _named(source) as path, AnyReader([path], default_typestore=store) as reader:
             _read_topics(reader, assembly, source.span)
@@ -77,7 +77,7 @@ def read(source: Source) -> Reading:
 
 @contextmanager
 def _named(source: Source) -> Iterator[Path]:
-    """A path that bears the name by which rosbags tells the storage, which we know by its content."""
+    """A path with the suffix by which rosbags recognises the storage."""
     if source.is_folder:
         yield source.file
         return
@@ -88,8 +88,8 @@ def _named(source: Source) -> Iterator[Path]:
         yield link
 
 
-def _read_topics(reader: AnyReader, assembly: Assembly, span: Span | None) -> None:
-    connections = [connection for connection in reader.connections if _is_wanted(connection, reader)]
+def _read_topics(reader: AnyReader, assembly: Assembly, span: TimeSpan | None) -> None:
+    connections = [connection for connection in reader.connections if _is_flight_data(connection, reader)]
     paper = _paper_namespace(connections)
     if paper is not None:
         assembly.metadata["data_set"] = "PI-TCN"
@@ -121,7 +121,7 @@ def _read_topics(reader: AnyReader, assembly: Assembly, span: Span | None) -> No
             rows.convert(assembly, topic, is_paper=paper is not None)
 
 
-def _is_wanted(connection: Connection, reader: AnyReader) -> bool:
+def _is_flight_data(connection: Connection, reader: AnyReader) -> bool:
     if connection.msgtype in CONVERTERS:
         return True
     definition = reader.typestore.fielddefs.get(connection.msgtype)

@@ -16,9 +16,9 @@ from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.readers import mavlink_streams
-from flights.source import Source, Span
+from flights.source import Source, TimeSpan
 
 _TOKEN = re.compile(r"(\d*)([a-zA-Z])")
 _STAMP = struct.Struct(">Q")
@@ -26,13 +26,13 @@ _V1, _V2 = 0xFE, 0xFD
 _HEADERS = {_V1: 6, _V2: 10}
 _SIGNED, _SIGNATURE_BYTES = 0x01, 13
 _MAX_FRAME = 10 + 255 + 2 + _SIGNATURE_BYTES
-_PIECE = 1 << 20
+_CHUNK_BYTES = 1 << 20
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
 
 class Messages:
-    """The payloads of one kind of message with their arrival. Grows by bytes, reads as one structured array."""
+    """The payloads of one kind of message with their arrival: bytes while reading, then one structured array."""
 
     def __init__(self, number: int) -> None:
         kind = mavlink.mavlink_map.get(number)
@@ -42,7 +42,7 @@ class Messages:
         self.payloads = bytearray()
 
     def add(self, arrival: int, payload: bytes) -> None:
-        """One payload, the zeros that MAVLink 2 cuts off put back. arrival: unix time, microseconds."""
+        """Add a payload, with the trailing zeros that MAVLink 2 omits. arrival: unix time, microseconds."""
         size = self.dtype.itemsize
         self.arrivals += arrival.to_bytes(8, "little")
         self.payloads += payload[:size].ljust(size, b"\0")
@@ -59,7 +59,7 @@ class Messages:
 
 
 def wire_dtype(kind: type[Any]) -> np.dtype[np.void]:
-    """A message's payload as it travels. kind: one of pymavlink's generated message classes."""
+    """The wire format of a message's payload. kind: one of pymavlink's generated message classes."""
     layout = kind.unpacker.format
     tokens = _TOKEN.findall(layout.decode() if isinstance(layout, bytes) else layout)
     return np.dtype([_field(*field) for field in zip(kind.ordered_fieldnames, tokens, strict=True)])
@@ -79,7 +79,7 @@ def matches(source: Source) -> bool:
     return bool(0 < _STAMP.unpack_from(head)[0] < _LATEST_STAMP)
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a tlog. Raises DataError when its time stamps cannot be those of one recording."""
     assembly = Assembly()
     collected: dict[tuple[int, int], dict[int, Messages]] = {}
@@ -89,7 +89,7 @@ def read(source: Source) -> Reading:
         for arrival, frame in _spanned(stream, counts, source.span):
             counts["frames"] += 1
             sender, number = _address(frame)
-            if number not in mavlink_streams.WANTED:
+            if number not in mavlink_streams.NUMBERS:
                 continue
             messages = collected.setdefault(sender, {}).setdefault(number, Messages(number))
             header = _HEADERS[frame[0]]
@@ -122,18 +122,18 @@ def _note_counts(assembly: Assembly, counts: dict[str, int]) -> None:
 def _vehicle(
     collected: dict[tuple[int, int], dict[int, Messages]], autopilots: list[tuple[int, int]], assembly: Assembly
 ) -> tuple[int, int] | None:
-    """The sender that is the vehicle: the first autopilot, or else whoever tells most."""
+    """The vehicle's address: the first autopilot's, or else that of the sender of most messages."""
     if len(autopilots) > 1:
         assembly.note(f"{len(autopilots)} vehicles are on this link; read is the first, system {autopilots[0][0]}")
     if autopilots or not collected:
         return autopilots[0] if autopilots else None
     sender = max(collected, key=lambda one: sum(len(kind.arrivals) for kind in collected[one].values()))
-    assembly.note(f"no autopilot's heartbeat in it: system {sender[0]}, which tells most, is taken for the vehicle")
+    assembly.note(f"no autopilot's heartbeat: system {sender[0]}, which sends most, is taken for the vehicle")
     return sender
 
 
-def _spanned(stream: BinaryIO, counts: dict[str, int], span: Span | None) -> Iterator[tuple[int, bytes]]:
-    """Arrival and bytes of each frame of a span, which begins and ends where a frame does."""
+def _spanned(stream: BinaryIO, counts: dict[str, int], span: TimeSpan | None) -> Iterator[tuple[int, bytes]]:
+    """Arrival and bytes of each frame of a span."""
     if span is None:
         yield from ((arrival, frame) for _, arrival, frame in _frames(stream, counts))
         return
@@ -150,16 +150,16 @@ def _spanned(stream: BinaryIO, counts: dict[str, int], span: Span | None) -> Ite
 
 
 def _frames(stream: BinaryIO, counts: dict[str, int]) -> Iterator[tuple[int, int, bytes]]:
-    """Place in the file, arrival and bytes of each frame; what is none is skipped and counted."""
+    """Place in the file, arrival and bytes of each frame; other bytes are skipped and counted."""
     buffer, position, ended, before = bytearray(), 0, False, stream.tell()
     while True:
         if len(buffer) - position < _STAMP.size + _MAX_FRAME and not ended:
             del buffer[:position]
             before += position
             position = 0
-            piece = stream.read(_PIECE)
-            ended = not piece
-            buffer += piece
+            chunk = stream.read(_CHUNK_BYTES)
+            ended = not chunk
+            buffer += chunk
         start = position + _STAMP.size
         if start + 3 > len(buffer):
             counts["skipped"] += len(buffer) - position

@@ -19,7 +19,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
-from flights.log import Reading
+from flights.log import LogContent
 from flights.readers import ulog_rotors
 from flights.readers.ulog_topics import TOPIC_ALIASES, Topic, Topics
 from flights.source import Source
@@ -32,7 +32,7 @@ _ARMED_STATE = 2
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
 # vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
 _VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
-_WANTED = (
+_TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
     "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
     "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
@@ -46,7 +46,7 @@ def matches(source: Source) -> bool:
     return source.head.startswith(_MAGIC)
 
 
-def read(source: Source) -> Reading:
+def read(source: Source) -> LogContent:
     """The streams of a ULog. Raises DataError when even its header cannot be read."""
     assembly = Assembly()
     log = _parse(source, assembly)
@@ -68,7 +68,7 @@ class _Guarded(io.BufferedReader):
     _stepped_back = 0
 
     def seek(self, target: int, whence: int = 0) -> int:
-        """As any file's, but back only so far in all."""
+        """As any file's, but back only by a limited number of bytes in all."""
         before = self.tell()
         after = super().seek(target, whence)
         self._stepped_back += max(0, before - after)
@@ -78,13 +78,13 @@ class _Guarded(io.BufferedReader):
 
 
 def _parse(source: Source, assembly: Assembly) -> ULog:
-    said = io.StringIO()  # pyulog prints what it finds wrong
+    printed = io.StringIO()  # pyulog prints errors
     try:
-        with contextlib.redirect_stdout(said), _Guarded(io.FileIO(source.file)) as stream:
-            log = ULog(stream, message_name_filter_list=list(_WANTED))
+        with contextlib.redirect_stdout(printed), _Guarded(io.FileIO(source.file)) as stream:
+            log = ULog(stream, message_name_filter_list=list(_TOPICS))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
-    if log.file_corruption or "orrupt" in said.getvalue():
+    if log.file_corruption or "orrupt" in printed.getvalue():
         assembly.repair("damaged_messages", "parts of the ULog are damaged; read around them")
     if _is_torn(source.file):
         assembly.repair("torn_end", "the ULog ends within a message; read up to there")
@@ -106,7 +106,7 @@ def _is_torn(file: Path) -> bool:
 
 
 def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
-    """Metadata for people and for the verdict. Returns MAV_TYPE where it is known."""
+    """Add metadata. Returns MAV_TYPE, None where the log has none."""
     for key in ("sys_name", "ver_hw", "ver_sw"):
         if key in log.msg_info_dict:
             assembly.metadata[key] = str(log.msg_info_dict[key])
@@ -149,17 +149,17 @@ def _attitude(assembly: Assembly, topics: Topics) -> None:
 
 def _rates(assembly: Assembly, topics: Topics) -> None:
     """Body rates of every topic that has them, the one with the highest rate first."""
-    found: list[tuple[Topic, Floats]] = []
+    rates: list[tuple[Topic, Floats]] = []
     topic = topics.get("vehicle_angular_velocity")
     if topic is not None and topic.has("xyz[0]"):
-        found.append((topic, topic.array("xyz", 3)))
+        rates.append((topic, topic.array("xyz", 3)))
     topic = topics.get("sensor_combined")
     if topic is not None and topic.has("gyro_rad[0]"):
-        found.append((topic, topic.array("gyro_rad", 3)))
+        rates.append((topic, topic.array("gyro_rad", 3)))
     topic = topics.get("vehicle_attitude")
     if topic is not None and topic.has("rollspeed", "pitchspeed", "yawspeed"):
-        found.append((topic, topic.stack("rollspeed", "pitchspeed", "yawspeed")))
-    for topic, rate in sorted(found, key=lambda pair: -len(pair[0].time)):
+        rates.append((topic, topic.stack("rollspeed", "pitchspeed", "yawspeed")))
+    for topic, rate in sorted(rates, key=lambda pair: -len(pair[0].time)):
         assembly.add("rate", topic.time, frames.flu_from_frd(rate), topic.name)
 
 
@@ -170,13 +170,13 @@ def _specific_force(assembly: Assembly, topics: Topics) -> None:
     time, force = topic.time, frames.flu_from_frd(topic.array("accelerometer_m_s2", 3))
     if topic.has("accelerometer_timestamp_relative"):
         offset = topic["accelerometer_timestamp_relative"]
-        known = offset != _NO_OFFSET
-        time, force = (time + offset * 1e-6)[known], force[known]
+        stamped = offset != _NO_OFFSET
+        time, force = (time + offset * 1e-6)[stamped], force[stamped]
     assembly.add("specific_force", time, force, topic.name)
 
 
 def _odometry(assembly: Assembly, topics: Topics) -> None:
-    """The estimator's and then mocap's odometry, behind what `vehicle_local_position` and `vehicle_attitude` gave."""
+    """The estimator's and mocap's odometry, after `vehicle_local_position` and `vehicle_attitude`."""
     for name in ("vehicle_odometry", "vehicle_visual_odometry", "vehicle_mocap_odometry"):
         topic = topics.get(name)
         if topic is None:
@@ -198,23 +198,25 @@ def _odometry(assembly: Assembly, topics: Topics) -> None:
 def _odometry_velocity(topic: Topic, attitude: Floats | None, assembly: Assembly) -> Floats | None:
     """Velocity in ENU by the frame that the topic names; versions without the field have NED."""
     if topic.has("velocity[0]"):
-        given = topic.array("velocity", 3)
+        velocity_logged = topic.array("velocity", 3)
     elif topic.has("vx", "vy", "vz"):
-        given = topic.stack("vx", "vy", "vz")
+        velocity_logged = topic.stack("vx", "vy", "vz")
     else:
         return None
     ned = _VELOCITY_NED if topic.has("velocity[0]") else _OLD_VELOCITY_NED
-    frame = topic["velocity_frame"] if topic.has("velocity_frame") else np.full(len(given), float(ned))
+    frame = topic["velocity_frame"] if topic.has("velocity_frame") else np.full(len(velocity_logged), float(ned))
     if not topic.has("velocity_frame"):
         assembly.note(f"{topic.name} has no velocity_frame: its velocity is taken for NED, as of PX4 before 1.11")
     in_body = frame == _VELOCITY_BODY
-    known = (frame == ned) | (in_body & np.array(attitude is not None))
-    velocity = np.where(known[:, None], frames.enu_from_ned(given), np.nan)
+    supported = (frame == ned) | (in_body & np.array(attitude is not None))
+    velocity = np.where(supported[:, None], frames.enu_from_ned(velocity_logged), np.nan)
     if in_body.any() and attitude is not None:
-        world = quaternion.rotate(attitude, frames.flu_from_frd(given))
+        world = quaternion.rotate(attitude, frames.flu_from_frd(velocity_logged))
         velocity = np.where(in_body[:, None], world, velocity)
-    if not known.all():
-        assembly.repair("unknown_frame", f"{topic.name}: {np.count_nonzero(~known)} velocities in other frames masked")
+    if not supported.all():
+        assembly.repair(
+            "unknown_frame", f"{topic.name}: {np.count_nonzero(~supported)} velocities in other frames masked"
+        )
     return velocity
 
 

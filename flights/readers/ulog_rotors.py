@@ -34,9 +34,13 @@ def add_streams(assembly: Assembly, topics: Topics, vehicle_type: int | None) ->
     if speeds is not None:
         assembly.add("rotor_speed", speeds[0].time, in_our_order(speeds[1], order), "esc_status")
     commands = [
-        found
-        for found in (_motors(topics), _outputs(assembly, topics, vehicle_type), _mixed(assembly, topics, vehicle_type))
-        if found is not None
+        source
+        for source in (
+            _motors(topics),
+            _outputs(assembly, topics, vehicle_type),
+            _mixed(assembly, topics, vehicle_type),
+        )
+        if source is not None
     ]
     for topic, motors in sorted(commands, key=lambda pair: -len(pair[0].time)):
         assembly.add("rotor_command", topic.time, in_our_order(motors, order), topic.name)
@@ -108,12 +112,12 @@ def _outputs(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tu
 def _channels_of_motors(assembly: Assembly, port: str) -> dict[int, int] | None:
     """Motor to output channel by PWM_<port>_FUNCn; None for firmware that has no such parameters."""
     pattern = re.compile(rf"PWM_{port}_FUNC(\d+)$|HIL_ACT_FUNC(\d+)$")
-    found = {name: value for name, value in assembly.parameters.items() if pattern.match(name)}
-    if not found:
+    functions = {name: value for name, value in assembly.parameters.items() if pattern.match(name)}
+    if not functions:
         return None
     return {
         int(value) - FIRST_MOTOR_FUNCTION: int(next(filter(None, pattern.match(name).groups()))) - 1  # type: ignore[union-attr]
-        for name, value in found.items()
+        for name, value in functions.items()
         if FIRST_MOTOR_FUNCTION <= value <= LAST_MOTOR_FUNCTION
     }
 

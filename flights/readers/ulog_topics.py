@@ -1,4 +1,4 @@
-"""Topics of a ULog by today's names, whatever the firmware that logged them called topic and field."""
+"""Topics of a ULog by current names of topics and fields, for logs of any firmware."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from flights.assembly import Assembly
 
-# Today's name of a field to the names it had; "topic.field" where it holds for one topic only.
+# Current name of a field, as topic.field, to its older names.
 FIELD_ALIASES: Mapping[str, tuple[str, ...]] = {
     "vehicle_angular_velocity.xyz[0]": ("rollspeed", "x"),
     "vehicle_angular_velocity.xyz[1]": ("pitchspeed", "y"),
@@ -29,7 +29,7 @@ FIELD_ALIASES: Mapping[str, tuple[str, ...]] = {
     "trajectory_setpoint.velocity[2]": ("vz",),
     "battery_status.voltage_v": ("voltage_filtered_v",),
 }
-# Today's name of a topic to the names it had.
+# Current name of a topic to its older names.
 TOPIC_ALIASES: Mapping[str, tuple[str, ...]] = {
     "vehicle_visual_odometry": ("vehicle_vision_odometry",),
     "vehicle_mocap_odometry": ("att_pos_mocap",),
@@ -58,7 +58,7 @@ class Topic:
         return np.asarray(self._columns[self._find(field) or field], dtype=float)
 
     def flag(self, field: str) -> NDArray[np.bool_]:
-        """(n,) a field that says what is valid; true throughout where it is not logged."""
+        """(n,) a field of validity; true throughout where it is not logged."""
         return self[field] != 0 if self.has(field) else np.ones(len(self.time), dtype=bool)
 
     def array(self, field: str, length: int) -> Floats:
@@ -75,10 +75,10 @@ class Topics:
 
     def __init__(self, data: Iterable[Any], assembly: Assembly) -> None:
         self._assembly = assembly
-        today = {old: name for name, olds in TOPIC_ALIASES.items() for old in olds}
+        current = {old: name for name, olds in TOPIC_ALIASES.items() for old in olds}
         self._data: dict[tuple[str, int], list[Any]] = {}
         for item in sorted(data, key=lambda item: item.data["timestamp"][0]):
-            self._data.setdefault((today.get(item.name, item.name), item.multi_id), []).append(item)
+            self._data.setdefault((current.get(item.name, item.name), item.multi_id), []).append(item)
 
     def get(self, name: str, instance: int = 0) -> Topic | None:
         """A topic's instance, None where it was not logged. A topic that was logged in several parts is joined."""
@@ -99,5 +99,5 @@ def _sample_time(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
     if "timestamp_sample" not in columns:
         return published
     sampled = np.asarray(columns["timestamp_sample"]).astype(np.int64)
-    known = (sampled > 0) & (sampled <= published)
-    return sampled if known.all() else published if not known.any() else np.where(known, sampled, published)
+    valid = (sampled > 0) & (sampled <= published)
+    return sampled if valid.all() else published if not valid.any() else np.where(valid, sampled, published)

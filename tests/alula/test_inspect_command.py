@@ -66,7 +66,7 @@ def test_a_good_log_ends_with_0_and_says_what_it_can_tell(inspect: Inspect, good
 def test_a_log_that_cannot_answer_ends_with_3_and_says_why(inspect: Inspect, poor: Path) -> None:
     done = inspect(poor)
     assert done.code == 3
-    assert "This log cannot answer" in done.out
+    assert "This log is unusable" in done.out
     assert "neither rotor speeds nor commands" in done.err
     assert "Traceback" not in done.err
 

@@ -19,10 +19,10 @@ def test_a_late_attitude_is_put_right_in_the_table(tmp_path: Path) -> None:
         Stream(s.name, s.time + 0.04, s.values, s.source) if s.name == "attitude" else s for s in log.streams
     ))  # fmt: skip
     as_logged = table(late)
-    whole = as_logged.to_csv(tmp_path / "late.csv")
-    aligned = read_aligned(whole)
-    found = next(delay for delay in aligned.delays if delay.stream == "attitude")
-    assert found.seconds == pytest.approx(0.04, abs=0.002)
+    path = as_logged.to_csv(tmp_path / "late.csv")
+    aligned = read_aligned(path)
+    delay_of_attitude = next(delay for delay in aligned.delays if delay.stream == "attitude")
+    assert delay_of_attitude.seconds == pytest.approx(0.04, abs=0.002)
     true = table(flown().truth)
 
     def error(flight: Flight) -> float:
@@ -30,7 +30,7 @@ def test_a_late_attitude_is_put_right_in_the_table(tmp_path: Path) -> None:
         return float(np.nanmedian(np.linalg.norm(flight["attitude"][rows] - true["attitude"][200:-200], axis=1)))
 
     assert error(aligned.flight) < 0.2 * error(as_logged)
-    assert sum(piece.duration for piece in aligned.segments()) > 15.0
+    assert sum(segment.duration for segment in aligned.segments()) > 15.0
 
 
 def test_a_slower_clock_folds_no_noise_back() -> None:

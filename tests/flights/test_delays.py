@@ -28,26 +28,26 @@ def late(log: Log, planted: dict[str, float]) -> Log:
 
 
 @pytest.fixture(scope="module")
-def found() -> dict[str, Delay]:
+def estimates() -> dict[str, Delay]:
     return {delay.stream: delay for delay in estimate_delays(late(flown().log, PLANTED)) if not delay.is_response}
 
 
 @pytest.mark.parametrize("name", ["attitude", "velocity", "position", "rotor_speed"])
-def test_a_planted_delay_is_found_within_its_interval(found: dict[str, Delay], name: str) -> None:
+def test_a_planted_delay_is_found_within_its_interval(estimates: dict[str, Delay], name: str) -> None:
     planted = PLANTED[name] - (PLANTED["velocity"] if name == "position" else 0.0)
-    assert found[name].seconds == pytest.approx(planted, abs=0.003)
-    assert found[name].low <= planted <= found[name].high
-    assert found[name].is_known
+    assert estimates[name].seconds == pytest.approx(planted, abs=0.003)
+    assert estimates[name].low <= planted <= estimates[name].high
+    assert estimates[name].is_known
 
 
 def test_a_commands_lag_is_a_response_and_no_delay() -> None:
-    found = estimate_delays(late(flown().log, PLANTED))
-    (lag,) = [delay for delay in found if delay.stream == "rotor_command" and delay.against == "thrust"
+    estimates = estimate_delays(late(flown().log, PLANTED))
+    (lag,) = [delay for delay in estimates if delay.stream == "rotor_command" and delay.against == "thrust"
               and delay.kind == "lag"]  # fmt: skip
     assert lag.is_response
     assert lag.seconds == pytest.approx(0.041, abs=0.004)  # planted: 35 ms of motor lag and 6 ms of the autopilot
     assert lag.explained > 0.98
-    assert "rotor_command" not in removable(found)
+    assert "rotor_command" not in removable(estimates)
 
 
 @pytest.mark.parametrize(("kind", "other"), [("lag", "delay"), ("delay", "lag")])
@@ -67,15 +67,15 @@ def test_a_response_is_told_as_what_it_is(kind: str, other: str) -> None:
         Stream("rate", time, random.normal(0, 0.01, (len(time), 3)), "gyro"), Stream("specific_force", time, force, ""),
         Stream("rotor_command", time, np.tile(command[:, None], 4), "motors"),
     )  # fmt: skip
-    found = {delay.kind: delay for delay in estimate_delays(Log(streams, Provenance("planted", "", "", "")))
+    estimates = {delay.kind: delay for delay in estimate_delays(Log(streams, Provenance("planted", "", "", "")))
              if delay.against == "thrust"}  # fmt: skip
-    assert found[kind].seconds == pytest.approx(planted, abs=0.001)
-    assert found[kind].explained > found[other].explained
+    assert estimates[kind].seconds == pytest.approx(planted, abs=0.001)
+    assert estimates[kind].explained > estimates[other].explained
 
 
-def test_what_was_found_is_taken_off_the_stamps(found: dict[str, Delay]) -> None:
+def test_what_was_found_is_taken_off_the_stamps(estimates: dict[str, Delay]) -> None:
     log = late(flown().log, PLANTED)
-    mended = remove_delays(log, tuple(found.values()))
+    mended = remove_delays(log, tuple(estimates.values()))
     for delay in estimate_delays(mended):
         if not delay.is_response:
             assert abs(delay.seconds) < 0.001, delay
@@ -87,9 +87,9 @@ def test_what_was_found_is_taken_off_the_stamps(found: dict[str, Delay]) -> None
 
 def test_excluded_segments_are_not_compared() -> None:
     log = flown().log
-    whole = estimate_delays(log)
+    all_of_it = estimate_delays(log)
     half = estimate_delays(log, exclusions=[Exclusion("crash", 10.0, 100.0, "")])
-    assert {delay.stream for delay in half} <= {delay.stream for delay in whole}
+    assert {delay.stream for delay in half} <= {delay.stream for delay in all_of_it}
     assert all(delay.seconds_compared <= 10.0 for delay in half)
 
 

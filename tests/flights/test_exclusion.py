@@ -52,8 +52,8 @@ def stand(columns: dict[str, Floats], start: float, stop: float, *, speed: float
     columns["position_z"][rows(start, stop)] = 0.0
 
 
-def only(found: tuple[Exclusion, ...], reason: str) -> Exclusion:
-    (item,) = [item for item in found if item.reason == reason]
+def only(exclusions: tuple[Exclusion, ...], reason: str) -> Exclusion:
+    (item,) = [item for item in exclusions if item.reason == reason]
     return item
 
 
@@ -67,10 +67,10 @@ def test_standing_before_and_after_is_ground_with_spool_up_around_it() -> None:
     columns = hovering()
     stand(columns, 0.0, 5.0)
     stand(columns, 25.0, 30.0)
-    found = find_exclusions(flight(columns))
-    assert [item.reason for item in found] == ["ground", "ground"]
-    assert found[0].stop == pytest.approx(5.3, abs=0.05)
-    assert found[1].start == pytest.approx(24.7, abs=0.05)
+    exclusions = find_exclusions(flight(columns))
+    assert [item.reason for item in exclusions] == ["ground", "ground"]
+    assert exclusions[0].stop == pytest.approx(5.3, abs=0.05)
+    assert exclusions[1].start == pytest.approx(24.7, abs=0.05)
 
 
 def test_standing_with_turning_rotors_is_ground_too() -> None:
@@ -114,8 +114,8 @@ def test_a_crash_is_lost_from_the_blow_until_it_flies_again() -> None:
     item = only(find_exclusions(flight(columns)), "crash")
     assert item.start == pytest.approx(11.75, abs=0.03)
     assert 16.9 < item.stop < 18.0
-    pieces = free_flight(flight(columns))
-    assert [round(float(piece.time[0])) for piece in pieces] == [0, 17]
+    segments = free_flight(flight(columns))
+    assert [round(float(segment.time[0])) for segment in segments] == [0, 17]
 
 
 def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
@@ -131,11 +131,11 @@ def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
     for name in columns:
         columns[name][lying] = 0.0
     columns["specific_force_x"][lying] = 9.81  # on its side
-    found = find_exclusions(Flight(time, columns, Provenance("planted", "", "", "")))
-    item = only(found, "crash")
+    exclusions = find_exclusions(Flight(time, columns, Provenance("planted", "", "", "")))
+    item = only(exclusions, "crash")
     assert item.start == pytest.approx(39.05, abs=0.02)
     assert 43.9 < item.stop < 45.0
-    assert {other.reason for other in found} <= {"crash", "ground"}  # stands on the ground when it is over
+    assert {other.reason for other in exclusions} <= {"crash", "ground"}  # stands on the ground when it is over
 
 
 def test_idle_rotors_on_the_ground_are_believed_before_a_late_land_detector() -> None:
@@ -182,6 +182,6 @@ def test_excluded_rows_are_those_between_start_and_stop() -> None:
 
 def test_a_real_flight_of_a_coaxial_vehicle_is_what_lies_between_take_off_and_landing() -> None:
     real = Flight.read(Path("tests/data/acsl_x8copter/log_20240613_115633_cut.log.gz"))
-    for piece in free_flight(real):
-        assert piece["position"][:, 2].max() > 0.1
+    for segment in free_flight(real):
+        assert segment["position"][:, 2].max() > 0.1
     assert all(item.reason == "ground" for item in find_exclusions(real))

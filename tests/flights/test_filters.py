@@ -24,8 +24,8 @@ def gain(signal: np.ndarray, filtered: np.ndarray) -> float:
 
 
 def test_the_papers_low_pass_keeps_1_hz_halves_5_hz_and_stops_20_hz() -> None:
-    kept, cut, stopped = (gain(tone(f), filters.lowpass(tone(f), RATE, 5.0)) for f in (1.0, 5.0, 20.0))
-    assert kept == pytest.approx(1.0, abs=0.01)
+    passed, cut, stopped = (gain(tone(f), filters.lowpass(tone(f), RATE, 5.0)) for f in (1.0, 5.0, 20.0))
+    assert passed == pytest.approx(1.0, abs=0.01)
     assert cut == pytest.approx(0.5, abs=0.01)  # 3 dB, forward and backward
     assert stopped < 1e-3
 

@@ -81,11 +81,11 @@ def test_a_crazyflie_log_with_flipped_bytes(
 ) -> None:
     variables = [*((f"stateEstimateZ.{axis}", "h") for axis in "xyz"), ("pm.vbat", "f")]
     data = bytearray(crazyflie_log(variables, [(time, (1, 2, 3, 3.7)) for time in times]))
-    whole = not flips and not cut and sorted(set(times)) == times
+    undamaged = not flips and not cut and sorted(set(times)) == times
     for position, value in flips:
         data[position % len(data)] = value
     log = _read(folder / "log", bytes(data[: len(data) - cut]))
-    if whole and len(times) > 1 and max(times) < 4e10:
+    if undamaged and len(times) > 1 and max(times) < 4e10:
         assert log is not None
         assert not log.provenance.repairs
 

@@ -74,7 +74,7 @@ def test_units_frames_and_orders_are_turned_into_ours(tmp_path: Path) -> None:
     ("before", "after", "message"),
     [
         ('"mm"', '"inch"', "unit 'inch' is none of m, mm, cm"),
-        ('order = "xyzw"', "", "say order"),
+        ('order = "xyzw"', "", "give order"),
         ('quantity = "rate"', 'quantity = "rat"', "did you mean 'rate'"),
         ('["p", "q", "r"]', '["p", "q"]', "rate has 3 columns; 2 are given"),
         ('world = "NED"', 'world = "NWU"', "NWU"),
@@ -92,7 +92,7 @@ def test_a_wrong_mapping_is_refused_by_name(tmp_path: Path, before: str, after: 
 
 def test_a_mapping_for_another_table_names_the_missing_columns(tmp_path: Path) -> None:
     (tmp_path / "log.csv").write_text("stamp;x;y\n1;2;3\n")
-    with pytest.raises(RequestError, match="wants the columns z, qx"):
+    with pytest.raises(RequestError, match="needs the columns z, qx"):
         read_log(tmp_path / "log.csv", mapping=_write(tmp_path, MAPPING))
 
 

@@ -60,17 +60,17 @@ if __name__ == "__main__":
 
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
     """A training that was killed is resumed at once, and nobody else may write its files."""
-    script, told = tmp_path / "orphans.py", tmp_path / "told"
+    script, folder = tmp_path / "orphans.py", tmp_path / "told"
     script.write_text(ORPHANS)
-    told.mkdir()
+    folder.mkdir()
     deadline = time.monotonic() + 60
     environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])}
-    with subprocess.Popen([sys.executable, str(script), str(told)], env=environment) as parent:
-        while len(list(told.iterdir())) < 2:
+    with subprocess.Popen([sys.executable, str(script), str(folder)], env=environment) as parent:
+        while len(list(folder.iterdir())) < 2:
             assert time.monotonic() < deadline
             time.sleep(0.05)
         parent.kill()
-    workers = [Path("/proc", file.name, "cmdline") for file in told.iterdir()]
+    workers = [Path("/proc", file.name, "cmdline") for file in folder.iterdir()]
     while any(worker.exists() and worker.read_bytes() for worker in workers):  # empty once it has ended
         assert time.monotonic() < deadline
         time.sleep(0.05)

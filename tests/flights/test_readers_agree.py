@@ -35,11 +35,11 @@ def _hold(log: Log, truth: Truth, names: tuple[str, ...], tolerance: float = 2e-
         stream = log.stream(name)
         assert stream is not None, f"{name} is missing: {log.names}, {log.provenance.notes}"
         assert_allclose(stream.time - stream.time[0], truth.time, atol=1e-6, err_msg=name)
-        wanted = getattr(truth, name)
+        expected = getattr(truth, name)
         if name == "attitude":
-            assert quaternion.angle_between(stream.values, wanted).max() < 10 * tolerance
+            assert quaternion.angle_between(stream.values, expected).max() < 10 * tolerance
         else:
-            assert_allclose(stream.values, wanted, rtol=1e-6, atol=tolerance * max(1.0, np.abs(wanted).max()))
+            assert_allclose(stream.values, expected, rtol=1e-6, atol=tolerance * max(1.0, np.abs(expected).max()))
 
 
 MOTION = ("position", "velocity", "attitude", "rate", "specific_force")

@@ -22,15 +22,17 @@ def _stream(log: Log, name: str) -> Stream:
     return stream
 
 
-def _lean_slopes(flight: Flight, gap: float = 0.2) -> list[float]:
-    """How the horizontal acceleration follows the lean of the thrust, by axis: 1 in a vehicle that reads right."""
+def _tilt_slopes(flight: Flight, gap: float = 0.2) -> list[float]:
+    """Slope of horizontal acceleration over the thrust's horizontal part, by axis: 1 with correct frames and units."""
     span = round(gap * flight.rate)
-    lean = GRAVITY * quaternion.rotate(flight["attitude"], np.array([0.0, 0.0, 1.0]))
+    thrust_direction = GRAVITY * quaternion.rotate(flight["attitude"], np.array([0.0, 0.0, 1.0]))
     acceleration = (flight["velocity"][span:] - flight["velocity"][:-span]) / (span * flight.period)
-    mean = np.stack([np.convolve(column, np.full(span + 1, 1 / (span + 1)), "valid") for column in lean.T], axis=1)
-    known = np.isfinite(mean).all(axis=1) & np.isfinite(acceleration).all(axis=1)
-    assert known.mean() > 0.8
-    a, b = acceleration[known, :2], mean[known, :2]
+    mean = np.stack(
+        [np.convolve(column, np.full(span + 1, 1 / (span + 1)), "valid") for column in thrust_direction.T], axis=1
+    )
+    finite = np.isfinite(mean).all(axis=1) & np.isfinite(acceleration).all(axis=1)
+    assert finite.mean() > 0.8
+    a, b = acceleration[finite, :2], mean[finite, :2]
     b = b - b.mean(axis=0)
     return [float(slope) for slope in np.sum(a * b, axis=0) / np.sum(b * b, axis=0)]
 
@@ -49,14 +51,14 @@ def test_ulog_and_tlog_of_one_flight_agree(px4_ulog: Log, px4_tlog: Log) -> None
     # both clocks are the vehicle's: only their starts differ
     later = px4_tlog.start - px4_ulog.start
     for name, tolerance in (("position", 0.02), ("velocity", 0.05), ("rate", 0.05), ("specific_force", 0.6)):
-        seen, logged = _stream(px4_tlog, name), _stream(px4_ulog, name)
-        difference = resample(logged, seen.time + later) - seen.values
+        received, logged = _stream(px4_tlog, name), _stream(px4_ulog, name)
+        difference = resample(logged, received.time + later) - received.values
         assert np.nanmedian(np.linalg.norm(difference, axis=1)) < tolerance, name
         assert np.isfinite(difference).mean() > 0.9
-    seen, logged = _stream(px4_tlog, "attitude"), _stream(px4_ulog, "attitude")
-    there = resample(logged, seen.time + later)
-    known = np.isfinite(there).all(axis=1)
-    assert np.median(quaternion.angle_between(there[known], seen.values[known])) < 0.002
+    received, logged = _stream(px4_tlog, "attitude"), _stream(px4_ulog, "attitude")
+    there = resample(logged, received.time + later)
+    finite = np.isfinite(there).all(axis=1)
+    assert np.median(quaternion.angle_between(there[finite], received.values[finite])) < 0.002
 
 
 def test_px4_stands_upright_and_climbs(px4_ulog: Log) -> None:
@@ -82,8 +84,8 @@ def test_px4_rotors_are_in_our_order(px4_ulog: Log) -> None:
     # the change of the rates over the tenth of a second that a command stands; torques by the rotors' levers
     change = resample(rates, commands.time + 0.1) - resample(rates, commands.time)
     levers = np.array([[1, 1, -1, -1], [-1, 1, 1, -1], [1, -1, 1, -1]])
-    known = (commands.time > 9) & (commands.time < 60) & np.isfinite(change).all(axis=1)
-    agreement = np.corrcoef((commands.values @ levers.T)[known].T, change[known].T)[:3, 3:]
+    finite = (commands.time > 9) & (commands.time < 60) & np.isfinite(change).all(axis=1)
+    agreement = np.corrcoef((commands.values @ levers.T)[finite].T, change[finite].T)[:3, 3:]
     assert (np.diag(agreement) > [0.4, 0.4, 0.1]).all()
     assert np.abs(agreement - np.diag(np.diag(agreement))).max() < 0.1
 
@@ -130,7 +132,7 @@ def test_crazyflie_log_and_its_csv_are_one_flight() -> None:
 
 
 def test_crazyflie_accelerates_where_it_leans() -> None:
-    assert _lean_slopes(Flight.read(DATA / "crazyflie" / "log20.gz")) == pytest.approx([1.0, 1.0], abs=0.06)
+    assert _tilt_slopes(Flight.read(DATA / "crazyflie" / "log20.gz")) == pytest.approx([1.0, 1.0], abs=0.06)
 
 
 def test_crazypad_has_neither_gyro_nor_pitch_and_says_so() -> None:
@@ -153,4 +155,4 @@ def test_x8_log_turns_from_ned_to_enu() -> None:
     assert 0.2 < np.median(flight["position_z"]) < 3.0  # NED would have it below the ground
     up = quaternion.rotate(flight["attitude"], np.array([0.0, 0.0, 1.0]))
     assert up[:, 2].min() > 0.8
-    assert _lean_slopes(flight) == pytest.approx([0.7, 0.84], abs=0.1)  # with the drag of a big frame, not -0.7
+    assert _tilt_slopes(flight) == pytest.approx([0.7, 0.84], abs=0.1)  # with the drag of a big frame, not -0.7

@@ -11,7 +11,7 @@ from mcap.writer import Writer
 from numpy.testing import assert_allclose, assert_array_equal
 
 from dynamics.errors import DataError
-from flights import read_log, read_pieces
+from flights import read_chunks, read_log
 from runtime.record.recorder import Recorder
 from runtime.record.records import BatteryRecord, EstimateRecord, ImuRecord, MotorRecord, RotorRecord, SetpointRecord
 from tests.support.flight_files import Truth, manoeuvre
@@ -77,13 +77,13 @@ def test_a_recording_cut_off_in_flight_is_read_up_to_there(recording: Path, tmp_
         read_log(torn)
 
 
-def test_a_recording_in_pieces_is_the_recording(recording: Path) -> None:
-    whole, pieces = read_log(recording), list(read_pieces(recording, 1.5))
-    assert len(pieces) == 5
-    assert all(piece.metadata["vehicle"] == "arpl_250g" and not piece.provenance.repairs for piece in pieces)
+def test_a_recording_in_chunks_is_the_recording(recording: Path) -> None:
+    complete, chunks = read_log(recording), list(read_chunks(recording, 1.5))
+    assert len(chunks) == 5
+    assert all(chunk.metadata["vehicle"] == "arpl_250g" and not chunk.provenance.repairs for chunk in chunks)
     for name in ("position", "rotor_speed", "specific_force"):
-        parts = [stream.values for piece in pieces if (stream := piece.stream(name)) is not None]
-        assert_array_equal(np.concatenate(parts), whole.stream(name).values, name)  # type: ignore[union-attr]
+        parts = [stream.values for chunk in chunks if (stream := chunk.stream(name)) is not None]
+        assert_array_equal(np.concatenate(parts), complete.stream(name).values, name)  # type: ignore[union-attr]
 
 
 def test_an_mcap_file_of_others_is_refused_by_its_topics(tmp_path: Path) -> None:

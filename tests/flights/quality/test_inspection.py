@@ -91,32 +91,32 @@ def test_a_rotor_that_is_commanded_to_turn_slower_is_no_sensor_fault(log: Log) -
     speed, command = values(log, "rotor_speed"), values(log, "rotor_command")
     speed[:, 1] *= 0.7
     command[:, 1] *= 0.7
-    found = names(judge(changed(changed(log, "rotor_speed", speed), "rotor_command", command)))
-    assert "uneven_rotor" in found
-    assert "rotor_speed_fault" not in found
+    findings = names(judge(changed(changed(log, "rotor_speed", speed), "rotor_command", command)))
+    assert "uneven_rotor" in findings
+    assert "rotor_speed_fault" not in findings
 
 
 def test_a_channel_that_freezes_in_flight_is_named(log: Log) -> None:
     position = values(log, "position")
     position[300:1500, 1] = position[300, 1]
-    found = [f.text for f in judge(changed(log, "position", position)).findings if f.name == "frozen_channel"]
-    assert found
-    assert found[0].startswith("position_y stands at")
+    findings = [f.text for f in judge(changed(log, "position", position)).findings if f.name == "frozen_channel"]
+    assert findings
+    assert findings[0].startswith("position_y stands at")
 
 
 def test_an_accelerometer_that_clips_is_named(log: Log) -> None:
     force = values(log, "specific_force")
     clipped = np.minimum(force, np.percentile(force[:, 2], 90))
-    found = [f.text for f in judge(changed(log, "specific_force", clipped)).findings if f.name == "saturation"]
-    assert any(text.startswith("specific_force_z stays at") for text in found)
+    findings = [f.text for f in judge(changed(log, "specific_force", clipped)).findings if f.name == "saturation"]
+    assert any(text.startswith("specific_force_z stays at") for text in findings)
 
 
 def test_gaps_and_repeated_samples_are_counted(log: Log) -> None:
     stream = log.stream("velocity")
     assert stream is not None
-    kept = (stream.time < 5) | (stream.time > 6)
+    rows = (stream.time < 5) | (stream.time > 6)
     gapped = replace(log, streams=tuple(
-        Stream(s.name, s.time[kept], s.values[kept], s.source) if s.name == "velocity" else s for s in log.streams
+        Stream(s.name, s.time[rows], s.values[rows], s.source) if s.name == "velocity" else s for s in log.streams
     ))  # fmt: skip
     inspection = judge(gapped)
     channel = next(channel for channel in inspection.channels if channel.quantity == "velocity")
@@ -143,8 +143,8 @@ def test_a_clock_offset_is_noted(log: Log) -> None:
 
 
 def test_what_is_not_excited_says_what_to_fly() -> None:
-    told = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1})}
-    assert told["torque_constant"].answer == "no"
-    assert "fly yaw_spin" in told["torque_constant"].why
-    assert told["rotor_drag"].why == "needs an accelerometer or velocity and velocity and attitude"
-    assert told["mass"].ambiguous_with == "thrust_constant"
+    answer_of = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1})}
+    assert answer_of["torque_constant"].answer == "no"
+    assert "fly yaw_spin" in answer_of["torque_constant"].why
+    assert answer_of["rotor_drag"].why == "needs an accelerometer or velocity and velocity and attitude"
+    assert answer_of["mass"].ambiguous_with == "thrust_constant"

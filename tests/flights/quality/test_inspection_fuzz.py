@@ -38,8 +38,8 @@ def damaged(stream: Stream, damage: str, seed: int) -> Stream | None:
         case "cut":
             time, values = time[: place + 1], values[: place + 1]
         case "gap":
-            kept = np.abs(np.arange(len(time)) - place) > 150
-            time, values = (time[kept], values[kept]) if kept.any() else (time, values)
+            rows = np.abs(np.arange(len(time)) - place) > 150
+            time, values = (time[rows], values[rows]) if rows.any() else (time, values)
         case "spike":
             values[place] = 1e3
         case "shift":
@@ -63,11 +63,11 @@ def damaged(stream: Stream, damage: str, seed: int) -> Stream | None:
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_damage_is_judged_or_refused_by_name(damages: dict[str, str], seed: int, rows: int) -> None:
     streams: list[Stream] = []
-    for whole in flown().log.streams:
-        stream = Stream(whole.name, whole.time[:rows], whole.values[:rows], whole.source)
-        kept = damaged(stream, damages[stream.name], seed) if stream.name in damages else stream
-        if kept is not None:
-            streams.append(kept)
+    for original in flown().log.streams:
+        stream = Stream(original.name, original.time[:rows], original.values[:rows], original.source)
+        result = damaged(stream, damages[stream.name], seed) if stream.name in damages else stream
+        if result is not None:
+            streams.append(result)
     log: Log = replace(flown().log, streams=tuple(streams))
     try:
         inspection = judge(log)

@@ -1,4 +1,4 @@
-"""A log read in pieces is the log: nothing lost, nothing twice, whatever its format."""
+"""A log read in chunks is the log: nothing lost, nothing twice, in every format."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from dynamics.errors import RequestError
-from flights import Flight, read_log, read_pieces
+from flights import Flight, read_chunks, read_log
 from flights.readers import csv
 from tests.support.flight_files import Truth, crazyflie_log, dataflash_log, flight_csv, manoeuvre, paper_bag, tlog
 
@@ -41,15 +41,15 @@ MAKERS: list[Callable[[Truth, Path], Path]] = [flight_csv, _parquet, paper_bag, 
 
 
 @pytest.mark.parametrize("make", MAKERS, ids=[make.__name__.strip("_") for make in MAKERS])
-def test_pieces_are_the_whole(make: Callable[[Truth, Path], Path], tmp_path: Path) -> None:
+def test_chunks_are_the_log(make: Callable[[Truth, Path], Path], tmp_path: Path) -> None:
     path = make(TRUTH, tmp_path / "flight.bag")
-    whole, pieces = read_log(path), list(read_pieces(path, 2.5))
-    assert len(pieces) == 3
-    assert {piece.provenance.sha256 for piece in pieces} == {whole.provenance.sha256}
-    for stream in whole.streams:
-        parts = [part for piece in pieces for part in piece.alternatives(stream.name) if part.source == stream.source]
+    log, chunks = read_log(path), list(read_chunks(path, 2.5))
+    assert len(chunks) == 3
+    assert {chunk.provenance.sha256 for chunk in chunks} == {log.provenance.sha256}
+    for stream in log.streams:
+        parts = [part for chunk in chunks for part in chunk.alternatives(stream.name) if part.source == stream.source]
         values = np.concatenate([part.values for part in parts])
-        if stream.name == "attitude":  # each piece chooses the sign of its first attitude by itself
+        if stream.name == "attitude":  # each chunk chooses the sign of its first attitude by itself
             values = values * np.sign(np.sum(values * stream.values, axis=1))[:, None]
         np.testing.assert_array_equal(values, stream.values, stream.name)
 
@@ -58,35 +58,35 @@ def test_pieces_are_the_whole(make: Callable[[Truth, Path], Path], tmp_path: Pat
     "name", ["crazyflie/log20.csv.gz", "acsl_x8copter/log_20240613_115633_cut.log.gz",
              "pyulog_samples/sample_px4_events.ulg.gz"]
 )  # fmt: skip
-def test_real_logs_in_pieces(name: str) -> None:
-    whole = read_log(DATA / name)
-    position = whole.stream("position")
+def test_real_logs_in_chunks(name: str) -> None:
+    log = read_log(DATA / name)
+    position = log.stream("position")
     assert position is not None
-    pieces = [stream for piece in read_pieces(DATA / name, 4.0) if (stream := piece.stream("position")) is not None]
-    assert len(pieces) > 1
-    np.testing.assert_array_equal(np.concatenate([piece.values for piece in pieces]), position.values)
+    chunks = [stream for chunk in read_chunks(DATA / name, 4.0) if (stream := chunk.stream("position")) is not None]
+    assert len(chunks) > 1
+    np.testing.assert_array_equal(np.concatenate([chunk.values for chunk in chunks]), position.values)
 
 
-def test_a_long_table_is_looked_at_once_however_many_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_table_is_parsed_once_for_any_number_of_chunks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = flight_csv(TRUTH, tmp_path / "flight.csv")
-    rows, looked = len(TRUTH.time), []
+    rows, parsed = len(TRUTH.time), []
     mask = csv.Cut.mask
     monkeypatch.setattr(csv, "_SECTION", path.stat().st_size // 40)
-    monkeypatch.setattr(csv.Cut, "mask", lambda cut, block: (looked.append(len(block["t"])), mask(cut, block))[1])
-    pieces = list(read_pieces(path, 0.5))
-    assert len(pieces) == 13
-    assert rows <= sum(looked) < 3 * rows  # half a second after each piece may still hold rows of it
+    monkeypatch.setattr(csv.Cut, "mask", lambda cut, block: (parsed.append(len(block["t"])), mask(cut, block))[1])
+    chunks = list(read_chunks(path, 0.5))
+    assert len(chunks) == 13
+    assert rows <= sum(parsed) < 3 * rows  # half a second after each chunk may still hold rows of it
 
 
-def test_a_stray_stamp_a_year_ahead_is_a_piece_and_not_ten_million(tmp_path: Path) -> None:
+def test_a_stray_stamp_a_year_ahead_is_a_chunk_and_not_ten_million(tmp_path: Path) -> None:
     path = tmp_path / "flight.csv"
     lines = flight_csv(TRUTH, path).read_text().splitlines()
     lines[100] = "3e7," + lines[100].partition(",")[2]
     path.write_text("\n".join(lines) + "\n")
-    pieces = list(read_pieces(path, 2.5))
-    assert [len(piece.streams[0].time) for piece in pieces] == [249, 250, 101, 1]
+    chunks = list(read_chunks(path, 2.5))
+    assert [len(chunk.streams[0].time) for chunk in chunks] == [249, 250, 101, 1]
 
 
-def test_pieces_of_no_length_are_refused(tmp_path: Path) -> None:
+def test_chunks_of_no_length_are_refused(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match="positive"):
-        next(read_pieces(flight_csv(TRUTH, tmp_path / "flight.csv"), 0.0))
+        next(read_chunks(flight_csv(TRUTH, tmp_path / "flight.csv"), 0.0))
