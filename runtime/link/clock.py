@@ -1,4 +1,4 @@
-"""The vehicle's clock as seen from ours: offset and drift out of MAVLink's TIMESYNC exchanges.
+"""The vehicle's clock relative to ours: offset and drift from MAVLink's TIMESYNC exchanges.
 
 A Kalman filter with two states, offset and drift (as in time-transfer filters for oscillators, e.g. Galleani and
 Tavella 2010), whose measurement noise is that of the round trip: a request sent at s and answered at r with the
@@ -17,15 +17,27 @@ Verdict = Literal["accepted", "slow", "outlier", "out_of_order", "jumped", "ran_
 
 
 class ClockLimits(msgspec.Struct, frozen=True):
-    """How the filter weighs samples and when it is believed; all times in seconds."""
+    """The filter's noise, and when its result is valid; all times in s.
 
-    stamp_noise: float = 5e-5  # of the time stamps themselves, however short the round trip
-    one_way_noise: float = 3e-3  # of a vehicle stamp received without a round trip
-    drift_noise: float = 3e-3  # standard deviation of the drift's change within one second
-    initial_drift: float = 0.02  # standard deviation before anything is known
-    outlier: float = 5.0  # innovation in standard deviations beyond which a sample is not believed
-    jump_samples: int = 5  # consecutive outliers that agree with each other are a new truth
-    slow_factor: float = 3.0  # round trips longer than this many medians are ignored
+    stamp_noise: standard deviation of a time stamp, however short the round trip.
+    one_way_noise: standard deviation of a vehicle stamp received without a round trip.
+    drift_noise: standard deviation of the drift's change within one second.
+    initial_drift: standard deviation of the drift at the start.
+    outlier: innovation in standard deviations beyond which a sample is rejected.
+    jump_samples: consecutive outliers that agree with each other and restart the filter.
+    slow_factor: medians beyond which a round trip is rejected.
+    min_samples: before the conversion is valid.
+    max_uncertainty: standard deviation of the offset up to which it is valid.
+    max_silence: without a sample until it is invalid.
+    """
+
+    stamp_noise: float = 5e-5
+    one_way_noise: float = 3e-3
+    drift_noise: float = 3e-3
+    initial_drift: float = 0.02
+    outlier: float = 5.0
+    jump_samples: int = 5
+    slow_factor: float = 3.0
     min_samples: int = 5
     max_uncertainty: float = 5e-3
     max_silence: float = 3.0
@@ -34,7 +46,10 @@ class ClockLimits(msgspec.Struct, frozen=True):
 class VehicleClock:
     """Converts vehicle time to ours and back.
 
-    Times are seconds, either on a monotonic clock of ours or on the vehicle's since its boot, and always arguments.
+    Times are seconds, on our monotonic clock or on the vehicle's since its boot, and always arguments.
+
+    samples: accepted since the last restart.
+    resets: restarts because the vehicle's clock jumped or ran backwards.
     """
 
     def __init__(self, limits: ClockLimits | None = None) -> None:
@@ -43,7 +58,7 @@ class VehicleClock:
         self.reset()
 
     def reset(self) -> None:
-        """Forgets everything, as after a reboot of the vehicle."""
+        """Restart without samples, as after a reboot of the vehicle."""
         self._offset, self._drift = 0.0, 0.0
         self._variance = (1.0, 0.0, self._limits.initial_drift**2)  # of offset, both, drift
         self._updated = 0.0
@@ -57,13 +72,13 @@ class VehicleClock:
         self._valid_until = float("-inf")
 
     def handle(self, sent: float, received: float, remote: float) -> Verdict:
-        """One TIMESYNC exchange: request sent and answer received on our clock, remote the vehicle's stamp in it."""
+        """Add a TIMESYNC exchange. sent, received: of request and answer, our clock. remote: the vehicle's stamp."""
         round_trip = received - sent
         if sent <= self._latest_sent or round_trip < 0.0:
             return "out_of_order"
         self._latest_sent = sent
         if not self.is_two_way:
-            self.samples = 0  # the first exchange is worth more than all stamps before it, which were late by a delay
+            self.samples = 0  # the first exchange replaces all stamps before it, which were late by the link's delay
         middle = (sent + received) / 2
         self._round_trips.append(round_trip)
         self._last_round_trip = round_trip
@@ -73,7 +88,7 @@ class VehicleClock:
         return verdict
 
     def handle_one_way(self, received: float, remote: float) -> Verdict | None:
-        """A stamp of the vehicle that came without a round trip, used only while no exchange is answered."""
+        """Add a stamp of the vehicle without a round trip; used only while no exchange is answered."""
         if received - self._latest_two_way < self._limits.max_silence:
             return None
         if received <= self._updated:
@@ -160,15 +175,15 @@ class VehicleClock:
         return self._offset + self._drift * (ours - self._updated)
 
     def to_ours(self, remote: float) -> float:
-        """The time on our clock, s, at which the vehicle's clock showed this."""
+        """The time on our clock, s, of a time on the vehicle's."""
         return self._updated + (remote - self._offset - self._updated) / (1.0 + self._drift)
 
     def to_vehicle(self, ours: float) -> float:
-        """What the vehicle's clock shows, s, at a time on ours."""
+        """The time on the vehicle's clock, s, of a time on ours."""
         return ours + self.offset(ours)
 
     def is_valid(self, now: float) -> bool:
-        """Whether enough recent samples agree for the conversion to be used in flight."""
+        """Whether enough recent samples agree for use in flight. now: our clock, s."""
         return now < self._valid_until
 
     def _find_valid_until(self) -> float:
@@ -180,7 +195,7 @@ class VehicleClock:
         return end
 
     def uncertainty(self, now: float) -> float:
-        """One standard deviation of the offset, s, an asymmetric path not included."""
+        """Standard deviation of the offset, s; an asymmetric path is not included."""
         return float(self._predict(now)[1][0] ** 0.5)
 
     @property
@@ -190,7 +205,7 @@ class VehicleClock:
 
     @property
     def is_two_way(self) -> bool:
-        """Whether the vehicle answers TIMESYNC, so that the delay of the link is known."""
+        """Whether the vehicle answers TIMESYNC, so that the link's delay is measured."""
         return self._latest_two_way > float("-inf")
 
     @property

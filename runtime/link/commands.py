@@ -1,7 +1,7 @@
-"""Commands to the vehicle: message rates, modes, arming. What HEARTBEAT shows decides, not an acknowledgement.
+"""Commands to the vehicle: message rates, modes, arming. HEARTBEAT decides, not an acknowledgement.
 
-Some PX4 versions answer a mode change with an unconditional ACCEPTED and the real verdict after it (PX4_FACTS,
-double ACK), so an acknowledgement is only ever believed when it refuses.
+Some PX4 versions acknowledge a mode change twice, first with an unconditional ACCEPTED (docs/px4.md, arming and modes).
+So an acknowledgement counts only when it refuses.
 """
 
 from __future__ import annotations
@@ -23,7 +23,12 @@ _HANDLING_TIME = 0.3  # s that a refusal waits for a heartbeat that contradicts 
 
 
 class Confirmation(msgspec.Struct, frozen=True):
-    """Whether the vehicle's heartbeat shows what was asked for, the acknowledgements on the way, and why not."""
+    """The outcome of a command.
+
+    confirmed: whether HEARTBEAT shows it.
+    acknowledgements: that came, as result names.
+    reason: why it is not confirmed, empty when it is.
+    """
 
     confirmed: bool
     acknowledgements: tuple[str, ...] = ()
@@ -31,14 +36,14 @@ class Confirmation(msgspec.Struct, frozen=True):
 
 
 def command_message(link: Link, command: int, attempt: int, *parameters: float) -> Message:
-    """COMMAND_LONG to the vehicle; up to seven parameters, the rest 0."""
+    """COMMAND_LONG to the vehicle. parameters: up to seven, the others are 0."""
     status = link.status
     values = (*parameters, *(0.0,) * (7 - len(parameters)))
     return mavlink.MAVLink_command_long_message(status.system, status.component, command, attempt, *values)
 
 
 def acknowledgement(link: Link, message: Message, command: int) -> str | None:
-    """The result's name if a message acknowledges this command to us, such as accepted or temporarily_rejected."""
+    """The result's name, such as accepted, if a message acknowledges this command to us; None otherwise."""
     if message.get_type() != "COMMAND_ACK" or message.command != command:
         return None
     if message.target_system not in (0, link.own_system):
@@ -49,7 +54,7 @@ def acknowledgement(link: Link, message: Message, command: int) -> str | None:
 
 
 def send_command(link: Link, command: int, *parameters: float, timeout: float = 0.5, attempts: int = 4) -> str:
-    """Sends a command until it is acknowledged; the result's name, or no_answer.
+    """Send a command until it is acknowledged. Returns the result's name, or no_answer.
 
     For modes and arming use set_mode and set_armed: a first acknowledgement may be wrong there.
     """
@@ -65,15 +70,14 @@ def send_command(link: Link, command: int, *parameters: float, timeout: float = 
 
 
 def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
-    """Asks for messages at rates in Hz, by name; 0 is the vehicle's default. Returns the results' names.
+    """Request message rates. Returns the results' names; the rates that arrive are in link.peer.rates.
 
-    What then really arrives is in link.peer.rates.
-
+    rates: message name to Hz, 0 for the vehicle's default.
     Raises RequestError for a message that MAVLink does not have.
     """
     unknown = sorted(name for name in rates if name not in MESSAGE_IDS)
     if unknown:
-        raise RequestError(f"No MAVLink message is called {', '.join(unknown)}; wanted names such as ODOMETRY.")
+        raise RequestError(f"No MAVLink message is called {', '.join(unknown)}. Give names such as ODOMETRY.")
     interval = mavlink.MAV_CMD_SET_MESSAGE_INTERVAL
     return {
         name: send_command(link, interval, MESSAGE_IDS[name], round(1e6 / rate) if rate > 0 else 0)
@@ -82,14 +86,14 @@ def request_rates(link: Link, rates: Mapping[str, float]) -> dict[str, str]:
 
 
 def set_mode(link: Link, mode: str, timeout: float = 3.0) -> Confirmation:
-    """Asks for a PX4 mode by name, such as OFFBOARD, HOLD or LAND, until HEARTBEAT shows it or timeout seconds passed.
+    """Request a PX4 mode until HEARTBEAT shows it. mode: name, such as OFFBOARD, HOLD or LAND. timeout: s.
 
     Raises RequestError for a mode that PX4 does not have.
     """
     try:
         main, sub = modes.mode_numbers(mode)
     except KeyError:
-        raise RequestError(f"'{mode}' is no mode of PX4; wanted a name such as OFFBOARD, HOLD, RTL or LAND.") from None
+        raise RequestError(f"'{mode}' is no mode of PX4. Give a name such as OFFBOARD, HOLD, RTL or LAND.") from None
     custom = float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED)
     return _confirm(
         link,
@@ -102,7 +106,7 @@ def set_mode(link: Link, mode: str, timeout: float = 3.0) -> Confirmation:
 
 
 def set_armed(link: Link, armed: bool, *, force: bool = False, timeout: float = 3.0) -> Confirmation:
-    """Arms or disarms until HEARTBEAT shows it or timeout seconds passed; force ignores the autopilot's checks."""
+    """Request arming or disarming until HEARTBEAT shows it. force: regardless of the autopilot's checks. timeout: s."""
     return _confirm(
         link,
         mavlink.MAV_CMD_COMPONENT_ARM_DISARM,
@@ -153,12 +157,12 @@ def _confirm(
 
 def _reason(what: str, acknowledgements: list[str], timeout: float) -> str:
     if not acknowledgements:
-        return f"The vehicle never answered the request for {what} within {timeout:g} s."
+        return f"The vehicle did not answer the request for {what} within {timeout:g} s."
     if acknowledgements[-1] in ("accepted", "in_progress"):
         return f"The vehicle acknowledged {what}, but its heartbeat did not show it within {timeout:g} s."
     advice = {
-        "mode OFFBOARD": " PX4 wants a stream of setpoints above 2 Hz for a second before it.",
-        "arming": " PX4 tells a ground station why by STATUSTEXT; in OFFBOARD it arms only with a stream.",
+        "mode OFFBOARD": " PX4 requires a stream of setpoints above 2 Hz for a second before it.",
+        "arming": " PX4 sends the reason to a ground station by STATUSTEXT; in OFFBOARD it arms only with a stream.",
         "disarming": " In the air it is refused unless forced.",
     }.get(what, "")
     return f"The vehicle refused {what}: {acknowledgements[-1]}.{advice}"

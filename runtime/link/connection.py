@@ -1,4 +1,4 @@
-"""Connection strings: where a vehicle is reached, in our spelling, MAVSDK's or pymavlink's."""
+"""Connection strings: the address of a vehicle, in our spelling, MAVSDK's or pymavlink's."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ DEFAULT_BAUD = 921600
 ACCEPTED = (
     "udpin:0.0.0.0:14540 (listen), udpout:192.168.1.10:14580 (send first), tcp:127.0.0.1:5760 or tcpin:0.0.0.0:5760, "
     "serial:/dev/ttyACM0:921600; MAVSDK's udpin://0.0.0.0:14540 and serial:///dev/ttyACM0:57600 "
-    "and pymavlink's udp:127.0.0.1:14540 and /dev/ttyACM0,57600 are understood as well"
+    "and pymavlink's udp:127.0.0.1:14540 and /dev/ttyACM0,57600 are accepted as well"
 )
 _KINDS: dict[str, Kind] = {
     "udp": "udpin",  # both MAVSDK and pymavlink listen on it
@@ -34,7 +34,7 @@ _DEVICE_AND_BAUD = re.compile(r"(?P<device>[^,:\s]+?)([,:](?P<baud>\d+))?")
 
 
 class Endpoint(msgspec.Struct, frozen=True):
-    """One end of a link: a socket address, or a serial device with its baud rate."""
+    """One end of a link: a socket address (host, port), or a serial device with its baud rate."""
 
     kind: Kind
     host: str = ""
@@ -59,7 +59,7 @@ def parse_endpoint(text: str) -> Endpoint:
         return _serial_endpoint(text, stripped)
     match = _SCHEME.fullmatch(stripped)
     if match is None or match["scheme"].lower() not in _KINDS:
-        raise _refusal(text, "it names no kind of connection known here")
+        raise _refusal(text, "it does not start with a kind of connection")
     kind = _KINDS[match["scheme"].lower()]
     if kind == "serial":
         return _serial_endpoint(text, match["rest"])
@@ -92,4 +92,4 @@ def _serial_endpoint(text: str, rest: str) -> Endpoint:
 
 
 def _refusal(text: str, reason: str) -> RequestError:
-    return RequestError(f"'{text}' is not a link: {reason}. Wanted one of: {ACCEPTED}.")
+    return RequestError(f"'{text}' is not a link: {reason}. Give one of: {ACCEPTED}.")

@@ -1,7 +1,7 @@
-"""MAVLink's messages from pymavlink, completed by those that PX4 sends and pymavlink's definitions lack.
+"""The MAVLink dialect: pymavlink's messages, and those that PX4 sends and pymavlink lacks.
 
-pymavlink is built from ArduPilot's definitions; the messages added here are upstream's, from common.xml.
-This is the only file that reaches into pymavlink's tables.
+pymavlink is generated from ArduPilot's definitions; the messages added here are from MAVLink's common.xml. This is the
+only file that accesses pymavlink's tables.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from pymavlink.generator.mavcrc import x25crc
 
 __all__ = ["MESSAGE_IDS", "MESSAGE_NAMES", "Definition", "Field", "Message", "mavlink", "message_class", "x25crc"]
 
-Message = Any  # an instance of one of pymavlink's generated classes, which carry no common type of their fields
+Message = Any  # an instance of one of pymavlink's generated classes, whose fields have no common type
 
 _FORMATS = {
     "uint64_t": "Q", "float": "f", "uint32_t": "I", "int32_t": "i", "uint16_t": "H", "int16_t": "h", "uint8_t": "B",
@@ -23,7 +23,7 @@ _FORMATS = {
 
 
 class Field(msgspec.Struct, frozen=True):
-    """One field of a message: its C type, name, and number of elements (0: not an array)."""
+    """One field of a message: its C type, name, and number of elements, 0 for a scalar."""
 
     type: str
     name: str
@@ -31,7 +31,7 @@ class Field(msgspec.Struct, frozen=True):
 
     @property
     def size(self) -> int:
-        """Size of one element in bytes, which decides the place on the wire."""
+        """Size of one element in bytes, by which fields are ordered on the wire."""
         return struct.calcsize(_FORMATS[self.type])
 
 
@@ -122,7 +122,7 @@ def _crc_extra(name: str, wire: list[Field]) -> int:
     return int(crc.crc & 0xFF) ^ int(crc.crc >> 8)
 
 
-for _definition in _MISSING:  # a pymavlink that knows them keeps its own
+for _definition in _MISSING:  # a pymavlink that has them keeps its own
     mavlink.mavlink_map.setdefault(_definition.id, message_class(_definition))
 
 MESSAGE_NAMES: dict[int, str] = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}

@@ -1,4 +1,4 @@
-"""The vehicle's state estimate in our frames, and the judgement whether a new one can be true."""
+"""The vehicle's state estimate in our frames, and the checks whether a new one is plausible."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ _WIRE_POSITION, _WIRE_ATTITUDE, _WIRE_VELOCITY, _WIRE_RATE = slice(0, 3), slice(
 
 
 def _rows_from_wire() -> list[tuple[int, float, int, float]]:
-    """How each of our 13 state numbers is a sum of two of ODOMETRY's: index, factor, index, factor.
+    """Each of our 13 state numbers as a sum of two of ODOMETRY's: index, factor, index, factor.
 
-    The wire has position and attitude NED, velocity NED and rate FRD. Plain numbers, because a NumPy call on a
-    processor that has just woken up costs as much as this whole module may take.
+    The wire has position and attitude NED, velocity NED and rate FRD. Plain numbers, because one NumPy call on a
+    processor that has just woken up takes as long as all the rest of this module.
     """
     matrix = np.zeros((RIGID_BODY_STATES, RIGID_BODY_STATES))
     matrix[POSITION, _WIRE_POSITION] = frames.enu_from_ned(np.eye(3)).T
@@ -52,7 +52,7 @@ _ODOMETRY = struct.Struct("<Q13f168x3B")
 
 
 class Odometry(msgspec.Struct, frozen=True, gc=False):
-    """The fields of ODOMETRY that matter here. time: the vehicle's, s. wire: 13 numbers as they travel."""
+    """The fields of ODOMETRY that are used. time: the vehicle's, s. wire: 13 numbers as they are sent."""
 
     time: float
     wire: tuple[float, ...]
@@ -62,17 +62,20 @@ class Odometry(msgspec.Struct, frozen=True, gc=False):
 
 
 def read_odometry(payload: bytes) -> Odometry:
-    """ODOMETRY straight from its payload, without the covariances: a third of the time that decoding all takes."""
+    """ODOMETRY from its payload without the covariances, in a third of the time of decoding it all."""
     fields = _ODOMETRY.unpack_from(payload.ljust(_ODOMETRY.size, b"\0"))
     return Odometry(fields[0] * 1e-6, fields[1:14], *fields[14:17])
 
 
 class StateEstimate(msgspec.Struct, frozen=True, gc=False):
-    """The vehicle's state as it estimated it.
+    """The vehicle's state as the vehicle estimates it.
 
-    time: when it held; received: when its bytes arrived; both s on our monotonic clock. state: (13,) position_world m,
-    velocity_world m/s, attitude, rate_body rad/s. is_synchronised: whether time comes from the
-    vehicle's clock rather than from the arrival.
+    time: when the state held, s on our monotonic clock.
+    received: when its bytes arrived, s on our monotonic clock.
+    state: (13,), see `dynamics.state`.
+    reset_counter: of the vehicle's estimator.
+    is_synchronised: whether `time` is from the vehicle's clock rather than from the arrival.
+    source: the message.
     """
 
     time: float
@@ -104,7 +107,7 @@ class StateEstimate(msgspec.Struct, frozen=True, gc=False):
 
 
 class ResetStep(msgspec.Struct, frozen=True):
-    """What an estimator reset moved: position, m, and velocity, m/s, world (3,), and yaw, rad."""
+    """By how much an estimator reset moved position, (3,) m, and velocity, (3,) m/s, both world, and yaw, rad."""
 
     position_world: Floats
     velocity_world: Floats
@@ -112,7 +115,13 @@ class ResetStep(msgspec.Struct, frozen=True):
 
 
 class Judgement(msgspec.Struct, frozen=True):
-    """What became of one message: the estimate if it is believed, and the finding if there is something to tell."""
+    """The outcome of the checks of one message.
+
+    estimate: None if it is rejected.
+    event: name of what happened, None if nothing did.
+    text: the event's.
+    step: what a reset moved.
+    """
 
     estimate: StateEstimate | None
     event: EstimateEvent | None = None
@@ -121,39 +130,53 @@ class Judgement(msgspec.Struct, frozen=True):
 
 
 class EstimateLimits(msgspec.Struct, frozen=True):
-    """What physics and an estimator's noise allow between two samples."""
+    """What motion and an estimator's noise allow between two samples.
 
-    position_noise: float = 0.3  # m
-    velocity_noise: float = 1.5  # m/s
-    attitude_noise: float = 0.3  # rad
-    max_acceleration: float = 80.0  # m/s^2
-    max_rate: float = 35.0  # rad/s
-    attitude_length: float = 0.05  # deviation of the quaternion's length from 1
-    moved_samples: int = 10  # consecutive jumps that agree with each other are where the vehicle is now
-    forgotten_after: float = 1.0  # s of silence after which nothing is compared any more
-    odometry_silence: float = 0.5  # s without ODOMETRY until LOCAL_POSITION_NED and ATTITUDE_QUATERNION stand in
+    position_noise: m.
+    velocity_noise: m/s.
+    attitude_noise: rad.
+    max_acceleration: m/s^2.
+    max_rate: rad/s.
+    attitude_length: deviation of the quaternion's length from 1.
+    moved_samples: consecutive jumps that agree with each other, after which they are accepted.
+    forgotten_after: s of silence after which nothing is compared.
+    odometry_silence: s without ODOMETRY after which LOCAL_POSITION_NED and ATTITUDE_QUATERNION replace it.
+    """
+
+    position_noise: float = 0.3
+    velocity_noise: float = 1.5
+    attitude_noise: float = 0.3
+    max_acceleration: float = 80.0
+    max_rate: float = 35.0
+    attitude_length: float = 0.05
+    moved_samples: int = 10
+    forgotten_after: float = 1.0
+    odometry_silence: float = 0.5
 
 
 class EstimateMonitor:
-    """Makes estimates of messages and believes those that can be true. Pure: times are arguments."""
+    """Makes estimates from messages and accepts the plausible ones. Pure: times are arguments.
+
+    latest: the newest accepted one.
+    """
 
     def __init__(self, limits: EstimateLimits | None = None) -> None:
         self._limits = limits or EstimateLimits()
         self.reset()
 
     def reset(self) -> None:
-        """Forgets the past, as after a reboot of the vehicle."""
+        """Forget all estimates, as after a reboot of the vehicle."""
         self.latest: StateEstimate | None = None
         self._doubted: list[StateEstimate] = []
         self._odometry_received = float("-inf")
         self._local_position: tuple[float, Message] | None = None
 
     def age(self, now: float) -> float:
-        """Seconds since the latest believed estimate held; infinite before the first."""
+        """Age of the latest accepted estimate, s; infinite before the first."""
         return now - self.latest.time if self.latest is not None else float("inf")
 
     def handle_odometry(self, odometry: Odometry, time: float, received: float, is_synchronised: bool) -> Judgement:
-        """An ODOMETRY message whose state held at time, s on our clock."""
+        """Check an ODOMETRY message. time: when its state held, s on our clock."""
         self._odometry_received = received
         if odometry.frame_id != mavlink.MAV_FRAME_LOCAL_NED:
             return _refused_frame("frame_id", odometry.frame_id, "1 (LOCAL_NED)")
@@ -166,13 +189,13 @@ class EstimateMonitor:
         return self._judge(state, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
 
     def handle_local_position(self, message: Message, time: float) -> None:
-        """A LOCAL_POSITION_NED message, kept for the attitude that follows it."""
+        """Store a LOCAL_POSITION_NED message for the attitude that follows it."""
         self._local_position = (time, message)
 
     def handle_attitude(
         self, message: Message, time: float, received: float, is_synchronised: bool
     ) -> Judgement | None:
-        """An ATTITUDE_QUATERNION message; makes an estimate with the latest position while no ODOMETRY comes."""
+        """Check an ATTITUDE_QUATERNION message together with the latest position; None while ODOMETRY comes."""
         if received - self._odometry_received < self._limits.odometry_silence or self._local_position is None:
             return None
         position_time, position = self._local_position
@@ -204,23 +227,23 @@ class EstimateMonitor:
         state = np.array(values)
         estimate = StateEstimate(time, received, state, reset_counter, is_synchronised, source)
         if latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source:
-            return self._believe(estimate)
+            return self._accept(estimate)
         if time <= latest.time:
             return self._judge_time(estimate, latest)
         if reset_counter != latest.reset_counter:
             return self._judge_reset(estimate, latest)
         if (jump := self._jump(latest, estimate)) is None:
-            return self._believe(estimate)
+            return self._accept(estimate)
         return self._doubt(estimate, latest, jump)
 
-    def _believe(self, estimate: StateEstimate) -> Judgement:
+    def _accept(self, estimate: StateEstimate) -> Judgement:
         self.latest = estimate
         self._doubted.clear()
         return Judgement(estimate)
 
     def _judge_time(self, estimate: StateEstimate, latest: StateEstimate) -> Judgement:
         if latest.is_synchronised != estimate.is_synchronised:
-            return self._believe(estimate)  # the clock has just been found, or lost
+            return self._accept(estimate)  # the vehicle's clock has just become valid, or invalid
         if latest.time - estimate.time < 1e-3:
             return Judgement(None)  # the same sample sent twice
         text = f"The estimate's time went back by {latest.time - estimate.time:.3f} s."
@@ -232,7 +255,7 @@ class EstimateMonitor:
             f"The estimator was reset: position moved by {np.linalg.norm(step.position_world):.2f} m, "
             f"velocity by {np.linalg.norm(step.velocity_world):.2f} m/s, yaw by {np.degrees(step.yaw):.1f} degrees."
         )
-        self._believe(estimate)
+        self._accept(estimate)
         return Judgement(estimate, "estimator_reset", text, step)
 
     def _doubt(self, estimate: StateEstimate, latest: StateEstimate, jump: str) -> Judgement:
@@ -241,12 +264,12 @@ class EstimateMonitor:
         self._doubted.append(estimate)
         if len(self._doubted) < self._limits.moved_samples:
             return Judgement(None, "estimate_jump", f"The estimate jumped: {jump}.")
-        self._believe(estimate)
-        text = f"The estimate has moved for good, without a reset being told: {jump}."
+        self._accept(estimate)
+        text = f"The estimate has moved for good without a reset: {jump}."
         return Judgement(estimate, "estimate_moved", text, _step(latest, estimate))
 
     def _jump(self, before: StateEstimate, after: StateEstimate) -> str | None:
-        """What moved further from one estimate to the next than physics allows, or None."""
+        """What moved further from one estimate to the next than the limits allow, or None."""
         limits, elapsed = self._limits, abs(after.time - before.time)
         a, b = before.state.tolist(), after.state.tolist()
         half = 0.5 * elapsed
@@ -273,11 +296,11 @@ def _dot(a: list[float], b: list[float]) -> float:
 
 
 def _step(before: StateEstimate, after: StateEstimate) -> ResetStep:
-    """What a reset moved, the vehicle's own motion in between taken out."""
+    """What a reset moved, without the vehicle's own motion in between."""
     elapsed = max(0.0, after.time - before.time)
     travelled = elapsed * before.velocity_world
-    turned = quaternion.multiply(before.attitude, quaternion.exponential(elapsed * before.rate_body))
-    yaw = float(quaternion.to_euler(after.attitude)[2] - quaternion.to_euler(turned)[2])
+    rotated = quaternion.multiply(before.attitude, quaternion.exponential(elapsed * before.rate_body))
+    yaw = float(quaternion.to_euler(after.attitude)[2] - quaternion.to_euler(rotated)[2])
     return ResetStep(
         after.position_world - before.position_world - travelled,
         after.velocity_world - before.velocity_world,
@@ -288,5 +311,5 @@ def _step(before: StateEstimate, after: StateEstimate) -> ResetStep:
 def _refused_frame(field: str, value: int, required: str) -> Judgement:
     entry = mavlink.enums["MAV_FRAME"].get(value)
     name = entry.name.removeprefix("MAV_FRAME_") if entry is not None else "unknown"
-    text = f"ODOMETRY {field} is {value} ({name}), required {required}: the estimate's axes are not known."
+    text = f"ODOMETRY {field} is {value} ({name}), required {required}: the estimate's axes are undefined."
     return Judgement(None, "estimate_frame_refused", text)

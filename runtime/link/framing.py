@@ -1,4 +1,4 @@
-"""MAVLink frames out of a stream of bytes, whatever else is in it; decoding them is pymavlink's."""
+"""MAVLink frames from a stream of bytes that may hold anything else; pymavlink decodes them."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ _DECODER = mavlink.MAVLink(None)  # keeps no state between calls of decode
 
 
 class Frame:
-    """One frame whose checksum holds, as far as its definition is known; decoded when somebody asks for it.
+    """One frame, decoded on first use; its checksum is right if its message is defined.
 
-    data: all its bytes. message_id: MAVLink's number. is_known: whether there is a definition for it.
+    data: all its bytes.
+    system, component: the sender.
+    message_id: MAVLink's number.
+    is_known: whether its message is defined.
     """
 
     __slots__ = ("_message", "component", "data", "is_known", "message_id", "system")
@@ -31,7 +34,7 @@ class Frame:
 
     @property
     def payload(self) -> bytes:
-        """The payload as it travelled, without the zeros that MAVLink 2 leaves out at its end."""
+        """The payload as it was sent, without the trailing zeros that MAVLink 2 omits."""
         start = _HEADER_V2 if self.data[0] == MAGIC_V2 else _HEADER_V1
         return self.data[start : start + self.data[1]]
 
@@ -44,10 +47,14 @@ class Frame:
 
 
 class FrameParser:
-    """Splits bytes into frames and finds the next frame again after anything that is none.
+    """Splits bytes into frames and finds the next frame after bytes that are none.
 
-    pymavlink's own stream parser drops everything that a false start claims to span; this one goes back to the
-    byte after it, so that no good frame is lost behind a bad one.
+    pymavlink's own parser drops all bytes that a false start claims; this one continues at the byte after it, so
+    that no good frame is lost behind a bad one.
+
+    frames: found so far.
+    unknown: of those, without a definition.
+    skipped_bytes: that belong to no frame.
     """
 
     def __init__(self) -> None:
@@ -60,7 +67,7 @@ class FrameParser:
         """The frames completed by these bytes, oldest first."""
         frames: list[Frame] = []
         if self._pending and self._starts_with_frame(data):
-            # a whole frame at the start of a packet: what was pending was cut off and will never be completed
+            # a frame at the start of a packet: the pending one was cut off and will never be completed
             frames = self._take(to_the_end=True)
         self._pending += data
         return frames + self._take(to_the_end=False)
@@ -70,7 +77,7 @@ class FrameParser:
         return frame is not None and frame.is_known
 
     def _take(self, *, to_the_end: bool) -> list[Frame]:
-        """The frames among the pending bytes; to_the_end: one that is not complete counts as garbage."""
+        """The frames among the pending bytes. to_the_end: an incomplete one counts as skipped bytes."""
         frames: list[Frame] = []
         position, end = 0, len(self._pending)
         while position < end:
@@ -89,7 +96,7 @@ class FrameParser:
         return frames
 
     def _frame_at(self, buffer: bytearray, start: int) -> tuple[Frame | None, int]:
-        """The frame that starts here and its length, or None and the bytes to skip (0: not all of it is there yet)."""
+        """The frame that starts here and its length, or None and the bytes to skip (0: it is incomplete yet)."""
         magic = buffer[start]
         if magic not in (MAGIC_V1, MAGIC_V2):
             following = [at for at in (buffer.find(MAGIC_V2, start), buffer.find(MAGIC_V1, start)) if at >= 0]
@@ -103,14 +110,14 @@ class FrameParser:
             return None, 0
         frame = Frame(bytes(buffer[start : start + length]))
         if frame.is_known:
-            return (frame, length) if _checksum_holds(frame) else (None, 1)
+            return (frame, length) if _checksum_is_right(frame) else (None, 1)
         if available > length and buffer[start + length] not in (MAGIC_V1, MAGIC_V2):
-            return None, 1  # its checksum cannot be verified, and what follows says that it was no frame
+            return None, 1  # its checksum cannot be verified, and no frame follows it
         return frame, length
 
 
 def frame_length(data: bytes | bytearray, start: int) -> int | None:
-    """Bytes of the frame whose magic byte stands at start, or None when too little of it is there to say."""
+    """Length in bytes of the frame that starts here, None if too few bytes are there to read it."""
     if len(data) - start < _MIN_FRAME:
         return None
     if data[start] == MAGIC_V1:
@@ -119,7 +126,7 @@ def frame_length(data: bytes | bytearray, start: int) -> int | None:
     return int(_HEADER_V2 + data[start + 1] + _CHECKSUM + signature)
 
 
-def _checksum_holds(frame: Frame) -> bool:
+def _checksum_is_right(frame: Frame) -> bool:
     end = (_HEADER_V2 if frame.data[0] == MAGIC_V2 else _HEADER_V1) + frame.data[1]
     crc = x25crc(frame.data[1:end] + bytes((mavlink.mavlink_map[frame.message_id].crc_extra,)))
     return bool(crc.crc == frame.data[end] | frame.data[end + 1] << 8)

@@ -1,4 +1,4 @@
-"""The link to a vehicle: a thread around Peer that reads, answers, keeps time, and hands over the newest estimate."""
+"""The link to a vehicle: a thread around `Peer` that reads, answers, keeps time, and publishes the newest estimate."""
 
 from __future__ import annotations
 
@@ -28,31 +28,44 @@ from runtime.link.transport import Address, Transport, TransportLostError, open_
 Direction = Literal["in", "out"]
 Answer = TypeVar("Answer")
 
-_RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128, PX4_FACTS: body rates and thrust count
-_STEP_ASIDE = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
+_RATES_AND_THRUST = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE  # 128: body rates and thrust (docs/px4.md)
+_YIELD_TIME = 1e-4  # s that this thread leaves the interpreter to the control thread after a new estimate
 _REOPEN_PERIOD = 0.5  # s
-_MAX_BATCH = 32  # frames taken in before they are handled
+_MAX_BATCH = 32  # frames read before they are handled
 
 
 class LinkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Who we are on the link, whom we look for and how often we speak; periods in seconds."""
+    """Our identity on the link, the vehicle's, and our periods, s.
+
+    target_system: the vehicle's system id, None for the first autopilot heard.
+    own_system: None for the vehicle's own, as a companion on board.
+    own_component: MAVLink's component id.
+    gcs_heartbeat: whether to send a ground station's heartbeat, without which PX4 sends no STATUSTEXT; one that stops
+        is a loss of the ground station.
+    heartbeat_period: of our heartbeat.
+    timesync_period: of our TIMESYNC requests.
+    silence: without a message after which the vehicle counts as silent.
+    priority: of SCHED_FIFO for the link's thread, because no setpoint is earlier than its estimate; None for none.
+    """
 
     target_system: int | None = None
-    own_system: int | None = None  # None: the vehicle's own, as the companion on board
+    own_system: int | None = None
     own_component: int = mavlink.MAV_COMP_ID_ONBOARD_COMPUTER
-    gcs_heartbeat: bool = False  # PX4 sends STATUSTEXT only while it hears one; stopping it is a ground-station loss
+    gcs_heartbeat: bool = False
     heartbeat_period: float = 1.0
     timesync_period: float = 0.1
-    silence: float = 1.0  # without a message of the vehicle until it counts as silent
-    priority: int | None = None  # of SCHED_FIFO for the link's thread; no setpoint is earlier than its estimate
+    silence: float = 1.0
+    priority: int | None = None
 
 
 class LinkCallbacks(msgspec.Struct, frozen=True):
-    """Who else wants to see what passes; called from the link's and the sender's threads, must return quickly.
+    """Functions that the link calls, from its own and from the senders' threads; they must return quickly.
 
-    frame: every raw frame with its direction and our monotonic time, s. message: every decoded message with its
-    time of arrival. reset: what an estimator reset moved, told before the estimate after it is handed over. reaction:
-    what followed from each message of the vehicle. event: link events by name.
+    frame: for every raw frame, with its direction and our monotonic time, s.
+    message: for every decoded message, with its time of arrival.
+    reset: for an estimator reset, before the estimate after it is published.
+    reaction: for every message of the vehicle.
+    event: for every event of the link.
     """
 
     frame: Callable[[Direction, float, bytes], None] | None = None
@@ -65,8 +78,11 @@ class LinkCallbacks(msgspec.Struct, frozen=True):
 class Link:
     """A running link to one vehicle; `with Link(endpoint) as link:` opens it and closes it.
 
-    Raises VehicleError or RequestError when the endpoint cannot be opened. What follows never raises: a lost device
-    is the event link_lost, and opened again when it comes back.
+    Raises VehicleError or RequestError when the endpoint cannot be opened. An open link never raises: a lost device is
+    the event link_lost, and the device is opened again once it is back.
+
+    peer: the vehicle, as far as it was heard.
+    parser: of the incoming bytes.
     """
 
     def __init__(
@@ -102,7 +118,7 @@ class Link:
         self.close()
 
     def close(self) -> None:
-        """Stops the thread and gives the socket or device back."""
+        """Stop the thread and close the socket or device."""
         self._stop.set()
         if self._thread is not threading.current_thread():
             self._thread.join()
@@ -110,7 +126,7 @@ class Link:
 
     @property
     def status(self) -> VehicleStatus:
-        """Who the vehicle is and what it does."""
+        """The vehicle's identity and state."""
         return self.peer.status
 
     @property
@@ -120,7 +136,7 @@ class Link:
 
     @property
     def own_system(self) -> int:
-        """Our system id: the one set, else the vehicle's, else 1."""
+        """Our system id: the settings' one, else the vehicle's, else 1."""
         if self.settings.own_system is not None:
             return self.settings.own_system
         return self.peer.address[0] if self.peer.address is not None else self.settings.target_system or 1
@@ -133,13 +149,13 @@ class Link:
 
     @property
     def estimate(self) -> StateEstimate | None:
-        """The newest believed estimate."""
+        """The newest accepted estimate."""
         return self._estimate
 
     def wait_for_estimate(self, newer_than: StateEstimate | None, deadline: float) -> StateEstimate | None:
-        """The newest estimate as soon as it is another one than newer_than, or None at the deadline, monotonic s."""
+        """The newest estimate as soon as it is not `newer_than`, or None at the deadline (s, monotonic)."""
         while True:
-            # a lock per wait, as in threading.Condition, without the Python around it that costs a tenth of the latency
+            # a lock per wait as in threading.Condition, whose Python code would take a tenth of the latency
             woken = threading.Lock()
             woken.acquire()
             self._waiting.append(woken)
@@ -151,9 +167,9 @@ class Link:
             return None if estimate is newer_than else estimate
 
     def wait_for_vehicle(self, timeout: float = 10.0) -> VehicleStatus:
-        """The vehicle's status as soon as its heartbeat came.
+        """The vehicle's status as soon as its heartbeat has come. timeout: s.
 
-        Raises VehicleError after timeout seconds, telling what was heard instead.
+        Raises VehicleError after it, with a list of what was heard instead.
         """
         if not self._vehicle_found.wait(timeout):
             raise VehicleError(self._explain_silence(timeout))
@@ -179,15 +195,15 @@ class Link:
     # --- sending
 
     def send(self, message: Message) -> bool:
-        """Sends one message under our ids; False when the kernel did not take it. From any thread but the control's."""
+        """Send a message under our ids, from any thread but the control thread. Returns whether the kernel took it."""
         with self._send_lock:
             return self._pack_and_send(self._packer, message, self.settings.own_component)
 
     def send_rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> bool:
-        """Sends SET_ATTITUDE_TARGET with body rates and thrust (type_mask 128); shares no lock with other senders.
+        """Send SET_ATTITUDE_TARGET with body rates and thrust; shares no lock with other senders, for one thread only.
 
-        rate_body: FLU, rad/s. thrust: 0..1, clipped. A value that is not finite is refused: PX4 would count it as a
-        live setpoint. Returns whether it was sent. To be called from one thread only.
+        rate_body: FLU, rad/s. thrust: 0..1, clipped. Returns whether it was sent: a value that is not finite is
+        refused, because PX4 counts it as a sign of life (docs/px4.md).
         """
         x, y, z = (float(value) for value in rate_body)
         if not (isfinite(x) and isfinite(y) and isfinite(z) and isfinite(thrust)):
@@ -199,7 +215,7 @@ class Link:
         return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
 
     def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:
-        """Sends a STATUSTEXT of any length."""
+        """Send a STATUSTEXT of any length."""
         for message in text_messages(text, severity, next(self._text_identities) & 0xFFFF or 1):
             self.send(message)
 
@@ -212,11 +228,11 @@ class Link:
             self._callbacks.frame("out", time.monotonic(), data)
         return sent
 
-    # --- questions and answers
+    # --- requests and answers
 
     @contextlib.contextmanager
     def listening(self, read: Callable[[Message], Answer | None]) -> Iterator[queue.SimpleQueue[Answer]]:
-        """A queue of what read makes of the vehicle's messages, None left out; read runs in the link's thread."""
+        """A queue of what `read` makes of the vehicle's messages, None omitted; it runs in the link's thread."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
 
         def listen(message: Message) -> None:
@@ -240,9 +256,11 @@ class Link:
         timeout: float = 0.5,
         attempts: int = 4,
     ) -> Answer | None:
-        """The first answer to a request that is repeated every timeout seconds, or None after all attempts.
+        """The first answer to a request that is repeated; None after all attempts.
 
-        request: attempt number -> message. read: the answer that a message of the vehicle is, or None.
+        request: attempt number to message.
+        read: message of the vehicle to answer, None if it is none.
+        timeout: s for each attempt.
         """
         with self.listening(read) as answers:
             for attempt in range(attempts):
@@ -275,7 +293,7 @@ class Link:
                     self._publish_event(received, "link_defect", "error", f"Handling a message failed: {error!r}")
 
     def _receive(self) -> list[tuple[Frame, float, Address | None]]:
-        """What has arrived, state estimates first: autopilots send in bursts, and the rest can wait."""
+        """The frames that have arrived, state estimates first: autopilots send in bursts, and the others can wait."""
         batch: list[tuple[Frame, float, Address | None]] = []
         received = self._transport.receive()
         while received is not None and len(batch) < _MAX_BATCH:
@@ -283,7 +301,7 @@ class Link:
             try:
                 received = self._transport.receive(wait=False)
             except TransportLostError:
-                break  # what came before the end counts; the next call finds the end again
+                break  # what came before the end is handled; the next call finds the end again
         if len(batch) > 1:
             batch.sort(key=lambda item: item[0].message_id != mavlink.MAVLINK_MSG_ID_ODOMETRY)
         return batch
@@ -298,7 +316,7 @@ class Link:
             self._transport.answer(source)
             if not self._vehicle_found.is_set():
                 self._vehicle_found.set()
-                self._next_heartbeat = float("-inf")  # only now does anybody hear it
+                self._next_heartbeat = float("-inf")  # nobody could receive one before
             for answer in reaction.answers:
                 self.send(answer)
             for listener in self._listeners:
@@ -311,7 +329,7 @@ class Link:
         for woken in waiting:
             woken.release()
         if waiting:
-            time.sleep(_STEP_ASIDE)
+            time.sleep(_YIELD_TIME)
 
     def _call_back(self, frame: Frame, received: float, reaction: Reaction) -> None:
         if self._callbacks.frame is not None:
@@ -330,7 +348,7 @@ class Link:
                 self._callbacks.event(event)
 
     def _send_due(self, now: float) -> None:
-        """Sends what is due, and notices when the vehicle fell silent or speaks again."""
+        """Send what is due, and publish when the vehicle falls silent or is heard again."""
         if now >= self._next_heartbeat:
             self._next_heartbeat = now + self.settings.heartbeat_period
             self._send_heartbeats()
@@ -341,10 +359,10 @@ class Link:
         if silent != self._silent:
             self._silent = silent
             if silent:
-                text = f"Nothing was heard of the vehicle for {self.settings.silence:g} s."
+                text = f"The vehicle has been silent for {self.settings.silence:g} s."
                 self._publish_event(now, "vehicle_silent", "error", text)
             else:
-                self._publish_event(now, "vehicle_heard_again", "info", "The vehicle speaks again.")
+                self._publish_event(now, "vehicle_heard_again", "info", "The vehicle is heard again.")
 
     def _send_heartbeats(self) -> None:
         active, no_autopilot = mavlink.MAV_STATE_ACTIVE, mavlink.MAV_AUTOPILOT_INVALID
@@ -355,7 +373,7 @@ class Link:
                 self._pack_and_send(self._packer, message, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 
     def _reopen(self) -> None:
-        """Waits for a lost device or stream to come back."""
+        """Wait for a lost device or stream to come back."""
         self._transport.close()
         while not self._stop.wait(_REOPEN_PERIOD):
             try:

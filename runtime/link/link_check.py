@@ -1,4 +1,4 @@
-"""A look at a link without flying: who is there, what arrives how fast and how late, and what would stop a flight."""
+"""The check of a link without a flight: vehicle, rates, clock, and problems that would refuse a flight."""
 
 from __future__ import annotations
 
@@ -25,14 +25,21 @@ PARAMETERS = (
     "MPC_THR_HOVER", "THR_MDL_FAC", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_DISARM_PRFLT",
     "MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX", "MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P",
 )  # fmt: skip
-MIN_RATE_SHARE = 0.9  # of the rate asked for
+MIN_RATE_SHARE = 0.9  # of the requested rate
 _GRAVITY = 9.81
 _REST = 0.3  # m/s and rad/s below which the accelerometer shows gravity alone
 _ACK_WINDOW = 0.3  # s in which a second acknowledgement follows the first
 
 
 class StreamCheck(msgspec.Struct, frozen=True):
-    """One message: rate, Hz, before it was asked for, the request, its answer, and what then came (times in s)."""
+    """The check of one message stream.
+
+    name: of the message.
+    before: rate before the request, Hz.
+    requested: Hz.
+    answer: to the request, a result's name.
+    after: the rate that then arrived.
+    """
 
     name: str
     before: float
@@ -42,7 +49,15 @@ class StreamCheck(msgspec.Struct, frozen=True):
 
 
 class ClockCheck(msgspec.Struct, frozen=True):
-    """Whether TIMESYNC is answered and settled; round trip, clock offset and its uncertainty, s; drift, s/s."""
+    """The check of the vehicle's clock.
+
+    answered: whether TIMESYNC is.
+    settled: whether the filter's result is valid.
+    round_trip: median, s.
+    offset: vehicle's time minus ours, s.
+    uncertainty: standard deviation of the offset, s.
+    drift: s/s.
+    """
 
     answered: bool
     settled: bool
@@ -53,21 +68,35 @@ class ClockCheck(msgspec.Struct, frozen=True):
 
 
 class AttitudeCheck(msgspec.Struct, frozen=True):
-    """Length of the specific force, m/s^2, and its angle to the vertical as the attitude has it, degrees, at rest."""
+    """Length of the specific force at rest, m/s^2, and its angle to the estimated vertical, degrees."""
 
     specific_force: float
     tilt_error_degrees: float
 
 
 class LinkProblem(msgspec.Struct, frozen=True):
-    """Something found: an error would keep a flight from being engaged, a warning should be understood first."""
+    """A problem of the link. An error would refuse a flight; a warning should be understood before one."""
 
     severity: Literal["error", "warning"]
     text: str
 
 
 class LinkReport(msgspec.Struct, frozen=True):
-    """What a link looks like; the last three are counted over the whole check."""
+    """The outcome of the check of a link.
+
+    endpoint: the connection string.
+    vehicle: its identity and state.
+    others: further senders on the link, "system/component" to kind.
+    streams, clock, attitude: their checks.
+    odometry_frames: frame and child frame of ODOMETRY, None without any.
+    estimate_source: the message that gives estimates, None without any.
+    position_world: m, of the newest estimate.
+    parameters: of PX4 that matter to a flight, or why they could not be read.
+    acknowledgements_of_mode: to one request of the present mode; two in some versions of PX4.
+    events: of the link during the check.
+    problems: errors and warnings.
+    frames, unknown_frames, skipped_bytes: counts over the whole check.
+    """
 
     endpoint: str
     vehicle: VehicleStatus
@@ -88,7 +117,7 @@ class LinkReport(msgspec.Struct, frozen=True):
 
     @property
     def is_ready(self) -> bool:
-        """Whether nothing found would keep a flight from being engaged."""
+        """Whether no problem is an error."""
         return not any(problem.severity == "error" for problem in self.problems)
 
 
@@ -100,10 +129,10 @@ def check_link(
     streams: Mapping[str, float] = STREAMS,
     window: float = WINDOW,
 ) -> LinkReport:
-    """Listens to a vehicle, asks for its streams, and puts the streams back. Sends no setpoint and arms nothing.
+    """Listen to a vehicle, request its streams, and restore them. Sends no setpoint and arms nothing.
 
-    timeout: s to wait for the vehicle. streams: message name -> Hz. window: s over which rates are measured.
-    Raises VehicleError when no vehicle speaks, RequestError for a message that does not exist.
+    timeout: s to wait for the vehicle. streams: message name to Hz. window: s over which rates are measured.
+    Raises VehicleError when no vehicle is heard, RequestError for a message that does not exist.
     """
     events: list[LinkEvent] = []
     with Link(endpoint, LinkSettings(target_system=target_system), LinkCallbacks(event=events.append)) as link:
@@ -182,7 +211,7 @@ def _frame_names(frames: tuple[int, int] | None) -> tuple[str, str] | None:
 
 
 def _check_attitude(estimate: StateEstimate, imu: ImuSample) -> AttitudeCheck | None:
-    """Where the specific force points in the world, which at rest is up; None while the vehicle moves."""
+    """The specific force's length, and its angle to world up, which is 0 at rest; None while the vehicle moves."""
     if hypot(*estimate.velocity_world) > _REST or hypot(*estimate.rate_body) > _REST:
         return None
     length = hypot(*imu.specific_force_body)
@@ -193,7 +222,7 @@ def _check_attitude(estimate: StateEstimate, imu: ImuSample) -> AttitudeCheck | 
 
 
 def _count_acknowledgements(link: Link) -> int:
-    """How many answers one request for the mode that is on already gets; armed, nothing is asked and none counted."""
+    """The number of acknowledgements to one request of the present mode; 0 without a request while armed."""
     status = link.status
     if status.armed or status.mode == "unknown":
         return 0
@@ -222,7 +251,7 @@ def _stream_problems(streams: tuple[StreamCheck, ...], estimate: StateEstimate |
         if stream.after.rate < MIN_RATE_SHARE * stream.requested:
             severity: Literal["error", "warning"] = "error" if stream.name == "ODOMETRY" else "warning"
             text = (
-                f"{stream.name} comes at {stream.after.rate:.0f} Hz, {stream.requested:.0f} Hz were asked for (answer: "
+                f"{stream.name} comes at {stream.after.rate:.0f} Hz, {stream.requested:.0f} Hz were requested (answer: "
                 f"{stream.answer}). Raise the link's baud rate or MAV_n_RATE; PX4 in simulation only has rates that "
                 "divide 250 Hz."
             )
@@ -232,7 +261,7 @@ def _stream_problems(streams: tuple[StreamCheck, ...], estimate: StateEstimate |
 
 def _clock_problems(clock: ClockCheck) -> list[LinkProblem]:
     if not clock.answered:
-        return [LinkProblem("error", "TIMESYNC is not answered: the age of an estimate cannot be known.")]
+        return [LinkProblem("error", "TIMESYNC is not answered: the age of an estimate cannot be measured.")]
     if not clock.settled:
         text = (
             f"The vehicle's clock is not settled: uncertain by {clock.uncertainty * 1e3:.1f} ms, "
@@ -248,7 +277,7 @@ def _clock_problems(clock: ClockCheck) -> list[LinkProblem]:
 def _vehicle_problems(status: VehicleStatus, attitude: AttitudeCheck | None) -> list[LinkProblem]:
     problems = []
     if status.autopilot != "px4":
-        text = f"The autopilot is {status.autopilot}; this runtime knows PX4's modes and rules only."
+        text = f"The autopilot is {status.autopilot}; this runtime supports PX4's modes and rules only."
         problems.append(LinkProblem("error", text))
     if status.system_status in ("critical", "emergency", "flight_termination", "calibrating", "boot"):
         problems.append(LinkProblem("error", f"The vehicle reports the state {status.system_status}."))
@@ -257,7 +286,7 @@ def _vehicle_problems(status: VehicleStatus, attitude: AttitudeCheck | None) -> 
     if isnan(status.battery_voltage):
         problems.append(LinkProblem("warning", "No battery voltage: thrust cannot be corrected for a sagging battery."))
     if attitude is not None and abs(attitude.specific_force - _GRAVITY) > 1.0:
-        text = f"The accelerometer reads {attitude.specific_force:.1f} m/s^2 at rest, wanted about {_GRAVITY}."
+        text = f"The accelerometer reads {attitude.specific_force:.1f} m/s^2 at rest, expected about {_GRAVITY}."
         problems.append(LinkProblem("warning", text))
     if attitude is not None and attitude.tilt_error_degrees > 10.0:
         text = (
@@ -272,7 +301,7 @@ def _parameter_problems(values: Mapping[str, float | str]) -> list[LinkProblem]:
     problems = []
     missing = [name for name, value in values.items() if isinstance(value, str)]
     if missing:
-        text = f"Not known to the vehicle: {', '.join(missing)}; the defaults of PX4 are assumed."
+        text = f"Not read from the vehicle: {', '.join(missing)}; the defaults of PX4 are assumed."
         problems.append(LinkProblem("warning", text))
     loss, action = values.get("COM_OF_LOSS_T"), values.get("COM_OBL_RC_ACT")
     if isinstance(loss, float) and loss > 2.0:

@@ -1,4 +1,4 @@
-"""PX4's flight modes: the numbers in a heartbeat's custom_mode and their names (PX4 px4_custom_mode.h)."""
+"""PX4's flight modes: numbers in a heartbeat's custom_mode and names (PX4 px4_custom_mode.h)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The vehicle's parameters: read and set by name; integers travel byte-wise in the float field, as PX4 sends them."""
+"""The vehicle's parameters, read and set by name; integers travel byte-wise in the float field (docs/px4.md)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,12 @@ _FORMATS = {
 
 
 class Parameter(msgspec.Struct, frozen=True):
-    """A parameter's value, or None and the vehicle's error when it has none to give."""
+    """A parameter of the vehicle.
+
+    value: None if it could not be read or set.
+    type: MAV_PARAM_TYPE.
+    error: why, empty when there is none.
+    """
 
     name: str
     value: float | int | None
@@ -33,7 +38,7 @@ class Parameter(msgspec.Struct, frozen=True):
 
 
 def decode_value(wire: float, kind: int) -> float | int:
-    """The value in PARAM_VALUE's float field. kind: MAV_PARAM_TYPE."""
+    """The value in the float field of PARAM_VALUE. kind: MAV_PARAM_TYPE."""
     layout = _FORMATS.get(kind, "<f")
     value: float | int = struct.unpack(layout, struct.pack("<f", wire))[0]
     return value
@@ -50,7 +55,7 @@ def encode_value(value: float, kind: int) -> float:
 
 
 def read_parameter(link: Link, name: str, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
-    """A parameter of the vehicle; its error is no_answer when nothing came back."""
+    """Read a parameter; its error is no_answer if the vehicle does not answer."""
 
     def request(attempt: int) -> Message:
         status = link.status
@@ -61,14 +66,14 @@ def read_parameter(link: Link, name: str, *, timeout: float = 0.5, attempts: int
 
 
 def read_parameters(link: Link, names: Iterable[str]) -> dict[str, Parameter]:
-    """Several parameters by name, one after the other."""
+    """Read parameters one after the other."""
     return {name: read_parameter(link, name) for name in names}
 
 
 def set_parameter(link: Link, name: str, value: float, *, timeout: float = 0.5, attempts: int = 4) -> Parameter:
-    """Sets a parameter in the type that the vehicle has it in; what the vehicle then says it is.
+    """Set a parameter in the vehicle's own type for it. Returns what the vehicle reports then.
 
-    Its error is not_taken when the vehicle kept another value.
+    Its error is not_taken if that is another value.
     """
     present = read_parameter(link, name, timeout=timeout, attempts=attempts)
     if present.value is None:

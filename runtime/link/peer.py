@@ -1,4 +1,4 @@
-"""What the other end of the link has told us, and what it has to be answered: the link without its socket."""
+"""The peer: state of the vehicle from its messages, and the answers to them. The link without its socket."""
 
 from __future__ import annotations
 
@@ -23,13 +23,21 @@ from runtime.link.rates import RateMeter
 from runtime.link.telemetry import BatterySample, LinkEvent, LinkSeverity, Telemetry, Text, VehicleStatus
 from runtime.link.texts import TextAssembler
 
-_EVENT_PERIOD = 1.0  # s until an event of the same name is told again
-_MAX_STAMP = 10.0  # s between a state's time and its arrival beyond which its stamp is not the synchronised clock's
+_EVENT_PERIOD = 1.0  # s until an event of the same name is published again
+_MAX_STAMP_AGE = 10.0  # s before arrival, beyond which a stamp is not of the synchronised clock
 _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, mavlink.MAV_TYPE_GIMBAL)
 
 
 class Reaction(msgspec.Struct):
-    """What follows from one message: answers to send, and what is new for the rest of the runtime."""
+    """What follows from one message.
+
+    estimate: a new one, if it is accepted.
+    reset: what an estimator reset moved.
+    telemetry: a new sample.
+    answers: messages to send.
+    events: of the link.
+    texts: complete STATUSTEXTs.
+    """
 
     estimate: StateEstimate | None = None
     reset: ResetStep | None = None
@@ -40,15 +48,24 @@ class Reaction(msgspec.Struct):
 
 
 class Peer:
-    """The vehicle at the other end, as far as its messages tell.
+    """The vehicle at the other end of the link, from its messages.
 
-    Pure: no socket and no clock, so that a recording can be fed to it like a link. target_system: the only system
-    that is taken for the vehicle; None takes the first autopilot heard.
+    Pure: no socket and no clock, so that it reads a recording as it reads a link.
+
+    address: system and component of the vehicle, None before its first heartbeat.
+    last_heard: s on our clock.
+    heard: every sender by system and component.
+    clock: the vehicle's.
+    estimates: their checks.
+    rates: of its messages.
+    latest: sample of each kind.
+    odometry_frames: frame and child frame of the latest ODOMETRY.
     """
 
     def __init__(self, target_system: int | None = None, estimate_limits: EstimateLimits | None = None) -> None:
+        """target_system: the vehicle's system id, None for the first autopilot heard."""
         self._target_system = target_system
-        self.address: tuple[int, int] | None = None  # system and component of the vehicle once it is found
+        self.address: tuple[int, int] | None = None
         self._status = VehicleStatus()
         self._texts = TextAssembler()
         self._published: dict[str, tuple[float, int]] = {}
@@ -71,11 +88,11 @@ class Peer:
 
     @property
     def status(self) -> VehicleStatus:
-        """Who the vehicle is and what it does, with the time it was last heard."""
+        """The vehicle's identity and state, with the time it was last heard."""
         return msgspec.structs.replace(self._status, last_heard=self.last_heard)
 
     def handle(self, frame: Frame, received: float) -> Reaction:
-        """Takes in one frame of any sender that arrived at received, s on our monotonic clock."""
+        """Handle a frame of any sender. received: its arrival, s on our monotonic clock."""
         reaction = Reaction()
         if not frame.is_known:
             return reaction  # without a definition not even its checksum can be verified
@@ -99,11 +116,11 @@ class Peer:
             return
         sample = telemetry.decode_telemetry(message, received, self._time_of)
         if sample is not None:
-            self._keep(sample)
+            self._store(sample)
             reaction.telemetry = sample
 
     def limit_event(self, time: float, name: str, severity: LinkSeverity, text: str) -> list[LinkEvent]:
-        """The event to pass on: none while one of the same name was told less than a second ago."""
+        """The event to publish; none less than a second after one of the same name."""
         published, repeats = self._published.get(name, (float("-inf"), 0))
         if time - published < _EVENT_PERIOD:
             self._published[name] = (published, repeats + 1)
@@ -111,7 +128,7 @@ class Peer:
         self._published[name] = (time, 0)
         return [LinkEvent(time, name, severity, text, repeats)]
 
-    def _keep(self, sample: Telemetry) -> None:
+    def _store(self, sample: Telemetry) -> None:
         self.latest[type(sample)] = sample
         if isinstance(sample, BatterySample) and sample.voltage > 0:
             self._status = msgspec.structs.replace(self._status, battery_voltage=sample.voltage)
@@ -120,10 +137,10 @@ class Peer:
         return self._synchronised(remote, received)[0]
 
     def _synchronised(self, remote: float, received: float) -> tuple[float, bool]:
-        """Our time of a vehicle stamp, s, and whether the vehicle's clock gave it; never later than its arrival."""
+        """Our time of a vehicle stamp, s, not after its arrival, and whether it is from the vehicle's clock."""
         if self.clock.is_valid(received):
             time = self.clock.to_ours(remote)
-            if abs(received - time) < _MAX_STAMP:
+            if abs(received - time) < _MAX_STAMP_AGE:
                 return min(time, received), True
         return received, False
 

@@ -1,4 +1,4 @@
-"""How often each message really comes: intervals over a sliding window, not what was asked for."""
+"""Measured message rates: intervals over a sliding window, whatever was requested."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ _MAX_WINDOW = 4000  # messages
 
 
 class StreamRate(msgspec.Struct, frozen=True):
-    """Rate, Hz, over the window and the intervals' median, 1st and 99th percentile, s."""
+    """A message's rate within a window.
+
+    rate: Hz.
+    median, p1, p99: of the intervals, s.
+    count: messages.
+    """
 
     rate: float
     median: float
@@ -34,7 +39,7 @@ class RateMeter:
         self._arrivals: dict[int, deque[float]] = {}
 
     def handle(self, message_id: int, received: float) -> None:
-        """One message arrived."""
+        """Count a message."""
         arrivals = self._arrivals.get(message_id)
         if arrivals is None:
             arrivals = self._arrivals[message_id] = deque(maxlen=_MAX_WINDOW)
@@ -43,13 +48,13 @@ class RateMeter:
             arrivals.popleft()
 
     def rate(self, name: str, now: float, window: float = WINDOW) -> StreamRate:
-        """What the message of this name achieves within a window, s, before now; at most the one that is kept."""
+        """The rate of a message. window: s before now, at most the one of the constructor."""
         arrivals = tuple(self._arrivals.get(MESSAGE_IDS.get(name, -1), ()))
         times = [time for time in arrivals if time >= now - window]
         if len(times) < 2:
             return msgspec.structs.replace(SILENT, count=len(times))
         intervals = sorted(after - before for before, after in pairwise(times))
-        # a stream that stopped in the middle of the window is as slow as its silence makes it
+        # the silence after a stream that stopped within the window counts
         span = max(times[-1] - times[0], now - times[0] - intervals[-1])
         return StreamRate(
             (len(times) - 1) / max(span, 1e-6),
@@ -60,7 +65,7 @@ class RateMeter:
         )
 
     def rates(self, now: float) -> dict[str, StreamRate]:
-        """Every message that came within the window before now, by name."""
+        """The rates of all messages of the window before now, by name."""
         names = sorted(MESSAGE_NAMES.get(number, f"UNKNOWN_{number}") for number in tuple(self._arrivals))
         rates = {name: self.rate(name, now) for name in names}
         return {name: rate for name, rate in rates.items() if rate.count}

@@ -1,6 +1,6 @@
-"""What a vehicle says besides its state estimate, as small frozen structs in SI units and our frames.
+"""Telemetry besides the state estimate, as small frozen structs in SI units and our frames.
 
-Every struct carries `time`, when it held, and `received`, when its bytes arrived, both seconds on our monotonic clock.
+Every struct has `time`, when it held, and `received`, when its bytes arrived, both s on our monotonic clock.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from runtime.link.dialect import Message, mavlink
 
 _RAD_PER_S = 2 * pi / 60  # of one revolution per minute
 _UNKNOWN_VOLTAGE = 65535
-_IMU_WINDOW = 0.005  # s over which PX4 averages a sample (IMU_INTEG_RATE 200 Hz) that it stamps at the end
+_IMU_WINDOW = 0.005  # s over which PX4 averages a sample, which it stamps at the end (IMU_INTEG_RATE 200 Hz)
 
 LandedState = Literal["undefined", "on_ground", "in_air", "taking_off", "landing"]
 _LANDED: tuple[LandedState, ...] = ("undefined", "on_ground", "in_air", "taking_off", "landing")
@@ -25,7 +25,7 @@ Vector = tuple[float, float, float]
 
 
 class LinkEvent(msgspec.Struct, frozen=True):
-    """Something that happened on the link, by name; repeats: how often it was left out since it was last told."""
+    """An event of the link, by name. repeats: how often it was omitted since it was last published."""
 
     time: float
     name: str
@@ -35,7 +35,7 @@ class LinkEvent(msgspec.Struct, frozen=True):
 
 
 class VehicleStatus(msgspec.Struct, frozen=True):
-    """Who the vehicle is and what it is doing, as of its latest heartbeat and status messages."""
+    """The vehicle's identity and state, as of its latest heartbeat and status messages."""
 
     system: int = 0
     component: int = 0
@@ -53,12 +53,12 @@ class VehicleStatus(msgspec.Struct, frozen=True):
 
     @property
     def is_known(self) -> bool:
-        """Whether a vehicle has been heard at all."""
+        """Whether a vehicle has been heard."""
         return self.system != 0
 
 
 class RotorSpeeds(msgspec.Struct, frozen=True, gc=False):
-    """Rotor speeds that the ESCs report, rad/s, in the autopilot's motor order, from motor `first` on."""
+    """Rotor speeds from the ESCs, rad/s, in the autopilot's motor order, from motor `first` on."""
 
     time: float
     received: float
@@ -67,7 +67,7 @@ class RotorSpeeds(msgspec.Struct, frozen=True, gc=False):
 
 
 class MotorOutputs(msgspec.Struct, frozen=True, gc=False):
-    """What the autopilot commands its outputs: PWM in us (SERVO_OUTPUT_RAW) or -1..1 (ACTUATOR_OUTPUT_STATUS)."""
+    """Commands to the autopilot's outputs: PWM in us (SERVO_OUTPUT_RAW) or -1..1 (ACTUATOR_OUTPUT_STATUS)."""
 
     time: float
     received: float
@@ -76,7 +76,7 @@ class MotorOutputs(msgspec.Struct, frozen=True, gc=False):
 
 
 class ImuSample(msgspec.Struct, frozen=True, gc=False):
-    """Specific force, m/s^2, and body rates, rad/s, both body FLU, of HIGHRES_IMU; time: the middle of its average."""
+    """HIGHRES_IMU: specific force, m/s^2, and body rates, rad/s, both body FLU. time: the middle of its average."""
 
     time: float
     received: float
@@ -85,7 +85,7 @@ class ImuSample(msgspec.Struct, frozen=True, gc=False):
 
 
 class BatterySample(msgspec.Struct, frozen=True, gc=False):
-    """Voltage, V, current, A, and remaining charge, 0..1; nan where the vehicle does not measure it."""
+    """The battery: voltage, V, current, A, and remaining charge, 0..1; NaN where it is not measured."""
 
     time: float
     received: float
@@ -95,7 +95,7 @@ class BatterySample(msgspec.Struct, frozen=True, gc=False):
 
 
 class Text(msgspec.Struct, frozen=True):
-    """A STATUSTEXT of the vehicle, put together again; severity is MAVLink's, 0 emergency to 7 debug."""
+    """A complete STATUSTEXT of the vehicle. severity: MAVLink's, 0 emergency to 7 debug."""
 
     received: float
     severity: int
@@ -107,9 +107,9 @@ ToOurs = Callable[[float, float], float]
 
 
 def decode_telemetry(message: Message, received: float, to_ours: ToOurs) -> Telemetry | None:
-    """The struct that a message carries, or None for messages of other kinds.
+    """The sample in a message, None for messages of other kinds.
 
-    to_ours: (vehicle time since boot, time of reception) -> our time, all s.
+    to_ours: (vehicle time since boot, time of reception) to our time, all s.
     """
     decode = _DECODERS.get(message.get_type())
     return decode(message, received, to_ours) if decode is not None else None
@@ -171,7 +171,7 @@ _DECODERS: dict[str, Callable[[Message, float, ToOurs], Telemetry]] = {
 
 
 def is_finite(sample: ImuSample) -> bool:
-    """Whether a sample holds numbers throughout."""
+    """Whether all numbers of a sample are finite."""
     return all(isfinite(value) for value in (*sample.specific_force_body, *sample.rate_body))
 
 

@@ -11,7 +11,7 @@ _PATIENCE = 1.0  # s to wait for a missing chunk
 
 
 def text_messages(text: str, severity: int, identity: int) -> list[Message]:
-    """The messages that carry a text. identity: 1..65535, different for texts sent close together."""
+    """The messages of a text. identity: 1..65535, different for texts sent close together."""
     data = text.encode("ascii", "replace")[:_MAX_LENGTH]
     if len(data) <= CHUNK:
         return [mavlink.MAVLink_statustext_message(severity, data)]
@@ -24,7 +24,7 @@ def text_messages(text: str, severity: int, identity: int) -> list[Message]:
 
 
 class TextAssembler:
-    """Puts one sender's chunked texts together again; a text that misses a chunk is told as far as it came."""
+    """Joins one sender's chunked texts; a missing chunk is marked by [...]."""
 
     def __init__(self) -> None:
         self._identity = 0
@@ -46,7 +46,7 @@ class TextAssembler:
         return texts
 
     def expire(self, now: float, patience: float = _PATIENCE) -> list[Text]:
-        """The text that has waited longer than patience seconds for its missing chunks, if there is one."""
+        """The text that has waited longer than `patience` s for a missing chunk, if there is one."""
         if not self._chunks or now - self._since < patience:
             return []
         parts = [self._chunks.get(number, "[...]") for number in range(max(self._chunks) + 1)]

@@ -1,4 +1,4 @@
-"""Bytes to and from a vehicle over UDP, TCP or a serial line: blocking receive, sends that never block."""
+"""Transports: bytes over UDP, TCP or a serial line, with receives that block and sends that never do."""
 
 from __future__ import annotations
 
@@ -28,9 +28,10 @@ _SURVIVED = (errno.ECONNREFUSED, errno.ENETUNREACH, errno.EHOSTUNREACH, errno.EN
 
 
 class Received(msgspec.Struct, frozen=True, gc=False):
-    """Bytes as they came, with the monotonic time of their arrival, s, and the address of their sender if there is one.
+    """Received bytes.
 
-    On UDP the time is the kernel's, so that waiting for the processor counts as the age of what was received.
+    time: of their arrival, s, monotonic; on UDP the kernel's, so that waiting for the processor counts as their age.
+    source: the sender's address, None on a stream.
     """
 
     data: bytes
@@ -39,30 +40,29 @@ class Received(msgspec.Struct, frozen=True, gc=False):
 
 
 class TransportLostError(VehicleError):
-    """The device or the stream behind a link is gone; opening it again may help."""
+    """The device or stream of a link is lost; opening it again may help."""
 
 
 class Transport(Protocol):
-    """What a link needs of UDP, TCP and serial lines."""
+    """The interface of UDP, TCP and serial lines for a link."""
 
     def receive(self, *, wait: bool = True) -> Received | None:
-        """The next bytes, or None after PATIENCE, or at once. Raises TransportLostError when the other end is gone."""
+        """The next bytes, or None after PATIENCE, without `wait` at once. Raises TransportLostError."""
 
     def send(self, data: bytes) -> bool:
-        """Hands bytes to the kernel without waiting; False when it did not take them all."""
+        """Pass bytes to the kernel without waiting. Returns whether it took them all."""
 
     def answer(self, source: Address | None) -> None:
-        """Sends from now on to the address that a received packet came from."""
+        """Send from now on to the address that a packet came from."""
 
     def close(self) -> None:
-        """Gives the socket or device back."""
+        """Close the socket or device."""
 
 
 def open_transport(endpoint: Endpoint) -> Transport:
-    """Opens the socket or device of an endpoint.
+    """Open the socket or device of an endpoint.
 
-    Raises VehicleError when the port is taken, refused or the device is absent or not permitted, RequestError for
-    a host that does not exist.
+    Raises VehicleError when it cannot be opened, RequestError for a host that does not exist.
     """
     match endpoint.kind:
         case "udpin" | "udpout":
@@ -74,7 +74,7 @@ def open_transport(endpoint: Endpoint) -> Transport:
 
 
 class UdpTransport:
-    """One UDP socket: bound and learning its peer (udpin), or sending first to a given one (udpout)."""
+    """A UDP socket: bound, its peer the sender of what arrives (udpin), or with a fixed peer (udpout)."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         family, address = _resolve(endpoint, socket.SOCK_DGRAM)
@@ -115,7 +115,7 @@ class UdpTransport:
         return Received(bytes(self._view[:length]), _arrival(ancillary), source)
 
     def send(self, data: bytes) -> bool:
-        """Sends one datagram to the peer, if there is one yet."""
+        """Send a datagram to the peer, if there is one yet."""
         if self._peer is None:
             return False
         try:
@@ -124,17 +124,17 @@ class UdpTransport:
             return False
 
     def answer(self, source: Address | None) -> None:
-        """Sends from now on to this address."""
+        """Send from now on to this address."""
         if source is not None:
             self._peer = source
 
     def close(self) -> None:
-        """Closes the socket."""
+        """Close the socket."""
         self._socket.close()
 
 
 class TcpTransport:
-    """A TCP stream: connected to the vehicle (tcpout), or waiting for it to connect, again and again (tcpin)."""
+    """A TCP stream: connected to the vehicle (tcpout), or accepting its connections one after the other (tcpin)."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         family, address = _resolve(endpoint, socket.SOCK_STREAM)
@@ -190,7 +190,7 @@ class TcpTransport:
                 self._adopt(self._listener.accept()[0])
 
     def send(self, data: bytes) -> bool:
-        """Sends bytes if somebody is connected and the kernel takes them at once."""
+        """Send bytes if a peer is connected and the kernel takes them at once."""
         stream = self._stream
         try:
             return stream is not None and stream.send(data) == len(data)
@@ -198,10 +198,10 @@ class TcpTransport:
             return False
 
     def answer(self, source: Address | None) -> None:
-        """A stream has one peer: nothing to choose."""
+        """Nothing to do: a stream has one peer."""
 
     def close(self) -> None:
-        """Closes the stream and the listener."""
+        """Close the stream and the listener."""
         for each in (self._stream, self._listener):
             if each is not None:
                 each.close()
@@ -209,7 +209,7 @@ class TcpTransport:
 
 
 class SerialTransport:
-    """A serial line, read and written through its file descriptor so that nothing ever waits on a full buffer."""
+    """A serial line, written through its file descriptor so that a full buffer never blocks."""
 
     def __init__(self, endpoint: Endpoint) -> None:
         try:
@@ -237,17 +237,17 @@ class SerialTransport:
         return Received(data, time.monotonic())
 
     def send(self, data: bytes) -> bool:
-        """Writes bytes if the line's buffer has room for them."""
+        """Write bytes if the line's buffer has room for them."""
         try:
             return os.write(self._descriptor, data) == len(data)
         except OSError:
             return False
 
     def answer(self, source: Address | None) -> None:
-        """A line has one other end: nothing to choose."""
+        """Nothing to do: a line has one peer."""
 
     def close(self) -> None:
-        """Closes the device, present or not."""
+        """Close the device, present or not."""
         with contextlib.suppress(OSError, serial.SerialException):
             self._port.close()
 
@@ -275,14 +275,14 @@ def _resolve(endpoint: Endpoint, kind: socket.SocketKind) -> tuple[socket.Addres
         family, _, _, _, address = socket.getaddrinfo(endpoint.host, endpoint.port, type=kind)[0]
     except OSError as error:
         raise RequestError(
-            f"'{endpoint}': the host '{endpoint.host}' is not known here ({error.strerror}). "
-            "Wanted an address such as 192.168.1.10, or a name that this machine can look up."
+            f"'{endpoint}': the host '{endpoint.host}' cannot be resolved ({error.strerror}). "
+            "Give an address such as 192.168.1.10, or a name that this machine can resolve."
         ) from None
     return family, address
 
 
 def _refused(endpoint: Endpoint, error: Exception) -> VehicleError:
-    """What the operating system's refusal means for a user, and what to do about it."""
+    """The operating system's refusal in a user's words, with a remedy."""
     match getattr(error, "errno", None):
         case errno.EADDRINUSE:
             advice = (

@@ -1,4 +1,4 @@
-"""What the operating system refuses is told with a remedy and never ends the flight."""
+"""Every refusal of the operating system is reported with a remedy, and none ends the flight."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def test_without_privileges_each_refusal_is_named_with_its_remedy() -> None:
     assert "processor 4000 refused" in output
 
 
-def test_threads_of_libraries_are_limited_unless_the_user_said_otherwise(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_threads_of_libraries_are_limited_unless_the_user_sets_them(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "3")
     monkeypatch.delenv("OPENBLAS_NUM_THREADS", raising=False)
     monkeypatch.delenv("MKL_NUM_THREADS", raising=False)

@@ -91,7 +91,7 @@ def test_a_silent_vehicle_gives_no_answer(link: Link, vehicle: FakeVehicle) -> N
     vehicle.lose_next = 100
     assert commands.send_command(link, 511, 331.0, timeout=0.05, attempts=3) == "no_answer"
     result = commands.set_mode(link, "OFFBOARD", timeout=0.3)
-    assert "never answered" in result.reason
+    assert "did not answer" in result.reason
 
 
 def test_acknowledgements_to_others_are_not_ours(link: Link, vehicle: FakeVehicle) -> None:

@@ -12,7 +12,7 @@ from sitl_mock.wire.streams import STEP, Streams
 from sitl_mock.wire.telemetry import BUILDERS
 from tests.support.bench import GET_INTERVAL, REQUEST, SET_INTERVAL, Bench, finite
 
-# PX4_FACTS: rates measured on the offboard link of PX4, Hz
+# rates measured on PX4's offboard link, Hz (docs/px4.md)
 MEASURED = {
     "ATTITUDE": 100, "ATTITUDE_QUATERNION": 50, "HIGHRES_IMU": 50, "ODOMETRY": 30, "LOCAL_POSITION_NED": 30,
     "SERVO_OUTPUT_RAW": 10, "TIMESYNC": 10, "SYS_STATUS": 5, "EXTENDED_SYS_STATE": 5, "HEARTBEAT": 1,
