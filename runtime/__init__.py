@@ -1,1 +1,1 @@
-"""The daemon that flies beside the flight controller: link, clock, controller, failsafe, recorder."""
+"""The daemon on the companion computer: link, clock, controller, fallbacks, recorder."""

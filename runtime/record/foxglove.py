@@ -1,4 +1,4 @@
-"""The flight in Foxglove's own schemas, so that its 3D view and log panel open a recording without any set-up.
+"""Views of records in Foxglove's own schemas, for its 3D view and log panel without any configuration.
 
 Schemas after https://docs.foxglove.dev/docs/sdk/schemas (PoseInFrame, PosesInFrame, Log), as JSON.
 """
@@ -78,7 +78,7 @@ def _log(severity: int, message: str, name: str) -> dict[str, Any]:
 
 
 def view(record: Record) -> tuple[str, dict[str, Any]] | None:
-    """The topic and the body of a record's view without its time stamp, None for records that have none."""
+    """Topic and body of a record's view, without its time stamp; None for records without a view."""
     match record:
         case EstimateRecord():
             return "/pose", {"frame_id": FRAME, "pose": _pose(record.position_world, record.attitude)}

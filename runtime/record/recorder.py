@@ -1,11 +1,11 @@
 """The flight recorder: an MCAP file and the link's raw .tlog, written by a thread of their own.
 
 The control thread only appends to a bounded ring. The writer drains it ten times a second and closes the MCAP chunk
-at least twice a second, so that a killed process loses less than a second; a full disk ends the recording, keeps what
-was written and is told by `trouble`, and the flight goes on.
+at least twice a second, so that a killed process loses less than a second. A full disk ends the recording, not the
+flight: what was written remains, and `trouble` is the reason.
 
-Messages are JSON with a JSON schema: the one self-describing encoding that Foxglove and PlotJuggler both read
-without plug-ins or message definitions (zstd takes its redundancy out again).
+Messages are JSON with a JSON schema: the one self-describing encoding that Foxglove and PlotJuggler both read without
+plug-ins or message definitions. zstd removes its redundancy.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from runtime.record.records import EstimateRecord, HorizonRecord, Record, Refere
 
 RING_CAPACITY = 20_000  # records and frames; 10 s of a 200 Hz flight with every stream on
 DRAIN_PERIOD = 0.1  # s
-FLUSH_PERIOD = 0.4  # s, keeps the loss by kill -9 well below one second
+FLUSH_PERIOD = 0.4  # s; a process killed by kill -9 loses well below one second
 POSE_PERIOD = 0.04  # s between poses for the 3D view
 _THINNED = (EstimateRecord, ReferenceRecord, HorizonRecord)
 
@@ -35,12 +35,15 @@ Opener = Callable[[Path], BinaryIO]
 
 
 def open_unbuffered(path: Path) -> BinaryIO:
-    """A new file that writes through; an existing one is refused by FileExistsError."""
+    """A new unbuffered file. Raises FileExistsError for an existing one."""
     return open(path, "xb", buffering=0)
 
 
 class SafeFile:
-    """A file that, once the disk refuses, drops everything after the last complete write and never raises again."""
+    """A file that never raises: a failing disk ends it after the last complete write.
+
+    failure: why it ended, empty while it has not.
+    """
 
     def __init__(self, path: Path, opener: Opener = open_unbuffered) -> None:
         self.path = path
@@ -50,17 +53,17 @@ class SafeFile:
         self._written = 0
 
     def write(self, data: bytes) -> int:
-        """Take bytes; they reach the disk with `flush`."""
+        """Add bytes, which `flush` writes to the disk."""
         if not self.failure:
             self._pending += data
         return len(data)
 
     def tell(self) -> int:
-        """Bytes written and pending."""
+        """Number of bytes written and pending, as files call it."""
         return self._written + len(self._pending)
 
     def flush(self) -> None:
-        """Write what is pending in full, or cut the file back to the last flush and note why."""
+        """Write all pending bytes, or truncate the file to the last flush and set `failure`."""
         pending, self._pending = self._pending, bytearray()
         if self.failure or not pending:
             return
@@ -71,9 +74,9 @@ class SafeFile:
             self._written += len(pending)
         except OSError as error:
             self.failure = f"{self.path}: {error.strerror or error}"
-            self._cut()
+            self._truncate()
 
-    def _cut(self) -> None:
+    def _truncate(self) -> None:
         with contextlib.suppress(OSError):  # the reader copes with a torn last record
             self._stream.truncate(self._written)
 
@@ -87,7 +90,7 @@ class SafeFile:
 
 
 class McapFile:
-    """The MCAP side: a channel per kind of record, opened when the first one comes."""
+    """The MCAP file: a channel for each kind of record, opened with its first one."""
 
     def __init__(self, file: SafeFile, metadata: Mapping[str, str], attachments: Mapping[str, str]) -> None:
         self._writer = Writer(file, compression=CompressionType.ZSTD)
@@ -101,7 +104,7 @@ class McapFile:
         self.flush()
 
     def add(self, record: Record, unix: int) -> None:
-        """Add a record and, where it has one, its view for Foxglove. unix: nanoseconds."""
+        """Add a record, and its view for Foxglove if it has one. unix: nanoseconds."""
         topic = records.TOPICS[type(record)]
         kind = type(record)
         if topic not in self._channels:
@@ -128,7 +131,7 @@ class McapFile:
         self._channels[topic] = self._writer.register_channel(topic, "json", self._schemas[schema])
 
     def flush(self) -> None:
-        """End the chunk and hand it to the operating system."""
+        """End the chunk and pass it to the operating system."""
         self._writer.flush()
 
     def finish(self) -> None:
@@ -137,7 +140,11 @@ class McapFile:
 
 
 class Recorder:
-    """Takes records and frames from any thread without blocking and writes them from its own."""
+    """Takes records and frames from any thread without blocking, and writes them in a thread of its own.
+
+    path: of the MCAP file.
+    dropped: records and frames for which the ring had no room.
+    """
 
     def __init__(
         self,
@@ -149,7 +156,7 @@ class Recorder:
         capacity: int = RING_CAPACITY,
         opener: Opener = open_unbuffered,
     ) -> None:
-        """Open `name`.mcap and `name`.tlog in a directory, which is made. Raises OSError if that fails."""
+        """Open `name`.mcap and `name`.tlog in a directory, which is created. Raises OSError if that fails."""
         directory.mkdir(parents=True, exist_ok=True)
         self.path = directory / f"{name}.mcap"
         self.dropped = 0
@@ -166,31 +173,31 @@ class Recorder:
 
     @property
     def trouble(self) -> str:
-        """Why writing ended, or how much the ring had to drop; empty while all is well."""
+        """Why writing ended, or how much was dropped; empty while neither happened."""
         failure = self._failure or self._mcap_file.failure or self._tlog.failure
         return failure or (f"{self.dropped} records dropped" if self.dropped else "")
 
     @property
     def still_writing(self) -> bool:
-        """Whether writing goes on."""
+        """Whether writing has not ended."""
         return not (self._failure or self._mcap_file.failure or self._tlog.failure)
 
     def put(self, record: Record, time_monotonic: float) -> None:
-        """Hand a record to the writer; drops and counts it when the ring is full. Its arrays must not change later."""
+        """Pass a record to the writer; a full ring drops and counts it. Its arrays must not change later."""
         if len(self._ring) >= self._capacity:
             self.dropped += 1
             return
         self._ring.append((time_monotonic, record))
 
     def put_frame(self, frame: bytes, time_monotonic: float) -> None:
-        """Hand a raw MAVLink frame of either direction to the .tlog."""
+        """Pass a raw MAVLink frame of either direction to the .tlog."""
         if len(self._ring) >= self._capacity:
             self.dropped += 1
             return
         self._ring.append((time_monotonic, frame))
 
     def close(self) -> None:
-        """Write what is left and the index, and end the thread."""
+        """Write what is pending and the index, and end the thread."""
         self._stopping.set()
         self._thread.join()
 
@@ -215,7 +222,7 @@ class Recorder:
         self._mcap.finish()
 
     def _drain(self) -> None:
-        # bounded by what was there at the start, so that a flood cannot keep it from flushing
+        # bounded by the length at the start, so that a flood cannot prevent flushing
         for _ in range(len(self._ring)):
             time_monotonic, item = self._ring.popleft()
             unix = round((time_monotonic + self._unix_offset) * 1e9)

@@ -1,4 +1,4 @@
-"""Reading a recording back, whole or torn off in mid-flight, as NumPy tables per topic."""
+"""Recordings, complete or cut off in flight, as NumPy columns for each topic."""
 
 from __future__ import annotations
 
@@ -24,7 +24,13 @@ Columns = Mapping[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class FlightRecording:
-    """A recording's content; complete: it was closed in order. messages: topic to rows as they were written."""
+    """The content of a recording.
+
+    metadata: settings and versions, by name.
+    attachments: texts by name, such as the vehicle file.
+    messages: topic to rows as they were written.
+    complete: whether the recorder closed the file.
+    """
 
     path: Path
     metadata: Mapping[str, str]
@@ -33,7 +39,7 @@ class FlightRecording:
     complete: bool
 
     def table(self, topic: str) -> dict[str, NDArray[Any]]:
-        """One array per field of a topic, rows along the first axis; null is NaN. Empty when nothing was recorded."""
+        """One array for each field of a topic, rows along the first axis, null as NaN. Empty without records."""
         rows = self.messages.get(topic, [])
         return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
 
@@ -60,7 +66,7 @@ def _column(values: list[Any]) -> NDArray[Any]:
 
 
 def _parts(path: Path) -> Iterator[McapRecord]:
-    """Records of an MCAP file up to its end or to where it was torn off."""
+    """Records of an MCAP file up to its end or to where it is cut off."""
     with path.open("rb") as stream:
         try:
             yield from StreamReader(stream).records
@@ -69,9 +75,9 @@ def _parts(path: Path) -> Iterator[McapRecord]:
 
 
 def read_recording(path: Path) -> FlightRecording:
-    """Read a recording by scanning it, so that a missing index does not matter.
+    """Read a recording by scanning it, which needs no index.
 
-    Raises DataError when the file is no MCAP file or holds nothing of ours.
+    Raises DataError for a file that is no MCAP file or not from `alula fly`.
     """
     topics: dict[int, str] = {}
     metadata: dict[str, str] = {}
@@ -97,5 +103,5 @@ def read_recording(path: Path) -> FlightRecording:
     except OSError as error:
         raise DataError(f"cannot read {path}: {error.strerror}. Give a .mcap file that `alula fly` wrote.") from None
     if not metadata:
-        raise DataError(f"{path} is no recording of ours. Give a .mcap file that `alula fly --record` wrote.")
+        raise DataError(f"{path} is no recording of `alula fly`. Give a .mcap file that `alula fly --record` wrote.")
     return FlightRecording(path, metadata, attachments, messages, complete)

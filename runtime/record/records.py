@@ -1,4 +1,4 @@
-"""What a recording holds: one plain struct per topic, and the JSON schema that Foxglove and PlotJuggler read it by.
+"""The records of a recording: one plain struct for each topic, and its JSON schema for Foxglove and PlotJuggler.
 
 Times are seconds of the daemon's monotonic clock; the recorder stamps every message with the matching unix time.
 World ENU, body FLU, attitude body to world, w first, as everywhere.
@@ -25,7 +25,7 @@ Force = Annotated[float, Meta(description="N")]
 
 
 class EstimateRecord(msgspec.Struct, frozen=True):
-    """One state estimate as it came from the vehicle, in our frames; time: when it was valid, on our clock."""
+    """A state estimate of the vehicle, in our frames. time: when it held. arrival: when it was received."""
 
     time: Seconds
     arrival: Seconds
@@ -37,7 +37,7 @@ class EstimateRecord(msgspec.Struct, frozen=True):
 
 
 class ReferenceRecord(msgspec.Struct, frozen=True):
-    """What the vehicle should have done at the time of one tick."""
+    """The reference's state at an estimate's time."""
 
     time: Seconds
     position_world: Metres
@@ -47,7 +47,7 @@ class ReferenceRecord(msgspec.Struct, frozen=True):
 
 
 class SetpointRecord(msgspec.Struct, frozen=True):
-    """What was sent: body rates and thrust, with the newtons asked for and the effectiveness that scaled them."""
+    """A setpoint as it was sent, with the collective thrust that it stands for and the effectiveness that scaled it."""
 
     time: Seconds
     rate_body: Rate
@@ -57,7 +57,7 @@ class SetpointRecord(msgspec.Struct, frozen=True):
 
 
 class TickRecord(msgspec.Struct, frozen=True):
-    """One tick of the control thread: what set it off, what it saw, what it decided and how long each part took."""
+    """A tick of the control thread: trigger, estimate, state, solver and durations."""
 
     tick: int
     time: Seconds
@@ -78,12 +78,17 @@ class TickRecord(msgspec.Struct, frozen=True):
 
 
 class ObservationRecord(msgspec.Struct, frozen=True):
-    """Everything a tick was told besides the estimate; with both, a flight can be replayed.
+    """All inputs of a tick besides the estimate; with both, a flight can be replayed.
 
-    estimate_arrival: which estimate, NaN before the first. findings: event names and details as a JSON object, empty
-    when there are none. reset: an estimator was reset, which moved its frame by reset_position and
-    reset_yaw. engage: told to engage now.
-    leave: why to land, empty when not asked to.
+    estimate_arrival: identifies the estimate, NaN before the first.
+    connected: whether the vehicle is heard.
+    armed, offboard, mode: of the last HEARTBEAT.
+    landed: the vehicle's landed state.
+    findings: events with their details as a JSON object, empty when there are none.
+    reset: whether an estimator was reset, which moved its frame by reset_position and reset_yaw.
+    specific_force_z: the newest, NaN when there is no new one.
+    engage: whether engaging is requested at this tick.
+    leave: why landing is requested, empty when it is not.
     """
 
     tick: int
@@ -104,7 +109,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):
-    """The controller's predicted positions and inputs, one value a shooting node."""
+    """The controller's predicted positions and inputs, one value for each shooting node."""
 
     time: Seconds
     position_x: Metres
@@ -114,7 +119,7 @@ class HorizonRecord(msgspec.Struct, frozen=True):
 
 
 class PhaseRecord(msgspec.Struct, frozen=True):
-    """A change of the mission's phase; parameters: JSON text that rebuilds its reference."""
+    """A change of the mission's phase. parameters: of its motion, as JSON text."""
 
     time: Seconds
     phase: str
@@ -149,7 +154,7 @@ class ImuRecord(msgspec.Struct, frozen=True):
 
 
 class RotorRecord(msgspec.Struct, frozen=True):
-    """Rotor speeds the ESCs report, in the autopilot's motor order, from motor `first` on."""
+    """Rotor speeds from the ESCs, in the autopilot's motor order, from motor `first` on."""
 
     time: Seconds
     first: int
@@ -157,7 +162,7 @@ class RotorRecord(msgspec.Struct, frozen=True):
 
 
 class MotorRecord(msgspec.Struct, frozen=True):
-    """What the autopilot commands its outputs, in its own order."""
+    """Commands to the autopilot's outputs, in its own order."""
 
     time: Seconds
     pulse: Annotated[Floats, Meta(description="us, of SERVO_OUTPUT_RAW")]
@@ -181,7 +186,7 @@ class ParameterRecord(msgspec.Struct, frozen=True):
 
 
 class TextRecord(msgspec.Struct, frozen=True):
-    """A STATUSTEXT; source: vehicle or daemon. severity: MAVLink's, 0 emergency to 7 debug."""
+    """A STATUSTEXT. source: vehicle, link or daemon. severity: MAVLink's, 0 emergency to 7 debug."""
 
     time: Seconds
     source: str
@@ -233,7 +238,7 @@ def _describe_array(kind: type) -> dict[str, Any]:
 
 
 def schema_of(kind: type[Record]) -> dict[str, Any]:
-    """The JSON schema of a record without references, because Foxglove follows none."""
+    """The JSON schema of a record, without references, which Foxglove does not follow."""
     _, components = msgspec.json.schema_components((kind,), schema_hook=_describe_array)
     return dict(components[kind.__name__])
 
@@ -248,5 +253,5 @@ _encoder = msgspec.json.Encoder(enc_hook=_array_as_list)
 
 
 def encode(record: Record) -> bytes:
-    """A record as JSON; floats are written so that reading them gives the same bits, NaN becomes null."""
+    """A record as JSON. Floats are written so that reading gives the same bits; NaN becomes null."""
     return _encoder.encode(record)

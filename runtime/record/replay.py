@@ -1,4 +1,4 @@
-"""A recorded flight through the flight logic again, tick by tick, its setpoints compared with the recorded ones."""
+"""Replay: a recorded flight through the flight logic, tick by tick, its setpoints compared with the recorded ones."""
 
 from __future__ import annotations
 
@@ -18,15 +18,20 @@ from runtime.record.recording import FlightRecording
 from runtime.record.records import EstimateRecord, ObservationRecord, ParameterRecord, SetpointRecord, StateRecord
 
 THRUST_CURVE = "THR_MDL_FAC"
-NEEDED = ("plan", "settings", "controller")
+REQUIRED = ("plan", "settings", "controller")
 
 
 class ReplayReport(msgspec.Struct, frozen=True):
-    """How a replay compares with its recording.
+    """The comparison of a replay with its recording.
 
-    ticks: flown again. lost: ticks that the recorder had to drop. compared: setpoints on both sides. identical: of
-    those, equal bit for bit. unmatched: setpoints on one side only. rate_difference: greatest, rad/s.
-    thrust_difference: greatest, of 0..1. first_difference: s since the first tick, None when there is none.
+    ticks: replayed.
+    lost: ticks that the recorder dropped.
+    compared: setpoints on both sides.
+    identical: of those, equal bit for bit.
+    unmatched: setpoints on one side only.
+    rate_difference: greatest, rad/s.
+    thrust_difference: greatest, of 0..1.
+    first_difference: s since the first tick, None without one.
     states_agree: whether the same transitions happened.
     """
 
@@ -42,16 +47,17 @@ class ReplayReport(msgspec.Struct, frozen=True):
 
     @property
     def exact(self) -> bool:
-        """Whether everything came out bit for bit as recorded."""
+        """Whether all setpoints and transitions are as recorded, bit for bit."""
         return self.compared == self.identical and not self.unmatched and self.states_agree
 
 
 def replay(
     recording: FlightRecording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None
 ) -> ReplayReport:
-    """Fly a recording's estimates and observations again. Raises DataError when it does not hold what that needs.
+    """Replay a recording's estimates and observations.
 
-    bundle: of the model to fly, instead of the vehicle's own.
+    bundle: of the learned model to fly, instead of the vehicle's own.
+    Raises DataError when the recording lacks what that requires.
     """
     flyer = _flyer(recording, vehicle, reference, bundle)
     estimates = {record.arrival: _estimate(record) for record in recording.records(EstimateRecord)}
@@ -61,7 +67,7 @@ def replay(
     decisions: list[tuple[float, Decision]] = []
     for observation in observations:
         if not np.isnan(observation.estimate_arrival) and observation.estimate_arrival not in estimates:
-            continue  # the recorder had to drop the estimate: neither side can be held to this tick
+            continue  # the recorder dropped the estimate: the tick cannot be compared
         decisions.append((observation.time, flyer.step(observation, estimates.get(observation.estimate_arrival))))
         flyer.prepare(observation.time)
     ticks = [observation.tick for observation in observations]
@@ -71,7 +77,7 @@ def replay(
 
 def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None) -> Flyer:
     metadata = recording.metadata
-    missing = [name for name in NEEDED if name not in metadata]
+    missing = [name for name in REQUIRED if name not in metadata]
     if missing:
         raise DataError(f"{recording.path} lacks the settings {', '.join(missing)}: it was not written by `alula fly`.")
     plan = msgspec.json.decode(metadata["plan"], type=Plan)

@@ -1,4 +1,4 @@
-"""Reading .tlog files, as ground stations and our recorder write them: each frame behind its unix time."""
+"""Reading .tlog files of ground stations and of our recorder: each frame after its unix time."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ _STAMP = struct.Struct(">Q")  # microseconds since 1970, before each frame
 def read_tlog(path: Path) -> Iterator[tuple[float, Frame]]:
     """The frames of a .tlog or .tlog.gz with their unix times, s, both directions in the order of the file.
 
-    A torn last frame, as of a recording that was cut off, is left out. Raises DataError for a file that is no tlog.
+    An incomplete last frame is omitted. Raises DataError for a file that is no tlog.
     """
     try:
         data = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     except OSError as error:
-        raise DataError(f"Cannot read {path}: {error.strerror or error}. Wanted a .tlog or .tlog.gz file.") from None
+        raise DataError(f"Cannot read {path}: {error.strerror or error}. Give a .tlog or .tlog.gz file.") from None
     position = 0
     while position + _STAMP.size < len(data):
         start = position + _STAMP.size
         if data[start] not in (MAGIC_V1, MAGIC_V2):
-            raise DataError(f"{path} is no tlog: no MAVLink frame at byte {start}. Wanted time stamps and frames.")
+            raise DataError(f"{path} is no tlog: no MAVLink frame at byte {start}. Give a .tlog file.")
         length = frame_length(data, start)
         if length is None or start + length > len(data):
             return
