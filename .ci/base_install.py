@@ -19,9 +19,9 @@ present = [name for name in WORKBENCH if importlib.util.find_spec(name)]
 assert not present, f"the base install must not bring {present}"
 
 modules = [
-    found.name
+    module_info.name
     for room in ROOMS
-    for found in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
+    for module_info in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
 ]
 for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS)):
     importlib.import_module(name)

@@ -16,14 +16,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 IMPOSED = frozenset({"tell"})  # by Python's file objects
-PARTS, WHOLE = "## Words that no part of an identifier is", "## Words that are no name by themselves"
+PARTS, NAMES = "## Words that no part of an identifier is", "## Words that are no name by themselves"
 
 
 def refused_words() -> tuple[frozenset[str], frozenset[str]]:
     """Words refused as a part of an identifier, and words refused as a whole one, from the glossary."""
     text = (ROOT / "docs" / "glossary.md").read_text(encoding="utf-8")
-    parts, whole = text[text.index(PARTS) : text.index(WHOLE)], text[text.index(WHOLE) :]
-    return frozenset(re.findall(r"`(\w+)`", parts)), frozenset(re.findall(r"`(\w+)`", whole))
+    parts, names_refused = text[text.index(PARTS) : text.index(NAMES)], text[text.index(NAMES) :]
+    return frozenset(re.findall(r"`(\w+)`", parts)), frozenset(re.findall(r"`(\w+)`", names_refused))
 
 
 def defined_names(tree: ast.Module) -> Iterator[tuple[int, str]]:
@@ -50,7 +50,7 @@ def main() -> int:
     """Print every refused identifier. Returns the exit code."""
     listed = subprocess.run(["git", "ls-files", "*.py"], cwd=ROOT, capture_output=True, text=True, check=True)
     below = tuple(sys.argv[1:])
-    parts, whole = refused_words()
+    parts, names_refused = refused_words()
     refused_parts = parts | {word.upper() for word in parts}
     count = 0
     for path in listed.stdout.split():
@@ -59,7 +59,7 @@ def main() -> int:
         names = [(1, Path(path).stem), *defined_names(ast.parse((ROOT / path).read_text(encoding="utf-8")))]
         for line, name in names:
             words = parts_of(name) & refused_parts
-            if name.strip("_").lower() in whole:
+            if name.strip("_").lower() in names_refused:
                 words.add(name)
             if words and name not in IMPOSED and not name.startswith("test_"):
                 count += 1

@@ -35,10 +35,10 @@ def nominal(vehicle: Vehicle, scale: float) -> tuple[ca.SX, ca.SX, ca.SX]:
 def learned(network: Network, scale: float) -> tuple[ca.MX, ca.MX, ca.MX]:
     """The same by a network of one column, T = 1; unrolled as SX it is several times slower."""
     x, u = ca.MX.sym("x", 13), ca.MX.sym("u", network.rotors)
-    found = network_says(network, ca.vertcat(x, scale * u))
-    force = quaternion.rotate(x[6:10], found[0:3])  # specific force in body axes
+    accelerations = network_says(network, ca.vertcat(x, scale * u))
+    force = quaternion.rotate(x[6:10], accelerations[0:3])  # specific force in body axes
     linear = force - ca.DM([0, 0, GRAVITY])
-    return x, u, ca.vertcat(x[3:6], linear, quaternion.derivative(x[6:10], x[10:13]), found[3:6])
+    return x, u, ca.vertcat(x[3:6], linear, quaternion.derivative(x[6:10], x[10:13]), accelerations[3:6])
 
 
 def build(vehicle_file: str, problem: dict, condensing: str) -> tuple[AcadosOcpSolver, float]:

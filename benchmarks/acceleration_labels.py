@@ -45,12 +45,12 @@ METHODS: Mapping[str, Method] = {
 
 def pairs(folder: Path, names: list[str], quantity: str) -> list[tuple[Floats, Floats]]:
     """Measured quantity and its true derivative, for each flight."""
-    found = []
+    errors_by_flight = []
     for name in names:
         measured = Flight.read(next(folder.glob(f"t[er]*[tn]/{name}.parquet")))  # train or test
         truth = Flight.read(folder / "truth" / f"{name}.parquet")
-        found.append((measured[quantity], filters.derivative(truth[quantity], truth.period)))
-    return found
+        errors_by_flight.append((measured[quantity], filters.derivative(truth[quantity], truth.period)))
+    return errors_by_flight
 
 
 def error(method: Method, flights: list[tuple[Floats, Floats]], cutoff: float) -> float:

@@ -32,16 +32,16 @@ LEAP = 0.6  # m
 def recorded(networks_folder: Path) -> list[BoxProgram]:
     """The program of every tick, at the state that its preparation expected."""
     solver = solver_for(read_model(networks_folder / "pi_tcn.pt"), native_processor())
-    options, found = fill_options(solver.problem, solver.model), list[BoxProgram]()
+    options, boxes = fill_options(solver.problem, solver.model), list[BoxProgram]()
     lower, upper = (np.tile(list(bound), solver.problem.nodes) for bound in (options.u_lower, options.u_upper))
 
-    def keep(asked: RtiSolver, state: np.ndarray) -> None:
-        assert asked.prepare(asked.model.initial_state(state)) == 0
-        room = [(bound - asked.inputs.ravel()) / options.scale for bound in (lower, upper)]
-        found.append(BoxProgram(asked.hessian.copy(), asked.gradient.copy(), *room))
+    def keep(caller: RtiSolver, state: np.ndarray) -> None:
+        assert caller.prepare(caller.model.initial_state(state)) == 0
+        room = [(bound - caller.inputs.ravel()) / options.scale for bound in (lower, upper)]
+        boxes.append(BoxProgram(caller.hessian.copy(), caller.gradient.copy(), *room))
 
     fly(solver, PERIODS["5.1"], jumps=LEAP, watch=keep)
-    return found
+    return boxes
 
 
 def measure(folder: Path) -> list[list[float]]:
@@ -65,12 +65,12 @@ def measure(folder: Path) -> list[list[float]]:
     return rows
 
 
-def table(found: dict[str, list[list[float]]]) -> str:
+def table(boxes: dict[str, list[list[float]]]) -> str:
     lines = [
         "| solver, BLASFEO | us, median | p99 | worst | iterations, median | worst | unsolved |",
         "| --- " * 7 + "|",
     ]
-    for build, rows in found.items():
+    for build, rows in boxes.items():
         acting, *columns = np.array(rows).T
         for name, (seconds, iterations, status) in zip(("box_qp.h", "HPIPM"), (columns[:3], columns[3:]), strict=True):
             marks = " | ".join(f"{1e6 * np.percentile(seconds, share):.0f}" for share in (50, 99, 100))
@@ -91,8 +91,8 @@ def main() -> None:
     if arguments.measure is not None:
         print(json.dumps(measure(arguments.measure)))
         return
-    found = with_each_blasfeo(__file__, networks(arguments.networks))
-    write_result("box_qp", "Quadratic programs of saturated flight, one core", table(found))
+    boxes = with_each_blasfeo(__file__, networks(arguments.networks))
+    write_result("box_qp", "Quadratic programs of saturated flight, one core", table(boxes))
 
 
 if __name__ == "__main__":

@@ -32,7 +32,7 @@ REFERENCES = (
 )  # fmt: skip
 DURATION = 24.0  # s
 JITTER = 0.0005  # s
-LONGEST = 0.08  # s
+MAX_DELAY = 0.08  # s
 IMU_MIDDLE = 0.0005  # s: the four milliseconds of an inertial sample lie so much after its stamp
 NOISES = (1.0, 3.0)
 
@@ -49,7 +49,7 @@ class Answer:
     stream: str
     noise: float
     planted: float
-    found: float | None
+    estimates: float | None
     half_width: float
     covered: bool
 
@@ -78,12 +78,12 @@ def judge(case: Case) -> list[Answer]:
     options = VehicleOptions(sensors=noisy(case.noise), position=tuple(reference.states(np.zeros(1))[0, :2]))
     flown = fly_reference(vehicle, reference, effects=effects, options=options, seed=case.seed)
     random = np.random.default_rng(case.seed)
-    planted = {name: random.uniform(0, LONGEST) for name in ("attitude", "velocity", "position", "rotor_speed")}
-    found = {delay.stream: delay for delay in estimate_delays(stamped(flown.log, planted, random))}
+    planted = {name: random.uniform(0, MAX_DELAY) for name in ("attitude", "velocity", "position", "rotor_speed")}
+    estimates = {delay.stream: delay for delay in estimate_delays(stamped(flown.log, planted, random))}
     planted["position"] -= planted["velocity"]  # against which it is measured
     answers = []
     for name, true in planted.items():
-        delay = found.get(name)
+        delay = estimates.get(name)
         if delay is None:
             answers.append(Answer(name, case.noise, true, None, float("nan"), False))
         else:
@@ -99,12 +99,12 @@ def rows(answers: list[Answer]) -> list[str]:
     for noise in NOISES:
         for name in ("attitude", "velocity", "position", "rotor_speed"):
             some = [answer for answer in answers if answer.stream == name and answer.noise == noise]
-            known = [answer for answer in some if answer.found is not None]
-            errors = 1e3 * np.abs([answer.found - answer.planted for answer in known])  # type: ignore[operator]
-            width = 1e3 * np.median([answer.half_width for answer in known])
-            inside = np.mean([answer.covered for answer in known])
+            answered = [answer for answer in some if answer.estimates is not None]
+            errors = 1e3 * np.abs([answer.estimates - answer.planted for answer in answered])  # type: ignore[operator]
+            width = 1e3 * np.median([answer.half_width for answer in answered])
+            inside = np.mean([answer.covered for answer in answered])
             lines.append(
-                f"| {name} | {noise:g} x | {len(known)} of {len(some)} | {np.median(errors):.2f} | "
+                f"| {name} | {noise:g} x | {len(answered)} of {len(some)} | {np.median(errors):.2f} | "
                 f"{np.percentile(errors, 90):.2f} | {width:.2f} | {inside:.0%} |"
             )
     return lines
@@ -121,7 +121,7 @@ def main() -> None:
         for index, noise in enumerate(NOISES)
         for number in range(options.flights)
     ]
-    answers = [answer for _, found in parallel_map(judge, cases, jobs=options.jobs) for answer in found]
+    answers = [answer for _, estimates in parallel_map(judge, cases, jobs=options.jobs) for answer in estimates]
     text = (
         f"{len(cases)} flights of {DURATION:.0f} s with the hidden effects of a campaign, seeds from "
         f"{options.first_seed}; planted delays uniform in 0 to 80 ms, position against velocity, the others "

@@ -43,38 +43,38 @@ def main() -> None:
     parser.add_argument("--effects", default="", help="names of those to fly, by default all")
     parser.add_argument("--keep", type=Path, default=Path(tempfile.gettempdir()) / "demo_gain")
     parser.add_argument("--minutes", type=float, default=float("inf"), help="until no further demo is begun")
-    given = parser.parse_args()
-    seeds = range(1, given.seeds + 1)
-    wanted = {f"default_{seed}": DemoOptions(given.keep, lockstep=True, seed=seed) for seed in seeds}
-    chosen = given.effects.split(",") if given.effects else [effect.partition(":")[0] for effect in EFFECTS]
+    arguments = parser.parse_args()
+    seeds = range(1, arguments.seeds + 1)
+    demos = {f"default_{seed}": DemoOptions(arguments.keep, lockstep=True, seed=seed) for seed in seeds}
+    chosen = arguments.effects.split(",") if arguments.effects else [effect.partition(":")[0] for effect in EFFECTS]
     for effect in EFFECTS:
         name = effect.partition(":")[0]
         if name not in chosen:
             continue
-        wanted[name] = DemoOptions(given.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
-    found = dict(_demos(wanted, until=time.monotonic() + 60 * given.minutes))
-    if len(found) < len(wanted):
-        sys.exit(f"{len(found)} of {len(wanted)} demos are flown; run again to go on.")
-    reports = [found.pop(f"default_{seed}") for seed in seeds]
-    body = [f"## The demo's default, seeds 1 to {given.seeds}", "", *_default(reports)]
-    body += ["", "## Each effect by itself", "", *_catalogue(found)]
+        demos[name] = DemoOptions(arguments.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
+    flown_demos = dict(_demos(demos, until=time.monotonic() + 60 * arguments.minutes))
+    if len(flown_demos) < len(demos):
+        sys.exit(f"{len(flown_demos)} of {len(demos)} demos are flown; run again to go on.")
+    reports = [flown_demos.pop(f"default_{seed}") for seed in seeds]
+    body = [f"## The demo's default, seeds 1 to {arguments.seeds}", "", *_default(reports)]
+    body += ["", "## Each effect by itself", "", *_catalogue(flown_demos)]
     write_result("demo_gain", "What the demo gains", "\n".join(body))
 
 
-def _demos(wanted: Mapping[str, DemoOptions], until: float) -> Iterator[tuple[str, DemoReport | str]]:
+def _demos(demos: Mapping[str, DemoOptions], until: float) -> Iterator[tuple[str, DemoReport | str]]:
     """Each demo's report, or why there is none; those flown before are read again."""
-    for name, options in wanted.items():
-        kept = options.folder / name / "report.json"
-        if not kept.exists() and time.monotonic() < until:
-            options = msgspec.structs.replace(options, folder=kept.parent)
+    for name, options in demos.items():
+        report_file = options.folder / name / "report.json"
+        if not report_file.exists() and time.monotonic() < until:
+            options = msgspec.structs.replace(options, folder=report_file.parent)
             try:
                 outcome: DemoReport | str = run_demo(options, lambda _: None, lambda _: None)[0]
             except AlulaError as error:
                 outcome = str(error)
-            kept.write_bytes(msgspec.json.encode(outcome))
+            report_file.write_bytes(msgspec.json.encode(outcome))
             print(name, flush=True)
-        if kept.exists():
-            yield name, msgspec.json.decode(kept.read_bytes(), type=DemoReport | str)
+        if report_file.exists():
+            yield name, msgspec.json.decode(report_file.read_bytes(), type=DemoReport | str)
 
 
 def _default(reports: Sequence[DemoReport]) -> list[str]:
@@ -101,15 +101,15 @@ def _default(reports: Sequence[DemoReport]) -> list[str]:
     return [*rows, "", f"Both effects and no third were added in {named} of {len(reports)} demos. Mean +- deviation."]
 
 
-def _catalogue(found: Mapping[str, DemoReport | str]) -> list[str]:
+def _catalogue(flown_demos: Mapping[str, DemoReport | str]) -> list[str]:
     names = ", ".join(CATALOGUE_MANOEUVRES)
     rows = [f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the textbook model over that with "
             "what was learned, for each.", "", "| hidden | verdict | added | prediction of force | ratios |",
             "| --- " * 5 + "|"]  # fmt: skip
     for effect in EFFECTS:
-        if (name := effect.partition(":")[0]) not in found:
+        if (name := effect.partition(":")[0]) not in flown_demos:
             continue
-        outcome = found[name]
+        outcome = flown_demos[name]
         rows.append(f"| {effect} | none: {outcome} | | | |" if isinstance(outcome, str) else _line(effect, outcome))
     return rows
 

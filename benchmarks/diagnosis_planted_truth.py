@@ -33,7 +33,7 @@ from dynamics.vehicle import EffectUse
 from fixtures.foreign_effects import FOREIGN
 from flights.parallel import parallel_map
 
-KEPT = Path("build/diagnosis_planted_truth.jsonl")
+CASES_FILE = Path("build/diagnosis_planted_truth.jsonl")
 SOURCES = ("compiled", "rotorpy", "mock")
 
 
@@ -50,23 +50,23 @@ def run(case: Case) -> dict[str, object]:
 
 def outcome(findings: Findings, uses: Sequence[EffectUse]) -> dict[str, object]:
     """What was said, and the numbers that it was said from."""
-    said = findings.diagnosis
+    answer = findings.diagnosis
     true = {use.name: use for use in uses}
     parameters = {
         f"{effect.name}.{n}": (true[effect.name].parameters[n], p.value, p.std)
-        for effect in said.effects
+        for effect in answer.effects
         if effect.name in true and effect.rotor == true[effect.name].rotor
         for n, p in effect.parameters.items()
         if p.std > 0 and n in true[effect.name].parameters and effect.name != "gust" and _same_form(effect, true)
     }
     return {
-        "verdict": said.verdict,
-        "names": [e.name for e in said.effects],
-        "rivals": [list(e.ambiguous_with) for e in said.effects],
-        "confidence": [e.confidence for e in said.effects],
-        "rotors": [e.rotor for e in said.effects],
+        "verdict": answer.verdict,
+        "names": [e.name for e in answer.effects],
+        "rivals": [list(e.ambiguous_with) for e in answer.effects],
+        "confidence": [e.confidence for e in answer.effects],
+        "rotors": [e.rotor for e in answer.effects],
         "truth": [(use.name, use.rotor, use.parameters) for use in uses],
-        "over_floor": {k: (c.before / c.floor, c.after / c.floor) for k, c in said.channels.items()},
+        "over_floor": {k: (c.before / c.floor, c.after / c.floor) for k, c in answer.channels.items()},
         "leftover": asdict(findings.leftover),
         "misfit": (findings.misfit_before, findings.misfit_after),
         "singles": [(s.candidates[0].effect.name, s.score) for s in findings.selection.singles[:5]],
@@ -130,7 +130,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--pairs", type=int, default=0)
     made.add_argument("--jobs", type=int, default=1)
     made.add_argument("--budget", type=float, default=float("inf"), help="seconds after which no case is begun")
-    made.add_argument("--kept", type=Path, default=KEPT, help="where finished cases are kept")
+    made.add_argument("--kept", type=Path, default=CASES_FILE, help="where finished cases are kept")
     made.add_argument("--table", action="store_true", help="write the table of the odd seeds")
     return made
 

@@ -18,14 +18,14 @@ CAMPAIGN, PICTURES = ROOT / "build" / "campaign_learning", ROOT / "build" / "lea
 
 def main() -> None:
     models = sorted((ROOT / "vehicles").glob("*.pt"))
-    found = run([*models, CAMPAIGN], None, mapping=None, timed=True, done=print)
-    draw(found, PICTURES)
+    results = run([*models, CAMPAIGN], None, mapping=None, timed=True, done=print)
+    draw(results, PICTURES)
     head = (
         "Campaign with hidden effects (68 flights): its 8 test flights, of which no model has seen anything. The cards "
         "beside the models say how they were trained. plant: the model with the hidden effects themselves, moving air "
         "left out."
     )
-    write_result("evaluated_models", "The models that come along", "\n\n".join([head, *map(markdown, found.tables)]))
+    write_result("evaluated_models", "The models that come along", "\n\n".join([head, *map(markdown, results.tables)]))
 
 
 if __name__ == "__main__":

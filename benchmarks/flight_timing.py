@@ -51,9 +51,9 @@ def fly(rate: int, seconds: float, *, realtime: bool) -> dict[str, Any]:
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             assert process.stderr is not None
             streaming = next((time.monotonic() for line in process.stderr if "-> STREAMING" in line), float("nan"))
-            output, news = process.communicate()
+            output, log = process.communicate()
     if not output:
-        raise SystemExit(f"the flight at {rate} Hz failed: {news}")
+        raise SystemExit(f"the flight at {rate} Hz failed: {log}")
     report: dict[str, Any] = json.loads(output)
     return {**report, "whole_start_up": streaming - began}
 

@@ -98,11 +98,11 @@ def share(sweep: Sweep) -> None:
 def outcomes_of(name: str, sweep: Sweep, *, only: bool) -> tuple[Outcome, ...]:
     """What became of a study's cells. only: those that are finished already."""
     share(sweep)
-    found: dict[int, Outcome] = {}
+    finished: dict[int, Outcome] = {}
     for place, outcome in finished_cells(sweep.works) if only else run_cells(sweep.works, jobs=1, scheduler=None):
-        found[place] = outcome
-        print(f"{name} {len(found)}/{sweep.count} {outcome.cell.name}", flush=True)
-    return tuple(found[place] for place in sorted(found))
+        finished[place] = outcome
+        print(f"{name} {len(finished)}/{sweep.count} {outcome.cell.name}", flush=True)
+    return tuple(finished[place] for place in sorted(finished))
 
 
 def times(studies: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> Table:
@@ -135,28 +135,28 @@ def main() -> None:
     parser.add_argument("studies", nargs="*", default=list(PLANS), help="By default all of them.")
     parser.add_argument("--only-finished", action="store_true", help="train nothing, write what is there")
     parser.add_argument("--no-page", action="store_true", help="train, write nothing")
-    given = parser.parse_args()
-    found: dict[str, tuple[Sweep, tuple[Outcome, ...]]] = {}
-    for name in given.studies:
+    arguments = parser.parse_args()
+    finished: dict[str, tuple[Sweep, tuple[Outcome, ...]]] = {}
+    for name in arguments.studies:
         sweep = sweep_of(name)
-        outcomes = outcomes_of(name, sweep, only=given.only_finished)
+        outcomes = outcomes_of(name, sweep, only=arguments.only_finished)
         require_all_trained(outcomes)
         if outcomes:
-            found[name] = sweep, outcomes
-    if not given.no_page:
-        write(found)
+            finished[name] = sweep, outcomes
+    if not arguments.no_page:
+        write(finished)
 
 
-def write(found: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
+def write(finished: dict[str, tuple[Sweep, tuple[Outcome, ...]]]) -> None:
     """The page of tables, and the pictures of the documentation."""
-    tables: list[Table] = [times(found)]
-    for name, (sweep, outcomes) in found.items():
+    tables: list[Table] = [times(finished)]
+    for name, (sweep, outcomes) in finished.items():
         tables += with_title(name, tables_of(sweep, outcomes))
         if name in (*HEATMAPS, "lambda", "history", STARRED):
             draw(sweep, outcomes, CELLS / "pictures")
             shutil.copyfile(CELLS / "pictures" / f"{name}.png", PICTURES / f"study_{name}.png")
-    if "paper" in found:
-        tables.append(paper_recipe(trained(found["paper"][1])[0]))
+    if "paper" in finished:
+        tables.append(paper_recipe(trained(finished["paper"][1])[0]))
     head = (
         "Campaign with hidden effects (68 flights), trained on its 60, judged on its 8 test flights. The studies train "
         f"with {BATCH} windows a step for as many steps as their titles say; the default recipe's are 10,000."

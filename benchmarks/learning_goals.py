@@ -98,9 +98,9 @@ def trained_slow() -> list[Table]:
             assert data.base is not None
             errors["its named effects alone"] = flight_errors(data, data.base[data.ends], truth)
             errors["grey box, not gated"] = flight_errors(data, predict(model, data, gated=False).body, truth)
-        found = calibration(model, data, truth)
-        assert found is not None
-        signs.append((name, found.auroc, found.coverage, found.faded, sum(model.card.seconds)))
+        reliability = calibration(model, data, truth)
+        assert reliability is not None
+        signs.append((name, reliability.auroc, reliability.coverage, reliability.faded, sum(model.card.seconds)))
     flights = [error.flight for error in errors["PI-TCN"]]
     rows: list[tuple[Cell, ...]] = [
         (Path(flight).stem, errors["PI-TCN"][place].nominal, *(each[place].combined for each in errors.values()))

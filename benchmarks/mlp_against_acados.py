@@ -40,8 +40,8 @@ def record_cases(networks_folder: Path, folder: Path) -> tuple[Path, Path, int]:
     solver = solver_for(model, native_processor())
     cases: dict[str, list] = {"state": [], "state_reference": [], "input_reference": [], "history": []}
 
-    def keep(asked: RtiSolver, state: np.ndarray) -> None:
-        values = (state, asked.state_reference, asked.input_reference, asked.history)
+    def keep(caller: RtiSolver, state: np.ndarray) -> None:
+        values = (state, caller.state_reference, caller.input_reference, caller.history)
         for name, value in zip(cases, values, strict=True):
             cases[name].append(value.copy())
 
@@ -83,13 +83,13 @@ def main() -> None:
     if arguments.own_worker:
         answer(solver_for(read_model(arguments.own_worker), native_processor()))
         return
-    install, found = acados_environment(), networks(arguments.networks)
+    install, checkpoints = acados_environment(), networks(arguments.networks)
     folder = ROOT / "build" / "mlp_against_acados"
-    cases, problem, ticks = record_cases(found, folder)
+    cases, problem, ticks = record_cases(checkpoints, folder)
     processor, workers = native_processor().name, []
     for build, environment in (("acados' (Haswell)", {"ALULA_HPIPM": str(install)}), ("CasADi's (generic)", {})):
         for kind, name in (("pi_tcn", "PI-TCN, T = 20"), ("pi_mlp", "MLP, T = 1")):
-            command = [sys.executable, __file__, "--own-worker", str(found / f"{kind}.pt")]
+            command = [sys.executable, __file__, "--own-worker", str(checkpoints / f"{kind}.pt")]
             workers.append(Worker(f"Alula, {name}, {processor}, BLASFEO {build}", command, **environment))
     for condensing in CONDENSING:
         name = f"acados SQP_RTI, MLP, T = 1, {condensing}"

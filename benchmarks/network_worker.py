@@ -58,12 +58,12 @@ class Plant:
         self.states = self._code.outputs["next"].reshape(self.many, -1).copy()
 
 
-def geometric(vehicle: Vehicle, state: np.ndarray, wanted: np.ndarray, yaw: np.ndarray) -> np.ndarray:
+def geometric(vehicle: Vehicle, state: np.ndarray, acceleration: np.ndarray, yaw: np.ndarray) -> np.ndarray:
     """Rotor speeds (m, rotors) that track accelerations (m, 3), gravity included, at a yaw, by attitude errors."""
     attitude, rate = state[:, 6:10], state[:, 10:13]
     matrix = quaternion.rotation_matrix(attitude)
-    force = vehicle.body.mass * np.einsum("mi,mi->m", wanted, matrix[:, :, 2])
-    z = wanted / np.linalg.norm(wanted, axis=1, keepdims=True)
+    force = vehicle.body.mass * np.einsum("mi,mi->m", acceleration, matrix[:, :, 2])
+    z = acceleration / np.linalg.norm(acceleration, axis=1, keepdims=True)
     y = np.cross(z, np.stack([np.cos(yaw), np.sin(yaw), 0 * yaw], 1))
     y /= np.linalg.norm(y, axis=1, keepdims=True)
     aim = np.stack([np.cross(y, z), y, z], 2)
@@ -89,16 +89,16 @@ def collect(vehicle: Vehicle, seed: int) -> tuple[np.ndarray, np.ndarray]:
         speed = (size * pitch * np.cos(pitch * t + phase)).sum(-1)
         curve = -(size * pitch**2 * np.sin(pitch * t + phase)).sum(-1)
         now = plant.states
-        wanted = np.clip(curve + 6 * (place - now[:, 0:3]) + 4 * (speed - now[:, 3:6]), -9, 9)
-        wanted[:, 2] += GRAVITY
+        acceleration = np.clip(curve + 6 * (place - now[:, 0:3]) + 4 * (speed - now[:, 3:6]), -9, 9)
+        acceleration[:, 2] += GRAVITY
         dither = 0.9 * dither + DITHER * strength * rng.normal(size=dither.shape)
-        given = np.clip(geometric(vehicle, now, wanted, turning * np.sin(0.7 * t)) + dither, low, high)
+        rotor_speeds = np.clip(geometric(vehicle, now, acceleration, turning * np.sin(0.7 * t)) + dither, low, high)
         states.append(now[:, :13])
-        commands.append(given)
-        plant.advance(given)
-    found, speeds = np.array(states), np.array(commands)
-    brisk = np.isfinite(found).all((0, 2)) & (np.abs(found[:, :, 10:13]).max((0, 2)) < 25)
-    return found[:, brisk], speeds[:, brisk]
+        commands.append(rotor_speeds)
+        plant.advance(rotor_speeds)
+    trajectory, speeds = np.array(states), np.array(commands)
+    brisk = np.isfinite(trajectory).all((0, 2)) & (np.abs(trajectory[:, :, 10:13]).max((0, 2)) < 25)
+    return trajectory[:, brisk], speeds[:, brisk]
 
 
 def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> TrainedModel:
@@ -113,21 +113,23 @@ def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> Train
     targets = body_accelerations(rates.reshape(-1, 6), state[:-1, :, 3:7].reshape(-1, 4)).reshape(shape)
     over = (0, 1)
     scaling = Scaling(inputs.mean(over), inputs.std(over), targets.mean(over), targets.std(over))
-    given = torch.as_tensor((inputs - scaling.input_mean) / scaling.input_std, dtype=torch.float32).transpose(0, 1)
-    wanted = torch.as_tensor((targets - scaling.output_mean) / scaling.output_std, dtype=torch.float32).transpose(0, 1)
+    features = torch.as_tensor((inputs - scaling.input_mean) / scaling.input_std, dtype=torch.float32).transpose(0, 1)
+    targets_std = torch.as_tensor((targets - scaling.output_mean) / scaling.output_std, dtype=torch.float32).transpose(
+        0, 1
+    )
     network = build_network(config)
     adam = torch.optim.Adam(network.parameters(), 3e-4)
     schedule = torch.optim.lr_scheduler.OneCycleLR(adam, 3e-3, total_steps=steps, pct_start=0.1)
-    learned = int(0.9 * len(given))
+    learned = int(0.9 * len(features))
     for _ in range(steps):
-        windows, labels = _batch(given, wanted, config.history, rng.integers(0, learned, 512), rng)
+        windows, labels = _batch(features, targets_std, config.history, rng.integers(0, learned, 512), rng)
         loss = nn.functional.mse_loss(network(windows), labels)
         adam.zero_grad()
         loss.backward()
         adam.step()
         schedule.step()
     network.eval().requires_grad_(requires_grad=False)
-    windows, labels = _batch(given, wanted, config.history, rng.integers(learned, len(given), 20_000), rng)
+    windows, labels = _batch(features, targets_std, config.history, rng.integers(learned, len(features), 20_000), rng)
     miss = ((network(windows) - labels).double().numpy() * scaling.output_std) ** 2
     linear, angular = np.sqrt(miss[:, :3].mean()), np.sqrt(miss[:, 3:].mean())
     spread = float(np.sqrt(np.mean(scaling.output_std**2)))  # what a constant would err by
@@ -139,12 +141,12 @@ def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> Train
 
 
 def _batch(
-    given: torch.Tensor, wanted: torch.Tensor, history: int, flights: np.ndarray, rng: np.random.Generator
+    features: torch.Tensor, targets_std: torch.Tensor, history: int, flights: np.ndarray, rng: np.random.Generator
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    ends = rng.integers(25, given.shape[1], len(flights))
+    ends = rng.integers(25, features.shape[1], len(flights))
     rows = torch.as_tensor(ends[:, None] + np.arange(1 - history, 1))
     place = torch.as_tensor(flights)
-    return given[place[:, None], rows], wanted[place, torch.as_tensor(ends)]
+    return features[place[:, None], rows], targets_std[place, torch.as_tensor(ends)]
 
 
 def main() -> None:

@@ -26,7 +26,7 @@ from vehicles import vehicle_path
 
 PLAUSIBLE = ("--physics-points", "plausible", "--physics-weight", "0.01")
 SPACE = ("--physics-points", "space", "--physics-weight", "1")
-VARIANTS = {
+TRAININGS = {
     "lambda 0.01 on plausible histories": ("pi_tcn", *PLAUSIBLE, "--input-noise", "0"),
     "lambda 0.01 on plausible histories, noise 0.3": ("pi_tcn", *PLAUSIBLE, "--input-noise", "0.3"),
     "MSE-TCN, roll-outs of 20 steps, noise 0.1": (
@@ -50,11 +50,11 @@ def flown(path: str) -> tuple[Cell, Cell, Cell]:
 
 def row(name: str, place: int) -> tuple[Cell, ...]:
     """How a variant predicts the test flights against the truth, and how it flies."""
-    model, *options = VARIANTS[name]
+    model, *options = TRAININGS[name]
     label = f"flies_{place}"
-    found = trained(label, [CAMPAIGN], "--model", model, "--ensemble", "1", *options, jobs=1)
-    data = judged(found)
-    error = pooled(flight_errors(data, predict(found, data).body, true_label(data, CAMPAIGN, dt=found.config.dt)))
+    member = trained(label, [CAMPAIGN], "--model", model, "--ensemble", "1", *options, jobs=1)
+    data = judged(member)
+    error = pooled(flight_errors(data, predict(member, data).body, true_label(data, CAMPAIGN, dt=member.config.dt)))
     with tempfile.TemporaryDirectory() as folder:
         bundle = Path(folder) / "bundle"
         export_bundle(read_model(BUILD / f"{label}.pt"), bundle, ExportOptions(Problem(), native_processor()))
@@ -65,7 +65,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.parse_args()
     rows = [("nominal model", None, *flown(str(vehicle_path(VEHICLE))))]
-    rows += [row(name, place) for place, name in enumerate(VARIANTS)]
+    rows += [row(name, place) for place, name in enumerate(TRAININGS)]
     headings = ("trained with", "RMSE against the truth", "Lemniscate, cm", "share that physics flew", "ended early")
     note = "One member and one flight each. Physics takes over where a network makes the vehicle oscillate."
     table = Table("networks_that_fly", "Predicting and flying", headings, tuple(rows), note)

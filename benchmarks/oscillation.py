@@ -103,16 +103,16 @@ def _row(body: Vehicle, model: str, manoeuvre: str, noise: float, folder: Path) 
 
 def _greatest(body: Vehicle, flown: FlownReference) -> tuple[float, float]:
     """Greatest running means, from the log's setpoints and gyro, the latter as old as an estimate is."""
-    asked, gyro = flown.log.stream("rate_setpoint"), flown.log.stream("rate")
-    if asked is None or gyro is None:
+    rate_setpoint, gyro = flown.log.stream("rate_setpoint"), flown.log.stream("rate")
+    if rate_setpoint is None or gyro is None:
         return float("nan"), float("nan")
-    health, state, found = FlightHealth(body), np.zeros(13), [(0.0, 0.0)]
-    for time, setpoint in zip(asked.time, asked.values, strict=True):
+    health, state, peaks = FlightHealth(body), np.zeros(13), [(0.0, 0.0)]
+    for time, setpoint in zip(rate_setpoint.time, rate_setpoint.values, strict=True):
         health.sent(setpoint, 0.0, float(time))
         state[10:13] = gyro.values[min(int(np.searchsorted(gyro.time, time - AGE)), len(gyro.time) - 1)]
         health.flight(state, float(time))
-        found.append(health.oscillation)
-    chatter, swing = np.max(found, axis=0)
+        peaks.append(health.oscillation)
+    chatter, swing = np.max(peaks, axis=0)
     return float(chatter), float(swing)
 
 

@@ -58,14 +58,14 @@ MOCK_ALONE = (
     EffectUse("slung_load", {"mass": 0.03, "length": 0.5}),
     EffectUse("weak_rotor", {"loss": 0.05}, 1),
 )
-KEPT = Path("build/output_error.jsonl")
+CASES_FILE = Path("build/output_error.jsonl")
 
 
 def cases() -> list[Case]:
-    found = [Case(source, use, 1.0) for use in TRUTHS for source in "MR"]
-    found += [Case("M", use, 1.0) for use in MOCK_ALONE]
+    listed = [Case(source, use, 1.0) for use in TRUTHS for source in "MR"]
+    listed += [Case("M", use, 1.0) for use in MOCK_ALONE]
     lag = EffectUse("motor_lag", {"time_constant": 0.04})
-    return [*found, Case("M", lag, 1.0, ACTUATION_DELAY), Case("R", lag, 1.0, FINE_STEP / 2)]
+    return [*listed, Case("M", lag, 1.0, ACTUATION_DELAY), Case("R", lag, 1.0, FINE_STEP / 2)]
 
 
 def run(case: Case) -> list[str]:
@@ -86,17 +86,17 @@ def run(case: Case) -> list[str]:
     one_step = [misfit(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
                 for f in (first, second.fit)]  # fmt: skip
     try:
-        kept = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor).by_output_error
+        chosen = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor).by_output_error
     except DataError:
-        kept = None
+        chosen = None
     rows = []
     for (key, name), estimate in first.estimates.items():
         true = use.parameters[name] + (case.late if name == "time_constant" else 0.0)
         again = second.fit.estimates[key, name]
-        found = [f"{100 * (e.value / true - 1):+.2f} ± {196 * e.std / abs(true):.2f}" for e in (estimate, again)]
-        chosen = {True: "output error", False: "equation error", None: "not added"}[kept]
+        listed = [f"{100 * (e.value / true - 1):+.2f} ± {196 * e.std / abs(true):.2f}" for e in (estimate, again)]
+        chosen = {True: "output error", False: "equation error", None: "not added"}[chosen]
         rows.append(
-            f"| {case.source} | {key} {name} | {case.noise:g} | {found[0]} | {found[1]} | {one_step[0]:.3f}, "
+            f"| {case.source} | {key} {name} | {case.noise:g} | {listed[0]} | {listed[1]} | {one_step[0]:.3f}, "
             f"{one_step[1]:.3f} | {second.before:.3f}, {second.after:.3f} | {chosen} |"
         )
     return rows
@@ -116,10 +116,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--jobs", type=int, default=1)
     options = parser.parse_args()
-    KEPT.parent.mkdir(exist_ok=True)
-    done = dict(json.loads(line) for line in KEPT.read_text().splitlines()) if KEPT.exists() else {}
+    CASES_FILE.parent.mkdir(exist_ok=True)
+    done = dict(json.loads(line) for line in CASES_FILE.read_text().splitlines()) if CASES_FILE.exists() else {}
     todo = [case for case in cases() if repr(case) not in done]
-    with KEPT.open("a") as file:
+    with CASES_FILE.open("a") as file:
         for index, rows in parallel_map(run, todo, jobs=options.jobs):
             done[repr(todo[index])] = rows
             print(json.dumps([repr(todo[index]), rows]), file=file, flush=True)

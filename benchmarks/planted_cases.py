@@ -94,12 +94,12 @@ def pairs(source: str, count: int, seed: int) -> list[tuple[str, str]]:
     """Pairs of effects that flights can tell apart, drawn at random."""
     random = np.random.default_rng(seed)
     usable = [n for n in names(source) if n not in ("gust", "time_delay")]
-    found: list[tuple[str, str]] = []
-    while len(found) < count:
+    chosen: list[tuple[str, str]] = []
+    while len(chosen) < count:
         first, second = sorted(random.choice(usable, 2, replace=False).tolist())
-        if fair((first, second)) and (first, second) not in found:
-            found.append((first, second))
-    return found
+        if fair((first, second)) and (first, second) not in chosen:
+            chosen.append((first, second))
+    return chosen
 
 
 def fair(pair: Sequence[str]) -> bool:

@@ -44,8 +44,8 @@ def table(results: Sequence[Result]) -> str:
         f"median {np.median(took):.1f} s, 95 % within {np.quantile(took, 0.95):.1f} s."
     )
     if failed:
-        told = "; ".join(f"{r['key']}: {r['error']}" for r in failed)
-        parts.append(f"Not flown or not answered: {told}.")
+        cells = "; ".join(f"{r['key']}: {r['error']}" for r in failed)
+        parts.append(f"Not flown or not answered: {cells}.")
     return "\n\n".join([*NOTES, *parts])
 
 
@@ -69,21 +69,21 @@ def _share(results: Sequence[Result], test: Callable[[Result], bool]) -> str:
 
 def _summary(by_kind: dict[str, list[Result]]) -> str:
     single, outside = by_kind["single"], by_kind["outside"]
-    seen = [r for r in single if r["strength"] >= 0.4]
+    visible = [r for r in single if r["strength"] >= 0.4]
     weak = [r for r in single if r["strength"] < 0.4]
     rows = [
-        ("first effect right, medium and stronger", _share(seen, right), ">= 97 %"),
-        ("right or in a declared set of two", _share(seen, near), ">= 99 %"),
+        ("first effect right, medium and stronger", _share(visible, right), ">= 97 %"),
+        ("right or in a declared set of two", _share(visible, near), ">= 99 %"),
         ("weak effect named wrongly", _share(weak, lambda r: bool(r["names"]) and not near(r)), "<= 2 %"),
         ("false alarms on nothing hidden", _share(by_kind["nothing"], _alarm), "<= 0.5 %"),
         ("pairs: both named, no third", _share(by_kind["pair"], _both), ">= 95 %"),
         ("outside the catalogue called unknown, strong and above", _share(_strong(outside), _unknown), ">= 97 %"),
         ("the same, medium", _share([r for r in outside if r["strength"] < 1.5], _unknown), ">= 90 %"),
-        ("in the catalogue wrongly called unknown", _share(seen, _unknown), "<= 5 %"),
+        ("in the catalogue wrongly called unknown", _share(visible, _unknown), "<= 5 %"),
         *_after(single),
     ]  # fmt: skip
-    told = [f"| {name} | {value} | {goal} |" for name, value, goal in rows if value != "-"]
-    return "\n".join(["| | measured | goal |", "| --- | --- | --- |", *told])
+    cells = [f"| {name} | {value} | {goal} |" for name, value, goal in rows if value != "-"]
+    return "\n".join(["| | measured | goal |", "| --- | --- | --- |", *cells])
 
 
 def _alarm(r: Result) -> bool:
@@ -134,11 +134,11 @@ def _by_strength(single: Sequence[Result]) -> str:
 
 
 def _by_effect(single: Sequence[Result]) -> str:
-    seen = [r for r in single if r["strength"] >= 0.4]
+    visible = [r for r in single if r["strength"] >= 0.4]
     lines = ["| effect, medium and stronger | cases | first right | unknown | parameter error | after/floor |"]
     lines += ["| --- | --- | --- | --- | --- | --- |"]
-    for effect in sorted({r["effects"][0] for r in seen}):
-        some = [r for r in seen if r["effects"][0] == effect]
+    for effect in sorted({r["effects"][0] for r in visible}):
+        some = [r for r in visible if r["effects"][0] == effect]
         strong = [r for r in _strong(some) if right(r)]
         errors = [_error(v) for r in strong for v in r["parameters"].values()]
         error = f"{100 * np.median(errors):.1f} %" if errors else "-"
@@ -150,15 +150,15 @@ def _by_effect(single: Sequence[Result]) -> str:
 
 
 def _error(value: Sequence[float]) -> float:
-    true, found, _ = value
-    return abs(found - true) / max(abs(true), 1e-12)
+    true, estimate, _ = value
+    return abs(estimate - true) / max(abs(true), 1e-12)
 
 
 def _parameters(single: Sequence[Result]) -> str:
     values = [v for r in _strong(single) if right(r) for v in r["parameters"].values()]
     if not values:
         return ""
-    inside = sum(abs(found - true) <= 1.96 * std for true, found, std in values)
+    inside = sum(abs(estimate - true) <= 1.96 * std for true, estimate, std in values)
     return (
         f"Parameters at strength 1.5 and above: median error {100 * np.median([_error(v) for v in values]):.1f} % "
         f"(goal <= 3 %), 95 % intervals hold {inside} of {len(values)}, {100 * inside / len(values):.1f} % "
@@ -174,9 +174,9 @@ def _misses(by_kind: dict[str, list[Result]]) -> str:
     wrong += [r for r in by_kind["pair"] if not _both(r)]
     wrong += [r for r in by_kind["nothing"] if r["verdict"] != "explained"]
     wrong += [r for r in by_kind["outside"] if not _unknown(r)]
-    told = "; ".join(
+    cells = "; ".join(
         f"{'+'.join(r['effects']) or 'nothing'} x{r['strength']:g} (noise {r['noise']:g}, seed {r['seed']}): "
         f"{', '.join(r['names']) or 'none'} ({r['verdict']})"
         for r in wrong
     )
-    return f"What fell short: {told or 'nothing'}."
+    return f"What fell short: {cells or 'nothing'}."

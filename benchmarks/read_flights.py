@@ -30,8 +30,8 @@ sys.path.insert(0, str(ROOT))
 from fixtures.ulog_file import Topic, ulog_file  # noqa: E402  the tests' writer, which is no package of ours
 
 MINUTES, RATE, REPEATS = 10, 250, 5
-HOURS, PIECE = 3, 1200.0  # of the log that is read in pieces, and s of a piece
-WANTED = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed")
+HOURS, CHUNK = 3, 1200.0  # of the log that is read in chunks, and s of a piece
+QUANTITIES = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed")
 INSTEAD = {"rotor_speed": ("rotor_speed_command", "rotor_command", "rotor_thrust_command", "collective_thrust_command")}
 
 
@@ -79,22 +79,22 @@ def peak_memory() -> float:
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
 
-def measure_pieces(path: Path, seconds: float) -> None:
-    """Read one log in pieces and print the seconds of data, the number of pieces and peak memory, MB."""
-    lengths = [Flight.from_log(piece).duration for piece in read_chunks(path, seconds)]
+def measure_chunks(path: Path, seconds: float) -> None:
+    """Read one log in chunks and print the seconds of data, the number of chunks and peak memory, MB."""
+    lengths = [Flight.from_log(chunk).duration for chunk in read_chunks(path, seconds)]
     print(sum(lengths), len(lengths), peak_memory())
 
 
-def reading_in_pieces() -> str:
+def reading_in_chunks() -> str:
     """What a log costs that need not fit into memory."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
         size = long_csv(path)
         command = [sys.executable, __file__, "--pieces", str(path)]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
-    data, pieces, memory = (float(word) for word in done.stdout.split())
+    data, chunks, memory = (float(word) for word in done.stdout.split())
     return (
-        f"A flight CSV of {HOURS} h, {size / 1e6:.0f} MB, read in {pieces:.0f} pieces of {PIECE:.0f} s "
+        f"A flight CSV of {HOURS} h, {size / 1e6:.0f} MB, read in {chunks:.0f} pieces of {CHUNK:.0f} s "
         f"({data / 3600:.2f} h in all): peak memory {memory:.0f} MB."
     )
 
@@ -132,20 +132,20 @@ def reading_speed() -> str:
     )
 
 
-def row(name: str, found: Log | AlulaError) -> str:
+def row(name: str, log: Log | AlulaError) -> str:
     """One line of the table."""
-    if isinstance(found, AlulaError):
-        return f"| {name} | not read | | | {_short(str(found).rpartition(name)[2] or str(found))} |"
-    flight = Flight.from_log(found)
+    if isinstance(log, AlulaError):
+        return f"| {name} | not read | | | {_short(str(log).rpartition(name)[2] or str(log))} |"
+    flight = Flight.from_log(log)
     gives = ", ".join(f"{quantity} {origin.rate:.0f}" for quantity, origin in flight.origins.items())
-    lacks = [name for name in WANTED if not flight.has(name)]
-    said = [f"no {lack}{_instead(flight, lack)}" for lack in lacks]
-    said += [f"**{repair.name}** {_short(repair.detail)}" for repair in found.provenance.repairs]
-    said += [_short(note) for note in found.provenance.notes]
+    lacks = [name for name in QUANTITIES if not flight.has(name)]
+    remarks = [f"no {lack}{_instead(flight, lack)}" for lack in lacks]
+    remarks += [f"**{repair.name}** {_short(repair.detail)}" for repair in log.provenance.repairs]
+    remarks += [_short(note) for note in log.provenance.notes]
     segments = flight.segments()
     flown = sum(segment.duration for segment in segments)
     duration = f"{flight.duration:.1f} ({flown:.1f} in {len(segments)})"
-    return f"| {name} | {found.provenance.format} | {duration} | {gives} | {'; '.join(said)} |"
+    return f"| {name} | {log.provenance.format} | {duration} | {gives} | {'; '.join(remarks)} |"
 
 
 def _instead(flight: Flight, lack: str) -> str:
@@ -164,23 +164,23 @@ def main() -> None:
         measure_once(Path(sys.argv[2]))
         return
     if sys.argv[1:2] == ["--pieces"]:
-        measure_pieces(Path(sys.argv[2]), PIECE)
+        measure_chunks(Path(sys.argv[2]), CHUNK)
         return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "tests" / "data"
     started, size, rows = time.perf_counter(), 0, []
-    for path, found in read_folder(folder):
+    for path, log in read_folder(folder):
         if path.suffix in (".txt", ".md", ".toml", ".py", ".npz") or path.name.startswith("LICENSE"):
             continue
         size += path.stat().st_size
         name = os.path.relpath(path, folder)
-        rows.append(row(name, found))
+        rows.append(row(name, log))
     elapsed = time.perf_counter() - started
     head = (
         "| file | format | seconds (of them usable, in segments) | quantities, Hz as logged | what it lacks, "
         "**repairs** and notes |\n| --- | --- | --- | --- | --- |\n"
     )
     body = (
-        f"{reading_speed()}\n\n{reading_in_pieces()}\n\n"
+        f"{reading_speed()}\n\n{reading_in_chunks()}\n\n"
         f"{len(rows)} files, {size / 1e6:.1f} MB, read in {elapsed:.1f} s.\n\n{head}" + "\n".join(rows)
     )
     write_result("read_flights", "Reading flights", body)

@@ -137,11 +137,11 @@ def trims(vehicle: Vehicle) -> str:
     cases = [*FAULTY, *((name, vehicle_of) for vehicle_of in ("E8",) for name in NORMAL[vehicle_of])]
     for name, of in cases:
         normal = [TRIM / f"{n}.csv.gz" for n in NORMAL[of] if n != name]
-        found = read_trim([TRIM / f"{name}.csv.gz"], normal, vehicle, None)
-        rotor = found.rotors[1]
+        trim = read_trim([TRIM / f"{name}.csv.gz"], normal, vehicle, None)
+        rotor = trim.rotors[1]
         verdict = "nothing claimed"
         loss = "-"
-        for effect in found.effects:
+        for effect in trim.effects:
             verdict = f"{effect.name} of rotor {effect.rotor} or {effect.ambiguous_with[0]}"
             value = effect.parameters["loss"]
             loss = f"{value.value:.2f} ± {1.96 * value.std:.2f}"
@@ -158,8 +158,8 @@ def refusals() -> str:
             vehicle = read_vehicle(FOLDER / f"{name}.toml")
             require_answerable(read_dataset([log], vehicle).everything, vehicle)
         except AlulaError as error:
-            said = str(error).replace(f"{log}", log.name)
-            lines.append(f"| {title} | {error.exit_code} | {said} |")
+            message = str(error).replace(f"{log}", log.name)
+            lines.append(f"| {title} | {error.exit_code} | {message} |")
     return "\n".join(lines)
 
 

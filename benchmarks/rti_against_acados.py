@@ -42,8 +42,8 @@ def acados_environment() -> Path:
         packages = ["comma-deps-acados", "numpy", "msgspec", "tomli-w"]
         subprocess.run([python, "-m", "pip", "install", "--quiet", *packages], check=True)
     code = "import acados, os; print(os.path.dirname(acados.__file__))"
-    found = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
-    return Path(found) / "install"
+    acados_folder = subprocess.run([python, "-c", code], check=True, capture_output=True, text=True).stdout.strip()
+    return Path(acados_folder) / "install"
 
 
 def record_cases(folder: Path) -> tuple[Path, Path]:

@@ -53,12 +53,12 @@ def with_each_blasfeo(script: str, folder: Path) -> dict[str, Any]:
     builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
     if faster := list(ACADOS.glob("*/*/acados/install")):
         builds["acados' (Haswell)"] = {"ALULA_HPIPM": str(faster[0])}
-    found = {}
+    timings = {}
     for name, environment in builds.items():
         command = [sys.executable, script, "--measure", str(folder)]
         done = subprocess.run(command, env=os.environ | environment, stdout=subprocess.PIPE, text=True, check=True)
-        found[name] = json.loads(done.stdout.splitlines()[-1])
-    return found
+        timings[name] = json.loads(done.stdout.splitlines()[-1])
+    return timings
 
 
 def unlimited(model: ExportedModel) -> ExportedModel:
@@ -110,22 +110,22 @@ def fly(
     plant.states[0, :13] = [*states[0, :3], 0, 0, 0, 1, *[0.0] * 6]
     rng, leap = np.random.default_rng(0), np.zeros(3)
     past = [np.concatenate([plant.states[0, :13], [vehicle.hover_speed] * 4])] * 64
-    solver.reset(_whole(solver, plant))
+    solver.reset(_full_state(solver, plant))
     errors, times, iterations = [], [], []
     for tick in range(round(SECONDS / DT)):
         if jumps and tick % 30 == 0:
             leap = jumps * rng.uniform(-1, 1, 3)
-        ahead = tick + round(solver.problem.node / DT) * np.arange(solver.problem.nodes + 1)
-        solver.state_reference[:, :13] = states[ahead]
+        node_ticks = tick + round(solver.problem.node / DT) * np.arange(solver.problem.nodes + 1)
+        solver.state_reference[:, :13] = states[node_ticks]
         solver.state_reference[:, 0:3] += leap
-        solver.input_reference[:] = speeds[ahead[:-1], None]
+        solver.input_reference[:] = speeds[node_ticks[:-1], None]
         if columns := len(solver.history):
             solver.history[:] = past[-columns:]
         if watch:
             watch(solver, plant.states[0, :13])
         with undisturbed() if jumps else nullcontext():
-            solver.prepare(_whole(solver, plant))
-            solver.feedback(_whole(solver, plant))
+            solver.prepare(_full_state(solver, plant))
+            solver.feedback(_full_state(solver, plant))
         report = solver.report
         times.append([getattr(report, f"{part}_seconds") for part in PARTS])
         iterations.append(report.iterations)
@@ -152,5 +152,5 @@ def undisturbed() -> Iterator[None]:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _whole(solver: RtiSolver, plant: Plant) -> np.ndarray:
+def _full_state(solver: RtiSolver, plant: Plant) -> np.ndarray:
     return solver.model.initial_state(plant.states[0, :13])

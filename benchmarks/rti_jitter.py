@@ -88,16 +88,16 @@ def _count(rounds: int) -> None:
         pass
 
 
-def table(found: dict[str, np.ndarray], period: float) -> list[str]:
+def table(periods: dict[str, np.ndarray], period: float) -> list[str]:
     rows = ["| | median us | p99 us | p99.9 us | worst us |", "| --- | --- | --- | --- | --- |"]
-    for name, values in found.items():
+    for name, values in periods.items():
         if name != "status":
             marks = " | ".join(f"{1e6 * np.percentile(values, share):.0f}" for share in (50, 99, 99.9, 100))
             rows.append(f"| {name} | {marks} |")
-    missed = found["woke late by"] + found["step"] > period
-    own = missed & (found["processor time of the step"] > period)
+    missed = periods["woke late by"] + periods["step"] > period
+    own = missed & (periods["processor time of the step"] > period)
     return [*rows, "", f"{missed.size} ticks at {1 / period:g} Hz: {own.sum()} misses of our making, "
-            f"{(missed & ~own).sum()} by the scheduler, {np.count_nonzero(found['status'])} unsolved."]  # fmt: skip
+            f"{(missed & ~own).sum()} by the scheduler, {np.count_nonzero(periods['status'])} unsolved."]  # fmt: skip
 
 
 def main() -> None:
@@ -118,10 +118,12 @@ def main() -> None:
         prepare_interpreter()
         refused = [text for text in (lock_memory(), *schedule_thread(50, 0)) if text]
         ticks = int(arguments.seconds * arguments.rate)
-        found = fly(controller, reference, period, ticks)
-        missed = idle(float(np.median(found["step"])), period, ticks)
-    beside = f"With a loop of the median step's length, which does nothing, in its place: {missed} misses of {ticks}."
-    body = [*table(found, period), "", beside, "", f"Real time: {'; '.join(refused) or 'granted'}."]
+        periods = fly(controller, reference, period, ticks)
+        missed = idle(float(np.median(periods["step"])), period, ticks)
+    idle_loop = (
+        f"With a loop of the median step's length, which does nothing, in its place: {missed} misses of {ticks}."
+    )
+    body = [*table(periods, period), "", idle_loop, "", f"Real time: {'; '.join(refused) or 'granted'}."]
     name, kind = ("rti_jitter_network", "PI-TCN's") if arguments.learned else ("rti_jitter", "Nominal")
     write_result(name, f"{kind} RTI step under SCHED_FIFO", "\n".join(body))
 

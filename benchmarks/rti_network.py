@@ -38,7 +38,7 @@ from training.networks import build_network
 
 def measure(folder: Path) -> dict[str, object]:
     """Everything that may depend on the BLASFEO in use: iterations by instruction set, in turns, calm and saturated."""
-    model, found = read_model(folder / "pi_tcn.pt"), {}
+    model, timings = read_model(folder / "pi_tcn.pt"), {}
     solvers = {name: solver_for(model, processor) for name, processor in PROCESSORS.items() if processor.runs_here}
     calm: dict[str, list] = {name: [] for name in solvers}
     hard: dict[str, list] = {name: [] for name in solvers}
@@ -47,14 +47,17 @@ def measure(folder: Path) -> dict[str, object]:
             calm[name] += [fly(solver, period)[1] for period in PERIODS.values()]
             hard[name].append(fly(solver, PERIODS["5.1"], jumps=0.6))
     for name in solvers:
-        least, iterations = np.min([times for _, times, _ in hard[name]], axis=0), hard[name][0][2]  # of the same ticks
-        found[name] = {
+        best, iterations = (
+            np.min([times for _, times, _ in hard[name]], axis=0),
+            hard[name][0][2],
+        )  # of the same ticks
+        timings[name] = {
             "median": np.median(np.concatenate(calm[name]), axis=0).tolist(),
             "tenth": np.percentile(np.concatenate(calm[name]), 10, axis=0).tolist(),
-            "saturated": np.sum(least[iterations > 0, 3:5], axis=1).tolist(),
+            "saturated": np.sum(best[iterations > 0, 3:5], axis=1).tolist(),
             "iterations": int(iterations.max()),
         }
-    return found
+    return timings
 
 
 PEAK = """
@@ -104,23 +107,23 @@ def inference(model: ExportedModel) -> tuple[float, float]:
     rng = np.random.default_rng(0)
     hover = np.array([*[0.0] * 6, 1.0, *[0.0] * 6, *[model.vehicle.hover_speed] * 4])
     columns = np.ascontiguousarray(hover + 0.01 * rng.normal(size=(5000, 17)))
-    found = np.zeros((5000, 6))
+    timings = np.zeros((5000, 6))
     code, pointer = solver._code, ctypes.c_void_p
     code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     session = onnxruntime.InferenceSession(onnx_model(model, {}).SerializeToString(), options)
     window = {"history": np.ascontiguousarray(columns[: model.history].T[None]).astype(np.float32)}
-    streamed, windowed = [], []
+    streaming, windowed = [], []
     for _ in range(30):
         start = time.perf_counter()
-        code.rti_stream(solver._handle, columns.ctypes.data, 5000, found.ctypes.data)
-        streamed.append((time.perf_counter() - start) / 5000)
+        code.rti_stream(solver._handle, columns.ctypes.data, 5000, timings.ctypes.data)
+        streaming.append((time.perf_counter() - start) / 5000)
         start = time.perf_counter()
         for _ in range(200):
             session.run(None, window)
         windowed.append((time.perf_counter() - start) / 200)
-    return float(np.median(streamed)), float(np.median(windowed))
+    return float(np.median(streaming)), float(np.median(windowed))
 
 
 def growth(trained: TrainedModel) -> dict[str, list[tuple[int, float]]]:
@@ -145,10 +148,10 @@ def growth(trained: TrainedModel) -> dict[str, list[tuple[int, float]]]:
             for _ in range(30):
                 solver.prepare(solver.state_reference[0])
                 taken.append(solver.report.prepare_seconds)
-    found: dict[str, list[tuple[int, float]]] = {}
+    timings: dict[str, list[tuple[int, float]]] = {}
     for (name, size, _, _), taken in zip(cases, times, strict=True):
-        found.setdefault(name, []).append((size, float(np.median(taken))))
-    return found
+        timings.setdefault(name, []).append((size, float(np.median(taken))))
+    return timings
 
 
 def _hovering(trained: TrainedModel, config: ModelConfig, problem: Problem) -> RtiSolver:
@@ -162,12 +165,12 @@ def _hovering(trained: TrainedModel, config: ModelConfig, problem: Problem) -> R
     return solver
 
 
-def plot(found: dict[str, list[tuple[int, float]]]) -> None:
+def plot(timings: dict[str, list[tuple[int, float]]]) -> None:
     mpl.use("Agg")
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 3, figsize=(10, 3.2), sharey=True)
-    for axis, (name, points) in zip(axes, found.items(), strict=True):
+    for axis, (name, points) in zip(axes, timings.items(), strict=True):
         sizes, times = np.array(points).T
         axis.loglog(sizes, 1e6 * times, "o-", color="tab:blue", label="kernel")
         if name == "N":
@@ -198,12 +201,12 @@ def timing(measured: dict[str, dict[str, dict]]) -> list[str]:
     names = "roll-out | tangents | Hessian, factor | preparation | feedback | step | fastest tenth"
     rows = [f"| instructions, BLASFEO | {names} | saturated, median | worst |", "| --- " * 10 + "|"]
     for build, by_name in measured.items():
-        for name, found in by_name.items():
-            median, tenth = 1e6 * np.array(found["median"]), 1e6 * np.array(found["tenth"])
-            busy = 1e6 * np.array(found["saturated"])
+        for name, timings in by_name.items():
+            median, tenth = 1e6 * np.array(timings["median"]), 1e6 * np.array(timings["tenth"])
+            busy = 1e6 * np.array(timings["saturated"])
             cells = [f"{value:.0f}" for value in (*median, median[3] + median[4], tenth[3] + tenth[4])]
             worst = (
-                f"{np.median(busy):.0f} | {busy.max():.0f} ({found['iterations']} QP iterations)"
+                f"{np.median(busy):.0f} | {busy.max():.0f} ({timings['iterations']} QP iterations)"
                 if busy.size
                 else "- | -"
             )
@@ -225,10 +228,10 @@ def main() -> None:
     measured = with_each_blasfeo(__file__, folder)
     model, processor = read_model(folder / "pi_tcn.pt"), native_processor()
     work, best = operations(model, processor), peak(processor)
-    fastest = min(sum(found[processor.name]["median"][3:5]) for found in measured.values())
-    streamed, windowed = inference(model)
-    found = growth(load(folder / "pi_tcn.pt"))
-    plot(found)
+    fastest = min(sum(timings[processor.name]["median"][3:5]) for timings in measured.values())
+    streaming, windowed = inference(model)
+    timings = growth(load(folder / "pi_tcn.pt"))
+    plot(timings)
     lines = [
         "PI-TCN (T = 20, receptive field 19, 16 channels, body frame), N = 20 nodes of 50 ms, exact history "
         "derivatives, floats; microseconds, medians over flights along a lemniscate. "
@@ -238,13 +241,13 @@ def main() -> None:
         f"An iteration takes {work / 1e6:.1f} MFLOP; this core's peak with {processor.name}, measured in the same run, "
         f"is {best / 1e9:.0f} GFLOP/s: the median step runs at {100 * work / best / fastest:.0f} % of it. The kernel "
         "counted its operations along the same flights: the network's, the tangents' and the Hessian's.", "",
-        f"One streamed column: {1e6 * streamed:.2f} us; the same window in ONNX Runtime: {1e6 * windowed:.1f} us, "
-        f"{windowed / streamed:.0f} times as long.", "",
+        f"One streamed column: {1e6 * streaming:.2f} us; the same window in ONNX Runtime: {1e6 * windowed:.1f} us, "
+        f"{windowed / streaming:.0f} times as long.", "",
         "Closed loop in lockstep, rotor speeds given at 100 Hz to a plant with 40 ms of motor lag and drag:", "",
         *closed_loop(folder), "",
         "Growth of the preparation, in turns, random weights: " + "; ".join(
             f"{name} " + ", ".join(f"{size}: {1e6 * seconds:.0f} us" for size, seconds in points)
-            for name, points in found.items()
+            for name, points in timings.items()
         ) + ".", "", "![growth](rti_network.png)",
     ]  # fmt: skip
     write_result("rti_network", "The kernel of learned models, one core", "\n".join(lines))

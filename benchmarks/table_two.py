@@ -48,29 +48,33 @@ DIAGNOSED = (
 
 
 def main() -> None:
-    given = _arguments()
-    models = given.models.split(",")
+    arguments = _arguments()
+    models = arguments.models.split(",")
     runs = [
-        Run("lockstep" if given.lockstep else "link", model, str(path), key, manoeuvre, FIRST_SEED + number)
+        Run("lockstep" if arguments.lockstep else "link", model, str(path), key, manoeuvre, FIRST_SEED + number)
         for model in models
-        for path, key in [_model(model, given.keep, given.campaign)]
-        for number in range(given.runs)
+        for path, key in [_model(model, arguments.keep, arguments.campaign)]
+        for number in range(arguments.runs)
         for manoeuvre in TRACKING_NOMINAL
     ]
-    missing = [] if given.only_finished else [run for run in runs if not _file(given.keep, run).exists()]
-    for number, (_, flown) in enumerate(parallel_map(fly, missing, jobs=given.jobs), start=1):
-        _write(_file(given.keep, flown.run), flown)
-        told = flown.ended or f"{100 * flown.position_rmse:.1f} cm"
-        print(f"{number}/{len(missing)} {flown.run.model} {flown.run.manoeuvre} {flown.run.seed}: {told}", flush=True)
-    found = [_read(_file(given.keep, run)) for run in runs if _file(given.keep, run).exists()]
-    if given.lockstep:
-        print(body(found, [], _effects_file(given.keep)))
+    missing = [] if arguments.only_finished else [run for run in runs if not _file(arguments.keep, run).exists()]
+    for number, (_, flown) in enumerate(parallel_map(fly, missing, jobs=arguments.jobs), start=1):
+        _write(_file(arguments.keep, flown.run), flown)
+        outcome = flown.ended or f"{100 * flown.position_rmse:.1f} cm"
+        print(
+            f"{number}/{len(missing)} {flown.run.model} {flown.run.manoeuvre} {flown.run.seed}: {outcome}", flush=True
+        )
+    results = [_read(_file(arguments.keep, run)) for run in runs if _file(arguments.keep, run).exists()]
+    if arguments.lockstep:
+        print(body(results, [], _effects_file(arguments.keep)))
         return
     quick = [msgspec.structs.replace(run, pace="lockstep") for run in runs]
-    beside = [_read(_file(given.keep, run)) for run in quick if _file(given.keep, run).exists()]
-    draw(found, PICTURE)
+    lockstep_flights = [_read(_file(arguments.keep, run)) for run in quick if _file(arguments.keep, run).exists()]
+    draw(results, PICTURE)
     write_result(
-        "table_two", "Tracking with five models, hidden effects", body(found, beside, _effects_file(given.keep))
+        "table_two",
+        "Tracking with five models, hidden effects",
+        body(results, lockstep_flights, _effects_file(arguments.keep)),
     )
 
 
@@ -113,9 +117,9 @@ def _diagnose(keep: Path, campaign: Path) -> None:
     vehicle = read_vehicle(vehicle_path(VEHICLE))
     dataset = read_dataset([campaign / "train" / f"{name}.parquet" for name in DIAGNOSED], vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    found = complete(dataset, vehicle, CATALOGUE, date=today, command="python benchmarks/table_two.py")
+    results = complete(dataset, vehicle, CATALOGUE, date=today, command="python benchmarks/table_two.py")
     keep.mkdir(parents=True, exist_ok=True)
-    write_next_version(found.vehicle, keep / f"{VEHICLE}.toml")
+    write_next_version(results.vehicle, keep / f"{VEHICLE}.toml")
 
 
 def _key(path: Path) -> str:

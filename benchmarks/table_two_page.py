@@ -36,11 +36,11 @@ def body(flights: Sequence[Flown], quick: Sequence[Flown], effects: Path) -> str
     if quick:
         parts += ["## The same in lockstep, without link, threads and clocks", _errors(quick)]
     if effects.exists():
-        found = read_vehicle(effects).effects
-        told = "; ".join(
-            f"{use.name} ({', '.join(f'{k} {v:.3g}' for k, v in use.parameters.items())})" for use in found
+        effects_added = read_vehicle(effects).effects
+        listed = "; ".join(
+            f"{use.name} ({', '.join(f'{k} {v:.3g}' for k, v in use.parameters.items())})" for use in effects_added
         )
-        parts += [f"Diagnosed and added: {told}."]
+        parts += [f"Diagnosed and added: {listed}."]
     return "\n\n".join(parts)
 
 
@@ -161,10 +161,10 @@ def draw(flights: Sequence[Flown], path: Path) -> None:
 def _draw_path(axes: Any, flights: Sequence[Flown]) -> None:
     for model in _models(flights):
         first = next(flown for flown in flights if flown.run.model == model)
-        asked, flown = np.array(first.asked), np.array(first.path)
-        one, other = sorted(np.argsort(np.ptp(asked, axis=0))[-2:])
+        reference, flown = np.array(first.reference_position), np.array(first.path)
+        one, other = sorted(np.argsort(np.ptp(reference, axis=0))[-2:])
         if not axes.lines:
-            axes.plot(asked[:, one], asked[:, other], color=SOFT, linewidth=3, alpha=0.6, label="reference")
+            axes.plot(reference[:, one], reference[:, other], color=SOFT, linewidth=3, alpha=0.6, label="reference")
         axes.plot(flown[:, one], flown[:, other], color=COLOURS[model], linewidth=0.9, label=NAMES[model])
         axes.set(xlabel=f"{'xyz'[one]}, m", ylabel=f"{'xyz'[other]}, m", aspect="equal")
     axes.set_title(SHOWN)

@@ -56,7 +56,7 @@ class Flown(msgspec.Struct, frozen=True):
 
     Errors m; fallbacks: times that another model than its own flew, and seconds of it, and the events that were told.
     late: setpoints by whose fault. Peaks and counts: norms of linear (m/s^2) and angular (rad/s^2) acceleration.
-    path: (n, 3) flown and asked positions. repeats: flights before this one that the machine disturbed.
+    path: (n, 3) flown and reference positions. repeats: flights before this one that the machine disturbed.
     """
 
     run: Run
@@ -77,7 +77,7 @@ class Flown(msgspec.Struct, frozen=True):
     linear: tuple[int, ...] = ()
     angular: tuple[int, ...] = ()
     path: tuple[tuple[float, ...], ...] = ()
-    asked: tuple[tuple[float, ...], ...] = ()
+    reference_position: tuple[tuple[float, ...], ...] = ()
 
 
 def fly(run: Run) -> Flown:
@@ -138,11 +138,11 @@ def _over_link(run: Run) -> Flown:
 
 def _of_recording(recording: FlightRecording) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Times (n,) s since tracking began; position, its setpoint, velocity and body rates (n, 3)."""
-    times, position, asked = tracked(recording)
+    times, position, reference_position = tracked(recording)
     began = _tracking(recording)[0]
     estimate, imu = recording.table("/estimate"), recording.table("/imu")
     velocity = _at(times + began, estimate["time"], estimate["velocity_world"])
-    return times, position, asked, velocity, _at(times + began, imu["time"], imu["rate_body"])
+    return times, position, reference_position, velocity, _at(times + began, imu["time"], imu["rate_body"])
 
 
 def _at(times: Floats, stamps: Floats, values: Floats) -> Floats:
@@ -180,26 +180,30 @@ def in_lockstep(run: Run) -> Flown:
         return Flown(run, flown.aborted)
     flight = Flight.from_log(flown.log, rate=RATE)
     parts = [flight[name] for name in ("position", "position_setpoint", "velocity", "rate")]
-    known = np.isfinite(np.hstack(parts)).all(axis=1) & (flight.time - flight.time[0] <= DURATION)
-    found = _judged(run, flight.time[known] - flight.time[0], *(part[known] for part in parts))
+    finite = np.isfinite(np.hstack(parts)).all(axis=1) & (flight.time - flight.time[0] <= DURATION)
+    result = _judged(run, flight.time[finite] - flight.time[0], *(part[finite] for part in parts))
     return msgspec.structs.replace(
-        found, fallbacks=flown.fallbacks, fallback_seconds=flown.fallback_seconds, ticks=int(DURATION * RATE)
+        result, fallbacks=flown.fallbacks, fallback_seconds=flown.fallback_seconds, ticks=int(DURATION * RATE)
     )
 
 
-def _judged(run: Run, times: Floats, position: Floats, asked: Floats, velocity: Floats, rate: Floats) -> Flown:
+def _judged(
+    run: Run, times: Floats, position: Floats, reference_position: Floats, velocity: Floats, rate: Floats
+) -> Flown:
     """Figures of the rows after the ramp, on an even grid."""
     grid = np.arange(0.0, times[-1], 1.0 / RATE)
-    position, asked, velocity, rate = (_at(grid, times, part) for part in (position, asked, velocity, rate))
+    position, reference_position, velocity, rate = (
+        _at(grid, times, part) for part in (position, reference_position, velocity, rate)
+    )
     rows = grid >= RAMP
-    error = np.linalg.norm(position - asked, axis=1)[rows]
+    error = np.linalg.norm(position - reference_position, axis=1)[rows]
     linear, angular = (peaks[rows] for peaks in accelerations(velocity, rate))
     return Flown(
         run, "", seconds=float(grid[-1] - RAMP), position_rmse=float(np.sqrt(np.mean(error**2))),
         position_max=float(error.max()), speed_max=float(np.linalg.norm(velocity, axis=1).max()),
         peak_linear=float(linear.max()), peak_angular=float(angular.max()),
         linear=counts(linear, LINEAR_BINS), angular=counts(angular, ANGULAR_BINS),
-        path=_thinned(position[rows]), asked=_thinned(asked[rows]),
+        path=_thinned(position[rows]), reference_position=_thinned(reference_position[rows]),
     )  # fmt: skip
 
 
