@@ -1,6 +1,6 @@
 """The daemon: link, control thread, request worker, recorder, and a supervisor for the vehicle and the user.
 
-The supervisor runs in the caller's thread and does whatever may take its time: it requests rates, runs the slow
+The supervisor runs in the caller's thread and does whatever may take long: it requests rates, runs the slow
 checks, publishes notifications, and turns SIGINT and SIGTERM into a landing.
 """
 
@@ -49,8 +49,11 @@ SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
-    "EXTENDED_SYS_STATE": 5.0, "BATTERY_STATUS": 2.0, "ESC_STATUS": 100.0, "SERVO_OUTPUT_RAW": 100.0,
-}  # fmt: skip
+    "EXTENDED_SYS_STATE": 5.0,
+    "BATTERY_STATUS": 2.0,
+    "ESC_STATUS": 100.0,
+    "SERVO_OUTPUT_RAW": 100.0,
+}
 THRUST_CURVE = "THR_MDL_FAC"
 
 WARM_UP_TICKS = 20
@@ -117,9 +120,14 @@ class Daemon:
     """One flight, from finding the vehicle to leaving it."""
 
     def __init__(
-        self, request: FlightRequest, vehicle: Vehicle, reference: Motion, announce: Announce, *,
+        self,
+        request: FlightRequest,
+        vehicle: Vehicle,
+        reference: Motion,
+        announce: Announce,
+        *,
         bundle: Bundle | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         """Prepare a flight; nothing is opened yet.
 
         announce: takes one line of text; called from the thread that calls `fly`.
@@ -239,9 +247,15 @@ class Daemon:
         self._check_start(link)
         self._requests.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(
-            link, self._telemetry, self._flyer, self._requests, period=1.0 / request.rate, priority=request.priority,
-            processor=request.processor, recorder=self._recorder,
-        )  # fmt: skip
+            link,
+            self._telemetry,
+            self._flyer,
+            self._requests,
+            period=1.0 / request.rate,
+            priority=request.priority,
+            processor=request.processor,
+            recorder=self._recorder,
+        )
         self._engagement_requested = True
         self._requests.engage = True
         control.start()

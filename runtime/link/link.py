@@ -187,7 +187,7 @@ class Link:
             return f"No autopilot's heartbeat on {self.endpoint} within {timeout:g} s. Heard (system/component): {who}."
         what = "bytes that are no MAVLink, wrong baud rate?" if self.parser.skipped_bytes else "nothing at all"
         return (
-            f"Nobody spoke MAVLink on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
+            f"No MAVLink arrived on {self.endpoint} within {timeout:g} s ({what}). Check that the vehicle is on and "
             "sends here: PX4 sends its offboard link to UDP port 14540 (instance i to 14540 + i), a telemetry port "
             "needs MAV_1_CONFIG set and the same baud rate at both ends, and a firewall may drop UDP."
         )
@@ -209,9 +209,15 @@ class Link:
         if not (isfinite(x) and isfinite(y) and isfinite(z) and isfinite(thrust)):
             return False
         message = mavlink.MAVLink_set_attitude_target_message(
-            int(time.monotonic() * 1e3) & 0xFFFFFFFF, *(self.peer.address or (0, 0)), _RATES_AND_THRUST,
-            (1.0, 0.0, 0.0, 0.0), x, -y, -z, min(1.0, max(0.0, float(thrust))),
-        )  # fmt: skip
+            int(time.monotonic() * 1e3) & 0xFFFFFFFF,
+            *(self.peer.address or (0, 0)),
+            _RATES_AND_THRUST,
+            (1.0, 0.0, 0.0, 0.0),
+            x,
+            -y,
+            -z,
+            min(1.0, max(0.0, float(thrust))),
+        )
         return self._pack_and_send(self._setpoint_packer, message, self.settings.own_component)
 
     def send_text(self, text: str, severity: int = mavlink.MAV_SEVERITY_INFO) -> None:

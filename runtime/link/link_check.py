@@ -164,9 +164,13 @@ def _report(
 ) -> LinkReport:
     peer, status, estimate = link.peer, link.status, link.estimate
     clock = ClockCheck(
-        peer.clock.is_two_way, peer.clock.is_valid(now), peer.clock.round_trip, peer.clock.offset(now),
-        peer.clock.uncertainty(now), peer.clock.drift,
-    )  # fmt: skip
+        peer.clock.is_two_way,
+        peer.clock.is_valid(now),
+        peer.clock.round_trip,
+        peer.clock.offset(now),
+        peer.clock.uncertainty(now),
+        peer.clock.drift,
+    )
     imu = peer.latest.get(ImuSample)
     attitude = _check_attitude(estimate, imu) if estimate is not None and isinstance(imu, ImuSample) else None
     values = {

@@ -88,9 +88,16 @@ class Flight:
     """Flyer and plant in lockstep; faults are planted by setting attributes between calls of `run`."""
 
     def __init__(
-        self, vehicle: Vehicle, controller: Controller, reference: Motion, *, plan: Plan | None = None,
-        settings: FlyerSettings | None = None, effectiveness: float = 1.0, nominal: Controller | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        vehicle: Vehicle,
+        controller: Controller,
+        reference: Motion,
+        *,
+        plan: Plan | None = None,
+        settings: FlyerSettings | None = None,
+        effectiveness: float = 1.0,
+        nominal: Controller | None = None,
+    ) -> None:
         self.thrust_map = ThrustMap(vehicle.rotors.thrust_max, vehicle.rotors.thrust_curve, 0.0)
         self.plant = RateControlledVehicle(vehicle, self.thrust_map, effectiveness)
         mission = Mission(vehicle, reference, plan or Plan())

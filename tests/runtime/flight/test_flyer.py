@@ -102,9 +102,15 @@ def test_with_resume_it_takes_over_in_the_air(vehicle: Vehicle, controller: Cont
     flight.plant.step = lambda rate, thrust, dt: real_step(rate, thrust, dt) if flight.mode == "OFFBOARD" else None  # type: ignore[method-assign]
     story = flight.run(40.0)
     assert story.phases == [
-        Phase.GROUND, Phase.BRAKE, Phase.APPROACH, Phase.TRACK, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
+        Phase.GROUND,
+        Phase.BRAKE,
+        Phase.APPROACH,
+        Phase.TRACK,
+        Phase.RETURN,
+        Phase.DESCEND,
+        Phase.TOUCHDOWN,
         Phase.SHUTDOWN,
-    ]  # fmt: skip
+    ]
     heights = np.array([state[2] for state in story.states])
     assert np.min(heights[: story.phases.index(Phase.TRACK) + 300]) > 1.0
 

@@ -138,9 +138,16 @@ def test_fast_flight_is_not_a_jump(monitor: EstimateMonitor) -> None:
         time = 0.02 * n
         noise = random.normal(0.0, 0.03, 3)
         judgement = feed(
-            monitor, 10.0 + time, x=30.0 * time + noise[0], vx=30.0, y=20.0 * time**2 + noise[1], vy=40.0 * time,
-            z=noise[2], q=[np.cos(5.0 * time), np.sin(5.0 * time), 0.0, 0.0], rollspeed=10.0,
-        )  # fmt: skip
+            monitor,
+            10.0 + time,
+            x=30.0 * time + noise[0],
+            vx=30.0,
+            y=20.0 * time**2 + noise[1],
+            vy=40.0 * time,
+            z=noise[2],
+            q=[np.cos(5.0 * time), np.sin(5.0 * time), 0.0, 0.0],
+            rollspeed=10.0,
+        )
         believed(judgement)
 
 

@@ -174,7 +174,7 @@ def test_a_wrong_system_id_is_told_with_those_heard() -> None:
 
 
 def test_a_link_that_never_speaks_is_told_what_to_check(link: Link) -> None:
-    with pytest.raises(VehicleError, match=r"Nobody spoke MAVLink on udpin.*nothing at all.*14540") as refusal:
+    with pytest.raises(VehicleError, match=r"No MAVLink arrived on udpin.*nothing at all.*14540") as refusal:
         link.wait_for_vehicle(0.1)
     assert refusal.value.exit_code == 4
 

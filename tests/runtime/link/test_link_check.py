@@ -147,7 +147,7 @@ def test_dangerous_parameters_are_warned_of(port: int, vehicle: StreamingVehicle
 
 
 def test_a_link_that_never_speaks_is_refused(port: int) -> None:
-    with pytest.raises(VehicleError, match="Nobody spoke MAVLink"):
+    with pytest.raises(VehicleError, match="No MAVLink arrived"):
         check_link(Endpoint("udpin", "127.0.0.1", port), timeout=0.1)
 
 
