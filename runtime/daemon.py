@@ -29,7 +29,7 @@ from runtime.flight.flyer import Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import ThrustMap
+from runtime.flight.thrust import THRUST_CURVE, ThrustMap
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
@@ -54,7 +54,6 @@ SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may
     "ESC_STATUS": 100.0,
     "SERVO_OUTPUT_RAW": 100.0,
 }
-THRUST_CURVE = "THR_MDL_FAC"
 
 WARM_UP_TICKS = 20
 

@@ -13,7 +13,8 @@ from rich.table import Table
 
 from dynamics.errors import VehicleError
 from runtime.link.connection import parse_endpoint
-from runtime.link.link_check import LinkReport, check_link
+from runtime.link.link_check import check_link
+from runtime.link.link_report import LinkReport
 from runtime.link.rates import WINDOW
 
 

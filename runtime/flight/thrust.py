@@ -18,6 +18,8 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
+THRUST_CURVE = "THR_MDL_FAC"  # the autopilot's parameter f
+
 
 def curve(signal: float, factor: float) -> float:
     """Thrust per greatest thrust at a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""

@@ -12,12 +12,11 @@ from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
-from runtime.flight.thrust import ThrustMap
+from runtime.flight.thrust import THRUST_CURVE, ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.recording import FlightRecording
 from runtime.record.records import EstimateRecord, ObservationRecord, ParameterRecord, SetpointRecord, StateRecord
 
-THRUST_CURVE = "THR_MDL_FAC"
 REQUIRED = ("plan", "settings", "controller")
 
 

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics.errors import RequestError, VehicleError
 from runtime.link.connection import Endpoint
-from runtime.link.link_check import LinkReport, check_link
+from runtime.link.link_check import check_link
+from runtime.link.link_report import LinkReport
 from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
