@@ -72,7 +72,7 @@ class ControlThread:
     autopilot_requests: for the request worker.
     notifications: for the supervisor.
     first_setpoint: when it was sent, s, monotonic; NaN before.
-    defect: what the last tick raised, empty when none did.
+    defect: the last exception of a tick, empty when there was none.
     """
 
     def __init__(

@@ -1,0 +1,140 @@
+"""The control thread ticks by estimates or by the clock, and a defect degrades a flight before it ends the stream."""
+
+from __future__ import annotations
+
+import time
+from typing import Any
+
+import numpy as np
+import pytest
+
+from runtime.control_thread import MAX_DEFECTS, ControlThread, Requests
+from runtime.flight.engagement import AutopilotRequest, State
+from runtime.flight.events import Event
+from runtime.flight.flyer import Decision
+from runtime.flight.mission import Phase
+from runtime.link.estimate import StateEstimate
+from runtime.link.telemetry import LinkEvent, VehicleStatus
+from runtime.record.records import ObservationRecord
+from runtime.telemetry_buffer import TelemetryBuffer
+from tests.support.fake_vehicle import wait_until
+
+PERIOD = 0.01
+
+
+class SilentLink:
+    """A link to a vehicle that is heard but sends no estimate."""
+
+    def __init__(self) -> None:
+        self.status = VehicleStatus(system=1, component=1, mode="HOLD")
+        self.setpoints: list[tuple[tuple[float, float, float], float]] = []
+
+    def is_connected(self, now: float) -> bool:
+        return True
+
+    def wait_for_estimate(self, newer_than: StateEstimate | None, deadline: float) -> StateEstimate | None:
+        time.sleep(max(0.0, deadline - time.monotonic()))
+        return None
+
+    def send_rate_setpoint(self, rate_body: tuple[float, float, float], thrust: float) -> bool:
+        self.setpoints.append((rate_body, thrust))
+        return True
+
+
+class ScriptedFlyer:
+    """Flight logic that always decides the same, or raises; over after a number of ticks."""
+
+    horizon = None
+    model_ratio = float("nan")
+
+    def __init__(self, decision: Decision, *, ticks: int = 1000, defects: int = 0) -> None:
+        self.decision, self.ticks, self.defects = decision, ticks, defects
+        self.observations: list[ObservationRecord] = []
+        self.engagement: Any = type("Engagement", (), {"state": State.STANDBY})
+        self.mission: Any = type("Mission", (), {"phase": Phase.GROUND})
+
+    @property
+    def over(self) -> bool:
+        return len(self.observations) >= self.ticks
+
+    def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
+        self.observations.append(observation)
+        if self.defects > 0:
+            self.defects -= 1
+            raise ZeroDivisionError("planted")
+        return self.decision
+
+    def prepare(self, time: float) -> None:
+        pass
+
+    def reference_now(self, time: float) -> None:
+        return None
+
+
+def control_thread(flyer: ScriptedFlyer, link: SilentLink, requests: Requests | None = None) -> ControlThread:
+    buffer = TelemetryBuffer()
+    buffer.event(LinkEvent(1.0, "estimate_jump", "warning", "by 3 m"))
+    return ControlThread(link, buffer, flyer, requests or Requests(), period=PERIOD)  # type: ignore[arg-type]
+
+
+def hovering() -> Decision:
+    return Decision(rate_body=np.array([0.1, 0.2, 0.3]), thrust=0.5, requests=(AutopilotRequest.ARM,))
+
+
+def test_without_estimates_the_clock_ticks_and_every_decision_is_sent() -> None:
+    flyer, link = ScriptedFlyer(hovering(), ticks=20), SilentLink()
+    control = control_thread(flyer, link)
+    control.start()
+    assert control.join(10.0)
+    assert link.setpoints == [((0.1, 0.2, 0.3), 0.5)] * 20
+    assert control.deadlines.by_clock == 20
+    assert control.autopilot_requests.qsize() == 20
+    assert control.first_setpoint < time.monotonic()
+
+
+def test_a_request_to_engage_reaches_exactly_one_tick_and_events_of_the_link_too() -> None:
+    flyer = ScriptedFlyer(Decision(), ticks=5)
+    control = control_thread(flyer, SilentLink(), Requests(engage=True, slow_findings={Event.RATES_LOW: "12 Hz"}))
+    control.start()
+    assert control.join(10.0)
+    assert [observation.engage for observation in flyer.observations] == [True, False, False, False, False]
+    assert ["estimate_jump" in observation.findings for observation in flyer.observations] == [True] + [False] * 4
+    assert all("rates_low" in observation.findings for observation in flyer.observations)
+
+
+def test_a_stop_ends_the_stream_at_once() -> None:
+    flyer, link, requests = ScriptedFlyer(hovering()), SilentLink(), Requests()
+    control = control_thread(flyer, link, requests)
+    control.start()
+    wait_until(lambda: link.setpoints)
+    requests.stop = True
+    assert control.join(10.0)
+    assert len(link.setpoints) < 1000
+
+
+def test_a_few_defects_are_survived_and_named() -> None:
+    flyer, link = ScriptedFlyer(hovering(), ticks=MAX_DEFECTS + 5, defects=MAX_DEFECTS - 1), SilentLink()
+    control = control_thread(flyer, link)
+    control.start()
+    assert control.join(10.0)
+    assert len(link.setpoints) == 6
+    assert "planted" in control.defect
+
+
+def test_defects_without_end_stop_the_stream_with_a_notification() -> None:
+    flyer, link = ScriptedFlyer(hovering(), defects=1000), SilentLink()
+    control = control_thread(flyer, link)
+    control.start()
+    assert control.join(10.0)
+    assert link.setpoints == []
+    assert len(flyer.observations) == MAX_DEFECTS
+    assert "the autopilot's failsafe acts" in str(control.notifications.get_nowait())
+
+
+@pytest.mark.parametrize("decision", [Decision(), hovering()])
+def test_only_setpoints_that_were_sent_are_late(decision: Decision) -> None:
+    flyer = ScriptedFlyer(decision, ticks=5)
+    control = control_thread(flyer, SilentLink())
+    control.start()
+    assert control.join(10.0)
+    assert control.deadlines.ticks == (5 if decision.rate_body is not None else 0)
