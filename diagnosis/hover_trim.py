@@ -21,6 +21,7 @@ from scipy import ndimage, stats
 from diagnosis.data.filters import difference, low_pass
 from diagnosis.report import FoundEffect, ParameterValue, Verdict
 from dynamics.arrays import Floats
+from dynamics.effects.weak_rotor import EFFECT as WEAK_ROTOR
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight
@@ -200,7 +201,7 @@ def _weak(rotor: int, before: Floats, after: Floats, error: float, confidence: f
     loss = float(1 - was / now)
     deviation = float(error * (1 - loss) / after[rotor])
     parameters = {"loss": ParameterValue(round(loss, 4), round(deviation, 4), "1")}
-    return FoundEffect("weak_rotor", rotor, parameters, round(confidence, 4), ("centre_of_mass",))
+    return FoundEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), WEAK_ROTOR.confounded_with)
 
 
 def _next_flight(effects: Sequence[FoundEffect], normal: int) -> str:

@@ -44,7 +44,7 @@ class Model:
     observe: (x, u, p, e) -> specific_force (3,) body m/s^2, angular_acceleration (3,) rad/s^2, rotor_speed (n,) rad/s.
     respond: (x, u, a, p, e) -> specific_force, angular_acceleration; the rotors accelerate by a (n,) rad/s^2.
     measure: (specific_force, rate_body, rotor_speed, p) -> the same as the sensors read them, and the pose's age, s.
-    constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, as the effects have changed them.
+    constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, centre_of_mass (3,) m, as the effects change them.
     """
 
     vehicle: Vehicle
@@ -87,6 +87,22 @@ class Model:
         """Thrust constant of each rotor with the effects on it (n,), N s^2/rad^2."""
         return np.array(self.constants(self.parameter_values, ENVIRONMENT_DEFAULT)[1]).ravel()
 
+    @property
+    def centre_of_mass(self) -> NDArray[np.float64]:
+        """Centre of mass with the effects on it (3,), body FLU, m."""
+        return np.array(self.constants(self.parameter_values, ENVIRONMENT_DEFAULT)[2]).ravel()
+
+    @property
+    def rotor_speed_places(self) -> tuple[slice, ...]:
+        """Where the state holds the rotors' real speeds: a place for each lag of theirs."""
+        lags = [(item.hidden, item.effect.rotor_speed_state) for item in self.effects]
+        return tuple(hidden[name] for hidden, name in lags if name is not None)
+
+    @property
+    def time_constants(self) -> tuple[float, ...]:
+        """Values of the effects' time constants, s: no step of an integration may be much longer."""
+        return tuple(item.values[name] for item in self.effects for name in item.effect.time_constants)
+
     def parameter_index(self, name: str) -> int:
         """Place of a parameter, such as "body.mass" or "rotor_drag.coefficient", in p."""
         return self.parameter_names.index(name)
@@ -118,8 +134,9 @@ def build_model(
     observed = [motion.specific_force, motion.angular_acceleration, motion.rotor_speed]
     labels = ["specific_force", "angular_acceleration", "rotor_speed"]
     observe = ca.Function("observe", [x, u, p, e], observed, ["x", "u", "p", "e"], labels)
-    found = [physics.mass, physics.thrust_constant]
-    constants = ca.Function("constants", [p, e], found, ["p", "e"], ["mass", "thrust_constant"])
+    changed = [physics.mass, physics.thrust_constant, physics.centre_of_mass]
+    labels = ["mass", "thrust_constant", "centre_of_mass"]
+    constants = ca.Function("constants", [p, e], changed, ["p", "e"], labels)
     respond, measure = _respond(active, named, x, conditions, [x, u, p, e]), _measure(active, named, p, u.numel())
     return Model(vehicle, active, names, values, hidden_initial, derivative, observe, respond, measure, constants)
 
@@ -311,7 +328,7 @@ def _rotor_acceleration(
     active: Sequence[ActiveEffect], rates: Sequence[Mapping[str, Expression]], physics: Physics
 ) -> Expression:
     """Acceleration of the rotors: that of the hidden state which holds their speed, or none."""
-    for item, found in zip(active, rates, strict=True):
-        if item.effect.rotor_speed is not None and "rotor_speed" in found:
-            return found["rotor_speed"]
+    for item, derivatives in zip(active, rates, strict=True):
+        if item.effect.rotor_speed_state is not None:
+            return derivatives[item.effect.rotor_speed_state]
     return ca.SX.zeros(physics.rotor_count)

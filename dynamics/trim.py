@@ -64,9 +64,8 @@ def _hover_response(model: Model) -> ca.Function:
     """(rotor speeds) -> what is left of (vertical, angular) acceleration, level and at rest, and its Jacobian."""
     speed = ca.SX.sym("speed", model.input_count)
     state = ca.SX(model.initial_state(np.array([0.0, 0.0, HIGH_UP, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])))
-    for item in model.effects:
-        if "rotor_speed" in item.hidden:
-            state[item.hidden["rotor_speed"]] = speed
+    for place in model.rotor_speed_places:
+        state[place] = speed
     force, angular, _ = model.observe(state, speed, model.parameter_values, ENVIRONMENT_DEFAULT)
     left = ca.vertcat(force[2] - GRAVITY, angular)
     return ca.Function("hover_response", [speed], [left, ca.jacobian(left, speed)])

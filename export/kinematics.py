@@ -13,12 +13,11 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
-from dynamics.integrators import rk4
+from dynamics.integrators import required_steps, rk4
 from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
 from export.trained import ExportedModel
 from runtime.control.rti.problem import Problem
-from runtime.control.rti.solver import substeps
 
 
 def roll_out(
@@ -36,7 +35,7 @@ def roll_out(
 
 def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start: Floats, inputs: Floats) -> Floats:
     flown = model.flight_model
-    steps, quiet = substeps(flown, problem.node), np.zeros(flown.hidden_count)
+    steps, quiet = required_steps(flown, problem.node), np.zeros(flown.hidden_count)
 
     def field(u: Floats, x: Floats) -> Floats:
         if model.network is None:
@@ -48,8 +47,7 @@ def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start:
 
     x, states = start, [start]
     for u in inputs:
-        for _ in range(steps):
-            x = rk4(partial(field, u), x, problem.node / steps)
+        x = rk4(partial(field, u), x, problem.node, steps=steps)
         states.append(x)
     return np.array(states)
 

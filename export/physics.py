@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from dynamics.integrators import rk4
+from dynamics.integrators import required_steps, rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.state import RIGID_BODY_STATES
 
@@ -14,7 +14,7 @@ NAME = "alula_physics"
 def physics_function(model: Model, *, dt: float, mean: bool) -> ca.Function:
     """(x, u, p, e) -> rates (6 + hidden), by_state, by_input: world and body accelerations, then hidden states' rates.
 
-    mean: over the next dt seconds with the input held, by one RK4 step; else the accelerations at x itself.
+    mean: over the next dt seconds with the input held, by RK4; else the accelerations at x itself.
     """
     x, u = ca.SX.sym("x", model.state_count), ca.SX.sym("u", model.input_count)
     p, e = ca.SX.sym("p", model.parameter_values.size), ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
@@ -23,7 +23,7 @@ def physics_function(model: Model, *, dt: float, mean: bool) -> ca.Function:
     def field(state: ca.SX) -> ca.SX:
         return model.derivative(state, u, p, e, quiet)
 
-    slope = (rk4(field, x, dt) - x) / dt if mean else field(x)
+    slope = (rk4(field, x, dt, steps=required_steps(model, dt)) - x) / dt if mean else field(x)
     rates = ca.vertcat(slope[3:6], slope[10:13], slope[RIGID_BODY_STATES:])
     parts = [ca.densify(part) for part in (rates, ca.jacobian(rates, x), ca.jacobian(rates, u))]
     return ca.Function(NAME, [x, u, p, e], ca.cse(parts), ["x", "u", "p", "e"], ["rates", "by_state", "by_input"])

@@ -12,6 +12,8 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.errors import VehicleError
 from dynamics.references import Reference
 from dynamics.vehicle import EffectUse, Vehicle
@@ -81,6 +83,7 @@ class FlownReference:
 def fly_reference(
     vehicle: Vehicle, reference: Reference, *, effects: Sequence[EffectUse] = (), options: VehicleOptions | None = None,
     seed: int = 0, name: str = "", controller: Controller | None = None, nominal: Controller | None = None,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> FlownReference:  # fmt: skip
     """Fly a reference from its start to its end. effects: hidden from the controller. options: the vehicle's sensors.
 
@@ -91,9 +94,9 @@ def fly_reference(
     start = reference.states(np.zeros(1))[0]
     yaw = float(2 * np.arctan2(start[9], start[6]))
     options = options or VehicleOptions(yaw=yaw)
-    plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed)
+    plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed, catalogue=catalogue)
     _climb(plant, start[0:3], yaw)
-    controller = controller or Controller.build(vehicle)
+    controller = controller or Controller.build(vehicle, catalogue=catalogue)
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
     settings = FlyerSettings(period=PERIOD, engagement=EngagementSettings(resume=True))

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.effects.wind import steady_wind
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
@@ -70,7 +71,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """The effects, the wind among them."""
         if self.wind is None:
             return self.effects
-        return (*self.effects, EffectUse("wind", {"x": self.wind.x, "y": self.wind.y, "z": self.wind.z}))
+        return (*self.effects, steady_wind(self.wind.x, self.wind.y, self.wind.z))
 
     def vehicle_options(self) -> VehicleOptions:
         """The part that the simulated vehicle needs."""

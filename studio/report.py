@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,8 @@ from diagnosis.diagnose import Findings
 from diagnosis.regimes import regime_maps, regime_planes
 from diagnosis.report import Diagnosis, sentence
 from diagnosis.spectrum import residual_spectrum
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
 from studio import diagnosed as pictures
 from studio import flown as flights
@@ -68,9 +70,12 @@ def demo_page(
     )  # fmt: skip
 
 
-def add_command(diagnosis: Diagnosis, logs: Sequence[Path], vehicle: str, hold_out: str | None) -> str:
+def add_command(
+    diagnosis: Diagnosis, logs: Sequence[Path], vehicle: str, hold_out: str | None,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+) -> str:  # fmt: skip
     """The command that adds the first effect that was found, empty where there is none that can be added."""
-    able = [effect for effect in diagnosis.effects if effect.name != "gust"]
+    able = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
     if not able:
         return ""
     words = ["alula", "add", able[0].name, *map(str, logs), "--vehicle", vehicle]

@@ -14,14 +14,13 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.effects import CATALOGUE
+from dynamics.effects import CATALOGUE, motor_lag
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset, labelled
 from training.physics import RowModel
 
-ROTOR_LAG = "motor_lag"  # of the catalogue
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences
 SETTLED = 1e-3  # relative change that ends the rounds
@@ -77,7 +76,7 @@ def with_rotor_lag(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehi
     named = any(CATALOGUE[use.name].rotor_speed is not None for use in vehicle.effects)
     if named or config.motors == "measured":
         return vehicle
-    return fit_effects(config, named_effects(vehicle, [EffectUse(ROTOR_LAG)]), data)
+    return fit_effects(config, named_effects(vehicle, [EffectUse(motor_lag.EFFECT.name)]), data)
 
 
 def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
@@ -86,18 +85,13 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
         (f"{item.key}.{parameter.name}", parameter, item)
         for item in model.model.effects
         for parameter in item.effect.parameters
-        if not item.effect.measurement and not is_random(item.effect.name)
+        if not item.effect.measurement and not item.effect.stochastic
     ]
     scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in found]
     return _Problem(
         config, model, data, _pieces(data), tuple(name for name, _, _ in found),
         np.array([p.lower for _, p, _ in found]), np.array([p.upper for _, p, _ in found]), np.array(scale),
     )  # fmt: skip
-
-
-def is_random(name: str) -> bool:
-    """Whether an effect's hidden state is noise, of which a model of the mean knows nothing."""
-    return name == "gust"
 
 
 def _pieces(data: Dataset) -> tuple[tuple[int, int], ...]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
+from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
@@ -20,7 +21,6 @@ from training.data.dataset import Dataset
 from training.data.features import body_accelerations
 from training.data.labels import mean_increment
 from training.data.recordings import CAMPAIGN
-from training.effects_fit import is_random
 
 FOLDER = "truth"  # of a campaign
 
@@ -47,7 +47,7 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
         raise DataError(f"{path} does not say what the campaign hid: {error}. Fly it again.") from error
     uses = [parse_effect(text, vehicle.rotors.count) for text in texts]
     bare = msgspec.structs.replace(vehicle, effects=())
-    return bare.with_effects(*[use for use in uses if not is_random(use.name)])
+    return bare.with_effects(*[use for use in uses if not CATALOGUE[use.name].stochastic])
 
 
 def true_label(data: Dataset, campaign: Path, *, dt: float) -> Floats:

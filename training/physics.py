@@ -15,7 +15,7 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.codegen import compile_functions
 from dynamics.effects import CATALOGUE
-from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
@@ -108,10 +108,8 @@ def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:
     """(m, hidden + 1) hidden states of hover, but rotors as fast as they are told at the start: (m, rotors) rad/s."""
     carried = np.zeros((len(rotor_speed), model.hidden_count + 1))
     carried[:, : model.hidden_count] = model.hidden_initial
-    for item in model.effects:
-        if "rotor_speed" in item.hidden:
-            place = item.hidden["rotor_speed"]
-            carried[:, place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = rotor_speed
+    for place in model.rotor_speed_places:
+        carried[:, place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = rotor_speed
     return carried
 
 
@@ -126,7 +124,8 @@ def row_function(model: Model, dt: float, label: Label) -> ca.Function:
     x, u = ca.SX.sym("x", RIGID_BODY_STATES), ca.SX.sym("u", model.input_count)
     p, e, still = ca.SX.sym("p", len(model.parameter_names)), ENVIRONMENT_DEFAULT, ca.SX.zeros(model.hidden_count)
     whole = ca.vertcat(x, hidden)
-    after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), whole, dt))
+    steps = required_steps(model, dt)
+    after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), whole, dt, steps=steps))
     if label == "mean_increment":
         acceleration = (after[3:6] - x[3:6]) / dt + ca.vertcat(0, 0, GRAVITY)
         body = ca.vertcat(quaternion.rotate_inverse(x[6:10], acceleration), (after[10:13] - x[10:13]) / dt)

@@ -48,7 +48,9 @@ def diagnose(
     if html is not None:
         from studio.report import add_command
 
-        result.write_html(html, add_command=add_command(result.report, logs, vehicle, hold_out))
+        result.write_html(
+            html, add_command=add_command(result.report, logs, vehicle, hold_out, result.details.regression.catalogue)
+        )
     if json != Path("-"):
         _print(result, Console(file=sys.stdout))
 

@@ -17,11 +17,12 @@ from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
+from dynamics.integrators import rk4_driven
 from dynamics.model import Model, build_model
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
-SLOW_HIDDEN = 50.0  # Hz at which hidden states other than the rotors' speed are integrated: they swing more slowly
+SLOW_HIDDEN = 50.0  # Hz at which hidden states without a short time constant are integrated
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 
 
@@ -78,7 +79,8 @@ class Predictor:
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
         advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
         self._advance = RowFunction(advance, chained=True) if advance is not None else None
-        self._follows_rotors = any(item.effect.rotor_speed is not None for item in self.model.effects)
+        lags = self.model.time_constants
+        self._is_fast = bool(self.model.rotor_speed_places) or min(lags, default=np.inf) < 1 / SLOW_HIDDEN
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -128,7 +130,7 @@ class Predictor:
     def _hidden(self, segment: Segment, p: Floats) -> Floats:
         """(n, h) hidden states along the segment, from their values in hover."""
         assert self._advance is not None
-        stride = 1 if self._follows_rotors else max(1, int(segment.rate / SLOW_HIDDEN))
+        stride = 1 if self._is_fast else max(1, int(segment.rate / SLOW_HIDDEN))
         here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
         steps = len(here) - 1
         initial = _settled(self.model, segment)
@@ -140,10 +142,8 @@ class Predictor:
 def _settled(model: Model, segment: Segment) -> Floats:
     """Hidden states at the start: those of hover, and rotors as fast as commanded then."""
     hidden = model.hidden_initial.copy()
-    for item in model.effects:
-        for name, place in item.hidden.items():
-            if name == "rotor_speed":
-                hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
+    for place in model.rotor_speed_places:
+        hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
     return hidden
 
 
@@ -203,9 +203,5 @@ def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:
         state = ca.vertcat(row[0:10], rate, hidden)
         return model.derivative(state, speed, p, row[13 + n :], ca.SX.zeros(model.hidden_count))[13:]
 
-    k1 = slope(h, 0.0)
-    k2 = slope(h + dt / 2 * k1, 0.5)
-    k3 = slope(h + dt / 2 * k2, 0.5)
-    k4 = slope(h + dt * k3, 1.0)
-    following = h + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+    following = rk4_driven(slope, h, dt)
     return ca.Function("advance", [h, before, after, p, dt], [following])

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values
 from dynamics.excitation import COMMAND, QUICK_TURNS, Excitation
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import EffectUse, Vehicle
 
 
 def rotor_speed(_: Expression, hidden: Values) -> Expression:
@@ -44,3 +44,8 @@ EFFECT = Effect(
         manoeuvre="quick steps in thrust and body rates",
     ),
 )
+
+
+def rotor_lag(seconds: float) -> EffectUse:
+    """This lag with a time constant."""
+    return EffectUse(EFFECT.name, {"time_constant": seconds})

@@ -12,7 +12,7 @@ from dynamics import quaternion
 from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Span, Values, Wrench
 from dynamics.effects import rotor_drag
 from dynamics.excitation import FORCE, POSE, Excitation
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import EffectUse, Vehicle
 
 COEFFICIENT = Parameter(
     "coefficient",
@@ -72,3 +72,8 @@ EFFECT = Effect(
         manoeuvre="hover with the nose turned to four directions, and known drag in the vehicle file",
     ),
 )
+
+
+def steady_wind(east: float, north: float, up: float) -> EffectUse:
+    """This wind with a velocity, world ENU, m/s."""
+    return EffectUse(EFFECT.name, {"x": east, "y": north, "z": up})

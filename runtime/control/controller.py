@@ -7,6 +7,7 @@ command is on its way, `prepare` for the next tick.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,6 +15,8 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.model import Model, build_model
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.trim import find_trim
@@ -99,9 +102,11 @@ class Controller:
         self._command_states = self.solver.states[: min(2, options.problem.nodes + 1)]
 
     @classmethod
-    def build(cls, vehicle: Vehicle, options: ControllerOptions | None = None) -> Controller:
+    def build(
+        cls, vehicle: Vehicle, options: ControllerOptions | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
+    ) -> Controller:
         """The controller of a vehicle with the effects of its file in the model; compiles unless cached."""
-        return cls(build_model(vehicle), options or ControllerOptions())
+        return cls(build_model(vehicle, catalogue=catalogue), options or ControllerOptions())
 
     @classmethod
     def from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller:

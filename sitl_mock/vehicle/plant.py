@@ -7,14 +7,16 @@ serves all vehicles with as many rotors and the same set of effects.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import casadi as ca
 
 from dynamics import quaternion
-from dynamics.effect import Expression, Values
-from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.effect import Effect, Expression, Values
+from dynamics.effects import CATALOGUE
+from dynamics.effects.motor_lag import rotor_lag
+from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
@@ -47,17 +49,21 @@ class Plant:
     step: ca.Function
 
 
-def plant_effects(vehicle: Vehicle, hidden: Sequence[EffectUse]) -> tuple[EffectUse, ...]:
+def plant_effects(
+    vehicle: Vehicle, hidden: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE
+) -> tuple[EffectUse, ...]:
     """Effects of the vehicle file, those hidden from it in their place or beside them, and always some motor lag."""
     merged = {(use.name, use.rotor): use for use in (*vehicle.effects, *hidden)}
-    if ("motor_lag", None) not in merged:
-        merged["motor_lag", None] = EffectUse("motor_lag", {"time_constant": DEFAULT_MOTOR_LAG})
-    return tuple(merged.values())
+    if any(catalogue[use.name].rotor_speed is not None for use in merged.values()):
+        return tuple(merged.values())
+    return (*merged.values(), rotor_lag(DEFAULT_MOTOR_LAG))
 
 
-def build_plant(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Plant:
+def build_plant(
+    vehicle: Vehicle, hidden: Sequence[EffectUse] = (), catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Plant:
     """The plant of a vehicle with effects that its file does not name."""
-    model = build_model(vehicle, effects=plant_effects(vehicle, hidden))
+    model = build_model(vehicle, effects=plant_effects(vehicle, hidden, catalogue), catalogue=catalogue)
     layouts = _layouts(model)
     inputs, parts = zip(*(layout.symbol(name) for name, layout in layouts.items() if name != "record"), strict=True)
     after, record = _step(model, *parts)
@@ -161,7 +167,7 @@ def _fly(
     def field(state: Expression) -> Expression:
         return model.derivative(state, speed, constants["model"], environment, white) + contact
 
-    return with_unit_attitude(rk4(field, x, DT))
+    return with_unit_attitude(rk4(field, x, DT, steps=required_steps(model, DT)))
 
 
 def _contact(x: Expression, constants: Values) -> tuple[Expression, Expression]:

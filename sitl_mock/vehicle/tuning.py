@@ -8,10 +8,12 @@ of motor and gyro filter, stay what they are on the SIH quadrotor.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle.allocation import torque_authority
 from sitl_mock.vehicle.vehicle_interface import Tuning
@@ -32,18 +34,24 @@ YAW_SPEED = 0.3765  # yaw rate gain in units of 1 / (lag + torque filter)
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 
 
-def motor_time_constant(effects: Sequence[EffectUse]) -> float:
-    """Lag that the last motor_lag among effects gives the motors, s, or the default."""
-    named = [use.parameters["time_constant"] for use in effects if use.name == "motor_lag" and use.parameters]
-    return named[-1] if named else DEFAULT_MOTOR_LAG
+def motor_time_constant(effects: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> float:
+    """Lag that the last effect on the rotors' speed gives the motors, s, or the default where none has a value."""
+    lags = [
+        sum(use.parameters[name] for name in catalogue[use.name].time_constants if name in use.parameters)
+        for use in effects
+        if catalogue[use.name].rotor_speed is not None
+    ]
+    return next((lag for lag in reversed(lags) if lag > 0), DEFAULT_MOTOR_LAG)
 
 
-def default_tuning(vehicle: Vehicle, hidden: Sequence[EffectUse] = ()) -> Tuning:
+def default_tuning(
+    vehicle: Vehicle, hidden: Sequence[EffectUse] = (), catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Tuning:
     """Gains derived from the vehicle; PX4's defaults for `vehicles/px4_sih.toml`.
 
     hidden: effects that the vehicle file does not name. The gains suit the real vehicle, slow motors included.
     """
-    motor = motor_time_constant((*vehicle.effects, *hidden))
+    motor = motor_time_constant((*vehicle.effects, *hidden), catalogue)
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
     lag = motor + math.sqrt(2) / (2 * math.pi * cutoff) + ACTUATION_DELAY
     torque = torque_authority(vehicle) / np.array(vehicle.body.inertia)

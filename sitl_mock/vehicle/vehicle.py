@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
@@ -60,7 +62,10 @@ class VehicleOptions:
 class SimulatedVehicle:
     """A vehicle on the ground, disarmed, at simulated time 0.
 
-    effects: hidden from the vehicle file. tuning: None for gains derived from the vehicle.
+    effects: hidden from the vehicle file.
+    tuning: None for gains derived from the vehicle.
+    catalogue: the effects that may be named.
+
     Raises RequestError when there is no C compiler.
     """
 
@@ -72,10 +77,11 @@ class SimulatedVehicle:
         options: VehicleOptions | None = None,
         tuning: Tuning | None = None,
         seed: int = 0,
+        catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> None:
         self.vehicle = vehicle
         self.options = options or VehicleOptions()
-        self.plant: Plant = build_plant(vehicle, effects)
+        self.plant: Plant = build_plant(vehicle, effects, catalogue)
         self._random = np.random.default_rng(seed)
         self._loop = StepLoop(self.plant)
         self._records = self.plant.record.views(self._loop.records)
@@ -93,7 +99,7 @@ class SimulatedVehicle:
         self.land_detector = LandDetector()
         self._set_constants()
         self._set_state()
-        self.tuning = tuning or default_tuning(vehicle, effects)
+        self.tuning = tuning or default_tuning(vehicle, effects, catalogue)
         self._position_control = PositionControl(self.truth.position_world, self.tuning)
         self.tune(self.tuning)
 
@@ -215,7 +221,7 @@ class SimulatedVehicle:
             "model": model.parameter_values,
             "mixer": mix,
             "unmixer": np.linalg.pinv(mix),
-            "feet": ground.contact_points(vehicle) - self._centre_of_mass()[:, None],
+            "feet": ground.contact_points(vehicle) - self.plant.model.centre_of_mass[:, None],
             "mass_over_inertia": vehicle.body.mass / np.array(vehicle.body.inertia),
             "ground_height": self.options.ground_height,
             "speed_min": rotors.speed_min,
@@ -231,25 +237,16 @@ class SimulatedVehicle:
         }
         self._loop.constants[:] = self.plant.constants.fill(constants)
 
-    def _centre_of_mass(self) -> Floats:
-        """The true centre of mass, body FLU, m."""
-        moved = [item.values for item in self.plant.model.effects if item.effect.name == "centre_of_mass"]
-        centre = np.array(self.vehicle.body.centre_of_mass)
-        for values in moved:
-            centre += [values[axis] for axis in "xyz"]
-        return centre
-
     def _set_state(self) -> None:
         model = self.plant.model
         east, north = self.options.position
         height = self.options.ground_height + ground.leg_height(self.vehicle) - ground.SINKAGE
         attitude = quaternion.from_euler(0.0, 0.0, self.options.yaw)
-        centre = self._centre_of_mass()
+        centre = self.plant.model.centre_of_mass
         position = np.array([east, north, height]) + quaternion.rotate(attitude, centre)
         x = model.initial_state(np.concatenate([position, np.zeros(3), attitude, np.zeros(3)]))
-        for item in model.effects:
-            if "rotor_speed" in item.hidden:
-                x[item.hidden["rotor_speed"]] = 0.0
+        for place in model.rotor_speed_places:
+            x[place] = 0.0
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
         state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}
         self._loop.state[:] = self.plant.state.fill(state)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import ctypes
-import math
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from dynamics.codegen import FLAGS, build_library, generate_c
 from dynamics.effect import Expression
 from dynamics.errors import RequestError
-from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.state import RIGID_BODY_STATES
 from runtime.control.rti.hpipm import find_hpipm
@@ -26,7 +25,6 @@ ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
     "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
 )  # fmt: skip
-MAX_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
 
 
 class RtiReport(ctypes.Structure):
@@ -203,7 +201,7 @@ def solver_recipe(
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
         "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": substeps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
+        "SUBSTEPS": required_steps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
         "LOOPS": int(node.is_a("MXFunction")),
     }  # fmt: skip
     for name, function in (("NODE", node), ("STEP", step)):
@@ -244,11 +242,3 @@ def _functions(model: Model, field: ca.Function) -> tuple[ca.Function, ca.Functi
     plain = rk4(lambda state: field(state, u, p, e)[0], x, dt)
     step = ca.Function("alula_step", [x, u, p, e, dt], [ca.densify(with_unit_attitude(plain))])
     return node, step
-
-
-def substeps(model: Model, node: float) -> int:
-    """RK4 steps a node, so that none is longer than the fastest lag in the model allows."""
-    lags = [
-        item.values["time_constant"] for item in model.effects if item.effect.hidden and "time_constant" in item.values
-    ]
-    return max([1, *(math.ceil(node / (MAX_STEP_IN_LAGS * lag)) for lag in lags)])
