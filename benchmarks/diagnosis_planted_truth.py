@@ -26,8 +26,8 @@ from rich.progress import track
 from benchmarks.planted_cases import Case, fair, flown, names, pairs, vehicle
 from benchmarks.planted_table import table
 from benchmarks.provenance import write_result
-from diagnosis.diagnose import Findings, diagnose
-from diagnosis.report import FoundEffect
+from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
+from diagnosis.report import MissingEffect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.foreign_effects import FOREIGN
@@ -42,13 +42,13 @@ def run(case: Case) -> dict[str, object]:
     try:
         data, uses = flown(case)
         began = time.process_time()
-        findings = diagnose(data, vehicle(), CATALOGUE)
+        findings = diagnose_dataset(data, vehicle(), CATALOGUE)
     except Exception as error:  # a case that cannot be flown or answered is a result, too
         return {**asdict(case), "error": f"{type(error).__name__}: {error}"[:200]}
     return {**asdict(case), "took": time.process_time() - began, **outcome(findings, uses)}
 
 
-def outcome(findings: Findings, uses: Sequence[EffectUse]) -> dict[str, object]:
+def outcome(findings: DiagnosisDetails, uses: Sequence[EffectUse]) -> dict[str, object]:
     """What was said, and the numbers that it was said from."""
     answer = findings.diagnosis
     true = {use.name: use for use in uses}
@@ -67,8 +67,8 @@ def outcome(findings: Findings, uses: Sequence[EffectUse]) -> dict[str, object]:
         "rotors": [e.rotor for e in answer.effects],
         "truth": [(use.name, use.rotor, use.parameters) for use in uses],
         "over_floor": {k: (c.before / c.floor, c.after / c.floor) for k, c in answer.channels.items()},
-        "leftover": asdict(findings.leftover),
-        "misfit": (findings.misfit_before, findings.misfit_after),
+        "residual_tests": asdict(findings.residual_tests),
+        "chi_square": (findings.chi_square_before, findings.chi_square_after),
         "singles": [(s.candidates[0].effect.name, s.score) for s in findings.selection.singles[:5]],
         "chosen": [c.key for c in findings.selection.chosen.candidates],
         "gusts": (findings.selection.gust_before.score, findings.selection.gust.score),
@@ -76,7 +76,7 @@ def outcome(findings: Findings, uses: Sequence[EffectUse]) -> dict[str, object]:
     }
 
 
-def _same_form(effect: FoundEffect, true: Mapping[str, EffectUse]) -> bool:
+def _same_form(effect: MissingEffect, true: Mapping[str, EffectUse]) -> bool:
     """Whether parameters that were tried, not fitted, are the true ones: else the fitted ones mean something else."""
     held = {n: p.value for n, p in effect.parameters.items() if p.std == 0}
     return all(

@@ -18,7 +18,7 @@ from provenance import write_result
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.diagnose import diagnose
+from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
@@ -47,11 +47,11 @@ def main() -> None:
                 for flight in compiled_flights(vehicle, uses, catalogue=CATALOGUE, seed=60 + seed, noise=1.0)
             ]
             data = make_dataset(flights, vehicle)
-            diagnose(data, vehicle, CATALOGUE)
+            diagnose_dataset(data, vehicle, CATALOGUE)
             taken = []
             for _ in range(REPEATS):
                 began = time.process_time(), time.perf_counter()
-                diagnose(data, vehicle, CATALOGUE)
+                diagnose_dataset(data, vehicle, CATALOGUE)
                 taken.append((time.process_time() - began[0], time.perf_counter() - began[1]))
             flown = sum(s.duration for s in data.everything)
             figures = (median(t for t, _ in taken), median(t for _, t in taken))

@@ -21,7 +21,7 @@ from benchmarks.provenance import write_result
 from diagnosis.addition import add_effect
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
-from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals
 from diagnosis.estimation.output_error import refit
 from diagnosis.selection.regression import make_regression
 from diagnosis.selection.search import Search
@@ -83,7 +83,7 @@ def run(case: Case) -> list[str]:
     first = fit(regression, [max(mine, key=lambda c: search.score([c]).score)])
     second = refit(first, vehicle, some, data.fitted, data.held_out)
     assert second is not None
-    one_step = [misfit(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
+    one_step = [reduced_chi_square(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
                 for f in (first, second.fit)]  # fmt: skip
     try:
         chosen = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor).by_output_error
@@ -104,11 +104,7 @@ def run(case: Case) -> list[str]:
 
 def table(rows: Sequence[str]) -> str:
     fits = [f"{which}, % off ± 95 %" for which in ("equation error", "output error")]
-    head = (
-        "| "
-        + " | ".join(["flights", "parameter", "noise", *fits, "misfit, one step", "misfit, windows", "kept"])
-        + " |"
-    )
+    head = "| " + " | ".join(["flights", "parameter", "noise", *fits, "chi-square, one step", "windows", "kept"]) + " |"
     return "\n".join([__doc__.split("\n\n")[1], "", head, "|" + " --- |" * 8, *rows])
 
 

@@ -13,10 +13,10 @@ import numpy as np
 
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.evaluation import floors
+from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_predictor
-from diagnosis.selection.design_matrix import Pipeline
+from diagnosis.selection.design_matrix import DesignMatrix
 from diagnosis.selection.regression import Regression, make_regression
 from dynamics.arrays import Floats
 from dynamics.effect import Parameter
@@ -149,8 +149,8 @@ def yardstick(source: str, noise: float, commands: bool) -> Regression:
     """A regression on flights that hide nothing: it tells how much an effect of a size shows."""
     data = make_dataset(fly(source, [], noise, 9000, commands=commands), vehicle())
     regression = make_regression(vehicle(), CATALOGUE, data.fitted, data.flight_of)
-    pipeline = Pipeline(vehicle(), CATALOGUE, regression.candidates, data.fitted[0])
-    regression.columns = [pipeline.run(s, instrumented=False)[1] for s in data.fitted]  # what really shows
+    design = DesignMatrix(vehicle(), CATALOGUE, regression.candidates, data.fitted[0])
+    regression.columns = [design.evaluate(s, instrumented=False)[1] for s in data.fitted]  # what really shows
     return regression
 
 
@@ -167,7 +167,7 @@ def planted(name: str, case: Case) -> EffectUse:
         return EffectUse("gust", {"intensity": min(size, 14.0), "correlation_time": float(random.uniform(0.6, 2.0))})
     mine = [c for c in regression.candidates if c.effect.name == name]
     candidate = mine[int(random.integers(len(mine)))]
-    if candidate.whole:
+    if candidate.fixed_shape:
         size = case.strength / shown(regression, candidate, np.ones(1))
         values = {k: float(v * size) for k, v in candidate.at.items()}
         if name == "motor_lag":
@@ -201,7 +201,7 @@ def shown(regression: Regression, candidate: Candidate, towards: Floats) -> floa
     else:
         columns = [x[:, :, list(candidate.columns)] for x in regression.columns]
     made = np.vstack([x @ towards for x in columns])
-    floor = list(floors(regression.noise).values())
+    floor = list(floor_norms(regression.noise.floor).values())
     return max(
         float(np.sqrt(np.mean(np.sum(made[:, 3 * i : 3 * i + 3] ** 2, axis=1))) / floor[i])
         for i in range(4)

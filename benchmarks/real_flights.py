@@ -20,13 +20,13 @@ from benchmarks.provenance import write_result
 from diagnosis.data.command_curve import CommandCurve, fit_command_curve
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset, read_dataset
-from diagnosis.data.filters import kept
 from diagnosis.data.segment import segments
-from diagnosis.diagnose import Findings, diagnose
+from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from diagnosis.estimation.evaluation import residuals
 from diagnosis.hover_trim import read_trim
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
+from dynamics.state import VELOCITY
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from flights import Flight
@@ -69,7 +69,7 @@ def main() -> None:
 def diagnosed(title: str, logs: Sequence[Path], vehicle: Vehicle) -> str:
     """A section about one vehicle's flights."""
     dataset = read_dataset(list(logs), vehicle)
-    findings = diagnose(dataset, vehicle, CATALOGUE)
+    findings = diagnose_dataset(dataset, vehicle, CATALOGUE)
     curve = command_curve(logs, vehicle)
     gains = [gain.mean for gain in curve.gains.values()]
     lines = [
@@ -92,7 +92,7 @@ def command_curve(logs: Sequence[Path], vehicle: Vehicle) -> CommandCurve:
     return fit_command_curve([s for log in logs for s in segments(Flight.read(log), vehicle)], (), vehicle)
 
 
-def effects_table(findings: Findings) -> str:
+def effects_table(findings: DiagnosisDetails) -> str:
     """The effects found, with 95 % intervals."""
     lines = ["| effect | values | resamples that agree | not told from |", "| --- | --- | --- | --- |"]
     for effect in findings.diagnosis.effects:
@@ -102,7 +102,7 @@ def effects_table(findings: Findings) -> str:
     return "\n".join(lines)
 
 
-def channels_table(findings: Findings) -> str:
+def channels_table(findings: DiagnosisDetails) -> str:
     """Held-out errors."""
     lines = ["| channel, held out | before | after | floor | unit |", "| --- | --- | --- | --- | --- |"]
     for kind, error in findings.diagnosis.channels.items():
@@ -116,7 +116,7 @@ def lateral_drag(vehicle: Vehicle) -> str:
     rows = residuals(vehicle, CATALOGUE, dataset.everything)
     lines = ["| flight | along | drag over mass, 1/s | share explained |", "| --- | --- | --- | --- |"]
     for segment, row in zip(dataset.everything, rows, strict=True):
-        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, 3:6])[kept(len(segment), segment.rate)]
+        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, VELOCITY])[segment.decimated]
         for axis in range(2):
             if np.std(velocity[:, axis]) < 0.2:
                 continue

@@ -11,16 +11,16 @@ import msgspec
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import diagnose
-from diagnosis.estimation.acceptance import IMPROVEMENT
-from diagnosis.estimation.equation_error import Estimate, Fit, fit
-from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
+from diagnosis.thresholds import DEFAULT, Thresholds
 from diagnosis.verdict import channel_errors
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
@@ -30,22 +30,27 @@ from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_file import nearest, write_vehicle
 
 _VERSION = re.compile(r"\.v(\d+)$")
-ONE_STEP_SLACK = 1.005  # by which one-step misfit may rise for simulated windows that end closer
 
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """vehicle: with the effect, its history one line longer. estimates: by (effect's key, parameter).
+    """An effect that was added to a vehicle.
 
-    key: the effect's name in a model. channels, misfit, open_loop: held out, before and after; misfit is the squared
-    error over noise, 1 where nothing is left but noise. by_output_error: whether that fit was kept. notes: to the user.
+    vehicle: with the effect, its history one line longer.
+    estimates: by (effect's key, parameter).
+    channels: errors by kind, held out, before and after.
+    key: the effect's name in a model.
+    chi_square: reduced, held out, before and after; 1 where the residuals are noise.
+    open_loop: prediction errors, held out, before and after.
+    by_output_error: whether that fit was better than equation error.
+    notes: to the user.
     """
 
     vehicle: Vehicle
-    estimates: Mapping[tuple[str, str], Estimate]
+    estimates: Mapping[tuple[str, str], ParameterEstimate]
     channels: Mapping[str, ChannelError]
     key: str
-    misfit: tuple[float, float]
+    chi_square: tuple[float, float]
     open_loop: tuple[tuple[HorizonError, ...], tuple[HorizonError, ...]]
     by_output_error: bool
     notes: tuple[str, ...]
@@ -53,9 +58,11 @@ class Addition:
 
 @dataclass(frozen=True, eq=False)
 class _Trial:
+    """A fit with its residuals (m, 12) and reduced chi-square on the held-out flights."""
+
     fit: Fit
     rows: list[Floats]
-    misfit: float
+    chi_square: float
 
 
 def add_effect(
@@ -67,6 +74,7 @@ def add_effect(
     date: str,
     command: str = "",
     rotor: int | None = None,
+    thresholds: Thresholds = DEFAULT,
 ) -> Addition:
     """Fit an effect on the fitted flights and judge it on those held out. name: None for the diagnosis' top effect.
 
@@ -77,25 +85,25 @@ def add_effect(
     Raises RequestError for an effect that is unknown, DataError when the held-out error does not fall.
     """
     _require_addable(name, catalogue)
-    require_answerable(dataset.everything, vehicle)
+    require_answerable(dataset.everything, vehicle, thresholds.data_checks)
     notes: tuple[str, ...] = ()
     if name is None:
-        findings = diagnose(dataset, vehicle, catalogue)
-        name, rotor, notes = top_effect(findings.diagnosis, catalogue)
-        regression = findings.regression
+        result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
+        name, rotor, notes = top_effect(result.diagnosis, catalogue)
+        regression = result.regression
     else:
-        regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
-    candidate = _best_variant(regression, name, rotor)
+        regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+    candidate = _best_candidate(regression, name, rotor)
     judge = _Judge(dataset, regression)
     before = judge.rows(vehicle)
-    trials = [judge.trial(fit(regression, [candidate, *known])) for known in _refittings(regression, candidate)]
-    best = min(trials, key=lambda trial: trial.misfit)
+    trials = [judge.trial(fit(regression, [candidate, *own])) for own in _refitted_with(regression, candidate)]
+    best = min(trials, key=lambda trial: trial.chi_square)
     better = judge.by_output_error(best, vehicle)
-    now, was = better or best, misfit(before, regression.noise)
-    if not now.misfit < IMPROVEMENT * was:
+    now, was = better or best, reduced_chi_square(before, regression.noise)
+    if not now.chi_square < thresholds.acceptance.max_ratio * was:
         raise DataError(
             f"{name} was not added: on the held-out flights the error does not fall (squared error over noise "
-            f"{was:.4g} before, {now.misfit:.4g} after). `alula diagnose` says what is missing, if anything."
+            f"{was:.4g} before, {now.chi_square:.4g} after). `alula diagnose` shows what is missing, if anything."
         )
     errors = channel_errors(before, now.rows, regression, dataset.held_out)
     return Addition(
@@ -103,40 +111,42 @@ def add_effect(
         estimates=now.fit.estimates,
         channels=errors,
         key=candidate.key,
-        misfit=(was, now.misfit),
-        open_loop=(judge.ahead(vehicle), judge.ahead(now.fit.vehicle)),
+        chi_square=(was, now.chi_square),
+        open_loop=(judge.open_loop(vehicle), judge.open_loop(now.fit.vehicle)),
         by_output_error=better is not None,
         notes=(*notes, *_one_signal(now.fit, candidate)),
     )
 
 
 class _Judge:
-    """What vehicles are worth on the held-out flights, by the yardstick of one regression."""
+    """Errors of vehicles on the held-out flights, under the noise of one regression."""
 
     def __init__(self, dataset: Dataset, regression: Regression) -> None:
         self._dataset, self._regression = dataset, regression
 
     def rows(self, vehicle: Vehicle) -> list[Floats]:
-        regression = self._regression
-        return residuals(vehicle, regression.catalogue, self._dataset.held_out, regression.noise)
+        return residuals_in(self._regression, vehicle, self._dataset.held_out)
 
-    def trial(self, found: Fit) -> _Trial:
-        rows = self.rows(found.vehicle)
-        return _Trial(found, rows, misfit(rows, self._regression.noise))
+    def trial(self, fitted: Fit) -> _Trial:
+        rows = self.rows(fitted.vehicle)
+        return _Trial(fitted, rows, reduced_chi_square(rows, self._regression.noise))
 
     def by_output_error(self, best: _Trial, vehicle: Vehicle) -> _Trial | None:
         """The same parameters fitted by output error, None where that does not lower the held-out error."""
-        catalogue, dataset = self._regression.catalogue, self._dataset
-        again = refit(best.fit, vehicle, catalogue, dataset.fitted, dataset.held_out)
+        catalogue, dataset, thresholds = self._regression.catalogue, self._dataset, self._regression.thresholds
+        again = refit(best.fit, vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
         if again is None or not again.after < again.before:
             return None
         trial = self.trial(again.fit)
-        return trial if trial.misfit < ONE_STEP_SLACK * best.misfit else None
+        limit = thresholds.output_error.max_one_step_growth * best.chi_square
+        return trial if trial.chi_square < limit else None
 
-    def ahead(self, vehicle: Vehicle) -> tuple[HorizonError, ...]:
+    def open_loop(self, vehicle: Vehicle) -> tuple[HorizonError, ...]:
         """Open-loop errors, none without a pose."""
-        held_out = self._dataset.held_out
-        return () if any(s.lacks for s in held_out) else open_loop_errors(vehicle, self._regression.catalogue, held_out)
+        held_out, regression = self._dataset.held_out, self._regression
+        if any(s.lacks for s in held_out):
+            return ()
+        return open_loop_errors(vehicle, regression.catalogue, held_out, regression.thresholds.prediction)
 
 
 def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:
@@ -155,52 +165,56 @@ def _no_value(effect: Effect) -> str:
 
 
 def top_effect(
-    found: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE
+    diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> tuple[str, int | None, tuple[str, ...]]:
     """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it.
 
     Raises DataError when there is none.
     """
-    if found.verdict == "explained":
+    if diagnosis.verdict == "explained":
         raise DataError("nothing was added: the model explains these flights down to the sensors' noise.")
-    named = [effect for effect in found.effects if not catalogue[effect.name].stochastic]
+    named = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
     if not named:
         raise DataError(
-            _no_value(catalogue[found.effects[0].name])
-            if found.effects
+            _no_value(catalogue[diagnosis.effects[0].name])
+            if diagnosis.effects
             else "nothing was added: something is missing, but no effect of the catalogue explains it. `alula compare` "
             "shows where the model fails; an effect of your own can be given with --effects."
         )
     top, notes = named[0], []
-    if top is not found.effects[0]:
-        notes.append(f"there is a {found.effects[0].name} as well, which no vehicle file can hold")
-    if found.verdict == "unknown":
+    if top is not diagnosis.effects[0]:
+        notes.append(f"there is a {diagnosis.effects[0].name} as well, which no vehicle file can hold")
+    if diagnosis.verdict == "unknown":
         notes.append(f"{top.name} is a part of what is missing at most: no effect of the catalogue explains the rest")
     if top.ambiguous_with:
-        notes.append(f"these flights cannot tell {top.name} from {', '.join(top.ambiguous_with)}: {found.next_flight}")
+        notes.append(
+            f"these flights cannot tell {top.name} from {', '.join(top.ambiguous_with)}: {diagnosis.next_flight}"
+        )
     return top.name, top.rotor, tuple(notes)
 
 
-def _one_signal(found: Fit, candidate: Candidate) -> tuple[str, ...]:
+def _one_signal(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:
     if not candidate.effect.caveat:
         return ()
-    fitted = {name: estimate.value for (key, name), estimate in found.estimates.items() if key == candidate.key}
-    return (candidate.effect.caveat.format(**{**candidate.at, **fitted}),)
+    values = {name: estimate.value for (key, name), estimate in fitted.estimates.items() if key == candidate.key}
+    return (candidate.effect.caveat.format(**{**candidate.at, **values}),)
 
 
-def _refittings(regression: Regression, added: Candidate) -> list[Sequence[Candidate]]:
+def _refitted_with(regression: Regression, added: Candidate) -> list[Sequence[Candidate]]:
     """What may be fitted with the added effect: nothing, or the vehicle file's own effects."""
-    held = {(use.name, use.rotor) for use in regression.vehicle.effects}
-    known = [
-        c for c in regression.candidates if (c.effect.name, c.rotor) in held and c.key != added.key and not c.whole
+    names = {(use.name, use.rotor) for use in regression.vehicle.effects}
+    own = [
+        c
+        for c in regression.candidates
+        if (c.effect.name, c.rotor) in names and c.key != added.key and not c.fixed_shape
     ]
-    return [(), known] if known else [()]
+    return [(), own] if own else [()]
 
 
 def with_history(
     vehicle: Vehicle, action: str, dataset: Dataset, errors: Mapping[str, ChannelError], *, date: str, command: str = ""
 ) -> Vehicle:
-    """The vehicle with one more line of history: what was done, on which flights, and what it brought."""
+    """The vehicle with one more line of history: what was done, on which flights, and the errors before and after."""
     entry = HistoryEntry(
         date=date,
         action=action,
@@ -227,20 +241,20 @@ def write_next_version(vehicle: Vehicle, path: Path) -> Path:
             return following
 
 
-def _best_variant(regression: Regression, name: str, rotor: int | None) -> Candidate:
+def _best_candidate(regression: Regression, name: str, rotor: int | None) -> Candidate:
     search = Search(regression)
-    mine = [c for c in regression.candidates if c.effect.name == name and rotor in (None, c.rotor)]
-    if not mine:
+    candidates = [c for c in regression.candidates if c.effect.name == name and rotor in (None, c.rotor)]
+    if not candidates:
         raise DataError(
             f"these flights cannot show {name}"
             + (f" on rotor {rotor}" if rotor is not None else "")
-            + ": with measured rotor speeds there is no motor lag to see, with commands alone no mass, without voltage "
+            + ": with measured rotor speeds there is no motor lag, with commands alone no mass, without voltage "
             "no sag. `alula diagnose` lists what they can show."
         )
-    best = max((search.score([c]) for c in mine), key=lambda s: s.score)
+    best = max((search.score([c]) for c in candidates), key=lambda s: s.score)
     if best.score == IMPOSSIBLE:
         raise DataError(
             f"{name} was not added: the values that fit these flights best lie outside its physical bounds. "
-            "`alula diagnose` says what is missing, if anything."
+            "`alula diagnose` shows what is missing, if anything."
         )
     return best.candidates[0]

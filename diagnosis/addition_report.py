@@ -26,9 +26,15 @@ class OpenLoop(msgspec.Struct, frozen=True):
 
 
 class AdditionReport(msgspec.Struct, frozen=True):
-    """effect: its name in the model, the rotor in brackets. parameters: of all effects that were fitted.
+    """What `alula add --json` writes.
 
-    channels: RMS on held-out flights and floor. misfit: squared error over noise, 1 where only noise is left.
+    effect: its name in the model, the rotor in brackets.
+    parameters: of all effects that were fitted.
+    fitted_by: which of the two fits was better.
+    channels: RMS on held-out flights and floor.
+    chi_square: reduced, on held-out flights; 1 where the residuals are noise.
+    open_loop: prediction errors.
+    notes: to the user.
     vehicle: the file that was written.
     """
 
@@ -36,7 +42,7 @@ class AdditionReport(msgspec.Struct, frozen=True):
     parameters: dict[str, dict[str, ParameterValue]]
     fitted_by: Literal["equation error", "output error"]
     channels: dict[str, ChannelError]
-    misfit: BeforeAfter
+    chi_square: BeforeAfter = msgspec.field(name="misfit")
     open_loop: OpenLoop
     notes: tuple[str, ...]
     vehicle: str = ""
@@ -52,7 +58,7 @@ def report(added: Addition) -> AdditionReport:
         parameters=parameters,
         fitted_by="output error" if added.by_output_error else "equation error",
         channels=dict(added.channels),
-        misfit=BeforeAfter(*added.misfit),
+        chi_square=BeforeAfter(*added.chi_square),
         open_loop=OpenLoop(*added.open_loop),
         notes=added.notes,
     )

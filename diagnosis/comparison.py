@@ -1,4 +1,4 @@
-"""A model against flights: error of each channel over its noise floor, where it fails, and how fast it goes astray."""
+"""A model against flights: error of each channel over its noise floor, where it fails, and how fast it diverges."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.filters import EDGE
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.evaluation import floors, residuals
+from diagnosis.estimation.evaluation import floor_norms, residuals
 from diagnosis.models import channels
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
@@ -29,11 +28,10 @@ from diagnosis.regimes import (
 )
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
-
-WORST = 2.0  # s
 
 
 class AxisError(msgspec.Struct, frozen=True):
@@ -47,7 +45,7 @@ class AxisError(msgspec.Struct, frozen=True):
 
 
 class WorstSeconds(msgspec.Struct, frozen=True):
-    """The two seconds of all flights with the greatest error over floor. start: s in the log's time."""
+    """The window of all flights with the greatest error over floor. start: s in the log's time."""
 
     flight: str
     start: float
@@ -68,8 +66,15 @@ class Comparison(msgspec.Struct, frozen=True):
 
 
 @dataclass(frozen=True, eq=False)
-class Compared:
-    """A comparison and what pictures of it need: residuals (m, 12) of each segment, maps, spectrum, the regression."""
+class ComparisonDetails:
+    """A comparison and what pictures of it need.
+
+    comparison: the answer.
+    residuals: (m, 12) of each segment.
+    maps, planes: where the model fails.
+    spectrum: of the residuals.
+    regression: of the fitted flights, for its noise.
+    """
 
     comparison: Comparison
     residuals: list[Floats]
@@ -79,56 +84,64 @@ class Compared:
     regression: Regression
 
 
-def compare(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Compared:
-    """Compare a vehicle's model with all flights of a data set. Raises DataError when they cannot answer."""
+def compare_dataset(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
+) -> ComparisonDetails:
+    """Compare a vehicle's model with all flights of a data set. Raises DataError when they cannot answer.
+
+    thresholds: all but those that are applied when flights are read.
+    """
     segments = dataset.everything
-    require_answerable(segments, vehicle)
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
-    rows = residuals(vehicle, catalogue, segments)
+    require_answerable(segments, vehicle, thresholds.data_checks)
+    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+    rows = residuals(vehicle, catalogue, segments, thresholds=thresholds)
     floor = regression.noise.floor
-    maps = regime_maps(segments, rows, floor, vehicle)
-    planes = regime_planes(segments, rows, floor, vehicle)
-    spectrum = residual_spectrum(rows, regression.noise, regression.rate)
+    maps = regime_maps(segments, rows, floor, vehicle, thresholds.regimes)
+    planes = regime_planes(segments, rows, floor, vehicle, thresholds.regimes)
+    spectrum = residual_spectrum(rows, regression.noise, regression.rate, thresholds)
     comparison = Comparison(
-        axes=_axes(rows, regression),
-        fails_where=worst_cells(maps),
+        axes=_axes(rows, floor),
+        fails_where=worst_cells(maps, thresholds.regimes),
         worst=_worst(segments, rows, regression),
-        open_loop=open_loop_errors(vehicle, catalogue, segments),
+        open_loop=open_loop_errors(vehicle, catalogue, segments, thresholds.prediction),
         notes=dataset.notes,
         maps=tuple(map(regime_cells, maps)),
         planes=tuple(map(plane_cells, planes)),
         spectrum=spectrum_lines(spectrum),
     )
-    return Compared(comparison, rows, maps, planes, spectrum, regression)
+    return ComparisonDetails(comparison, rows, maps, planes, spectrum, regression)
 
 
-def _axes(rows: Sequence[Floats], regression: Regression) -> tuple[AxisError, ...]:
-    rms = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0))
-    floor, known = regression.noise.floor, floors(regression.noise)
+def _axes(rows: Sequence[Floats], floor: Floats) -> tuple[AxisError, ...]:
+    rms, by_kind = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)), floor_norms(floor)
     return tuple(
         AxisError(kind, "xyz"[axis], float(rms[3 * k + axis]), float(floor[3 * k + axis]), channels.UNITS[kind])
         for k, kind in enumerate(channels.KINDS)
-        if known[kind] > 0
-        for axis in range(3)
+        if by_kind[kind] > 0
+        for axis in range(channels.AXES)
     )
 
 
-def worst_window(rows: Sequence[Floats], floor: Floats, rate: float) -> tuple[int, int, float]:
-    """Segment and first row of the two seconds with the greatest error over floor, and that error.
+def worst_window(
+    rows: Sequence[Floats], floor: Floats, rate: float, duration: float = DEFAULT.regimes.worst_window
+) -> tuple[int, int, float]:
+    """Segment and first row of the window with the greatest error over floor, and that error.
 
-    rows: (m, 12) residuals of each segment at rate Hz. floor: (12,).
+    rows: (m, 12) residuals of each segment at rate Hz. floor: (12,). duration: of the window, s.
     """
-    count, active = max(1, round(WORST * rate)), floor > 0
-    found = []
+    count, active = max(1, round(duration * rate)), floor > 0
+    windows = []
     for index, r in enumerate(rows):
         squared = np.mean((r[:, active] / floor[active]) ** 2, axis=1)
         mean = np.convolve(squared, np.ones(count) / count, mode="valid") if len(squared) >= count else squared
         place = int(np.argmax(mean))
-        found.append((index, place, float(np.sqrt(mean[place]))))
-    return max(found, key=lambda window: window[2])
+        windows.append((index, place, float(np.sqrt(mean[place]))))
+    return max(windows, key=lambda window: window[2])
 
 
 def _worst(segments: Sequence[Segment], rows: Sequence[Floats], regression: Regression) -> WorstSeconds:
-    index, place, level = worst_window(rows, regression.noise.floor, regression.rate)
-    start = segments[index].start + EDGE + place / regression.rate
-    return WorstSeconds(segments[index].flight, round(start, 2), round(level, 2))
+    duration = regression.thresholds.regimes.worst_window
+    index, place, level = worst_window(rows, regression.noise.floor, regression.rate, duration)
+    segment = segments[index]
+    start = segment.start + segment.filters.edge + place / regression.rate
+    return WorstSeconds(segment.flight, round(start, 2), round(level, 2))

@@ -1,4 +1,4 @@
-"""Completing a model: diagnose, take over what lowers the held-out error, diagnose again until nothing more comes."""
+"""Completing a model: diagnose, take over what lowers the held-out error, repeat until nothing more does."""
 
 from __future__ import annotations
 
@@ -7,59 +7,67 @@ from dataclasses import dataclass
 
 from diagnosis.addition import with_history
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import Findings, diagnose
-from diagnosis.estimation.acceptance import IMPROVEMENT
-from diagnosis.report import FoundEffect
+from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
+from diagnosis.report import MissingEffect
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
-
-MAX_ROUNDS = 3
-MIN_SHARE = 0.01  # of the misfit that the first round took away, which a further round must bring
 
 
 @dataclass(frozen=True, eq=False)
 class Completion:
-    """vehicle: with everything that was added, the same as before if nothing was. added: in the order of importance.
+    """A vehicle's model with what was missing.
 
+    vehicle: with everything that was added, the same as before if nothing was.
+    added: in the order of importance.
     first, last: the diagnosis of the vehicle before and after.
     """
 
     vehicle: Vehicle
-    added: tuple[FoundEffect, ...]
-    first: Findings
-    last: Findings
+    added: tuple[MissingEffect, ...]
+    first: DiagnosisDetails
+    last: DiagnosisDetails
 
 
 def complete(
-    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], *, date: str, command: str = ""
+    dataset: Dataset,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    *,
+    date: str,
+    command: str = "",
+    thresholds: Thresholds = DEFAULT,
 ) -> Completion:
-    """Add what is missing from a vehicle's model: of what a diagnosis names, one effect after another as long as the
-    error on held-out flights falls, all fitted jointly. What is left then is diagnosed anew.
+    """Add what is missing from a vehicle's model: the effects that a diagnosis names, all fitted jointly, round by
+    round as long as the error on held-out flights falls. The completed model is diagnosed once more.
 
     date, command: for the lines of history. Raises DataError when the flights cannot answer.
     """
-    first = findings = diagnose(dataset, vehicle, catalogue)
-    added: list[FoundEffect] = []
-    for _ in range(MAX_ROUNDS):
-        news = _missing(findings, vehicle, catalogue)
-        gain = findings.misfit_before - findings.misfit_after
-        least = MIN_SHARE * (first.misfit_before - first.misfit_after) if added else 0.0
-        if not news or gain < least or not findings.misfit_after < IMPROVEMENT * findings.misfit_before:
+    first = result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
+    added: list[MissingEffect] = []
+    for _ in range(thresholds.completion.max_rounds):
+        missing = _missing(result, vehicle, catalogue)
+        gain = result.chi_square_before - result.chi_square_after
+        required = (
+            thresholds.completion.min_share * (first.chi_square_before - first.chi_square_after) if added else 0.0
+        )
+        falls = result.chi_square_after < thresholds.acceptance.max_ratio * result.chi_square_before
+        if not missing or gain < required or not falls:
             break
-        action = "added " + ", ".join(_key(effect) for effect in news)
-        errors = findings.diagnosis.channels
-        vehicle = with_history(findings.vehicle, action, dataset, errors, date=date, command=command)
-        added += news
-        findings = diagnose(dataset, vehicle, catalogue)
-    return Completion(vehicle, tuple(added), first, findings)
+        action = "added " + ", ".join(_key(effect) for effect in missing)
+        errors = result.diagnosis.channels
+        vehicle = with_history(result.vehicle, action, dataset, errors, date=date, command=command)
+        added += missing
+        result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
+    return Completion(vehicle, tuple(added), first, result)
 
 
-def _missing(findings: Findings, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> list[FoundEffect]:
-    """What was found, has a value, and is not in the vehicle file yet."""
-    known = {(use.name, use.rotor) for use in vehicle.effects}
-    named = findings.diagnosis.effects
-    return [e for e in named if not catalogue[e.name].stochastic and (e.name, e.rotor) not in known]
+def _missing(result: DiagnosisDetails, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> list[MissingEffect]:
+    """The effects of a diagnosis that have a value and are not in the vehicle file yet."""
+    own = {(use.name, use.rotor) for use in vehicle.effects}
+    named = result.diagnosis.effects
+    return [e for e in named if not catalogue[e.name].stochastic and (e.name, e.rotor) not in own]
 
 
-def _key(effect: FoundEffect) -> str:
+def _key(effect: MissingEffect) -> str:
     return effect.name if effect.rotor is None else f"{effect.name}[{effect.rotor}]"

@@ -8,71 +8,101 @@ from dataclasses import dataclass
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import accepted_fit
-from diagnosis.estimation.evaluation import misfit, residuals, typical_misfit
+from diagnosis.estimation.equation_error import Fit
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import Diagnosis
+from diagnosis.report import Diagnosis, MissingEffect, Verdict
 from diagnosis.selection.regression import Regression, make_regression
-from diagnosis.selection.residual_tests import Leftover, look
+from diagnosis.selection.residual_tests import ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection, select
-from diagnosis.verdict import channel_errors, found_effects, judge, not_excited
+from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.verdict import channel_errors, judge, missing_effects, not_excited
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
-    """The diagnosis and what it was made from. vehicle: with the effects that were found at their fitted values.
+class DiagnosisDetails:
+    """A diagnosis and what it was made from.
 
-    before, after: (m, 12) residuals on the held-out segments. notes: what the user should know of the data.
+    diagnosis: the answer.
+    vehicle: with the missing effects at their fitted values.
+    regression, selection: of the fitted flights.
+    residual_tests: of the identified model on the fitted flights.
+    before, after: (m, 12) residuals on the held-out segments.
+    chi_square_before, chi_square_after: reduced, of the same.
+    notes: what the user should know of the data.
     """
 
     diagnosis: Diagnosis
     vehicle: Vehicle
     regression: Regression
     selection: Selection
-    leftover: Leftover
+    residual_tests: ResidualTests
     before: list[Floats]
     after: list[Floats]
-    misfit_before: float
-    misfit_after: float
+    chi_square_before: float
+    chi_square_after: float
     notes: tuple[str, ...]
 
 
-def diagnose(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Findings:
+def diagnose_dataset(
+    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
+) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
-    Raises DataError when the flights cannot answer.
+    thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
-    require_answerable(dataset.everything, vehicle)
-    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of)
+    require_answerable(dataset.everything, vehicle, thresholds.data_checks)
+    regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     selection = select(regression)
-    result = accepted_fit(regression, selection, dataset)
-    before = residuals(vehicle, catalogue, dataset.held_out, regression.noise)
-    after = residuals(result.vehicle, catalogue, dataset.held_out, regression.noise)
-    left = residuals(result.vehicle, catalogue, dataset.fitted, regression.noise)
-    leftover = look(regression, left, places=selection.blows)
-    at_first = look(regression, regression.left_over([])) if result.candidates else leftover
-    misfits = misfit(before, regression.noise), misfit(after, regression.noise)
-    typical = [typical_misfit(rows, regression.noise, regression.rate) for rows in (before, after)]
-    effects = found_effects(regression, selection, result)
-    gust_share = selection.gust.gain / max(regression.total, 1)
-    swings = any(c.effect.hidden and c.effect.rotor_speed is None for c in result.candidates)
-    misfits_now = None if swings else (typical[0], typical[1])
-    gusty = any(catalogue[effect.name].stochastic for effect in effects)
-    verdict = judge(effects, leftover, at_first, misfits_now, gust_share, gusty=gusty)
-    unseen = not_excited(regression, selection.chosen)
-    apart = [effects[0].name, *effects[0].ambiguous_with] if effects else []
-    floor = regression.noise.floor
+    accepted = accepted_fit(regression, selection, dataset)
+    before, after = (residuals_in(regression, v, dataset.held_out) for v in (vehicle, accepted.vehicle))
+    tests = run_residual_tests(
+        regression,
+        residuals_in(regression, accepted.vehicle, dataset.fitted),
+        by_position=selection.gust_detected,
+    )
+    effects = missing_effects(regression, selection, accepted)
+    quiet = not_excited(regression, selection.chosen)
+    maps = regime_maps(dataset.held_out, before, regression.noise.floor, vehicle, thresholds.regimes)
     diagnosis = Diagnosis(
-        verdict=verdict,
+        verdict=_verdict(regression, selection, accepted, effects, tests, before, after),
         effects=effects,
         channels=channel_errors(before, after, regression, dataset.held_out),
-        not_excited=unseen,
-        fails_where=worst_cells(regime_maps(dataset.held_out, before, floor, vehicle)),
-        next_flight=next_flight(apart, unseen, catalogue),
+        not_excited=quiet,
+        fails_where=worst_cells(maps, thresholds.regimes),
+        next_flight=next_flight([effects[0].name, *effects[0].ambiguous_with] if effects else [], quiet, catalogue),
     )
-    return Findings(
-        diagnosis, result.vehicle, regression, selection, leftover, before, after, *misfits, dataset.notes
-    )  # fmt: skip
+    return DiagnosisDetails(
+        diagnosis=diagnosis,
+        vehicle=accepted.vehicle,
+        regression=regression,
+        selection=selection,
+        residual_tests=tests,
+        before=before,
+        after=after,
+        chi_square_before=reduced_chi_square(before, regression.noise),
+        chi_square_after=reduced_chi_square(after, regression.noise),
+        notes=dataset.notes,
+    )
+
+
+def _verdict(
+    regression: Regression,
+    selection: Selection,
+    accepted: Fit,
+    effects: tuple[MissingEffect, ...],
+    tests: ResidualTests,
+    before: list[Floats],
+    after: list[Floats],
+) -> Verdict:
+    """The verdict by the residual tests, and by typical held-out windows where a load does not swing."""
+    at_first = run_residual_tests(regression, regression.residuals_after([])) if accepted.candidates else tests
+    swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
+    typical = None if swinging else (typical_chi_square(before, regression), typical_chi_square(after, regression))
+    gust_share = selection.gust.gain / max(regression.total, 1)
+    gusty = any(regression.catalogue[effect.name].stochastic for effect in effects)
+    return judge(effects, tests, at_first, typical, gust_share, gusty=gusty, thresholds=regression.thresholds.verdict)

@@ -1,10 +1,10 @@
-"""How the rotors share the load in hover, against normal flights of the same vehicle.
+"""How the rotors share the load in hover, compared with normal flights of the same vehicle.
 
-It needs nothing but the rotors' commands and a way to see hover, so it answers where a log is too poor for the rest.
-A rotor that has to work harder than in the vehicle's normal flights is weak or carries more: which of both, mean
-commands cannot say. Batteries and propellers are put on anew before each flight, so it is the spread between normal
-flights that decides what is unusual. With few of them it is known badly: usual spreads of small multirotors stand in
-as a prior, and Student's t makes up for the rest.
+It needs nothing but the rotors' commands and a measure of hover, so it answers where a log is too poor for the rest.
+A rotor that has to work harder than in the vehicle's normal flights is weak or carries more: mean commands cannot
+tell which. Batteries and propellers are mounted again before each flight, so the spread between normal flights decides
+what is unusual. With few of them it is uncertain: usual spreads of small multirotors are the prior, and Student's t
+allows for the rest.
 """
 
 from __future__ import annotations
@@ -18,27 +18,25 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage, stats
 
-from diagnosis.data.filters import difference, low_pass
-from diagnosis.report import FoundEffect, ParameterValue, Verdict
+from diagnosis.data.filters import difference
+from diagnosis.report import MissingEffect, ParameterValue, Verdict
+from diagnosis.thresholds import DEFAULT, HoverTrimThresholds
 from dynamics.arrays import Floats
 from dynamics.effects.weak_rotor import EFFECT as WEAK_ROTOR
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
+from flights.filters import zero_phase
 from flights.rotors import QUANTITIES
-
-MIN_HOVER = 4.0  # s
-MIN_SPELL = 0.5  # s of hover that count
-MIN_ROTORS = 5.0  # Hz; means need no more
-HOVER_SPEED, HOVER_RATE = 0.3, 0.5  # m/s, rad/s
-USUAL_SPREAD, WORTH = 0.02, 20  # of a rotor's share between normal flights (CrazyPAD, two vehicles); degrees of freedom
-FALSE_ALARMS = 0.05  # of normal flights, over all rotors, by Student's t alone
-CLEAR_OF_ALL = 1.0  # spreads by which a rotor must also lie above the normal flight in which it worked hardest
 
 
 class RotorShare(msgspec.Struct, frozen=True):
-    """A rotor's share of the commands in hover, 1 for the mean rotor. limit: share that is still usual."""
+    """A rotor's share of the commands in hover, 1 for the mean rotor.
+
+    normal, now: mean over the normal flights and over the others.
+    limit: share that is still usual.
+    """
 
     rotor: int
     normal: float
@@ -49,12 +47,18 @@ class RotorShare(msgspec.Struct, frozen=True):
 class TrimComparison(msgspec.Struct, frozen=True):
     """What `alula diagnose --normal --json` writes.
 
-    spread: standard deviation of a rotor's share between normal flights, with the prior. centre_of_mass_moved: forward
-    and to the left, m, if nothing but that explains the shares.
+    verdict: "ambiguous" where a rotor works harder, else "explained".
+    effects: a weak rotor, ambiguous with the centre of mass.
+    rotors: their shares.
+    normal_flights: how many.
+    spread: standard deviation of a rotor's share between normal flights, with the prior.
+    centre_of_mass_moved: forward and to the left, m, if nothing but that explains the shares.
+    next_flight: the manoeuvre that separates the two.
+    notes: to the user.
     """
 
     verdict: Verdict
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[MissingEffect, ...]
     rotors: tuple[RotorShare, ...]
     normal_flights: int
     spread: float
@@ -65,7 +69,13 @@ class TrimComparison(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class HoverShares:
-    """(rotors,) means over a flight's hover, 1 for the mean rotor. seconds: of hover. quantity: what was shared."""
+    """Rotors' shares in one flight.
+
+    flight: its log.
+    shares: (rotors,) means over its hover, 1 for the mean rotor.
+    seconds: of hover.
+    quantity: of which these are shares.
+    """
 
     flight: str
     shares: Floats
@@ -73,13 +83,13 @@ class HoverShares:
     quantity: str
 
 
-def hover_shares(flight: Flight, vehicle: Vehicle) -> HoverShares:
+def hover_shares(flight: Flight, vehicle: Vehicle, thresholds: HoverTrimThresholds = DEFAULT.hover_trim) -> HoverShares:
     """How the rotors share the load while a flight hovers.
 
     Raises DataError for a flight without rotors' commands or speeds, or with too little hover.
     """
-    name = flight.provenance.path
-    quantity = next((q for q in (*QUANTITIES[1:], QUANTITIES[0]) if flight.has(q) and _rate(flight, q)), None)
+    name, usual = flight.provenance.path, (*QUANTITIES[1:], QUANTITIES[0])
+    quantity = next((q for q in usual if flight.has(q) and _fast(flight, q, thresholds)), None)
     if quantity is None:
         raise DataError(
             f"{name} has {', '.join(flight.quantities)}. Wanted motor commands or rotor speeds of each rotor; log them."
@@ -88,15 +98,22 @@ def hover_shares(flight: Flight, vehicle: Vehicle) -> HoverShares:
         raise DataError(f"{name} has {flight[quantity].shape[1]} rotors, the vehicle file {vehicle.rotors.count}.")
     power = 2.0 if "speed" in quantity else 1.0  # speeds act by their squares
     effort = np.maximum(flight[quantity], 0.0) ** power
-    rows = _hovering(flight) & np.isfinite(effort).all(axis=1)
+    rows = _hovering(flight, thresholds) & np.isfinite(effort).all(axis=1)
     seconds = float(np.count_nonzero(rows)) * flight.period
-    if seconds < MIN_HOVER:
-        raise DataError(f"{name} holds {seconds:.1f} s of hover. Wanted {MIN_HOVER:.0f} s or more; hover longer.")
+    if seconds < thresholds.min_hover:
+        raise DataError(
+            f"{name} holds {seconds:.1f} s of hover. Wanted {thresholds.min_hover:.0f} s or more; hover longer."
+        )
     mean = effort[rows].mean(axis=0)
     return HoverShares(name, mean / mean.mean(), seconds, quantity)
 
 
-def compare_trim(flights: Sequence[Flight], normal: Sequence[Flight], vehicle: Vehicle) -> TrimComparison:
+def compare_trim(
+    flights: Sequence[Flight],
+    normal: Sequence[Flight],
+    vehicle: Vehicle,
+    thresholds: HoverTrimThresholds = DEFAULT.hover_trim,
+) -> TrimComparison:
     """Whether a rotor works harder in flights than in normal flights of the same vehicle.
 
     Raises RequestError for a flight that is given as both, DataError for flights that do not hover.
@@ -105,25 +122,27 @@ def compare_trim(flights: Sequence[Flight], normal: Sequence[Flight], vehicle: V
     both = [f.provenance.path for f in flights if f.provenance.sha256 in hashes]
     if both:
         raise RequestError(f"{', '.join(both)} is given as a normal flight too. Give other flights as normal ones.")
-    now, usual = ([hover_shares(f, vehicle) for f in group] for group in (flights, normal))
+    now, usual = ([hover_shares(f, vehicle, thresholds) for f in group] for group in (flights, normal))
     if len({s.quantity for s in (*now, *usual)}) > 1:
         raise DataError(
-            f"the flights tell different things of their rotors: {', '.join(sorted({s.quantity for s in now + usual}))}"
-            ". Give flights that were logged alike."
+            f"the flights hold different quantities of their rotors: "
+            f"{', '.join(sorted({s.quantity for s in now + usual}))}. Give flights that were logged alike."
         )
-    return judge_shares(np.array([s.shares for s in now]), np.array([s.shares for s in usual]), vehicle)
+    return judge_shares(np.array([s.shares for s in now]), np.array([s.shares for s in usual]), vehicle, thresholds)
 
 
-def judge_shares(now: Floats, usual: Floats, vehicle: Vehicle) -> TrimComparison:
-    """The verdict on shares (flights, rotors) in hover against those of normal flights."""
-    spread, freedom = _spread(usual)
+def judge_shares(
+    now: Floats, usual: Floats, vehicle: Vehicle, thresholds: HoverTrimThresholds = DEFAULT.hover_trim
+) -> TrimComparison:
+    """The verdict on shares (flights, rotors) in hover, compared with those of normal flights."""
+    spread, freedom = _spread(usual, thresholds)
     before, after, count = usual.mean(axis=0), now.mean(axis=0), vehicle.rotors.count
     error = spread * float(np.sqrt(1 / len(now) + 1 / len(usual)))
-    improbable = before + float(stats.t.ppf(1 - FALSE_ALARMS / count, freedom)) * error
-    limit = np.maximum(improbable, usual.max(axis=0) + CLEAR_OF_ALL * spread)
+    improbable = before + float(stats.t.ppf(1 - thresholds.false_alarms / count, freedom)) * error
+    limit = np.maximum(improbable, usual.max(axis=0) + thresholds.min_spreads * spread)
     change = after - before
     rotor = int(np.argmax(after - limit))
-    effects: tuple[FoundEffect, ...] = ()
+    effects: tuple[MissingEffect, ...] = ()
     if after[rotor] > limit[rotor]:
         chance = min(1.0, count * float(stats.t.sf(change[rotor] / error, freedom)))
         effects = (_weak(rotor, before, after, error, 1.0 - chance),)
@@ -132,12 +151,12 @@ def judge_shares(now: Floats, usual: Floats, vehicle: Vehicle) -> TrimComparison
     return TrimComparison(
         verdict="ambiguous" if effects else "explained",
         effects=effects,
-        rotors=tuple(RotorShare(i, normal, shown, most) for i, (normal, shown, most) in enumerate(table)),
+        rotors=tuple(RotorShare(i, normal, shown, limit) for i, (normal, shown, limit) in enumerate(table)),
         normal_flights=len(usual),
         spread=round(spread, 4),
         centre_of_mass_moved=(float(moved[0]), float(moved[1])),
-        next_flight=_next_flight(effects, len(usual)),
-        notes=_notes(len(usual)),
+        next_flight=_next_flight(effects, len(usual), thresholds),
+        notes=_notes(len(usual), thresholds),
     )
 
 
@@ -162,63 +181,67 @@ def read_trim(logs: Sequence[Path], normal: Sequence[Path], vehicle: Vehicle, ma
     return compare_trim(flights, usual, vehicle)
 
 
-def _rate(flight: Flight, quantity: str) -> bool:
+def _fast(flight: Flight, quantity: str, thresholds: HoverTrimThresholds) -> bool:
+    """Whether a quantity was logged often enough."""
     origin = flight.origins.get(quantity)
-    return origin is None or origin.rate >= MIN_ROTORS
+    return origin is None or origin.rate >= thresholds.min_rotor_rate
 
 
-def _hovering(flight: Flight) -> NDArray[np.bool_]:
-    """(n,) rows of free flight in which the vehicle stands still in the air, in spells that last."""
+def _hovering(flight: Flight, thresholds: HoverTrimThresholds) -> NDArray[np.bool_]:
+    """(n,) rows of free flight in which the vehicle stands still in the air, in segments that last."""
     rows = flight.usable() & ~excluded_rows(flight, find_exclusions(flight))
     if flight.has("velocity"):
-        rows &= _smooth_norm(flight["velocity"], flight.rate) < HOVER_SPEED
+        rows &= _smooth_norm(flight["velocity"], flight.rate, thresholds) < thresholds.max_speed
     elif flight.has("position"):
-        rows &= _smooth_norm(difference(np.nan_to_num(flight["position"]), flight.rate), flight.rate) < HOVER_SPEED
+        velocity = difference(np.nan_to_num(flight["position"]), flight.rate)
+        rows &= _smooth_norm(velocity, flight.rate, thresholds) < thresholds.max_speed
     if flight.has("rate"):
-        rows &= _smooth_norm(flight["rate"], flight.rate) < HOVER_RATE
-    least = max(1, round(MIN_SPELL * flight.rate))
-    return np.asarray(ndimage.binary_opening(rows, structure=np.ones(least)))
+        rows &= _smooth_norm(flight["rate"], flight.rate, thresholds) < thresholds.max_rate
+    min_rows = max(1, round(thresholds.min_segment * flight.rate))
+    return np.asarray(ndimage.binary_opening(rows, structure=np.ones(min_rows)))
 
 
-def _smooth_norm(values: Floats, rate: float) -> Floats:
-    """(n,) length of what varies below 1 Hz, so that noise is no motion. values: (n, 3)."""
-    known = np.nan_to_num(values)
-    smooth = low_pass(known, rate, 1.0, 2) if rate > MIN_ROTORS and len(known) > rate else known
-    return np.asarray(np.linalg.norm(smooth, axis=1))
+def _smooth_norm(values: Floats, rate: float, thresholds: HoverTrimThresholds) -> Floats:
+    """(n,) length of the slow part, so that noise is no motion. values: (n, 3)."""
+    finite = np.nan_to_num(values)
+    if rate > thresholds.min_rotor_rate and len(finite) > rate:
+        finite = zero_phase(finite, rate, thresholds.cutoff, 2)
+    return np.asarray(np.linalg.norm(finite, axis=1))
 
 
-def _spread(shares: Floats) -> tuple[float, float]:
+def _spread(shares: Floats, thresholds: HoverTrimThresholds) -> tuple[float, float]:
     """Standard deviation of a rotor's share between flights and its degrees of freedom. shares: (flights, rotors)."""
     flights, rotors = shares.shape
     freedom = (flights - 1) * (rotors - 1)  # the shares of a flight have one mean
     squares = float(np.sum((shares - shares.mean(axis=0)) ** 2)) * (rotors - 1) / rotors
-    return float(np.sqrt((WORTH * USUAL_SPREAD**2 + squares) / (WORTH + freedom))), float(WORTH + freedom)
+    prior, together = thresholds.prior_freedom, thresholds.prior_freedom + freedom
+    return float(np.sqrt((prior * thresholds.prior_spread**2 + squares) / together)), float(together)
 
 
-def _weak(rotor: int, before: Floats, after: Floats, error: float, confidence: float) -> FoundEffect:
+def _weak(rotor: int, before: Floats, after: Floats, error: float, confidence: float) -> MissingEffect:
     """The weak rotor that would explain the change: with the loss l it needs 1 / (1 - l) of its usual command."""
     was, now = (x[rotor] / np.delete(x, rotor).mean() for x in (before, after))
     loss = float(1 - was / now)
     deviation = float(error * (1 - loss) / after[rotor])
     parameters = {"loss": ParameterValue(round(loss, 4), round(deviation, 4), "1")}
-    return FoundEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), WEAK_ROTOR.confounded_with)
+    return MissingEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), WEAK_ROTOR.confounded_with)
 
 
-def _next_flight(effects: Sequence[FoundEffect], normal: int) -> str:
+def _next_flight(effects: Sequence[MissingEffect], normal: int, thresholds: HoverTrimThresholds) -> str:
     if effects:
         rotor = effects[0].rotor
         return (
             f"to tell weak_rotor from centre_of_mass: exchange rotor {rotor}'s propeller for that of another rotor of "
-            "the same turning direction and hover again: a weak propeller takes the change along, a load does not"
+            "the same turning direction and hover again: the change follows a weak propeller, but not a load"
         )
-    more = " and more normal flights, which make smaller changes visible" if normal < 5 else ""
+    more = " and more normal flights, which make smaller changes visible" if normal < thresholds.enough_flights else ""
     return f"half a minute of hover after the next repair{more}"
 
 
-def _notes(normal: int) -> tuple[str, ...]:
+def _notes(normal: int, thresholds: HoverTrimThresholds) -> tuple[str, ...]:
     if normal >= 3:
         return ()
     return (
         f"{normal} normal flight{'s' if normal > 1 else ''} only: what is usual rests on other vehicles' spread of "
-        f"{USUAL_SPREAD:g}; five or more of this vehicle would say it better",
+        f"{thresholds.prior_spread:g}; five or more of this vehicle give its own",
     )

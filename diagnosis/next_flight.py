@@ -9,11 +9,11 @@ from dynamics.effect import Effect
 OTHERWISE = "more aggressive flight"
 
 
-def next_flight(apart: Sequence[str], not_excited: Sequence[str], catalogue: Mapping[str, Effect]) -> str:
-    """What to fly next. apart: effects that these flights cannot tell apart; not_excited: effects that did not show."""
-    if len(apart) > 1:
-        ways = "; ".join(dict.fromkeys(_manoeuvre(catalogue[name]) for name in apart))
-        return f"to tell {' from '.join(apart)}: {ways}"
+def next_flight(ambiguous: Sequence[str], not_excited: Sequence[str], catalogue: Mapping[str, Effect]) -> str:
+    """What to fly next. ambiguous: effects that cannot be told apart; not_excited: effects that did not show."""
+    if len(ambiguous) > 1:
+        ways = "; ".join(dict.fromkeys(_manoeuvre(catalogue[name]) for name in ambiguous))
+        return f"to tell {' from '.join(ambiguous)}: {ways}"
     if not_excited:
         return f"to see {not_excited[0]}: {_manoeuvre(catalogue[not_excited[0]])}"
     return "nothing is open; fly again after the next change of the vehicle"

@@ -10,16 +10,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.data.filters import kept
 from diagnosis.data.segment import Segment
-from diagnosis.models.channels import KINDS
+from diagnosis.models.channels import KINDS, squared_by_kind
+from diagnosis.thresholds import DEFAULT, RegimeThresholds
 from dynamics.arrays import Floats
+from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle import Vehicle
 
-BINS = 6
-MIN_ROWS = 25  # of a cell that counts as flown: one second
-FAILS = 1.5  # RMS over floor of a cell that is named
-TRAVELS = 0.3  # m/s, below which motion has no direction
 PLANES = (("speed m/s", "thrust over weight"), ("roll rate rad/s", "pitch rate rad/s"), ("east m", "north m"))
 
 
@@ -35,7 +32,12 @@ class Failure(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True, eq=False)
 class Regime:
-    """One quantity along the flights. name: with its unit. edges: (b + 1,). over_floor: (4, b), NaN where not flown."""
+    """Error along one quantity.
+
+    name: of the quantity, with its unit.
+    edges: (b + 1,) of the cells.
+    over_floor: (4, b), NaN where not flown.
+    """
 
     name: str
     edges: Floats
@@ -44,8 +46,10 @@ class Regime:
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """Two quantities at once. across, up: with their units. across_edges: (b + 1,). up_edges: (c + 1,).
+    """Error over two quantities at once.
 
+    across, up: the quantities, with their units.
+    across_edges, up_edges: (b + 1,) and (c + 1,) of the cells.
     over_floor: (4, c, b), NaN where not flown.
     """
 
@@ -75,29 +79,38 @@ class PlaneCells(msgspec.Struct, frozen=True):
 
 
 def regime_maps(
-    segments: Sequence[Segment], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
+    segments: Sequence[Segment],
+    rows: Sequence[Floats],
+    floor: Floats,
+    vehicle: Vehicle,
+    thresholds: RegimeThresholds = DEFAULT.regimes,
 ) -> tuple[Regime, ...]:
     """Error over floor of each kind of channel along each quantity. rows: (m, 12) residuals; floor: (12,)."""
     squares = _over_floor(rows, floor)
     return tuple(
-        Regime(name, edges, _cells(squares, place, len(edges) - 1))
-        for name, values in _common(segments, vehicle).items()
-        for edges, place in [_placed(values)]
+        Regime(name, edges, _cells(squares, place, len(edges) - 1, thresholds.min_rows))
+        for name, values in _common(segments, vehicle, thresholds).items()
+        for edges, place in [_placed(values, thresholds)]
     )
 
 
 def regime_planes(
-    segments: Sequence[Segment], rows: Sequence[Floats], floor: Floats, vehicle: Vehicle
+    segments: Sequence[Segment],
+    rows: Sequence[Floats],
+    floor: Floats,
+    vehicle: Vehicle,
+    thresholds: RegimeThresholds = DEFAULT.regimes,
 ) -> tuple[Plane, ...]:
     """The same over two quantities at once: speed and thrust, roll and pitch rate, place."""
-    squares, values = _over_floor(rows, floor), _common(segments, vehicle)
+    squares, values, bins = _over_floor(rows, floor), _common(segments, vehicle, thresholds), thresholds.bins
     planes = []
     for across, up in PLANES:
         if across not in values or up not in values:
             continue
-        (across_edges, column), (up_edges, row) = _placed(values[across]), _placed(values[up])
-        place = np.where((column < 0) | (row < 0), -1, row * BINS + column)
-        cells = _cells(squares, place, BINS * BINS).reshape(len(KINDS), BINS, BINS)
+        across_edges, column = _placed(values[across], thresholds)
+        up_edges, row = _placed(values[up], thresholds)
+        place = np.where((column < 0) | (row < 0), -1, row * bins + column)
+        cells = _cells(squares, place, bins * bins, thresholds.min_rows).reshape(len(KINDS), bins, bins)
         planes.append(Plane(across, up, across_edges, up_edges, cells))
     return tuple(planes)
 
@@ -113,59 +126,58 @@ def plane_cells(plane: Plane) -> PlaneCells:
     return PlaneCells(plane.across, plane.up, *edges, _by_kind(plane.over_floor))
 
 
-def worst_cells(maps: Sequence[Regime], *, count: int = 5) -> tuple[Failure, ...]:
+def worst_cells(
+    maps: Sequence[Regime], thresholds: RegimeThresholds = DEFAULT.regimes, *, count: int = 5
+) -> tuple[Failure, ...]:
     """The cells that stand out most, at most one of each regime and channel, worst first."""
-    found = []
+    failures = []
     for regime in maps:
         for kind, cells in zip(KINDS, regime.over_floor, strict=True):
-            flown = np.isfinite(cells)
-            if np.count_nonzero(flown) < 2:
+            if np.count_nonzero(np.isfinite(cells)) < 2:
                 continue
             place = int(np.nanargmax(cells))
             worst, usual = float(cells[place]), float(np.nanmedian(cells))
-            if worst > FAILS and worst > 1.2 * usual:
+            if worst > thresholds.min_failing and worst > thresholds.min_failing_share * usual:
                 low, high = float(regime.edges[place]), float(regime.edges[place + 1])
-                found.append(Failure(regime.name, round(low, 3), round(high, 3), kind, round(worst, 2)))
-    return tuple(sorted(found, key=lambda f: -f.rms_over_floor)[:count])
+                failures.append(Failure(regime.name, round(low, 3), round(high, 3), kind, round(worst, 2)))
+    return tuple(sorted(failures, key=lambda f: -f.rms_over_floor)[:count])
 
 
 def _over_floor(rows: Sequence[Floats], floor: Floats) -> Floats:
     """(m, 4) squared norm of each kind of channel over that of its floor, NaN for kinds that are absent."""
-    everything = np.vstack(rows)
-    squares = np.add.reduceat(everything**2, np.arange(0, 3 * len(KINDS), 3), axis=1)
-    levels = np.add.reduceat(floor**2, np.arange(0, 3 * len(KINDS), 3))
+    squares, levels = squared_by_kind(np.vstack(rows)), squared_by_kind(floor)
     return np.asarray(squares / np.where(levels > 0, levels, np.nan))
 
 
-def _common(segments: Sequence[Segment], vehicle: Vehicle) -> dict[str, Floats]:
+def _common(segments: Sequence[Segment], vehicle: Vehicle, thresholds: RegimeThresholds) -> dict[str, Floats]:
     """The quantities that all segments have, (m,) over all of them."""
-    values = [_quantities(s, vehicle) for s in segments]
+    values = [_quantities(s, vehicle, thresholds) for s in segments]
     return {name: np.concatenate([v[name] for v in values]) for name in values[0] if all(name in v for v in values)}
 
 
-def _placed(values: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Edges of the cells (b + 1,) and the cell of each value, -1 where it is not known."""
-    known = np.isfinite(values)
-    low, high = np.quantile(values[known], [0.005, 0.995]) if known.any() else (0.0, 0.0)
-    edges = np.linspace(low, max(high, low + 1e-6), BINS + 1)
-    cell = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, BINS - 1)
-    return edges, np.where(known, cell, -1)
+def _placed(values: Floats, thresholds: RegimeThresholds) -> tuple[Floats, NDArray[np.intp]]:
+    """Edges of the cells (b + 1,) and the cell of each value, -1 for NaN."""
+    finite, bins = np.isfinite(values), thresholds.bins
+    low, high = np.quantile(values[finite], thresholds.quantiles) if finite.any() else (0.0, 0.0)
+    edges = np.linspace(low, max(high, low + 1e-6), bins + 1)
+    cell = np.clip(np.searchsorted(edges, values, side="right") - 1, 0, bins - 1)
+    return edges, np.where(finite, cell, -1)
 
 
-def _cells(squares: Floats, place: NDArray[np.intp], count: int) -> Floats:
-    """(4, count) RMS over floor in each cell, NaN where less than a second was flown. squares: (m, 4)."""
+def _cells(squares: Floats, place: NDArray[np.intp], count: int, min_rows: int) -> Floats:
+    """(4, count) RMS over floor in each cell, NaN where fewer rows were flown. squares: (m, 4)."""
     result = np.full((len(KINDS), count), np.nan)
     for cell in range(count):
         inside = squares[place == cell]
-        if len(inside) >= MIN_ROWS:
+        if len(inside) >= min_rows:
             result[:, cell] = np.sqrt(np.mean(inside, axis=0))
     return result
 
 
 def _by_kind(over_floor: Floats) -> dict[str, list[Any]]:
     """Cells of each kind that there is, rounded, None where not flown."""
-    found = zip(KINDS, over_floor, strict=True)
-    return {kind: _rounded(cells) for kind, cells in found if np.isfinite(cells).any()}
+    by_kind = zip(KINDS, over_floor, strict=True)
+    return {kind: _rounded(cells) for kind, cells in by_kind if np.isfinite(cells).any()}
 
 
 def _rounded(cells: Floats) -> list[Any]:
@@ -174,13 +186,15 @@ def _rounded(cells: Floats) -> list[Any]:
     return [round(float(cell), 3) if np.isfinite(cell) else None for cell in cells]
 
 
-def _quantities(segment: Segment, vehicle: Vehicle) -> dict[str, Floats]:
-    """(m,) each, by name; without those that rest on what was not logged."""
-    rows = kept(len(segment), segment.rate)
+def _quantities(segment: Segment, vehicle: Vehicle, thresholds: RegimeThresholds) -> dict[str, Floats]:
+    """(m,) each, by name; without those that need what was not logged."""
+    rows = segment.decimated
     thrust = (segment.rotor_speed**2 @ vehicle.rotors.allocation[0])[rows]
-    rate = segment.smooth[rows, 10:13]
-    found = {} if "velocity" in segment.lacks else _motion(segment.smooth[rows, 3:6])
-    found |= {
+    rate = segment.smooth[rows, RATE]
+    values = {}
+    if "velocity" not in segment.lacks:
+        values = _motion(segment.smooth[rows, VELOCITY], thresholds.min_speed)
+    values |= {
         "thrust over weight": thrust / vehicle.weight,
         "body rate rad/s": np.linalg.norm(rate, axis=1),
         "roll rate rad/s": rate[:, 0],
@@ -188,18 +202,19 @@ def _quantities(segment: Segment, vehicle: Vehicle) -> dict[str, Floats]:
         "yaw rate rad/s": rate[:, 2],
     }
     if "position" not in segment.lacks:
-        place = segment.position[rows]
-        found |= {"height m": place[:, 2], "east m": place[:, 0], "north m": place[:, 1]}
-    found["time s"] = segment.start + np.arange(len(segment))[rows] / segment.rate
+        position = segment.position[rows]
+        values |= {"height m": position[:, 2], "east m": position[:, 0], "north m": position[:, 1]}
+    values["time s"] = segment.start + np.arange(len(segment))[rows] / segment.rate
     if segment.battery_ratio is not None:
-        found["battery voltage over full"] = segment.battery_ratio[rows]
-    return found
+        values["battery voltage over full"] = segment.battery_ratio[rows]
+    return values
 
 
-def _motion(velocity: Floats) -> dict[str, Floats]:
+def _motion(velocity: Floats, min_speed: float) -> dict[str, Floats]:
+    """Of velocity (m, 3); motion slower than min_speed has no direction."""
     level = np.hypot(velocity[:, 0], velocity[:, 1])
     return {
         "speed m/s": np.linalg.norm(velocity, axis=1),
         "climb m/s": velocity[:, 2],
-        "heading of motion rad": np.where(level > TRAVELS, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan),
+        "heading of motion rad": np.where(level > min_speed, np.arctan2(velocity[:, 1], velocity[:, 0]), np.nan),
     }

@@ -19,9 +19,12 @@ class ParameterValue(msgspec.Struct, frozen=True):
     unit: str
 
 
-class FoundEffect(msgspec.Struct, frozen=True):
-    """An effect that is missing from the model. confidence: share of flight resamples that agree.
+class MissingEffect(msgspec.Struct, frozen=True):
+    """An effect that is missing from the model.
 
+    name, rotor: of the catalogue, and the rotor that it sits on, if any.
+    parameters: fitted, or held with a standard deviation of 0.
+    confidence: share of flight resamples that agree.
     ambiguous_with: effects that these flights cannot tell from it.
     """
 
@@ -42,10 +45,17 @@ class ChannelError(msgspec.Struct, frozen=True):
 
 
 class Diagnosis(msgspec.Struct, frozen=True):
-    """The verdict and what it stands on."""
+    """The verdict and its evidence.
+
+    effects: that are missing, the most important first.
+    channels: errors by kind.
+    not_excited: effects that would not have shown at their usual size.
+    fails_where: cells in which the model fails most.
+    next_flight: the manoeuvre to fly next.
+    """
 
     verdict: Verdict
-    effects: tuple[FoundEffect, ...]
+    effects: tuple[MissingEffect, ...]
     channels: dict[str, ChannelError]
     not_excited: tuple[str, ...]
     fails_where: tuple[Failure, ...]
@@ -56,16 +66,16 @@ def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     if diagnosis.verdict == "explained":
         return "The model explains these flights down to the sensors' noise."
-    told = " and ".join(_told(effect) for effect in diagnosis.effects)
+    missing = " and ".join(_described(effect) for effect in diagnosis.effects)
     if diagnosis.verdict == "unknown":
-        partly = f" Part of it looks like {told}." if told else ""
+        partly = f" Part of it looks like {missing}." if missing else ""
         return f"Something is missing that no effect of the catalogue explains.{partly}"
     others = [name for effect in diagnosis.effects for name in effect.ambiguous_with]
     open_question = f"; these flights cannot tell it from {', '.join(others)}" if others else ""
-    return f"The model misses {told}{open_question}."
+    return f"The model misses {missing}{open_question}."
 
 
-def _told(effect: FoundEffect) -> str:
+def _described(effect: MissingEffect) -> str:
     where = "" if effect.rotor is None else f" of rotor {effect.rotor}"
     values = ", ".join(
         f"{name} = {p.value:.4g}"

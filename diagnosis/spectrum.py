@@ -1,4 +1,4 @@
-"""Spectra of what a model leaves, against the noise that sensors would leave."""
+"""Spectra of a model's residuals and of the sensors' noise."""
 
 from __future__ import annotations
 
@@ -9,17 +9,18 @@ import msgspec
 import numpy as np
 from scipy.signal import freqz, welch
 
-from diagnosis.data.filters import CUTOFF
 from diagnosis.models.channels import AXES, CHANNELS, KINDS
-from diagnosis.selection.noise import SEGMENT, NoiseModel
+from diagnosis.selection.noise import NoiseModel
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Spectrum:
-    """frequency: (f,) Hz. power, noise: (12, f) one-sided density of residual and noise model, unit^2/Hz.
+    """Power densities of the channels, NaN for channels that are absent.
 
-    NaN for channels that are absent.
+    frequency: (f,) Hz.
+    power, noise: (12, f) one-sided density of residual and noise model, unit^2/Hz.
     """
 
     frequency: Floats
@@ -35,19 +36,21 @@ class SpectrumLines(msgspec.Struct, frozen=True):
     noise: dict[str, list[float]]
 
 
-def residual_spectrum(rows: Sequence[Floats], noise: NoiseModel, rate: float) -> Spectrum:
+def residual_spectrum(
+    rows: Sequence[Floats], noise: NoiseModel, rate: float, thresholds: Thresholds = DEFAULT
+) -> Spectrum:
     """Spectra below the filters' cutoff. rows: (m, 12) residuals of each segment at rate Hz."""
-    length = min(SEGMENT, *(len(r) for r in rows))
-    found = [welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
-    frequency = found[0][0]
+    length = min(thresholds.noise.spectrum_rows, *(len(r) for r in rows))
+    spectra = [welch(r, rate, nperseg=length, detrend=False, axis=0) for r in rows]
+    frequency = spectra[0][0]
     weights = np.array([len(r) for r in rows], dtype=float)
-    power = np.average([p for _, p in found], axis=0, weights=weights).T
+    power = np.average([p for _, p in spectra], axis=0, weights=weights).T
     model = np.full_like(power, np.nan)
     for channel, filter_, level in zip(noise.active, noise.filters, noise.level, strict=True):
         response = freqz(1.0, filter_, worN=frequency, fs=rate)[1]
         model[channel] = 2 * level**2 / rate * np.abs(response) ** 2
     power[np.isnan(model[:, 0])] = np.nan
-    below = frequency <= CUTOFF
+    below = frequency <= thresholds.filters.cutoff
     return Spectrum(frequency[below], power[:, below], model[:, below])
 
 

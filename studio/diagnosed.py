@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 from diagnosis.comparison import AxisError
 from diagnosis.models.channels import AXES, KINDS, UNITS
 from diagnosis.report import ChannelError, Diagnosis
-from diagnosis.selection.search import IMPOSSIBLE, MIN_GAIN, Scored
+from diagnosis.selection.search import IMPOSSIBLE, Scored
 from diagnosis.spectrum import Spectrum
 from studio.evidence import Agreement, Likeness, Overlay, by_kind
 from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Choice, Picture, choosing, line, picture
@@ -42,12 +42,21 @@ def channel_bars(errors: dict[str, ChannelError]) -> Picture:
         ("improved model", AFTER, [e.after for e in errors.values()]),
     ):
         over = [value / e.floor for value, e in zip(values, errors.values(), strict=True)]
-        told = [f"{value:.4g} {unit_shown(e.unit)}" for value, e in zip(values, errors.values(), strict=True)]
-        figure.add_trace(go.Bar(
-            y=names, x=over, name=label, orientation="h", marker_color=colour, customdata=told, texttemplate="%{x:.2f}",
-            textposition="outside", cliponaxis=False,
-            hovertemplate="%{y}<br>" + label + ": %{customdata}, %{x:.3g} times the floor<extra></extra>",
-        ))  # fmt: skip
+        labels = [f"{value:.4g} {unit_shown(e.unit)}" for value, e in zip(values, errors.values(), strict=True)]
+        figure.add_trace(
+            go.Bar(
+                y=names,
+                x=over,
+                name=label,
+                orientation="h",
+                marker_color=colour,
+                customdata=labels,
+                texttemplate="%{x:.2f}",
+                textposition="outside",
+                cliponaxis=False,
+                hovertemplate="%{y}<br>" + label + ": %{customdata}, %{x:.3g} times the floor<extra></extra>",
+            )
+        )
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
     worst = max(max(e.before, e.after) / e.floor for e in errors.values())
     figure.update_layout(barmode="group")
@@ -59,50 +68,61 @@ def channel_bars(errors: dict[str, ChannelError]) -> Picture:
 def axis_bars(axes: Sequence[AxisError]) -> Picture:
     """Error of each channel in units of its noise floor."""
     names = [f"{a.kind} {a.axis}" for a in axes]
-    figure = go.Figure(go.Bar(
-        y=names, x=[a.rms / a.floor for a in axes], orientation="h", marker_color=BEFORE, texttemplate="%{x:.2f}",
-        textposition="outside", cliponaxis=False, customdata=[f"{a.rms:.4g} {unit_shown(a.unit)}" for a in axes],
-        hovertemplate="%{y}<br>%{customdata}, %{x:.3g} times the floor<extra></extra>",
-    ))  # fmt: skip
+    figure = go.Figure(
+        go.Bar(
+            y=names,
+            x=[a.rms / a.floor for a in axes],
+            orientation="h",
+            marker_color=BEFORE,
+            texttemplate="%{x:.2f}",
+            textposition="outside",
+            cliponaxis=False,
+            customdata=[f"{a.rms:.4g} {unit_shown(a.unit)}" for a in axes],
+            hovertemplate="%{y}<br>%{customdata}, %{x:.3g} times the floor<extra></extra>",
+        )
+    )
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
     figure.update_xaxes(title_text="times the noise floor", range=[0, ROOM * max(a.rms / a.floor for a in axes)])
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 90 + 30 * len(names), "Bars: error of each channel over its noise floor.")
 
 
-def overlay_lines(seen: Overlay, *, improved: bool) -> Picture:
+def overlay_lines(view: Overlay, *, improved: bool) -> Picture:
     """Measured and modelled over time, one channel at a time, with a jump to the two worst seconds.
 
     improved: whether there is a better model to draw.
     """
     figure, choices = go.Figure(), []
-    for channel in np.argsort(-seen.missed).tolist():
-        if not seen.missed[channel]:
+    for channel in np.argsort(-view.worst_over_floor).tolist():
+        if not view.worst_over_floor[channel]:
             continue
         kind, unit = KINDS[channel // AXES], unit_shown(UNITS[KINDS[channel // AXES]])
         lines = [
-            ("measured", MEASURED, seen.measured, 1.8, "solid"),
-            ("current model", BEFORE, seen.current, 1.3, "solid"),
+            ("measured", MEASURED, view.measured, 1.8, "solid"),
+            ("current model", BEFORE, view.current, 1.3, "solid"),
         ]
         if improved:
-            lines.append(("improved model", AFTER, seen.improved, 1.3, "dot"))
+            lines.append(("improved model", AFTER, view.improved, 1.3, "dot"))
         first = len(figure.data)
         for name, colour, table, width, dash in lines:
-            drawn = line(seen.time, table[:, channel], name=name, colour=colour, unit=unit, width=width, dash=dash)
+            drawn = line(view.time, table[:, channel], name=name, colour=colour, unit=unit, width=width, dash=dash)
             figure.add_trace(drawn)
         name = f"{NAMES[kind]}, {AXIS[channel % AXES]}"
         choices.append(Choice(name, range(first, len(figure.data)), {"yaxis.title.text": f"{name}, {unit}"}))
-    choosing(figure, choices, asked="channel")
-    for begin, name in zip(seen.begins, seen.names, strict=True):
+    choosing(figure, choices, label="channel")
+    for begin, name in zip(view.begins, view.names, strict=True):
         figure.add_vline(x=begin, line={"color": FLOOR, "width": 1})
         figure.add_annotation(
             x=begin, y=1, yref="paper", text=name, showarrow=False, xanchor="left", yanchor="top", font_size=10
         )
-    low, high = seen.worst
-    meta = {**figure.layout.meta, "jumps": [
-        {"name": "worst two seconds", "range": [low - 1, high + 1]},
-        {"name": "all", "range": [float(seen.time[0]), float(seen.time[-1])]},
-    ]}  # fmt: skip
+    low, high = view.worst
+    meta = {
+        **figure.layout.meta,
+        "jumps": [
+            {"name": "worst two seconds", "range": [low - 1, high + 1]},
+            {"name": "all", "range": [float(view.time[0]), float(view.time[-1])]},
+        ],
+    }
     figure.add_vrect(x0=low, x1=high, fillcolor=ORANGE, opacity=0.15, line_width=0)
     figure.update_layout(meta=meta, hovermode="x unified")
     figure.update_xaxes(title_text="time, s (one flight behind the other)", range=[low - 1, high + 1])
@@ -110,18 +130,24 @@ def overlay_lines(seen: Overlay, *, improved: bool) -> Picture:
     return picture(figure, 420, "Lines: what was measured and what the models say, over time.")
 
 
-def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, most: int = 14) -> Picture:
+def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, min_score: float, max_count: int = 14) -> Picture:
     """How much each effect alone would explain, the best first."""
-    able = [s for s in singles if s.score > IMPOSSIBLE][:most]
+    able = [s for s in singles if s.score > IMPOSSIBLE][:max_count]
     names = [s.candidates[0].key for s in able]
     keys = {c.effect.name for c in chosen.candidates}
     colours = [AFTER if s.candidates[0].effect.name in keys else SKY for s in able]
     scores = [max(s.score, 1.0) for s in able]
-    figure = go.Figure(go.Bar(
-        y=names, x=scores, orientation="h", marker_color=colours, customdata=[s.score for s in able],
-        hovertemplate="%{y}: score %{customdata:.4g}<extra></extra>",
-    ))  # fmt: skip
-    figure.add_vline(x=MIN_GAIN, line={"color": FLOOR, "dash": "dash"})
+    figure = go.Figure(
+        go.Bar(
+            y=names,
+            x=scores,
+            orientation="h",
+            marker_color=colours,
+            customdata=[s.score for s in able],
+            hovertemplate="%{y}: score %{customdata:.4g}<extra></extra>",
+        )
+    )
+    figure.add_vline(x=min_score, line={"color": FLOOR, "dash": "dash"})
     figure.update_xaxes(title_text="score (least that counts: dashed)", type="log", dtick=1, exponentformat="power")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect alone.")
@@ -129,24 +155,32 @@ def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, most: int = 14) -
 
 def interval_lines(diagnosis: Diagnosis) -> Picture | None:
     """The fitted parameters with their 95 % intervals, each relative to its value; None where there are none."""
-    found = [
+    fitted = [
         (f"{e.name}{'' if e.rotor is None else f'[{e.rotor}]'} {name}", p)
         for e in diagnosis.effects
         for name, p in e.parameters.items()
         if p.std > 0 and p.value
     ]
-    if not found:
+    if not fitted:
         return None
-    reach = [100 * 1.96 * p.std / abs(p.value) for _, p in found]
-    told = [f"{p.value:.4g} ± {1.96 * p.std:.2g} {unit_shown(p.unit)}" for _, p in found]
-    figure = go.Figure(go.Scatter(
-        y=[name for name, _ in found], x=[0.0] * len(found), mode="markers+text", text=told, textposition="top center",
-        error_x={"type": "data", "array": reach, "thickness": 2}, marker={"size": 10, "color": AFTER},
-        hovertemplate="%{y}: %{text}<extra></extra>", cliponaxis=False,
-    ))  # fmt: skip
+    reach = [100 * 1.96 * p.std / abs(p.value) for _, p in fitted]
+    labels = [f"{p.value:.4g} ± {1.96 * p.std:.2g} {unit_shown(p.unit)}" for _, p in fitted]
+    figure = go.Figure(
+        go.Scatter(
+            y=[name for name, _ in fitted],
+            x=[0.0] * len(fitted),
+            mode="markers+text",
+            text=labels,
+            textposition="top center",
+            error_x={"type": "data", "array": reach, "thickness": 2},
+            marker={"size": 10, "color": AFTER},
+            hovertemplate="%{y}: %{text}<extra></extra>",
+            cliponaxis=False,
+        )
+    )
     figure.update_xaxes(title_text="95 % interval, per cent of the value", zeroline=True, zerolinecolor=FLOOR)
-    figure.update_yaxes(automargin=True, range=[-0.7, len(found) - 0.1])
-    return picture(figure, 110 + 60 * len(found), "Points with bars: parameters and their 95 % intervals.")
+    figure.update_yaxes(automargin=True, range=[-0.7, len(fitted) - 0.1])
+    return picture(figure, 110 + 60 * len(fitted), "Points with bars: parameters and their 95 % intervals.")
 
 
 def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
@@ -162,9 +196,15 @@ def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
         for name, colour, power, dash in models:
             values = by_kind(power)[kind]
             drawn = line(
-                before.frequency[1:], values[1:], name=name, colour=colour, unit=unit, dash=dash,
-                showlegend=row == 1, legendgroup=name,
-            )  # fmt: skip
+                before.frequency[1:],
+                values[1:],
+                name=name,
+                colour=colour,
+                unit=unit,
+                dash=dash,
+                showlegend=row == 1,
+                legendgroup=name,
+            )
             figure.add_trace(drawn, row=row, col=1)
         figure.update_yaxes(title_text=unit, type="log", exponentformat="power", row=row, col=1)
     figure.update_annotations(font_size=12)
@@ -173,21 +213,34 @@ def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
     return picture(figure, 120 + 175 * len(there), says, titles=True)
 
 
-def agreement_points(seen: Agreement) -> Picture:
+def agreement_points(agreement: Agreement) -> Picture:
     """What the accelerometer misses against what the pose misses: a force lies on the diagonal."""
-    titles = [f"{AXIS[axis]}: {seen.correlation[axis]:.2f}" for axis in range(3)]
+    titles = [f"{AXIS[axis]}: {agreement.correlation[axis]:.2f}" for axis in range(3)]
     figure = make_subplots(cols=3, subplot_titles=titles, horizontal_spacing=0.09)
-    reach = float(np.quantile(np.abs(np.hstack([seen.imu, seen.mocap])), 0.999))
+    reach = float(np.quantile(np.abs(np.hstack([agreement.specific_force, agreement.pose_acceleration])), 0.999))
     for axis, colour in enumerate((AFTER, ORANGE, GREEN)):
-        figure.add_trace(go.Scattergl(
-            x=seen.imu[:, axis].astype(np.float32), y=seen.mocap[:, axis].astype(np.float32), mode="markers",
-            marker={"size": 4, "color": colour, "opacity": 0.4}, showlegend=False, name=AXIS[axis],
-            hovertemplate="felt %{x:.3g}, seen %{y:.3g} m/s²<extra></extra>",
-        ), row=1, col=axis + 1)  # fmt: skip
+        figure.add_trace(
+            go.Scattergl(
+                x=agreement.specific_force[:, axis].astype(np.float32),
+                y=agreement.pose_acceleration[:, axis].astype(np.float32),
+                mode="markers",
+                marker={"size": 4, "color": colour, "opacity": 0.4},
+                showlegend=False,
+                name=AXIS[axis],
+                hovertemplate="felt %{x:.3g}, seen %{y:.3g} m/s²<extra></extra>",
+            ),
+            row=1,
+            col=axis + 1,
+        )
         diagonal = line(
-            np.array([-reach, reach]), np.array([-reach, reach]), name="a force", colour=FLOOR, unit="m/s²",
-            dash="dash", showlegend=False,
-        )  # fmt: skip
+            np.array([-reach, reach]),
+            np.array([-reach, reach]),
+            name="a force",
+            colour=FLOOR,
+            unit="m/s²",
+            dash="dash",
+            showlegend=False,
+        )
         figure.add_trace(diagonal, row=1, col=axis + 1)
         figure.update_xaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
         figure.update_yaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
@@ -198,14 +251,23 @@ def agreement_points(seen: Agreement) -> Picture:
     return picture(figure, 340, says, titles=True)
 
 
-def likeness_map(seen: Likeness) -> Picture:
+def likeness_map(likeness: Likeness) -> Picture:
     """Which effects look alike on these flights."""
-    figure = go.Figure(go.Heatmap(
-        z=seen.shared, x=seen.names, y=seen.names, zmin=0, zmax=1, colorscale="Cividis",
-        text=[[f"{100 * value:.0f}" for value in row] for row in seen.shared], texttemplate="%{text}",
-        textfont_size=10, colorbar={"title": "shared", "tickformat": ".0%", "thickness": 12},
-        hovertemplate="%{y} and %{x} share %{z:.1%}<extra></extra>",
-    ))  # fmt: skip
+    figure = go.Figure(
+        go.Heatmap(
+            z=likeness.shared,
+            x=likeness.names,
+            y=likeness.names,
+            zmin=0,
+            zmax=1,
+            colorscale="Cividis",
+            text=[[f"{100 * value:.0f}" for value in row] for row in likeness.shared],
+            texttemplate="%{text}",
+            textfont_size=10,
+            colorbar={"title": "shared", "tickformat": ".0%", "thickness": 12},
+            hovertemplate="%{y} and %{x} share %{z:.1%}<extra></extra>",
+        )
+    )
     figure.update_xaxes(tickangle=-60, automargin=True)
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 520, "Map: share of its signal that each effect has in common with each other.")

@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis show, computed from its findings."""
+"""What the pictures of a diagnosis show, computed from its result."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.comparison import WORST, worst_window
+from diagnosis.comparison import worst_window
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.selection.regression import Regression
@@ -19,16 +19,20 @@ from dynamics.arrays import Floats
 MAX_ROWS = 6000  # of the overlay: four minutes of flight
 SHOWN_CANDIDATES = 14  # of the collinearity matrix
 PAUSE = 0.5  # s between flights that are shown one behind the other
-SCATTERED = 1500  # points a panel
+MAX_POINTS = 1500  # of a panel
 
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
     """Measured and modelled channels over flights that are shown one behind the other, a row of NaN between them.
 
-    time: (n,) s. measured, current, improved: (n, 12). begins: where each flight begins, s. names: of the flights.
-    worst: first and last second of the two worst. missed: (12,) RMS over floor of the current model in them, 0 where a
-    channel is absent. left_out: segments that were too many to show.
+    time: (n,) s.
+    measured, current, improved: (n, 12).
+    begins: where each flight begins, s.
+    names: of the flights.
+    worst: start and end of the worst window, s.
+    worst_over_floor: (12,) RMS over floor of the current model in it, 0 where a channel is absent.
+    left_out: segments that were too many to show.
     """
 
     time: Floats
@@ -38,18 +42,21 @@ class Overlay:
     begins: tuple[float, ...]
     names: tuple[str, ...]
     worst: tuple[float, float]
-    missed: Floats
+    worst_over_floor: Floats
     left_out: int
 
 
 def overlay(
-    segments: Sequence[Segment], before: Sequence[Floats], after: Sequence[Floats], floor: Floats, rate: float
+    segments: Sequence[Segment], before: Sequence[Floats], after: Sequence[Floats], regression: Regression
 ) -> Overlay:
-    """What segments measured and what two models say, from their residuals (m, 12). floor: (12,). rate: Hz, of rows.
+    """Measured channels of segments and those of two models, from their residuals (m, 12).
 
-    Of more than four minutes the worst segments are shown.
+    Of more than four minutes the worst segments are shown. regression: for noise floor, rate and thresholds.
     """
-    chosen = _worst_segments(before, floor, rate)
+    floor, rate = regression.noise.floor, regression.rate
+    duration = regression.thresholds.regimes.worst_window
+    worst_first = sorted(range(len(before)), key=lambda i: -worst_window([before[i]], floor, rate, duration)[2])
+    chosen = _as_many_as_fit(worst_first, before)
     gap = np.full((1, channels.CHANNELS), np.nan)
     times: list[Floats] = []
     tables: tuple[list[Floats], ...] = ([], [], [])
@@ -62,9 +69,9 @@ def overlay(
         now = float(times[-1][-1]) + PAUSE
         for table, values in zip(tables, (measured, measured - before[index], measured - after[index]), strict=True):
             table.append(np.vstack([values, gap]))
-    place, row, _ = worst_window([before[i] for i in chosen], floor, rate)
+    place, row, _ = worst_window([before[i] for i in chosen], floor, rate, duration)
     start = begins[place] + row / rate
-    inside = before[chosen[place]][row : row + round(WORST * rate)]
+    inside = before[chosen[place]][row : row + round(duration * rate)]
     over_floor = np.sqrt(np.mean(inside**2, axis=0)) / np.where(floor > 0, floor, np.inf)
     return Overlay(
         time=np.concatenate(times),
@@ -73,15 +80,14 @@ def overlay(
         improved=np.vstack(tables[2]),
         begins=tuple(begins),
         names=tuple(Path(segments[i].flight).name for i in chosen),
-        worst=(start, start + WORST),
-        missed=over_floor,
+        worst=(start, start + duration),
+        worst_over_floor=over_floor,
         left_out=len(segments) - len(chosen),
     )
 
 
-def _worst_segments(rows: Sequence[Floats], floor: Floats, rate: float) -> list[int]:
-    """Places of the segments with the worst two seconds, in their order, as many as can be shown."""
-    worst_first = sorted(range(len(rows)), key=lambda i: -worst_window([rows[i]], floor, rate)[2])
+def _as_many_as_fit(worst_first: Sequence[int], rows: Sequence[Floats]) -> list[int]:
+    """The first of these segments, as many as can be shown, in order of time."""
     chosen: list[int] = []
     for index in worst_first:
         if not chosen or sum(len(rows[i]) for i in chosen) + len(rows[index]) <= MAX_ROWS:
@@ -91,30 +97,35 @@ def _worst_segments(rows: Sequence[Floats], floor: Floats, rate: float) -> list[
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Residuals of accelerometer and pose, (n, 3) m/s^2 each, and how they agree.
+    """Residuals of accelerometer and pose, and how they agree.
 
+    specific_force, pose_acceleration: (n, 3) m/s^2.
     correlation: (3,), one an axis.
     """
 
-    imu: Floats
-    mocap: Floats
+    specific_force: Floats
+    pose_acceleration: Floats
     correlation: Floats
 
 
 def agreement(rows: Sequence[Floats]) -> Agreement | None:
-    """What accelerometer and pose miss in the model, side by side; None where one of them is not in the log."""
+    """Residuals of accelerometer and pose; None where one of them is not in the log. rows: (m, 12)."""
     table = np.vstack(rows)
-    imu, mocap = table[:, 0:3], table[:, 3:6]
-    if not imu.any() or not mocap.any():
+    force, pose = table[:, channels.SPECIFIC_FORCE], table[:, channels.POSE_ACCELERATION]
+    if not force.any() or not pose.any():
         return None
-    correlation = np.array([np.corrcoef(imu[:, axis], mocap[:, axis])[0, 1] for axis in range(3)])
-    thin = slice(None, None, max(1, len(table) // SCATTERED))
-    return Agreement(imu[thin], mocap[thin], correlation)
+    correlation = np.array([np.corrcoef(force[:, axis], pose[:, axis])[0, 1] for axis in range(3)])
+    thin = slice(None, None, max(1, len(table) // MAX_POINTS))
+    return Agreement(force[thin], pose[thin], correlation)
 
 
 @dataclass(frozen=True, eq=False)
 class Likeness:
-    """How much the signals of effects have in common on these flights. names: (k,). shared: (k, k) from 0 to 1."""
+    """How much the signals of effects have in common on these flights.
+
+    names: (k,) of the effects.
+    shared: (k, k) from 0 to 1.
+    """
 
     names: tuple[str, ...]
     shared: Floats
@@ -123,7 +134,7 @@ class Likeness:
 def likeness(regression: Regression, singles: Sequence[Scored]) -> Likeness:
     """The largest canonical correlation of each two effects' whitened columns, biases taken out.
 
-    singles: each effect's best variant, best first; the first ones are taken.
+    singles: each effect at its best grid point, best first; the first ones are shown.
     """
     gram: Floats = np.sum(regression.plain_gram, axis=0)
     taken = [s for s in singles if np.all(np.diag(gram)[s.columns] > 0)][:SHOWN_CANDIDATES]
@@ -144,6 +155,6 @@ def _inverse_root(matrix: Floats) -> Floats:
     return np.asarray((vectors[:, good] / np.sqrt(values[good])).T)
 
 
-def by_kind(thrice: Floats) -> Floats:
+def by_kind(by_channel: Floats) -> Floats:
     """(4, f) sum over the three axes of (12, f), NaN for kinds that are absent."""
-    return np.asarray(thrice.reshape(len(channels.KINDS), channels.AXES, -1).sum(axis=1))
+    return np.asarray(by_channel.reshape(len(channels.KINDS), channels.AXES, -1).sum(axis=1))

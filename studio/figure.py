@@ -16,8 +16,15 @@ from studio.page import embedded
 
 # Okabe and Ito's colours.
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
-    "#000000", "#E69F00", "#56B4E9", "#009E73", "#F0E442", "#0072B2", "#D55E00", "#CC79A7",
-)  # fmt: skip
+    "#000000",
+    "#E69F00",
+    "#56B4E9",
+    "#009E73",
+    "#F0E442",
+    "#0072B2",
+    "#D55E00",
+    "#CC79A7",
+)
 MEASURED, BEFORE, AFTER, FLOOR = BLACK, VERMILION, BLUE, "#6b7280"
 GRID, UNFLOWN = "#e5e7eb", "#d4d8de"
 MAX_POINTS = 3000  # of a line
@@ -46,10 +53,14 @@ def picture(figure: go.Figure, height: int, says: str, *, titles: bool = False) 
     head, foot = (74 if titles else 34), 48
     above = 1 + (26 / (height - head - foot) if titles else 0)
     figure.update_layout(
-        template="none", height=height, margin={"l": 62, "r": 12, "t": head, "b": foot},
-        font={"size": 12, "family": "system-ui, sans-serif", "color": "#1c2430"}, hoverlabel={"font_size": 12},
-        paper_bgcolor="#ffffff", legend={"orientation": "h", "x": 0, "y": above, "yanchor": "bottom"},
-    )  # fmt: skip
+        template="none",
+        height=height,
+        margin={"l": 62, "r": 12, "t": head, "b": foot},
+        font={"size": 12, "family": "system-ui, sans-serif", "color": "#1c2430"},
+        hoverlabel={"font_size": 12},
+        paper_bgcolor="#ffffff",
+        legend={"orientation": "h", "x": 0, "y": above, "yanchor": "bottom"},
+    )
     figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
     figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
     return Picture(embedded(figure.to_json(engine="json")), height, says)
@@ -58,32 +69,45 @@ def picture(figure: go.Figure, height: int, says: str, *, titles: bool = False) 
 def line(x: Floats, y: Floats, *, name: str, colour: str, unit: str, **more: Any) -> go.Scatter:
     """A line whose values show under the pointer; single precision, which is what a screen needs."""
     return go.Scatter(
-        x=x.astype(np.float32), y=y.astype(np.float32), name=name, mode="lines",
+        x=x.astype(np.float32),
+        y=y.astype(np.float32),
+        name=name,
+        mode="lines",
         line={"color": colour, "width": more.pop("width", 1.4), "dash": more.pop("dash", "solid")},
-        hovertemplate=f"{name}: %{{y:.3g}} {unit}<extra></extra>", **more,
-    )  # fmt: skip
+        hovertemplate=f"{name}: %{{y:.3g}} {unit}<extra></extra>",
+        **more,
+    )
 
 
-def thinned(lines: Sequence[Floats], most: int = MAX_POINTS) -> NDArray[np.intp]:
-    """Rows that draw lines (n,) of one clock so that every spike still shows: least and greatest of many pieces."""
+def thinned(lines: Sequence[Floats], max_points: int = MAX_POINTS) -> NDArray[np.intp]:
+    """Rows that draw lines (n,) of one clock so that every spike still shows: least and greatest of many parts."""
     rows = len(lines[0])
-    if rows <= most:
+    if rows <= max_points:
         return np.arange(rows)
-    pieces = max(1, most // (2 * len(lines)))
-    edges = np.linspace(0, rows, pieces + 1).astype(int)
-    kept = {0, rows - 1}
+    parts = max(1, max_points // (2 * len(lines)))
+    edges = np.linspace(0, rows, parts + 1).astype(int)
+    drawn = {0, rows - 1}
     for values, (start, stop) in ((v, e) for v in lines for e in pairwise(edges)):
         part = values[start:stop]
         if np.isfinite(part).any():
-            kept |= {start + int(np.nanargmin(part)), start + int(np.nanargmax(part))}
-    return np.array(sorted(kept))
+            drawn |= {start + int(np.nanargmin(part)), start + int(np.nanargmax(part))}
+    return np.array(sorted(drawn))
 
 
-def choosing(figure: go.Figure, choices: Sequence[Choice], *, asked: str) -> None:
-    """Let the page choose which lines of a figure show; the first choice is what shows without asking."""
-    figure.update_layout(meta={"asked": asked, "choices": [
-        {"name": c.name, "visible": [index in c.lines for index in range(len(figure.data))], "layout": dict(c.layout)}
-        for c in choices
-    ]})  # fmt: skip
+def choosing(figure: go.Figure, choices: Sequence[Choice], *, label: str) -> None:
+    """Let the page choose which lines of a figure show; the first choice shows at first."""
+    figure.update_layout(
+        meta={
+            "label": label,
+            "choices": [
+                {
+                    "name": c.name,
+                    "visible": [index in c.lines for index in range(len(figure.data))],
+                    "layout": dict(c.layout),
+                }
+                for c in choices
+            ],
+        }
+    )
     for index, trace in enumerate(figure.data):
         trace.visible = index in choices[0].lines

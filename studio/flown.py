@@ -46,10 +46,16 @@ def tracking_bars(flown: Sequence[FlownComparison]) -> Picture:
     figure = go.Figure()
     for name, colour, tracks in _sides(flown):
         rmse = [100 * track.position_rmse for track in tracks]
-        figure.add_trace(go.Bar(
-            x=[f.name for f in flown], y=rmse, name=name, marker_color=colour, texttemplate="%{y:.1f}",
-            hovertemplate="%{x}<br>" + name + ": %{y:.3g} cm<extra></extra>",
-        ))  # fmt: skip
+        figure.add_trace(
+            go.Bar(
+                x=[f.name for f in flown],
+                y=rmse,
+                name=name,
+                marker_color=colour,
+                texttemplate="%{y:.1f}",
+                hovertemplate="%{x}<br>" + name + ": %{y:.3g} cm<extra></extra>",
+            )
+        )
     figure.update_layout(barmode="group")
     figure.update_xaxes(title_text="manoeuvre")
     figure.update_yaxes(title_text="position RMSE, cm", rangemode="tozero")
@@ -97,9 +103,15 @@ def _path(figure: go.Figure, position: Floats, name: str, colour: str, width: fl
     for row, axis in ((1, 1), (2, 2)):
         rows = thinned([position[:, 0], position[:, axis]], MAX_POINTS)
         drawn = line(
-            position[rows, 0], position[rows, axis], name=name, colour=colour, unit="m", width=width,
-            showlegend=row == 1, legendgroup=name,
-        )  # fmt: skip
+            position[rows, 0],
+            position[rows, axis],
+            name=name,
+            colour=colour,
+            unit="m",
+            width=width,
+            showlegend=row == 1,
+            legendgroup=name,
+        )
         figure.add_trace(drawn, row=row, col=1)
 
 

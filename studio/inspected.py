@@ -62,25 +62,30 @@ def inspection_page(sections: Sequence[Section], *, origin: Origin) -> str:
 
 
 def _flight_lines(inspection: Inspection, flight: Flight) -> Picture | None:
-    rows = [row for row in ROWS if flight.has(row[0])]
-    if not rows:
+    panels = [row for row in ROWS if flight.has(row[0])]
+    if not panels:
         return None
-    figure = make_subplots(rows=len(rows), shared_xaxes=True, vertical_spacing=0.03)
-    for row, (name, title, unit) in enumerate(rows, start=1):
+    figure = make_subplots(rows=len(panels), shared_xaxes=True, vertical_spacing=0.03)
+    for row, (name, title, unit) in enumerate(panels, start=1):
         values = flight[name].reshape(len(flight), -1)
         labels = [column for column in flight.columns if column.startswith(f"{name}_")] or [name]
         for index, (column, label) in enumerate(zip(values.T, labels, strict=False)):
-            kept = thinned([column])
+            rows = thinned([column])
             drawn = line(
-                flight.time[kept], column[kept], name=label, colour=COLOURS[index % len(COLOURS)], unit=unit, width=1,
+                flight.time[rows],
+                column[rows],
+                name=label,
+                colour=COLOURS[index % len(COLOURS)],
+                unit=unit,
+                width=1,
                 showlegend=False,
-            )  # fmt: skip
+            )
             figure.add_trace(drawn, row=row, col=1)
         figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
     for item in inspection.exclusions:
         figure.add_vrect(x0=item.start, x1=item.stop, fillcolor="#718096", opacity=0.25, line_width=0)
-    figure.update_xaxes(title_text="time, s", row=len(rows), col=1)
-    return picture(figure, 150 * len(rows) + 60, "Lines: what the log holds, over time.")
+    figure.update_xaxes(title_text="time, s", row=len(panels), col=1)
+    return picture(figure, 150 * len(panels) + 60, "Lines: what the log holds, over time.")
 
 
 def _delay_points(inspection: Inspection) -> Picture | None:
@@ -90,12 +95,18 @@ def _delay_points(inspection: Inspection) -> Picture | None:
     for delay in inspection.delays:
         kind = "lag of the response" if delay.is_response else "late"
         reach = 1e3 * (delay.high - delay.low) / 2
-        figure.add_trace(go.Scatter(
-            x=[1e3 * delay.seconds], y=[f"{delay.stream}<br>against {delay.against}"], mode="markers", name=kind,
-            error_x={"type": "data", "array": [reach]}, showlegend=False,
-            marker={"size": 9, "color": ORANGE if delay.is_response else AFTER},
-            hovertemplate=f"{kind}: %{{x:.2f}} ± {reach:.2f} ms<extra></extra>",
-        ))  # fmt: skip
+        figure.add_trace(
+            go.Scatter(
+                x=[1e3 * delay.seconds],
+                y=[f"{delay.stream}<br>against {delay.against}"],
+                mode="markers",
+                name=kind,
+                error_x={"type": "data", "array": [reach]},
+                showlegend=False,
+                marker={"size": 9, "color": ORANGE if delay.is_response else AFTER},
+                hovertemplate=f"{kind}: %{{x:.2f}} ± {reach:.2f} ms<extra></extra>",
+            )
+        )
     figure.update_xaxes(title_text="ms by which stamps are late (blue), or by which a response lags (orange)")
     figure.add_vline(x=0, line={"color": FLOOR, "width": 1})
     figure.update_yaxes(automargin=True, autorange="reversed")
@@ -107,13 +118,22 @@ def _coverage_maps(inspection: Inspection) -> tuple[Picture, ...]:
     for cells in inspection.coverage:
         seconds = np.array(cells.seconds)
         across, up = cells.column_name.removesuffix(" 1"), cells.row_name.removesuffix(" 1")
-        figure = go.Figure(go.Heatmap(
-            z=np.log10(np.where(seconds > 0, seconds, np.nan)), x=_ranges(cells.column_edges),
-            y=_ranges(cells.row_edges), colorscale="Cividis", showscale=False, customdata=seconds,
-            hovertemplate="%{y}, %{x}: %{customdata:.1f} s<extra></extra>", xgap=1, ygap=1,
-            text=[[f"{value:.1f} s" if value > 0 else "" for value in row] for row in seconds],
-            texttemplate="%{text}", textfont_size=10,
-        ))  # fmt: skip
+        figure = go.Figure(
+            go.Heatmap(
+                z=np.log10(np.where(seconds > 0, seconds, np.nan)),
+                x=_ranges(cells.column_edges),
+                y=_ranges(cells.row_edges),
+                colorscale="Cividis",
+                showscale=False,
+                customdata=seconds,
+                hovertemplate="%{y}, %{x}: %{customdata:.1f} s<extra></extra>",
+                xgap=1,
+                ygap=1,
+                text=[[f"{value:.1f} s" if value > 0 else "" for value in row] for row in seconds],
+                texttemplate="%{text}",
+                textfont_size=10,
+            )
+        )
         figure.update_xaxes(title_text=across, type="category", automargin=True)
         figure.update_yaxes(title_text=up, type="category", automargin=True)
         figure.update_layout(plot_bgcolor=UNFLOWN)

@@ -10,7 +10,7 @@ import numpy as np
 import plotly.graph_objects as go
 
 from diagnosis.models.channels import KINDS
-from diagnosis.regimes import BINS, Plane, Regime
+from diagnosis.regimes import Plane, Regime
 from dynamics.arrays import Floats
 from studio.diagnosed import NAMES
 from studio.figure import UNFLOWN, Choice, Picture, choosing, picture
@@ -27,12 +27,19 @@ def regime_map(maps: Sequence[Regime]) -> Picture:
         values = np.array([regime.over_floor[kind] for regime in maps])
         ranges = [[f"{low:.3g} to {high:.3g}" for low, high in pairwise(regime.edges)] for regime in maps]
         choices.append(Choice(NAMES[KINDS[kind]], [len(figure.data)]))
-        figure.add_trace(go.Heatmap(
-            z=values, y=names, x=[f"{cell + 1}" for cell in range(BINS)], customdata=ranges, **_colours(top),
-            text=_told(values), texttemplate="%{text}",
-            hovertemplate="%{y} from %{customdata}: %{z:.3g} times the floor<extra></extra>",
-        ))  # fmt: skip
-    choosing(figure, choices, asked="channel")
+        figure.add_trace(
+            go.Heatmap(
+                z=values,
+                y=names,
+                x=[f"{cell + 1}" for cell in range(values.shape[1])],
+                customdata=ranges,
+                **_colours(top),
+                text=_labels(values),
+                texttemplate="%{text}",
+                hovertemplate="%{y} from %{customdata}: %{z:.3g} times the floor<extra></extra>",
+            )
+        )
+    choosing(figure, choices, label="channel")
     figure.update_layout(plot_bgcolor=UNFLOWN)
     figure.update_xaxes(title_text="low to high, in sixths", type="category")
     figure.update_yaxes(automargin=True, autorange="reversed")
@@ -45,12 +52,18 @@ def plane_map(plane: Plane) -> Picture:
     for kind, top in _kinds([plane.over_floor]):
         values = plane.over_floor[kind]
         choices.append(Choice(NAMES[KINDS[kind]], [len(figure.data)]))
-        figure.add_trace(go.Heatmap(
-            z=values, x=_middles(plane.across_edges), y=_middles(plane.up_edges), text=_told(values),
-            texttemplate="%{text}", **_colours(top),
-            hovertemplate="%{x:.3g}, %{y:.3g}: %{z:.3g} times the floor<extra></extra>",
-        ))  # fmt: skip
-    choosing(figure, choices, asked="channel")
+        figure.add_trace(
+            go.Heatmap(
+                z=values,
+                x=_middles(plane.across_edges),
+                y=_middles(plane.up_edges),
+                text=_labels(values),
+                texttemplate="%{text}",
+                **_colours(top),
+                hovertemplate="%{x:.3g}, %{y:.3g}: %{z:.3g} times the floor<extra></extra>",
+            )
+        )
+    choosing(figure, choices, label="channel")
     figure.update_layout(plot_bgcolor=UNFLOWN)
     figure.update_xaxes(title_text=quantity_shown(plane.across), showgrid=False, nticks=6)
     figure.update_yaxes(title_text=quantity_shown(plane.up), showgrid=False, nticks=6)
@@ -59,20 +72,26 @@ def plane_map(plane: Plane) -> Picture:
 
 def _kinds(tables: Sequence[Floats]) -> list[tuple[int, float]]:
     """The kinds of channel that there are with their greatest value, the worst first."""
-    found = []
+    kinds = []
     for kind in range(len(KINDS)):
         values = np.concatenate([table[kind].ravel() for table in tables])
         if np.isfinite(values).any():
-            found.append((kind, float(np.nanmax(values))))
-    return sorted(found, key=lambda pair: -pair[1])
+            kinds.append((kind, float(np.nanmax(values))))
+    return sorted(kinds, key=lambda pair: -pair[1])
 
 
 def _colours(top: float) -> dict[str, Any]:
-    return {"colorscale": SCALE, "zmin": 1.0, "zmax": max(2.0, top), "xgap": 1, "ygap": 1,
-            "colorbar": {"title": "times<br>floor", "thickness": 12}}  # fmt: skip
+    return {
+        "colorscale": SCALE,
+        "zmin": 1.0,
+        "zmax": max(2.0, top),
+        "xgap": 1,
+        "ygap": 1,
+        "colorbar": {"title": "times<br>floor", "thickness": 12},
+    }
 
 
-def _told(values: Floats) -> list[list[str]]:
+def _labels(values: Floats) -> list[list[str]]:
     return [[f"{value:.1f}" if np.isfinite(value) else "" for value in row] for row in values]
 
 

@@ -7,12 +7,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from diagnosis.comparison import Compared
+from diagnosis.comparison import ComparisonDetails
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import Findings
+from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.regimes import regime_maps, regime_planes
 from diagnosis.report import Diagnosis, sentence
-from diagnosis.spectrum import residual_spectrum
+from diagnosis.selection.regression import Regression
+from diagnosis.spectrum import Spectrum, residual_spectrum
+from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
@@ -24,34 +26,44 @@ from studio.flown import FlownComparison
 from studio.page import Origin, render
 
 
-def diagnosis_page(findings: Findings, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
+def diagnosis_page(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
     """The page of `alula diagnose --html`. vehicle: with the model that was judged."""
-    found = findings.diagnosis
+    found = result.diagnosis
     return render(
-        "diagnosis.html", title=f"What the model of {vehicle.name} misses", origin=origin, vehicle=vehicle,
-        **_diagnosed(findings, dataset, vehicle), unfinished=found.verdict == "unknown",
-    )  # fmt: skip
+        "diagnosis.html",
+        title=f"What the model of {vehicle.name} misses",
+        origin=origin,
+        vehicle=vehicle,
+        **_diagnosed(result, dataset, vehicle),
+        unfinished=found.verdict == "unknown",
+    )
 
 
-def comparison_page(compared: Compared, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
+def comparison_page(compared: ComparisonDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
     """The page of `alula compare --html`."""
-    rows, noise, rate = compared.residuals, compared.regression.noise, compared.regression.rate
-    seen = overlay(dataset.everything, rows, rows, noise.floor, rate)
+    rows = compared.residuals
+    view = overlay(dataset.everything, rows, rows, compared.regression)
     both = agreement(rows)
     return render(
-        "comparison.html", title=f"The model of {vehicle.name} against its flights", origin=origin, vehicle=vehicle,
-        compared=compared.comparison, names=pictures.NAMES, bars=pictures.axis_bars(compared.comparison.axes),
-        seen=seen,
-        lines=pictures.overlay_lines(seen, improved=False), regimes=regions.regime_map(compared.maps),
+        "comparison.html",
+        title=f"The model of {vehicle.name} against its flights",
+        origin=origin,
+        vehicle=vehicle,
+        compared=compared.comparison,
+        names=pictures.NAMES,
+        bars=pictures.axis_bars(compared.comparison.axes),
+        seen=view,
+        lines=pictures.overlay_lines(view, improved=False),
+        regimes=regions.regime_map(compared.maps),
         planes=[regions.plane_map(plane) for plane in compared.planes],
         spectrum=pictures.spectrum_lines(compared.spectrum, None),
         agreement=None if both is None else pictures.agreement_points(both),
-    )  # fmt: skip
+    )
 
 
 def demo_page(
     flown: Sequence[FlownComparison],
-    findings: Findings,
+    result: DiagnosisDetails,
     dataset: Dataset,
     *,
     origin: Origin,
@@ -59,15 +71,21 @@ def demo_page(
 ) -> str:
     """The demo's page: tracking and prediction error before and after, the flights, and what diagnosis found between.
 
-    findings, dataset: of the first flights. hidden: what the simulated vehicle hid, in words.
+    result, dataset: of the first flights. hidden: what the simulated vehicle hid, in words.
     """
     views = [(item, flights.flight_view(item), flights.flight_in_space(item)) for item in flown]
-    vehicle = findings.regression.vehicle
+    vehicle = result.regression.vehicle
     return render(
-        "demo.html", title="Alula demo: the model before and after diagnosis", origin=origin, flown=flown,
-        tracking=flights.tracking_bars(flown) if flown else None, views=views, hidden=hidden, vehicle=vehicle,
-        **_diagnosed(findings, dataset, vehicle),
-    )  # fmt: skip
+        "demo.html",
+        title="Alula demo: the model before and after diagnosis",
+        origin=origin,
+        flown=flown,
+        tracking=flights.tracking_bars(flown) if flown else None,
+        views=views,
+        hidden=hidden,
+        vehicle=vehicle,
+        **_diagnosed(result, dataset, vehicle),
+    )
 
 
 def add_command(
@@ -82,25 +100,34 @@ def add_command(
     return shlex.join([*words, *(["--hold-out", hold_out] if hold_out else [])])
 
 
-def _diagnosed(findings: Findings, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
+def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
     """What the sections on a diagnosis show."""
-    regression, selection = findings.regression, findings.selection
-    noise, rate = regression.noise, regression.rate
-    rows = [*regression.rows, *findings.before]
-    improved = bool(findings.diagnosis.effects)
-    seen = overlay(dataset.held_out, findings.before, findings.after, noise.floor, rate)
+    regression, selection = result.regression, result.selection
+    floor, thresholds = regression.noise.floor, regression.thresholds
+    rows = [*regression.rows, *result.before]
+    improved = bool(result.diagnosis.effects)
+    view = overlay(dataset.held_out, result.before, result.after, regression)
     both = agreement(rows)
-    after = residual_spectrum(findings.after, noise, rate) if improved else None
-    maps = regime_maps(dataset.everything, rows, noise.floor, vehicle)
-    planes = regime_planes(dataset.everything, rows, noise.floor, vehicle)
+    after = _spectrum(result.after, regression) if improved else None
+    maps = regime_maps(dataset.everything, rows, floor, vehicle, thresholds.regimes)
+    planes = regime_planes(dataset.everything, rows, floor, vehicle, thresholds.regimes)
     return {
-        "diagnosis": findings.diagnosis, "sentence": sentence(findings.diagnosis), "notes": findings.notes,
-        "names": pictures.NAMES, "bars": pictures.channel_bars(findings.diagnosis.channels), "seen": seen,
-        "lines": pictures.overlay_lines(seen, improved=improved), "regimes": regions.regime_map(maps),
+        "diagnosis": result.diagnosis,
+        "sentence": sentence(result.diagnosis),
+        "notes": result.notes,
+        "names": pictures.NAMES,
+        "bars": pictures.channel_bars(result.diagnosis.channels),
+        "seen": view,
+        "lines": pictures.overlay_lines(view, improved=improved),
+        "regimes": regions.regime_map(maps),
         "planes": [regions.plane_map(plane) for plane in planes],
-        "ranking": pictures.ranking_bars(selection.singles, selection.chosen),
-        "intervals": pictures.interval_lines(findings.diagnosis),
-        "spectrum": pictures.spectrum_lines(residual_spectrum(findings.before, noise, rate), after),
+        "ranking": pictures.ranking_bars(selection.singles, selection.chosen, min_score=thresholds.search.min_gain),
+        "intervals": pictures.interval_lines(result.diagnosis),
+        "spectrum": pictures.spectrum_lines(_spectrum(result.before, regression), after),
         "agreement": None if both is None else pictures.agreement_points(both),
         "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
-    }  # fmt: skip
+    }
+
+
+def _spectrum(rows: Sequence[Floats], regression: Regression) -> Spectrum:
+    return residual_spectrum(rows, regression.noise, regression.rate, regression.thresholds)

@@ -43,7 +43,7 @@ def compare(
         result.write_html("comparison.html")
     """
     with workbench("alula.compare"):
-        from diagnosis.comparison import compare as compare_dataset
+        from diagnosis.comparison import compare_dataset
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
     dataset = dataset_of(flights, loaded, None, mapping)
@@ -76,7 +76,7 @@ def diagnose(
         print(result.report.next_flight)
     """
     with workbench("alula.diagnose"):
-        from diagnosis.diagnose import diagnose as diagnose_dataset
+        from diagnosis.diagnose import diagnose_dataset
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
     dataset = dataset_of(flights, loaded, hold_out, mapping)

@@ -14,9 +14,9 @@ from dynamics.files import write_json
 if TYPE_CHECKING:
     from diagnosis.addition import Addition
     from diagnosis.addition_report import AdditionReport
-    from diagnosis.comparison import Compared, Comparison
+    from diagnosis.comparison import Comparison, ComparisonDetails
     from diagnosis.data.dataset import Dataset
-    from diagnosis.diagnose import Findings
+    from diagnosis.diagnose import DiagnosisDetails
     from diagnosis.report import Diagnosis
     from dynamics.vehicle import Vehicle
     from export.parity import Parity
@@ -41,7 +41,7 @@ class ComparisonResult:
     report: Comparison
     vehicle: Vehicle
     dataset: Dataset
-    details: Compared
+    details: ComparisonDetails
 
     def write_json(self, path: str | Path) -> None:
         """Write the report as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
@@ -70,7 +70,7 @@ class DiagnosisResult:
     report: Diagnosis
     vehicle: Vehicle
     dataset: Dataset
-    details: Findings
+    details: DiagnosisDetails
 
     @property
     def sentence(self) -> str:

@@ -1,10 +1,10 @@
-"""What a command is worth: the thrust that rotors give for it, where the log knows no measured speeds.
+"""Thrust of the rotors over their commands, where no rotor speed was measured.
 
 A thrust command in newtons is not thrust (0.63 to 1.7 times of it in one set of real flights), a signal of 0 to 1 has
-a curve that no vehicle file knows well, both change with the battery from flight to flight, and motors differ by a
-tenth. What the commands give is therefore found from these flights before anything else: for each flight the gain that
-carries the weight and the motors' gains that keep the vehicle level in the mean; for all flights the curve's constant,
-linear and quadratic term, with the rotors' lag as one more unknown. The lag itself stays for `motor_lag` to name.
+a curve that vehicle files describe badly, both change with the battery from flight to flight, and motors differ by a
+tenth. The curve is therefore fitted to these flights before anything else: for each flight the gain that carries the
+weight and the motors' gains that keep the vehicle level in the mean; for all flights the curve's constant, linear and
+quadratic term, with the rotors' lag as one more unknown. The lag itself is left for `motor_lag`.
 """
 
 from __future__ import annotations
@@ -15,24 +15,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from diagnosis.data.filters import difference, kept, low_pass, simpson
+from diagnosis.data.filters import difference, simpson
 from diagnosis.data.segment import Segment
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.state import VELOCITY
 from dynamics.vehicle import GRAVITY, Vehicle
-
-LAGS = tuple(np.arange(0.0, 0.1501, 0.01).tolist())  # s
-GAINS = (0.55, 1.8)  # thrust over the file's; beyond, the vehicle file is another vehicle's
-NOISE = 0.3  # m/s^2 of specific force that other effects leave; rows are far from independent
-INDEPENDENT = 0.1  # of the rows
-USUAL = np.array([0.3, 1.0, 0.3])  # standard deviations of constant, linear and quadratic term
-MOTORS_DIFFER = 0.25  # most by which a healthy vehicle's motors differ from their mean
-RANGE = (0.5, 99.5)  # percentiles of the commands that were flown; beyond, the curve goes on straight
 
 
 @dataclass(frozen=True)
 class FlightGain:
-    """Of one flight. mean: thrust over what the file makes of the commands. motors: each rotor's over that mean."""
+    """Gains of one flight.
+
+    mean: thrust over what the file makes of the commands.
+    motors: each rotor's over that mean.
+    """
 
     mean: float
     motors: tuple[float, ...]
@@ -40,10 +38,13 @@ class FlightGain:
 
 @dataclass(frozen=True)
 class CommandCurve:
-    """Thrust of a rotor over its share of the weight: a + b s + c s^2 of s, what the file and the flight's gains say.
+    """Thrust of a rotor over its share of the weight: a + b s + c s^2 of the same from file and gains, s.
 
-    gains: by log. low, high: range of s that was flown. lag: s, as far as the vertical force shows it. explained,
-    without_lag: shares of its variance that the curve explains with and without the lag.
+    terms: a, b, c.
+    gains: by log.
+    low, high: range of s that was flown.
+    lag: of the rotors, as far as the vertical force shows it, s.
+    explained, without_lag: shares of that force's variance that the curve explains with and without the lag.
     """
 
     terms: tuple[float, float, float]
@@ -54,18 +55,18 @@ class CommandCurve:
     explained: float
     without_lag: float
 
-    def thrust(self, said: Floats) -> Floats:
-        """Thrust over a rotor's share of the weight for what file and gains say of the same. Any shape."""
+    def thrust(self, commanded: Floats) -> Floats:
+        """Thrust over a rotor's share of the weight, from s. Any shape."""
         a, b, c = self.terms
-        inside = np.clip(said, self.low, self.high)
+        inside = np.clip(commanded, self.low, self.high)
         slope = np.maximum(b + 2 * c * inside, 0.0)
-        return np.asarray(np.maximum(a + b * inside + c * inside**2 + slope * (said - inside), 0.0))
+        return np.asarray(np.maximum(a + b * inside + c * inside**2 + slope * (commanded - inside), 0.0))
 
     def applied(self, segment: Segment, vehicle: Vehicle) -> Segment:
         """The segment with rotor speeds that give the thrust."""
         hover = vehicle.hover_speed
-        said = (_scaled(segment, self.gains[segment.flight]).rotor_speed / hover) ** 2
-        return replace(segment, rotor_speed=hover * np.sqrt(self.thrust(said)))
+        commanded = (_scaled(segment, self.gains[segment.flight]).rotor_speed / hover) ** 2
+        return replace(segment, rotor_speed=hover * np.sqrt(self.thrust(commanded)))
 
     def __str__(self) -> str:
         means = [gain.mean for gain in self.gains.values()]
@@ -81,48 +82,57 @@ class CommandCurve:
         )
 
 
-def fit_command_curve(fitted: Sequence[Segment], held_out: Sequence[Segment], vehicle: Vehicle) -> CommandCurve:
+def fit_command_curve(
+    fitted: Sequence[Segment],
+    held_out: Sequence[Segment],
+    vehicle: Vehicle,
+    thresholds: CommandCurveThresholds = DEFAULT.command_curve,
+) -> CommandCurve:
     """The curve that explains the specific force along body z of the fitted segments best.
 
     held_out: segments whose flights need their own gains too, when nothing of them is fitted. Raises DataError for
     gains that no command of this vehicle can have.
     """
     logs = dict.fromkeys(s.flight for s in (*fitted, *held_out))
-    known = {s.flight for s in fitted}
-    own = {name: [s for s in (fitted if name in known else held_out) if s.flight == name] for name in logs}
-    gains = {name: _gain(parts, vehicle) for name, parts in own.items()}
+    learned = {s.flight for s in fitted}
+    own = {name: [s for s in (fitted if name in learned else held_out) if s.flight == name] for name in logs}
+    gains = {name: _gain(parts, vehicle, thresholds) for name, parts in own.items()}
     hover, scaled = vehicle.hover_speed, [_scaled(s, gains[s.flight]) for s in fitted]
-    low, high = np.percentile(np.concatenate([(s.rotor_speed / hover) ** 2 for s in scaled]), RANGE)
-    wanted = np.concatenate([_vertical(s) for s in scaled])
-    fits = [_fit(scaled, hover, wanted, lag) for lag in LAGS]
+    commanded = np.concatenate([(s.rotor_speed / hover) ** 2 for s in scaled])
+    low, high = np.percentile(commanded, thresholds.command_percentiles)
+    force = np.concatenate([_vertical(s) for s in scaled])
+    lags = np.arange(0.0, thresholds.max_lag + 1e-4, thresholds.lag_step).tolist()
+    fits = [_fit(scaled, hover, force, lag, thresholds) for lag in lags]
     best = int(np.argmax([explained for _, explained in fits]))
     terms, explained = fits[best]
     a, b, c = terms.tolist()
-    if min(b + 2 * c * low, b + 2 * c * high) <= 0.0:  # no more than a gain can be told
+    if min(b + 2 * c * low, b + 2 * c * high) <= 0.0:  # the flights show no more than a gain
         a, b, c = 0.0, 1.0, 0.0
-    return CommandCurve((a, b, c), gains, float(low), float(high), LAGS[best], explained, fits[0][1])
+    return CommandCurve((a, b, c), gains, float(low), float(high), lags[best], explained, fits[0][1])
 
 
-def _gain(segments: Sequence[Segment], vehicle: Vehicle) -> FlightGain:
+def _gain(segments: Sequence[Segment], vehicle: Vehicle, thresholds: CommandCurveThresholds) -> FlightGain:
     """The gains of one flight: the mean force carries the weight, the mean moment is that of the mean motion."""
     inertia, allocation = np.array(vehicle.body.inertia), vehicle.rotors.allocation
     squares = np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
     force = float(np.mean(np.concatenate([_vertical(s) for s in segments]))) * vehicle.body.mass
     mean = force / float(allocation[0] @ squares)
-    if not GAINS[0] <= mean <= GAINS[1]:
+    low, high = thresholds.gain
+    if not low <= mean <= high:
         raise DataError(
             f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file makes of their "
-            f"commands; wanted {GAINS[0]:g} to {GAINS[1]:g}. Check mass, thrust_constant, speed_max and thrust_curve "
+            f"commands; wanted {low:g} to {high:g}. Check mass, thrust_constant, speed_max and thrust_curve "
             "of the file, and that it is this vehicle's."
         )
     moments = []
     for s in segments:
-        rate = low_pass(s.body_rate, s.rate)
+        rate = s.low_pass(s.body_rate)
         moments.append(inertia * difference(rate, s.rate) + np.cross(rate, inertia * rate))
-    given = mean * squares
-    missing = np.mean(np.concatenate(moments), axis=0) - allocation[1:] @ given
-    change = np.linalg.pinv(allocation * given) @ np.concatenate([[0.0], missing])
-    motors = 1.0 + change if np.max(np.abs(change)) <= MOTORS_DIFFER else np.ones(len(change))
+    thrust = mean * squares
+    missing = np.mean(np.concatenate(moments), axis=0) - allocation[1:] @ thrust
+    change = np.linalg.pinv(allocation * thrust) @ np.concatenate([[0.0], missing])
+    healthy = np.max(np.abs(change)) <= thresholds.max_motor_difference
+    motors = 1.0 + change if healthy else np.ones(len(change))
     return FlightGain(mean, tuple(motors.tolist()))
 
 
@@ -130,43 +140,43 @@ def _scaled(segment: Segment, gain: FlightGain) -> Segment:
     return replace(segment, rotor_speed=segment.rotor_speed * np.sqrt(gain.mean * np.array(gain.motors)))
 
 
-def _fit(segments: Sequence[Segment], hover: float, wanted: Floats, lag: float) -> tuple[Floats, float]:
-    """Terms of the curve at a lag and the share of variance that they explain; what air does is let free beside it."""
+def _fit(
+    segments: Sequence[Segment], hover: float, force: Floats, lag: float, thresholds: CommandCurveThresholds
+) -> tuple[Floats, float]:
+    """Terms of the curve at a lag and the share of variance that they explain; the air's terms are fitted with them."""
     columns = np.concatenate([_columns(s, hover, lag) for s in segments])
-    weight = np.sqrt(INDEPENDENT) / NOISE
-    deviation = np.concatenate([USUAL, np.full(columns.shape[1] - 3, 1.0)])
+    weight = np.sqrt(thresholds.independent_share) / thresholds.noise
+    deviation = np.concatenate([thresholds.term_std, np.full(columns.shape[1] - 3, thresholds.air_std)])
     expected = np.zeros(columns.shape[1])
     expected[1] = 1.0
     x = np.vstack([columns * weight, np.diag(1 / deviation)])
-    y = np.concatenate([wanted * weight, expected / deviation])
+    y = np.concatenate([force * weight, expected / deviation])
     theta = np.linalg.lstsq(x, y, rcond=None)[0]
-    left = wanted - columns @ theta
-    return theta[:3], 1.0 - float(np.var(left) / max(np.var(wanted), 1e-12))
+    residual = force - columns @ theta
+    return theta[:3], 1.0 - float(np.var(residual) / max(np.var(force), 1e-12))
 
 
 def _columns(segment: Segment, hover: float, lag: float) -> Floats:
     """(m, 3 or 5) what a unit of each term gives along body z, m/s^2; drag of climbing and lift of travelling."""
-    said = (lagged(segment.rotor_speed, segment.rate, lag) / hover) ** 2
-    rows = kept(len(segment), segment.rate)
-    powers = [np.mean(said**k, axis=1) * GRAVITY for k in range(3)]
+    commanded = (lagged(segment.rotor_speed, segment.rate, lag) / hover) ** 2
+    powers = [np.mean(commanded**k, axis=1) * GRAVITY for k in range(3)]
     if segment.has_pose:
-        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, 3:6])
+        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, VELOCITY])
         powers += [-velocity[:, 2], velocity[:, 0] ** 2 + velocity[:, 1] ** 2]
-    return low_pass(simpson(np.column_stack(powers)), segment.rate)[rows]
+    return segment.low_pass(simpson(np.column_stack(powers)))[segment.decimated]
 
 
 def _vertical(segment: Segment) -> Floats:
     """(m,) specific force along body z, of the accelerometer if there is one, m/s^2."""
-    rows = kept(len(segment), segment.rate)
     if segment.specific_force is not None:
-        return low_pass(simpson(segment.specific_force[:, 2]), segment.rate)[rows]
-    world = low_pass(difference(segment.velocity, segment.rate), segment.rate) + np.array([0.0, 0.0, GRAVITY])
-    return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world)[rows])
+        return segment.low_pass(simpson(segment.specific_force[:, 2]))[segment.decimated]
+    world = segment.low_pass(difference(segment.velocity, segment.rate)) + np.array([0.0, 0.0, GRAVITY])
+    return np.asarray(np.einsum("nj,nj->n", segment.to_world[:, :, 2], world)[segment.decimated])
 
 
 def lagged(values: Floats, rate: float, lag: float) -> Floats:
     """values (n, k) through a first-order lag, s, from rest at the first one."""
     if lag == 0.0:
         return values
-    keep = float(np.exp(-1.0 / (rate * lag)))
-    return np.asarray(lfilter([1 - keep], [1.0, -keep], values, axis=0, zi=keep * values[:1])[0])
+    decay = float(np.exp(-1.0 / (rate * lag)))
+    return np.asarray(lfilter([1 - decay], [1.0, -decay], values, axis=0, zi=decay * values[:1])[0])

@@ -4,28 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
 from diagnosis.data.command_curve import fit_command_curve
-from diagnosis.data.segment import FASTEST, Segment, fast, segments, slow_ones
+from diagnosis.data.segment import Segment, fast, segments, slow_quantities
+from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
-from flights import Flight, read_log
-
-HELD_OUT_SHARE = 0.2
-MIN_FLIGHTS = 4  # that leaving one out needs; fewer are cut into parts
-PART = 6.0  # s, the shortest such part
-RESAMPLED = 250.0  # Hz, for logs that are faster than needed
+from flights import Flight, Log, read_log
+from flights.hold_out import cuts_in_time, matching
 
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
-    """fitted: segments to learn from, flight_of: their flights, numbered from 0. held_out: segments to judge on.
+    """Segments to fit and segments held out.
 
-    hashes: sha256 of the logs that were fitted, by path. notes: what the user should know of the data.
+    fitted: segments that parameters are fitted on.
+    flight_of: the flight of each, numbered from 0.
+    held_out: segments that models are judged on.
+    hashes: sha256 of the logs that were fitted, by path.
+    notes: what the user should know of the data.
     """
 
     fitted: tuple[Segment, ...]
@@ -41,148 +41,173 @@ class Dataset:
 
 
 def read_dataset(
-    logs: Sequence[str | Path], vehicle: Vehicle, *, hold_out: str | None = None, mapping: str | Path | None = None
+    logs: Sequence[str | Path],
+    vehicle: Vehicle,
+    *,
+    hold_out: str | None = None,
+    mapping: str | Path | None = None,
+    thresholds: Thresholds = DEFAULT,
 ) -> Dataset:
     """Read logs and set some aside: those whose file name matches hold_out, or the last fifth.
 
-    Raises RequestError for logs that cannot be found or a pattern that matches none or all of them, DataError when
+    Raises RequestError for logs that do not exist or a pattern that matches none or all of them, DataError when
     they hold too little.
     """
-    return make_dataset(read_flights(logs, mapping=mapping), vehicle, hold_out=hold_out)
+    flights = read_flights(logs, mapping=mapping, thresholds=thresholds.segment)
+    return make_dataset(flights, vehicle, hold_out=hold_out, thresholds=thresholds)
 
 
-def read_flights(logs: Sequence[str | Path], *, mapping: str | Path | None = None) -> list[Flight]:
+def read_flights(
+    logs: Sequence[str | Path],
+    *,
+    mapping: str | Path | None = None,
+    thresholds: SegmentThresholds = DEFAULT.segment,
+) -> list[Flight]:
     """The flights of logs at one rate, that of the slowest. Raises RequestError and DataError as reading does."""
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
-    flights = [_read(path, mapping) for path in logs]
+    streams = [read_log(path, mapping=mapping) for path in logs]
+    flights = [_flight(log, thresholds) for log in streams]
     rate = round(min(flight.rate for flight in flights), 3)
     same = [abs(flight.rate - rate) < 0.01 * rate for flight in flights]
     return [
-        flight if good else Flight.read(path, mapping=mapping, rate=rate)
-        for path, flight, good in zip(logs, flights, same, strict=True)
+        flight if good else Flight.from_log(log, rate=rate)
+        for log, flight, good in zip(streams, flights, same, strict=True)
     ]
 
 
-def make_dataset(flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None) -> Dataset:
+def make_dataset(
+    flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None, thresholds: Thresholds = DEFAULT
+) -> Dataset:
     """The data set of flights at one rate. Raises as `read_dataset`."""
     flights, notes = _distinct(flights)
-    parts = [segments(flight, vehicle) for flight in flights]
-    empty = [f.provenance.path for f, p in zip(flights, parts, strict=True) if not p]
-    if len(empty) == len(flights):
-        raise DataError(
-            f"{', '.join(empty[:3])}: nowhere 3 s of uninterrupted flight. Fly at least 20 s in the air without gaps."
-        )
-    if empty:
-        notes.append(f"left out, for there are no 3 s of uninterrupted flight in them: {', '.join(empty)}")
-    flown = [(f, p) for f, p in zip(flights, parts, strict=True) if p]
-    _require_one_source([p for _, p in flown])
-    notes += _missing(flights[0])
-    held = _held_out([Path(f.provenance.path).name for f, _ in flown], hold_out)
+    flown = [(flight, parts) for flight in flights if (parts := segments(flight, vehicle, thresholds))]
+    notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration)
+    _require_one_source([parts for _, parts in flown])
+    notes += _missing(flights[0], thresholds.segment)
+    limits = thresholds.dataset
+    held = _held_out([Path(f.provenance.path).name for f, _ in flown], hold_out, limits.held_out_share)
     if len(flown) == 1:
-        fitted, judged = _split_in_time(flown[0][1])
+        fitted, judged = _split_in_time(flown[0][1], limits.held_out_share, thresholds.segment.min_duration)
         notes.append("one flight only: its last fifth is held out, and effects that need different flights stay hidden")
     else:
-        fitted = [list(p) for i, (_, p) in enumerate(flown) if i not in held]
-        judged = [s for i, (_, p) in enumerate(flown) if i in held for s in p]
-    while len(fitted) < MIN_FLIGHTS and (cut := _halved(fitted)) is not None:
-        fitted = cut
+        fitted = [list(parts) for i, (_, parts) in enumerate(flown) if i not in held]
+        judged = [s for i, (_, parts) in enumerate(flown) if i in held for s in parts]
+    fitted = _enough_groups(fitted, limits)
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
-    numbered = [(s, i) for i, group in enumerate(fitted) for s in group]
-    flight_of = tuple(i for _, i in numbered)
-    learned, kept_back = tuple(s for s, _ in numbered), tuple(judged)
+    flight_of = tuple(i for i, group in enumerate(fitted) for _ in group)
+    learned, held_out = tuple(s for group in fitted for s in group), tuple(judged)
     if learned[0].rotor_source == "command":
-        curve = fit_command_curve(learned, kept_back, vehicle)
+        curve = fit_command_curve(learned, held_out, vehicle, thresholds.command_curve)
         notes.append(str(curve))
-        learned, kept_back = (tuple(curve.applied(s, vehicle) for s in part) for part in (learned, kept_back))
-    return Dataset(learned, flight_of, kept_back, hashes, tuple(notes))
+        learned, held_out = (tuple(curve.applied(s, vehicle) for s in part) for part in (learned, held_out))
+    return Dataset(learned, flight_of, held_out, hashes, tuple(notes))
 
 
-def _read(path: str | Path, mapping: str | Path | None) -> Flight:
-    log = read_log(path, mapping=mapping)
+def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:
     flight = Flight.from_log(log)
-    return Flight.from_log(log, rate=RESAMPLED) if flight.rate > FASTEST else flight
+    return Flight.from_log(log, rate=thresholds.resampled_rate) if flight.rate > thresholds.max_rate else flight
+
+
+def _left_out(flights: Sequence[Flight], flown: Sequence[Flight], min_duration: float) -> list[str]:
+    """A note on flights without a segment. Raises DataError when none has one."""
+    empty = [f.provenance.path for f in flights if not any(f is other for other in flown)]
+    if not flown:
+        raise DataError(
+            f"{', '.join(empty[:3])}: nowhere {min_duration:g} s of uninterrupted flight. Fly at least 20 s in the air "
+            "without gaps."
+        )
+    if not empty:
+        return []
+    return [f"left out, for there are no {min_duration:g} s of uninterrupted flight in them: {', '.join(empty)}"]
 
 
 def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:
     """Flights that are not copies of each other, with a note. Raises DataError when all are the same."""
-    seen: dict[bytes, Flight] = {}
+    by_content: dict[bytes, Flight] = {}
     copies = []
     for flight in flights:
         key = b"".join(np.round(flight.columns[name], 6).tobytes() for name in flight.columns)
-        if key in seen:
+        if key in by_content:
             copies.append(flight.provenance.path)
-        seen.setdefault(key, flight)
-    if copies and len(seen) == 1 and len(flights) > 1:
+        by_content.setdefault(key, flight)
+    if copies and len(by_content) == 1 and len(flights) > 1:
         raise DataError(f"all {len(flights)} flights are one and the same. Give different flights, or this one alone.")
-    return list(seen.values()), [f"left out as copies of another flight: {', '.join(copies)}"] if copies else []
+    notes = [f"left out as copies of another flight: {', '.join(copies)}"] if copies else []
+    return list(by_content.values()), notes
 
 
 def _require_one_source(parts: Sequence[Sequence[Segment]]) -> None:
-    """Raise DataError when some flights know the rotors' speeds and others what was commanded."""
+    """Raise DataError when some flights hold the rotors' speeds and others what was commanded."""
     by_source: dict[str, list[str]] = {}
     for segments_of_one in parts:
         first = segments_of_one[0]
         by_source.setdefault(first.rotor_source.replace("_", " "), []).append(Path(first.flight).name)
     if len(by_source) > 1:
-        told = "; ".join(f"{source}: {', '.join(names[:3])}" for source, names in by_source.items())
+        listed = "; ".join(f"{source}: {', '.join(names[:3])}" for source, names in by_source.items())
         raise DataError(
-            f"the logs know different things of their rotors ({told}). Give logs of one kind, or leave the columns "
-            "rotor_speed out of those that have them."
+            f"the logs hold different quantities of their rotors ({listed}). Give logs of one kind, or leave the "
+            "columns rotor_speed out of those that have them."
         )
 
 
-def _missing(flight: Flight) -> list[str]:
-    notes = [f"too slow to be used: {', '.join(slow)}" for slow in [slow_ones(flight)] if slow]
-    if not fast(flight, "specific_force"):
+def _missing(flight: Flight, thresholds: SegmentThresholds) -> list[str]:
+    """Notes on what was not logged, or too slowly."""
+
+    def usable(*names: str) -> bool:
+        return any(fast(flight, name, thresholds) for name in names)
+
+    notes = [f"too slow to be used: {', '.join(slow)}" for slow in [slow_quantities(flight, thresholds)] if slow]
+    if not usable("specific_force"):
         notes.append("no accelerometer in the log: a force cannot be told from a fault of the pose")
-    if not fast(flight, "rate"):
+    if not usable("rate"):
         notes.append("no gyro in the log: torques show only through the attitude, and gyro and clock stay unchecked")
-    if not fast(flight, "attitude") or not (fast(flight, "velocity") or fast(flight, "position")):
-        notes.append("no pose in the log: gyro and accelerometer alone say nothing of what depends on speed or place")
+    if not usable("attitude") or not usable("velocity", "position"):
+        notes.append("no pose in the log: effects of speed and place do not show in gyro and accelerometer alone")
     return notes
 
 
-def _held_out(names: Sequence[str], pattern: str | None) -> set[int]:
-    if pattern is None:
-        count = max(1, round(HELD_OUT_SHARE * len(names)))
-        return set(range(len(names) - count, len(names)))
-    found = {i for i, name in enumerate(names) if fnmatchcase(name, pattern)}
-    if not found or len(found) == len(names):
-        which = "none" if not found else "all"
-        raise RequestError(
-            f"--hold-out {pattern!r} matches {which} of {', '.join(names[:6])}. Wanted a pattern that matches some."
-        )
-    return found
+def _held_out(names: Sequence[str], pattern: str | None, share: float) -> frozenset[int]:
+    """Places of the flights that are held out: those that the pattern matches, or the last ones."""
+    if pattern is not None:
+        return matching(names, pattern, option="--hold-out")
+    count = max(1, round(share * len(names)))
+    return frozenset(range(len(names) - count, len(names)))
 
 
-def _split_in_time(parts: Sequence[Segment]) -> tuple[list[list[Segment]], list[Segment]]:
-    """One flight's segments but the last fifth of its rows, and that fifth."""
-    total = sum(len(s) for s in parts)
-    limit = round((1 - HELD_OUT_SHARE) * total)
-    fitted, judged, passed = [], [], 0
-    for s in parts:
-        cut = min(max(limit - passed, 0), len(s))
-        least = 3 * s.rate
-        if cut >= least:
-            fitted.append(s.between(0, cut))
-        if len(s) - cut >= least:
-            judged.append(s.between(cut, len(s)))
-        passed += len(s)
+def _split_in_time(
+    parts: Sequence[Segment], share: float, min_duration: float
+) -> tuple[list[list[Segment]], list[Segment]]:
+    """One flight's segments but the last rows, and these."""
+    fitted, judged = [], []
+    for segment, cut in zip(parts, cuts_in_time([len(s) for s in parts], share), strict=True):
+        min_rows = min_duration * segment.rate
+        if cut >= min_rows:
+            fitted.append([segment.between(0, cut)])
+        if len(segment) - cut >= min_rows:
+            judged.append(segment.between(cut, len(segment)))
     if not fitted or not judged:
-        raise DataError(f"{total / parts[0].rate:.0f} s of flight are too few to hold a part out. Fly at least 20 s.")
-    return [[s] for s in fitted], judged
+        duration = sum(s.duration for s in parts)
+        raise DataError(f"{duration:.0f} s of flight are too few to hold a part out. Fly at least 20 s.")
+    return fitted, judged
 
 
-def _halved(groups: list[list[Segment]]) -> list[list[Segment]] | None:
-    """The same with the longest group cut in two, None when all are too short for it."""
+def _enough_groups(groups: list[list[Segment]], thresholds: DatasetThresholds) -> list[list[Segment]]:
+    """The same with the longest groups cut in two until leaving one out is possible, or all are too short for it."""
+    while len(groups) < thresholds.min_groups and (cut := _halved(groups, thresholds.min_part)) is not None:
+        groups = cut
+    return groups
+
+
+def _halved(groups: list[list[Segment]], min_part: float) -> list[list[Segment]] | None:
+    """The same with the longest group cut in two, None when all are too short for it. min_part: s."""
     longest = max(range(len(groups)), key=lambda i: max(len(s) for s in groups[i]))
     group = groups[longest]
     if len(group) > 1:
         half = len(group) // 2
         return [*groups[:longest], group[:half], group[half:], *groups[longest + 1 :]]
     segment = group[0]
-    if segment.duration < 2 * PART:
+    if segment.duration < 2 * min_part:
         return None
     middle = len(segment) // 2
     halves = [[segment.between(0, middle)], [segment.between(middle, len(segment))]]

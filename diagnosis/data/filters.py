@@ -2,47 +2,16 @@
 
 from __future__ import annotations
 
-from functools import cache
-
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
+from diagnosis.thresholds import FilterThresholds
 from dynamics.arrays import Floats
-
-CUTOFF = 8.0  # Hz, of the filter on both sides
-SLOW = 1.5  # Hz, below which motion is no answer of the controller to turbulence
-REDUCED_RATE = 25.0  # Hz after decimation
-EDGE = 0.3  # s at both ends that the filters spoil
+from flights.filters import zero_phase
 
 
-@cache
-def _sections(rate: float, cutoff: float, order: int) -> tuple[Floats, Floats]:
-    """Second-order sections and their states for a constant input of 1, (sections, 1, 2)."""
-    sections = butter(order, cutoff / (rate / 2), output="sos")
-    return np.asarray(sections), np.asarray(sosfilt_zi(sections))[:, None]
-
-
-def low_pass(values: Floats, rate: float, cutoff: float = CUTOFF, order: int = 4) -> Floats:
-    """Zero-phase Butterworth along the first axis: scipy's sosfiltfilt without its work at every call. (n, ...)."""
-    sections, initial = _sections(rate, cutoff, order)
-    pad = min(3 * _taps(sections), len(values) - 1)
-    rows = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, len(values))
-    before, after = 2 * rows[:, :1] - rows[:, pad:0:-1], 2 * rows[:, -1:] - rows[:, -2 : -pad - 2 : -1]
-    padded = np.concatenate([before, rows, after], axis=1)
-    forward, _ = sosfilt(sections, padded, axis=1, zi=initial * padded[:, :1])
-    back, _ = sosfilt(sections, forward[:, ::-1], axis=1, zi=initial * forward[:, -1:])
-    found = back[:, ::-1][:, pad : pad + len(values)].reshape(*values.shape[1:], len(values))
-    return np.moveaxis(found, -1, 0)
-
-
-def _taps(sections: Floats) -> int:
-    """The filter's order plus one."""
-    return 2 * len(sections) + 1 - int(min((sections[:, 2] == 0).sum(), (sections[:, 5] == 0).sum()))
-
-
-def slow(values: Floats, rate: float) -> Floats:
-    """What varies below 1.5 Hz. values: (n, ...)."""
-    return low_pass(values, rate, SLOW, 3)
+def slow(values: Floats, rate: float, filters: FilterThresholds) -> Floats:
+    """Low-pass of third order at the slow cutoff. values: (n, ...) at rate Hz."""
+    return zero_phase(values, rate, filters.slow_cutoff, 3)
 
 
 def difference(values: Floats, rate: float) -> Floats:
@@ -68,7 +37,12 @@ def delayed(values: Floats, rate: float, delay: float) -> Floats:
     return np.stack([np.interp(time - delay, time, column) for column in values.T], axis=1)
 
 
-def kept(count: int, rate: float) -> slice:
-    """The rows left after decimation to about 25 Hz without the spoilt ends."""
-    edge = int(np.ceil(EDGE * rate))
-    return slice(edge, count - edge, max(1, round(rate / REDUCED_RATE)))
+def decimation(rate: float, filters: FilterThresholds) -> int:
+    """Rows at rate Hz for each one of the regression."""
+    return max(1, round(rate / filters.rate))
+
+
+def decimated_rows(count: int, rate: float, filters: FilterThresholds) -> slice:
+    """The rows of the regression among `count` at rate Hz, without the ends that the filters spoil."""
+    edge = int(np.ceil(filters.edge * rate))
+    return slice(edge, count - edge, decimation(rate, filters))

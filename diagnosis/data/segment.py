@@ -7,33 +7,37 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
-from diagnosis.data.filters import difference, low_pass
+from diagnosis.data.filters import decimated_rows, decimation, difference
+from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
+from flights.filters import zero_phase
 from flights.quality.inspection import MIN_ROTOR_RATE
 from flights.rotors import RotorSource, rotor_speeds
-
-FASTEST = 500.0  # Hz
-MIN_LOGGED = 0.95 * MIN_ROTOR_RATE  # Hz; clocks are not exact
-SHORTEST = 3.0  # s
-FULL_CELL = 4.2  # V
-VOLTAGE_CUTOFF = 4.0  # Hz: voltage falls with every manoeuvre, and its noise would stand in the thrust
-MARGIN = 0.5  # s left out around ground and contact
-CONTACT = 60.0  # m/s^2 of specific force that only a crash or a landing has
 
 
 @dataclass(frozen=True, eq=False)
 class Segment:
-    """n rows at `rate` Hz. position, velocity: (n, 3) world. attitude: (n, 4). gyro: (n, 3) rad/s, None if not logged.
+    """An uninterrupted part of a flight, n rows.
 
-    specific_force: (n, 3) m/s^2, None if not logged. rotor_speed: (n, rotors) rad/s. battery_ratio: (n,) voltage over
-    the full battery's, None if not logged. flight: the log that it is of. start: s in the log's time.
+    flight: the log that it is of.
+    start: s in the log's time.
+    rate: of the rows, Hz.
+    position, velocity: (n, 3) world, m and m/s.
+    attitude: (n, 4).
+    gyro: (n, 3) rad/s, None if not logged.
+    specific_force: (n, 3) m/s^2, None if not logged.
+    rotor_speed: (n, rotors) rad/s.
+    rotor_source: what the rotor speeds were taken from.
+    battery_ratio: (n,) voltage over the full battery's, None if not logged.
     lacks: which of position, velocity and attitude were not logged; they stand at the origin, at rest, upright.
+    filters: through which both sides of the regression go.
     """
 
     flight: str
@@ -48,6 +52,7 @@ class Segment:
     rotor_source: RotorSource
     battery_ratio: Floats | None
     lacks: frozenset[str] = frozenset()
+    filters: FilterThresholds = DEFAULT.filters
 
     def __len__(self) -> int:
         return len(self.position)
@@ -59,13 +64,27 @@ class Segment:
 
     @property
     def has_pose(self) -> bool:
-        """Whether it tells the acceleration of the pose in body axes."""
+        """Whether the acceleration of the pose is known in body axes."""
         return not self.lacks & {"velocity", "attitude"}
 
     @property
     def has_attitude(self) -> bool:
-        """Whether it tells how the attitude turns."""
+        """Whether the attitude was logged."""
         return "attitude" not in self.lacks
+
+    @property
+    def decimated_rate(self) -> float:
+        """Of the rows of the regression, Hz."""
+        return self.rate / decimation(self.rate, self.filters)
+
+    @property
+    def decimated(self) -> slice:
+        """The rows of the regression among the segment's."""
+        return decimated_rows(len(self), self.rate, self.filters)
+
+    def low_pass(self, values: Floats) -> Floats:
+        """The regression's low-pass over values (n, ...)."""
+        return zero_phase(values, self.rate, self.filters.cutoff)
 
     @cached_property
     def to_world(self) -> Floats:
@@ -73,8 +92,8 @@ class Segment:
         return np.asarray(quaternion.rotation_matrix(self.attitude))
 
     @cached_property
-    def turning(self) -> Floats:
-        """(n, 3) body rate by which the attitude turns, rad/s: half the turn between the neighbours, times the rate."""
+    def rate_from_attitude(self) -> Floats:
+        """(n, 3) body rate from the attitude, rad/s: half the rotation between neighbouring rows, times the rate."""
         turned = quaternion.multiply(quaternion.conjugate(self.attitude[:-2]), self.attitude[2:])
         turned = np.where(turned[:, :1] < 0, -turned, turned)
         inner = quaternion.logarithm(turned) * (self.rate / 2)
@@ -82,14 +101,14 @@ class Segment:
 
     @cached_property
     def body_rate(self) -> Floats:
-        """(n, 3) rad/s: the gyro's, or the attitude's turning where there is no gyro."""
-        return self.turning if self.gyro is None else self.gyro
+        """(n, 3) rad/s: the gyro's, or the attitude's where there is no gyro."""
+        return self.rate_from_attitude if self.gyro is None else self.gyro
 
     @cached_property
     def smooth(self) -> Floats:
-        """(n, 13) state, position, velocity and rate below the cutoff, to keep their noise out of products."""
-        parts = [low_pass(x, self.rate) for x in (self.position, self.velocity, self.body_rate)]
-        return np.hstack([parts[0], parts[1], self.attitude, parts[2]])
+        """(n, 13) state; position, velocity and rate below the cutoff, to keep their noise out of products."""
+        position, velocity, rate = map(self.low_pass, (self.position, self.velocity, self.body_rate))
+        return np.hstack([position, velocity, self.attitude, rate])
 
     @cached_property
     def rotor_acceleration(self) -> Floats:
@@ -121,8 +140,8 @@ class Segment:
         )
 
 
-def segments(flight: Flight, vehicle: Vehicle) -> tuple[Segment, ...]:
-    """The parts of a flight in the air without gaps, each at least 3 s long.
+def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT) -> tuple[Segment, ...]:
+    """The parts of a flight in the air without gaps.
 
     Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
     """
@@ -131,34 +150,34 @@ def segments(flight: Flight, vehicle: Vehicle) -> tuple[Segment, ...]:
             f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {MIN_ROTOR_RATE:.0f} Hz or more "
             "of gyro and pose."
         )
-    posed = fast(flight, "attitude") and (fast(flight, "velocity") or fast(flight, "position"))
-    if not posed and not (fast(flight, "rate") and fast(flight, "specific_force")):
-        raise DataError(lacking(flight))
+    limits = thresholds.segment
+    posed = fast(flight, "attitude", limits) and (fast(flight, "velocity", limits) or fast(flight, "position", limits))
+    if not posed and not (fast(flight, "rate", limits) and fast(flight, "specific_force", limits)):
+        raise DataError(lacking(flight, limits))
     speed, _ = rotor_speeds(flight, vehicle)
-    parts = flight.segments(exclude=_on_ground(flight, speed), shortest=SHORTEST)
-    return tuple(_segment(part, vehicle) for part in parts)
+    parts = flight.segments(exclude=_on_ground(flight, speed, limits), shortest=limits.min_duration)
+    return tuple(_segment(part, vehicle, thresholds) for part in parts)
 
 
-def fast(flight: Flight, quantity: str) -> bool:
+def fast(flight: Flight, quantity: str, thresholds: SegmentThresholds = DEFAULT.segment) -> bool:
     """Whether a quantity was logged, and often enough for what it is used for."""
     origin = flight.origins.get(quantity)
-    return flight.has(quantity) and (origin is None or origin.rate >= MIN_LOGGED)
+    return flight.has(quantity) and (origin is None or origin.rate >= thresholds.min_rate_share * MIN_ROTOR_RATE)
 
 
-def slow_ones(flight: Flight) -> list[str]:
+def slow_quantities(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> list[str]:
     """What was logged of motion, but too slowly to be used."""
     return [
         f"{name} at {flight.origins[name].rate:.0f} Hz"
         for name in ("attitude", "velocity", "rate", "specific_force")
-        if flight.has(name) and not fast(flight, name)
+        if flight.has(name) and not fast(flight, name, thresholds)
     ]
 
 
-def lacking(flight: Flight) -> str:
+def lacking(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> str:
     """What a flight lacks that diagnosis cannot do without, and what can be done."""
-    wanted = ("attitude", "velocity", "rate", "specific_force")
-    names = {"rate": "gyro", "specific_force": "accelerometer"}
-    missing = [names.get(name, name) for name in wanted if not flight.has(name)] + slow_ones(flight)
+    names = {"attitude": "attitude", "velocity": "velocity", "rate": "gyro", "specific_force": "accelerometer"}
+    missing = [text for name, text in names.items() if not flight.has(name)] + slow_quantities(flight, thresholds)
     return (
         f"{flight.provenance.path} has {', '.join(flight.quantities)}; it lacks {', '.join(missing)}. Wanted attitude "
         f"with velocity or position, or else gyro and accelerometer, at {MIN_ROTOR_RATE:.0f} Hz or more: log them and "
@@ -167,51 +186,58 @@ def lacking(flight: Flight) -> str:
     )
 
 
-def _on_ground(flight: Flight, speed: Floats) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+def _on_ground(flight: Flight, speed: Floats, thresholds: SegmentThresholds) -> NDArray[np.bool_]:
     ground = ~np.isfinite(speed).all(axis=1)
     if flight.has("landed"):
         ground |= flight["landed"] != 0
     if flight.has("specific_force"):
-        ground |= np.linalg.norm(np.nan_to_num(flight["specific_force"]), axis=1) > CONTACT
+        force = np.linalg.norm(np.nan_to_num(flight["specific_force"]), axis=1)
+        ground |= force > thresholds.max_specific_force
     ground |= excluded_rows(flight, find_exclusions(flight))
-    width = 2 * round(MARGIN * flight.rate) + 1
+    width = 2 * round(thresholds.margin * flight.rate) + 1
     return np.asarray(np.convolve(ground, np.ones(width), mode="same") > 0)
 
 
-def _segment(part: Flight, vehicle: Vehicle) -> Segment:
-    rate = part.rate
-    speed, source = rotor_speeds(part, vehicle)
+def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:
+    usable = {name for name in part.quantities if fast(part, name, thresholds.segment)}
     position = part["position"] if part.has("position") else np.zeros((len(part), 3))
-    moves = fast(part, "velocity") or fast(part, "position")
     velocity = np.zeros((len(part), 3))
-    if moves:
-        velocity = part["velocity"] if fast(part, "velocity") else difference(position, rate)
+    if "velocity" in usable:
+        velocity = part["velocity"]
+    elif "position" in usable:
+        velocity = difference(position, part.rate)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
-    attitude = quaternion.normalise(part["attitude"]) if fast(part, "attitude") else upright
-    known = {"position": part.has("position"), "velocity": moves, "attitude": fast(part, "attitude")}
+    attitude = quaternion.normalise(part["attitude"]) if "attitude" in usable else upright
+    logged = {
+        "position": part.has("position"),
+        "velocity": bool(usable & {"velocity", "position"}),
+        "attitude": "attitude" in usable,
+    }
+    speed, source = rotor_speeds(part, vehicle)
     return Segment(
         flight=part.provenance.path,
         start=float(part.time[0]),
-        rate=rate,
+        rate=part.rate,
         position=position,
         velocity=velocity,
         attitude=np.asarray(attitude),
-        gyro=part["rate"] if fast(part, "rate") else None,
-        specific_force=part["specific_force"] if fast(part, "specific_force") else None,
+        gyro=part["rate"] if "rate" in usable else None,
+        specific_force=part["specific_force"] if "specific_force" in usable else None,
         rotor_speed=speed,
         rotor_source=source,
-        battery_ratio=_battery_ratio(part),
-        lacks=frozenset(name for name, there in known.items() if not there),
+        battery_ratio=_battery_ratio(part, thresholds.segment),
+        lacks=frozenset(name for name, there in logged.items() if not there),
+        filters=thresholds.filters,
     )
 
 
-def _battery_ratio(part: Flight) -> Floats | None:
+def _battery_ratio(part: Flight, thresholds: SegmentThresholds) -> Floats | None:
     """Voltage over that of as many full cells as the highest voltage needs, smoothed."""
     if not part.has("battery_voltage"):
         return None
     volts = part["battery_voltage"].reshape(-1)
-    known = np.isfinite(volts)
-    if not known.all() or volts.max() < 2.5:
+    if not np.isfinite(volts).all() or volts.max() < thresholds.min_voltage:
         return None
-    cells = math.ceil(float(np.quantile(volts, 0.99)) / (FULL_CELL + 0.2))
-    return np.asarray(low_pass(volts, part.rate, VOLTAGE_CUTOFF, 2)) / (cells * FULL_CELL)
+    full, slack = thresholds.full_cell, thresholds.cell_slack
+    cells = math.ceil(float(np.quantile(volts, 0.99)) / (full + slack))
+    return np.asarray(zero_phase(volts, part.rate, thresholds.voltage_cutoff, 2)) / (cells * full)

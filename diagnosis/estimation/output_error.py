@@ -1,10 +1,10 @@
-"""Output error: parameters for which simulated half seconds of flight end where the vehicle did.
+"""Output error: parameters for which simulated windows of flight end where the vehicle did.
 
 The equation-error fit looks at accelerations, one row at a time. Here windows are simulated open loop from measured
 states with all hidden states, and the parameters move until velocity, attitude and body rate agree (Jategaonkar, Flight
 Vehicle System Identification, 2006, ch. 4). Each window's start, gyro's bias and clock are unknowns of its own, which
-are integrated out; errors are whitened by their own covariance along the window, so that what turbulence adds up to
-counts for little. Slow columns serve as instruments where feedback ties a column to the disturbance, as in `fit`.
+are integrated out; errors are whitened by their own covariance along the window, so that accumulated turbulence has
+little weight. Slow columns serve as instruments where feedback correlates a column with the disturbance, as in `fit`.
 """
 
 from __future__ import annotations
@@ -14,32 +14,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.data.filters import REDUCED_RATE
+from diagnosis.data.filters import decimation
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.equation_error import SETTLED, Estimate, Fit, bounds, with_candidates
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, bounds, with_candidates
 from diagnosis.models.prediction import Predictor
-from diagnosis.models.rollout import Simulator, Windows, healthy
+from diagnosis.models.rollout import SimulatedWindows, Simulator, healthy
 from diagnosis.selection.candidates import make_instruments
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects.gyro_bias import SENSOR_PRIOR as GYRO_BIAS
 from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
+from dynamics.state import ATTITUDE, HIDDEN, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
 
-WINDOW = 0.5  # s
-MAX_WINDOWS, MIN_WINDOWS = 300, 20
-STEPS = 4
-SHRINKAGE = 0.1  # of the covariance towards its diagonal
-NUDGE = 1e-3  # relative step of the finite differences of the hidden states' starts
 OUTPUTS = 9  # velocity, attitude as a rotation vector, body rate
+OF_VELOCITY, OF_ATTITUDE, OF_RATE = slice(0, 3), slice(3, 6), slice(6, 9)  # among outputs, and a start's unknowns
 START = 9  # unknowns of a window's start: velocity, attitude, body rate
 UNKNOWNS = START + 4  # and the gyro's bias and the pose's clock
 
 
 @dataclass(frozen=True, eq=False)
 class Refit:
-    """fit: with the output-error estimates. before, after: squared white error of held-out windows over the fitted."""
+    """A fit by output error.
+
+    fit: with its estimates.
+    before, after: squared white error of a held-out window over that of a fitted one, before and after it.
+    """
 
     fit: Fit
     before: float
@@ -47,33 +49,38 @@ class Refit:
 
 
 def refit(
-    found: Fit,
+    initial: Fit,
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
     fitted: Sequence[Segment],
     held_out: Sequence[Segment],
+    thresholds: Thresholds = DEFAULT,
 ) -> Refit | None:
-    """Fit all parameters of an equation-error fit again by output error, beginning at its estimates.
+    """Fit all parameters of an equation-error fit again by output error, starting at its estimates.
 
     vehicle: that the fit began with. None where nothing can be simulated: no pose, too few windows, or faults of
     sensors alone, which do not move the vehicle.
     """
-    free = [(c, name) for c in found.candidates for key, name in found.estimates if key == c.key and _moves(c.effect)]
+    free = [
+        (c, name) for c in initial.candidates for key, name in initial.estimates if key == c.key and _moves(c.effect)
+    ]
     if not free or any(s.lacks for s in (*fitted, *held_out)):
         return None
     names = [f"{c.key}.{name}" for c, name in free]
     instrumented = [c.effect.physics is not None for c, _ in free]
-    problem, judge = (_Problem(found.vehicle, catalogue, part, names, instrumented) for part in (fitted, held_out))
-    if min(problem.count, judge.count * MAX_WINDOWS) < MIN_WINDOWS:
+    problem, judge = (
+        _Problem(initial.vehicle, catalogue, part, names, instrumented, thresholds) for part in (fitted, held_out)
+    )
+    if not judge.count or problem.count < thresholds.output_error.min_windows:
         return None
     low, high = np.array([bounds(c.effect, name) for c, name in free]).T
-    first = np.array([found.estimates[c.key, name].value for c, name in free])
+    first = np.array([initial.estimates[c.key, name].value for c, name in free])
     white = problem.whitening(first)
     values, covariance = first, np.zeros((0, 0))
-    for _ in range(STEPS):
+    for _ in range(thresholds.output_error.max_steps):
         step, covariance = problem.step(values, white)
         values = np.clip(values + step, low, high)
-        if np.all(np.abs(step) <= SETTLED * np.sqrt(np.diag(covariance))):
+        if np.all(np.abs(step) <= thresholds.equation_error.converged * np.sqrt(np.diag(covariance))):
             break
     before, after = (judge.cost(v, white) / judge.count for v in (first, values))
     level = problem.cost(first, white) / problem.count
@@ -81,12 +88,12 @@ def refit(
         return None
     deviation = np.sqrt(np.diag(covariance))
     better = {
-        (c.key, name): Estimate(float(v), float(d), found.estimates[c.key, name].unit)
+        (c.key, name): ParameterEstimate(float(v), float(d), initial.estimates[c.key, name].unit)
         for (c, name), v, d in zip(free, values, deviation, strict=True)
     }
-    estimates = {**found.estimates, **better}
+    estimates = {**initial.estimates, **better}
     named = {f"{key}.{name}": estimate.value for (key, name), estimate in estimates.items()}
-    again = Fit(with_candidates(vehicle, found.candidates, named), estimates, found.candidates)
+    again = Fit(with_candidates(vehicle, initial.candidates, named), estimates, initial.candidates)
     return Refit(again, before / level, after / level)
 
 
@@ -98,18 +105,26 @@ class _Problem:
     """Residuals of windows and their slopes, segment by segment."""
 
     def __init__(
-        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], names: Sequence[str],
+        self,
+        vehicle: Vehicle,
+        catalogue: Mapping[str, Effect],
+        segments: Sequence[Segment],
+        names: Sequence[str],
         instrumented: Sequence[bool],
-    ) -> None:  # fmt: skip
+        thresholds: Thresholds,
+    ) -> None:
         measured = segments[0].rotor_source == "measured"
         self._vehicle, self._segments = healthy(vehicle, catalogue, segments)
-        self._predictor = Predictor(self._vehicle, self._vehicle.effects, catalogue, speed_measured=measured)
-        self._rate = segments[0].rate
+        self._predictor = Predictor(
+            self._vehicle, self._vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction
+        )
+        self._rate, self._thresholds = segments[0].rate, thresholds.output_error
         self._simulator = Simulator(self._predictor, self._rate, names, speed_measured=measured)
         self._names, self._instrumented = names, np.array(instrumented)
-        self._steps, self._stride = round(WINDOW * self._rate), max(1, round(self._rate / REDUCED_RATE))
+        self._steps = round(self._thresholds.window * self._rate)
+        self._stride = decimation(self._rate, segments[0].filters)
         possible = sum((len(s) - 1) // self._steps for s in segments)
-        apart = self._steps * max(1, round(possible / MAX_WINDOWS))
+        apart = self._steps * max(1, round(possible / self._thresholds.max_windows))
         self._starts = [range(0, len(s) - self._steps, apart) for s in self._segments]
         self.count = sum(map(len, self._starts))
 
@@ -118,10 +133,9 @@ class _Problem:
         errors = np.concatenate([self._errors(s, self._run(s, starts, values)) for s, starts in self._pairs()])
         covariance = np.einsum("wto,wuo->otu", errors, errors) / len(errors)
         diagonal = np.einsum("ott->ot", covariance)
-        covariance = (1 - SHRINKAGE) * covariance + SHRINKAGE * np.einsum(
-            "ot,tu->otu", diagonal, np.eye(diagonal.shape[1])
-        )
-        covariance += 1e-12 * np.eye(diagonal.shape[1])
+        shrinkage, identity = self._thresholds.shrinkage, np.eye(diagonal.shape[1])
+        covariance = (1 - shrinkage) * covariance + shrinkage * np.einsum("ot,tu->otu", diagonal, identity)
+        covariance += 1e-12 * identity
         return np.asarray(np.linalg.inv(np.linalg.cholesky(covariance)))
 
     def cost(self, values: Floats, white: Floats) -> float:
@@ -161,19 +175,19 @@ class _Problem:
     def _parameters(self, values: Floats) -> Floats:
         return self._predictor.values(dict(zip(self._names, values.tolist(), strict=True)))
 
-    def _run(self, segment: Segment, starts: Sequence[int], values: Floats) -> Windows:
+    def _run(self, segment: Segment, starts: Sequence[int], values: Floats) -> SimulatedWindows:
         return self._simulator.run(segment, starts, self._steps, self._parameters(values))
 
-    def _errors(self, segment: Segment, windows: Windows) -> Floats:
-        """(W, t, 9) measured less simulated at every kept step."""
+    def _errors(self, segment: Segment, windows: SimulatedWindows) -> Floats:
+        """(W, t, 9) measured less simulated at every decimated step."""
         states, rows = windows.states[:, :: self._stride], windows.rows[:, :: self._stride]
-        away = quaternion.multiply(quaternion.conjugate(states[:, :, 6:10]), segment.attitude[rows])
+        away = quaternion.multiply(quaternion.conjugate(states[:, :, ATTITUDE]), segment.attitude[rows])
         attitude = quaternion.logarithm(np.where(away[:, :, :1] < 0, -away, away))
-        velocity = segment.velocity[rows] - states[:, :, 3:6]
-        return np.concatenate([velocity, attitude, segment.body_rate[rows] - states[:, :, 10:13]], axis=2)
+        velocity = segment.velocity[rows] - states[:, :, VELOCITY]
+        return np.concatenate([velocity, attitude, segment.body_rate[rows] - states[:, :, RATE]], axis=2)
 
     def _white(
-        self, segment: Segment, windows: Windows, values: Floats, white: Floats
+        self, segment: Segment, windows: SimulatedWindows, values: Floats, white: Floats
     ) -> tuple[Floats, Floats, Floats, Floats]:
         """Errors (W, m), slopes in a window's unknowns (W, m, 13), in parameters (W, m, k), instruments (W, m, k)."""
         p, first = self._parameters(values), self._first(segment, windows, values)
@@ -188,49 +202,49 @@ class _Problem:
         unknowns = self._unknowns(windows, slopes, white)
         return errors, unknowns, _whitened(white, theta), _whitened(white, instruments)
 
-    def _unknowns(self, windows: Windows, slopes: Floats, white: Floats) -> Floats:
+    def _unknowns(self, windows: SimulatedWindows, slopes: Floats, white: Floats) -> Floats:
         """(W, m, 13) white slopes in a window's own unknowns. slopes: of the states, those of the start first."""
         own = self._outputs(slopes[..., :START], windows)
         return _whitened(white, np.concatenate([own, self._readings(windows)], axis=3))
 
-    def _first(self, segment: Segment, windows: Windows, values: Floats) -> Floats:
+    def _first(self, segment: Segment, windows: SimulatedWindows, values: Floats) -> Floats:
         """(W, nx, 9 + k) slopes of the windows' first states in their own unknowns and in the parameters."""
         x = windows.states[:, 0]
         first = np.zeros((len(x), x.shape[1], START + len(values)))
-        first[:, 3:6, 0:3] = first[:, 10:13, 6:9] = np.eye(3)
-        first[:, 6:10, 3:6] = 0.5 * _left(x[:, 6:10])[:, :, 1:]
+        first[:, VELOCITY, OF_VELOCITY] = first[:, RATE, OF_RATE] = np.eye(3)
+        first[:, ATTITUDE, OF_ATTITUDE] = 0.5 * _left(x[:, ATTITUDE])[:, :, 1:]
         if self._predictor.model.hidden_count:
             for i in range(len(values)):
-                nudge = NUDGE * max(abs(values[i]), 1e-6)
-                moved = values + nudge * (np.arange(len(values)) == i)
+                change = self._thresholds.difference_step * max(abs(values[i]), 1e-6)
+                moved = values + change * (np.arange(len(values)) == i)
                 states = self._predictor.states(segment, self._parameters(moved))[windows.rows[:, 0]]
-                first[:, 13:, START + i] = (states[:, 13:] - x[:, 13:]) / nudge
+                first[:, HIDDEN, START + i] = (states[:, HIDDEN] - x[:, HIDDEN]) / change
         return first
 
-    def _outputs(self, slopes: Floats, windows: Windows) -> Floats:
+    def _outputs(self, slopes: Floats, windows: SimulatedWindows) -> Floats:
         """(W, t, 9, c) slopes of the outputs, from those of the states (W, n + 1, nx, c)."""
-        kept, states = slopes[:, :: self._stride], windows.states[:, :: self._stride]
-        turned = _left(quaternion.conjugate(states[:, :, 6:10])) @ kept[:, :, 6:10]
-        return np.concatenate([kept[:, :, 3:6], 2 * turned[:, :, 1:], kept[:, :, 10:13]], axis=2)
+        slopes, states = slopes[:, :: self._stride], windows.states[:, :: self._stride]
+        rotation = _left(quaternion.conjugate(states[:, :, ATTITUDE])) @ slopes[:, :, ATTITUDE]
+        return np.concatenate([slopes[:, :, VELOCITY], 2 * rotation[:, :, 1:], slopes[:, :, RATE]], axis=2)
 
-    def _readings(self, windows: Windows) -> Floats:
+    def _readings(self, windows: SimulatedWindows) -> Floats:
         """(W, t, 9, 4) slopes in the gyro's bias and in the age of the pose."""
         states = windows.states[:, :: self._stride]
-        found = np.zeros((*states.shape[:2], OUTPUTS, 4))
-        found[:, :, 6:9, 0:3] = np.eye(3)
-        found[:, :, 0:3, 3] = -np.gradient(states[:, :, 3:6], self._stride / self._rate, axis=1)
-        found[:, :, 3:6, 3] = -states[:, :, 10:13]
-        return found
+        slopes = np.zeros((*states.shape[:2], OUTPUTS, 4))
+        slopes[:, :, OF_RATE, 0:3] = np.eye(3)
+        slopes[:, :, OF_VELOCITY, 3] = -np.gradient(states[:, :, VELOCITY], self._stride / self._rate, axis=1)
+        slopes[:, :, OF_ATTITUDE, 3] = -states[:, :, RATE]
+        return slopes
 
 
 def _whitened(white: Floats, rows: Floats) -> Floats:
     """(W, t x 9, ...) rows of outputs (W, t, 9, ...), white along each window."""
-    made = np.einsum("otu,wuo...->wto...", white, rows)
-    return np.asarray(made.reshape(len(rows), -1, *rows.shape[3:]))
+    flat = np.einsum("otu,wuo...->wto...", white, rows)
+    return np.asarray(flat.reshape(len(rows), -1, *rows.shape[3:]))
 
 
 def _information() -> Floats:
-    """(13,) inverse variances of a window's unknowns before it was seen."""
+    """(13,) inverse prior variances of a window's unknowns."""
     return np.array([0.0] * START + [GYRO_BIAS**-2] * 3 + [CLOCK_OFFSET**-2])
 
 

@@ -1,9 +1,9 @@
 """The twelve residual channels: four kinds of measurement, three axes each.
 
 imu             specific force of the accelerometer, m/s^2
-mocap           acceleration from position or velocity, less gravity, in body axes, m/s^2
+mocap           acceleration from position or velocity, less gravity, in body axes, m/s^2 (`POSE_ACCELERATION`)
 angular         angular acceleration from the gyro, rad/s^2
-attitude_rate   the attitude's turning less the gyro, rad/s
+attitude_rate   body rate from the attitude less the gyro, rad/s
 
 A real force shows alike in imu and mocap, a torque in angular, an accelerometer's bias in imu only, a gyro's in
 attitude_rate only, a clock offset in mocap and attitude_rate. All products are formed at the full rate; then both
@@ -16,7 +16,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.data.filters import difference, kept, low_pass, simpson
+from diagnosis.data.filters import difference, simpson
 from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Prediction
 from dynamics.arrays import Floats
@@ -26,6 +26,14 @@ KINDS = ("imu", "mocap", "angular", "attitude_rate")
 UNITS = {"imu": "m/s^2", "mocap": "m/s^2", "angular": "rad/s^2", "attitude_rate": "rad/s"}
 AXES = 3
 CHANNELS = len(KINDS) * AXES
+SPECIFIC_FORCE, POSE_ACCELERATION = slice(0, 3), slice(3, 6)
+ANGULAR_ACCELERATION, ATTITUDE_RATE = slice(6, 9), slice(9, 12)
+MOTION = slice(0, 9)  # forces and torques: all but the attitude rate, which shows sensors alone
+
+
+def kind_of(channel: int) -> str:
+    """The kind of a channel by its number."""
+    return KINDS[channel // AXES]
 
 
 def present(segment: Segment) -> tuple[bool, ...]:
@@ -35,36 +43,35 @@ def present(segment: Segment) -> tuple[bool, ...]:
 
 
 def measured(segment: Segment) -> Floats:
-    """(m, 12) what was measured, after the filter; zero where a kind is missing."""
-    rate, rows = segment.rate, kept(len(segment), segment.rate)
-    nothing = np.zeros((len(segment), 3))
-    _, posed, _, turns = present(segment)
-    force = nothing if segment.specific_force is None else low_pass(simpson(segment.specific_force), rate)
-    world = low_pass(difference(segment.velocity, rate), rate) + np.array([0.0, 0.0, GRAVITY])
-    felt = _into_body(segment, world) if posed else nothing
-    angular = low_pass(difference(segment.body_rate, rate), rate)
-    turning = low_pass(segment.turning, rate) if turns else nothing
-    return np.hstack([force[rows], felt[rows], angular[rows], turning[rows]])
+    """(m, 12) measurements after the filter; zero where a kind is missing."""
+    rate, low_pass, absent = segment.rate, segment.low_pass, np.zeros((len(segment), AXES))
+    _, has_pose, _, has_attitude_rate = present(segment)
+    force = absent if segment.specific_force is None else low_pass(simpson(segment.specific_force))
+    world = low_pass(difference(segment.velocity, rate)) + np.array([0.0, 0.0, GRAVITY])
+    pose_acceleration = _into_body(segment, world) if has_pose else absent
+    angular = low_pass(difference(segment.body_rate, rate))
+    attitude_rate = low_pass(segment.rate_from_attitude) if has_attitude_rate else absent
+    return np.hstack([force, pose_acceleration, angular, attitude_rate])[segment.decimated]
 
 
 def predicted(segment: Segment, predictions: Sequence[Prediction]) -> Floats:
-    """(m, 12, k) what k predictions, or k slopes of one, say of the same channels."""
-    count, rate, rows = len(segment), segment.rate, kept(len(segment), segment.rate)
-    raw = np.zeros((len(predictions), CHANNELS, count))
+    """(m, 12, k) the same channels of k predictions, or of k slopes of one."""
+    raw = np.zeros((len(predictions), CHANNELS, len(segment)))
     here = present(segment)
     for prediction, channel in zip(predictions, raw, strict=True):
         if here[0]:
-            channel[0:3] = prediction.specific_force.T
+            channel[SPECIFIC_FORCE] = prediction.specific_force.T
         if here[1]:
-            channel[3:6] = prediction.world_acceleration(segment).T
-        channel[6:9] = prediction.angular_acceleration.T
+            channel[POSE_ACCELERATION] = prediction.world_acceleration(segment).T
+        channel[ANGULAR_ACCELERATION] = prediction.angular_acceleration.T
         if here[3]:
-            channel[9:12] = prediction.attitude_rate(segment).T
+            channel[ATTITUDE_RATE] = prediction.attitude_rate(segment).T
     active = np.any(raw, axis=2)
-    filtered = low_pass(simpson(raw[active].T), rate)[rows]
+    rows = segment.decimated
+    filtered = segment.low_pass(simpson(raw[active].T))[rows]
     result = np.zeros((len(filtered), CHANNELS, len(predictions)))
     result.transpose(2, 1, 0)[active] = filtered.T
-    result[:, 3:6] = np.einsum("nji,njk->nik", segment.to_world[rows], result[:, 3:6])
+    result[:, POSE_ACCELERATION] = np.einsum("nji,njk->nik", segment.to_world[rows], result[:, POSE_ACCELERATION])
     return result
 
 
@@ -79,7 +86,10 @@ def _into_body(segment: Segment, world: Floats) -> Floats:
 
 def norms(residuals: Sequence[Floats]) -> dict[str, float]:
     """RMS norm over the three axes of each kind, over all residuals (m, 12)."""
-    rows = np.vstack(residuals)
-    return {
-        kind: float(np.sqrt(np.mean(np.sum(rows[:, 3 * i : 3 * i + 3] ** 2, axis=1)))) for i, kind in enumerate(KINDS)
-    }
+    squares = squared_by_kind(np.vstack(residuals))
+    return {kind: float(np.sqrt(np.mean(squares[:, i]))) for i, kind in enumerate(KINDS)}
+
+
+def squared_by_kind(values: Floats) -> Floats:
+    """(..., 4) squared norm over the three axes of each kind. values: (..., 12)."""
+    return np.asarray(np.sum(values.reshape(*values.shape[:-1], len(KINDS), AXES) ** 2, axis=-1))

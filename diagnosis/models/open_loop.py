@@ -1,4 +1,4 @@
-"""Multi-step prediction: the model runs from a measured state; one right at one step can be wrong at fifty."""
+"""Open-loop prediction: the model runs from a measured state; one right at one step can be wrong at fifty."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, healthy
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
-
-HORIZONS = (0.1, 0.5, 1.0)  # s
-EVERY = 0.5  # s between starts
 
 
 class HorizonError(msgspec.Struct, frozen=True):
@@ -30,9 +29,12 @@ class HorizonError(msgspec.Struct, frozen=True):
 
 
 def open_loop_errors(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    segments: Sequence[Segment],
+    thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> tuple[HorizonError, ...]:
-    """Prediction errors of a vehicle's model over 0.1, 0.5 and 1 s, from starts all along the segments.
+    """Prediction errors of a vehicle's model over each horizon, from starts all along the segments.
 
     None where the segments hold no pose to start from.
     """
@@ -40,23 +42,25 @@ def open_loop_errors(
         return ()
     rate, measured = segments[0].rate, segments[0].rotor_source == "measured"
     vehicle, segments = healthy(vehicle, catalogue, segments)
-    predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
+    predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds)
     simulator = Simulator(predictor, rate, speed_measured=measured)
-    found: dict[float, list[Floats]] = {horizon: [] for horizon in HORIZONS}
+    last, interval = round(thresholds.horizons[-1] * rate), max(1, round(thresholds.start_interval * rate))
+    errors: dict[float, list[Floats]] = {horizon: [] for horizon in thresholds.horizons}
     for segment in segments:
-        starts = np.arange(0, len(segment) - round(HORIZONS[-1] * rate), max(1, round(EVERY * rate)))
-        windows = simulator.run(segment, starts.tolist(), round(HORIZONS[-1] * rate), predictor.values())
-        for horizon, errors in found.items():
+        starts = np.arange(0, len(segment) - last, interval)
+        windows = simulator.run(segment, starts.tolist(), last, predictor.values())
+        for horizon, parts in errors.items():
             step = round(horizon * rate)
-            errors.append(_difference(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
-    return tuple(_summary(horizon, np.vstack(errors)) for horizon, errors in found.items())
+            parts.append(_difference(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
+    return tuple(_summary(horizon, np.vstack(parts)) for horizon, parts in errors.items())
 
 
-def _difference(said: Floats, was: Floats) -> Floats:
-    turned = quaternion.multiply(quaternion.conjugate(was[:, 6:10]), said[:, 6:10])
-    turned = np.where(turned[:, :1] < 0, -turned, turned)
-    attitude = quaternion.logarithm(turned)
-    return np.hstack([said[:, :6] - was[:, :6], attitude, said[:, 10:13] - was[:, 10:13]])
+def _difference(predicted: Floats, measured: Floats) -> Floats:
+    """(n, 12) errors of position, velocity, attitude as a rotation vector, and rate, from states (n, 13 or more)."""
+    rotation = quaternion.multiply(quaternion.conjugate(measured[:, ATTITUDE]), predicted[:, ATTITUDE])
+    rotation = np.where(rotation[:, :1] < 0, -rotation, rotation)
+    position, velocity, rate = (predicted[:, part] - measured[:, part] for part in (POSITION, VELOCITY, RATE))
+    return np.hstack([position, velocity, quaternion.logarithm(rotation), rate])
 
 
 def _summary(horizon: float, errors: Floats) -> HorizonError:

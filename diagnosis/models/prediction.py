@@ -1,7 +1,7 @@
-"""What a model says along a measured flight: specific force and angular acceleration at every row, and their slopes.
+"""A model along a measured flight: specific force and angular acceleration at every row, and their slopes.
 
 The expressions are those of `dynamics`; faults of sensors are undone where they spoil the model's inputs (rates,
-rotor speeds) and applied where the model speaks of a reading (specific force).
+rotor speeds) and applied where the model predicts a reading (specific force).
 """
 
 from __future__ import annotations
@@ -15,27 +15,33 @@ import numpy as np
 from diagnosis.data.filters import delayed
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
 from dynamics.integrators import rk4_driven
 from dynamics.model import Model, build_model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
-SLOW_HIDDEN = 50.0  # Hz at which hidden states without a short time constant are integrated
+POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """specific_force, angular_acceleration, rate: (n, 3) body, as the sensors would read them and the pose shows them.
+    """What a model predicts along a segment, or a slope of it.
 
-    The pose lags by pose_age: world acceleration and attitude rate show what force and rate were then.
+    specific_force: (n, 3) body, as the accelerometer would read it, m/s^2.
+    angular_acceleration: (n, 3) body, rad/s^2.
+    rate: (n, 3) body, without the gyro's faults, rad/s.
+    true_force: (n, 3) specific force without the accelerometer's faults, m/s^2.
+    pose_age: by which the pose lags, s: world acceleration and attitude rate are those of then.
     """
 
     specific_force: Floats
     angular_acceleration: Floats
     rate: Floats
+    true_force: Floats
     pose_age: float = 0.0
 
     def world_acceleration(self, segment: Segment) -> Floats:
@@ -44,16 +50,22 @@ class Prediction:
         return np.asarray(np.einsum("nij,nj->ni", segment.to_world, force))
 
     def attitude_rate(self, segment: Segment) -> Floats:
-        """(n, 3) body rate by which the attitude turns, rad/s."""
+        """(n, 3) body rate that the attitude shows, rad/s."""
         return delayed(self.rate, segment.rate, self.pose_age)
 
-    true_force: Floats = None  # type: ignore[assignment]
+    @classmethod
+    def from_outputs(cls, outputs: Floats, pose_age: float) -> Prediction:
+        """From what `_outputs` computes, (n, 12)."""
+        force, angular, rate, true_force = (outputs[:, i : i + 3] for i in range(0, 12, 3))
+        return cls(force, angular, rate, true_force, pose_age)
 
 
 class Predictor:
     """A vehicle's model with effects, evaluated over whole segments.
 
-    values: the parameters by the model's names. free: those in which slopes are wanted.
+    uses: the effects in it.
+    free: parameters in which slopes are computed, by the model's names.
+    speed_measured: whether the segments hold measured rotor speeds, behind which no lag is left.
     """
 
     def __init__(
@@ -64,10 +76,12 @@ class Predictor:
         free: Sequence[str] = (),
         *,
         speed_measured: bool,
+        thresholds: PredictionThresholds = DEFAULT.prediction,
     ) -> None:
-        known = [use for use in uses if not (speed_measured and catalogue[use.name].rotor_speed is not None)]
-        self.model: Model = build_model(vehicle, effects=known, catalogue=catalogue)
+        acting = [use for use in uses if not (speed_measured and catalogue[use.name].rotor_speed is not None)]
+        self.model: Model = build_model(vehicle, effects=acting, catalogue=catalogue)
         self.free = tuple(free)
+        self._hidden_rate = thresholds.hidden_rate
         self._symbols = _symbols(self.model)
         outputs = _outputs(self.model, self._symbols)
         inputs = list(self._symbols.values())
@@ -80,7 +94,7 @@ class Predictor:
         advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
         self._advance = RowFunction(advance, chained=True) if advance is not None else None
         lags = self.model.time_constants
-        self._is_fast = bool(self.model.rotor_speed_places) or min(lags, default=np.inf) < 1 / SLOW_HIDDEN
+        self._is_fast = bool(self.model.rotor_speed_places) or min(lags, default=np.inf) < 1 / self._hidden_rate
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -90,10 +104,10 @@ class Predictor:
         return p
 
     def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
-        """What the model says along a segment."""
+        """The model's prediction along a segment."""
         p = self.values(changed)
-        found = self._evaluate(*self._arguments(segment, p, None, None))
-        return Prediction(found[:, 0:3], found[:, 3:6], found[:, 6:9], float(self._age(p)), true_force=found[:, 9:12])
+        outputs = self._evaluate(*self._arguments(segment, p, None, None))
+        return Prediction.from_outputs(outputs, float(self._age(p)))
 
     def slopes(
         self,
@@ -107,12 +121,10 @@ class Predictor:
         assert self._slopes is not None
         p = self.values(changed)
         arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
-        found = self._slopes(*arguments)
-        parts = found.reshape(len(found), len(self.free), 12)
+        columns = self._slopes(*arguments)
+        parts = columns.reshape(len(columns), len(self.free), 12)
         age = float(self._age(p))
-        return [
-            Prediction(x[:, 0:3], x[:, 3:6], x[:, 6:9], age, true_force=x[:, 9:12]) for x in parts.transpose(1, 0, 2)
-        ]
+        return [Prediction.from_outputs(part, age) for part in parts.transpose(1, 0, 2)]
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, nx) measured motion, smoothed, and the hidden states that go with it. p: parameters if not its own."""
@@ -124,19 +136,19 @@ class Predictor:
         self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
     ) -> list[Floats]:
         speed = segment.rotor_speed if rotor_speed is None else rotor_speed
-        turning_up = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
-        return [self.states(segment, p), segment.body_rate, speed, turning_up, p, segment.environment]
+        acceleration = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
+        return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment]
 
     def _hidden(self, segment: Segment, p: Floats) -> Floats:
         """(n, h) hidden states along the segment, from their values in hover."""
         assert self._advance is not None
-        stride = 1 if self._is_fast else max(1, int(segment.rate / SLOW_HIDDEN))
+        stride = 1 if self._is_fast else max(1, int(segment.rate / self._hidden_rate))
         here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
         steps = len(here) - 1
         initial = _settled(self.model, segment)
         same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / segment.rate)
-        found = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
-        return found if stride == 1 else _between(found, stride, len(segment))
+        hidden = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
+        return hidden if stride == 1 else _between(hidden, stride, len(segment))
 
 
 def _settled(model: Model, segment: Segment) -> Floats:
@@ -182,9 +194,9 @@ def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> t
 
 def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
     """Specific force as read, angular acceleration, true body rate, true specific force: (12,)."""
-    smooth_rate, speed = _true(model, s["x"][10:13], s["speed"], s["p"])
+    smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], s["p"])
     gyro, _ = _true(model, s["gyro"], s["speed"], s["p"])
-    state = ca.vertcat(s["x"][0:10], smooth_rate, s["x"][13:])
+    state = ca.vertcat(s["x"][POSE_AND_VELOCITY], smooth_rate, s["x"][HIDDEN])
     force, angular = model.respond(state, speed, s["acceleration"], s["p"], s["e"])
     read = model.measure(force, smooth_rate, speed, s["p"])[0]
     return ca.vertcat(read, angular, gyro, force)
@@ -199,9 +211,9 @@ def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:
 
     def slope(hidden: Expression, share: float) -> Expression:
         row = (1 - share) * before + share * after
-        rate, speed = _true(model, row[10:13], row[13 : 13 + n], p)
-        state = ca.vertcat(row[0:10], rate, hidden)
-        return model.derivative(state, speed, p, row[13 + n :], ca.SX.zeros(model.hidden_count))[13:]
+        rate, speed = _true(model, row[RATE], row[RIGID_BODY_STATES : RIGID_BODY_STATES + n], p)
+        state = ca.vertcat(row[POSE_AND_VELOCITY], rate, hidden)
+        return model.derivative(state, speed, p, row[RIGID_BODY_STATES + n :], ca.SX.zeros(model.hidden_count))[HIDDEN]
 
     following = rk4_driven(slope, h, dt)
     return ca.Function("advance", [h, before, after, p, dt], [following])

@@ -1,7 +1,7 @@
 """Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
 
-Between two rows the rotors turn as fast as on average of both, and speed up as measured where their speed is; faults
-of sensors that the model knows are taken out of the readings first.
+Between two rows the rotors have the mean speed of both, and accelerate as measured where their speed is measured;
+faults of sensors that the model holds are taken out of the readings first.
 """
 
 from __future__ import annotations
@@ -20,16 +20,20 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
 from dynamics.integrators import rk4, with_unit_attitude
 from dynamics.model import Model, build_model
+from dynamics.state import HIDDEN, RATE
 from dynamics.vehicle import Vehicle
 
 PARAMETERS, PERIOD = 3, 5  # places among the step's inputs that all rows share
 
 
 @dataclass(frozen=True, eq=False)
-class Windows:
-    """W windows of n steps. states: (W, n + 1, nx). inputs: (W, n, 2 rotors), speeds and accelerations.
+class SimulatedWindows:
+    """W windows of n steps, simulated.
 
-    environment: (W, n, 2). rows: (W, n + 1) rows of the segment.
+    states: (W, n + 1, nx).
+    inputs: (W, n, 2 rotors), speeds and accelerations.
+    environment: (W, n, 2).
+    rows: (W, n + 1) rows of the segment.
     """
 
     states: Floats
@@ -51,24 +55,30 @@ class Simulator:
         flat = ca.reshape(ca.densify(slopes), -1, 1)
         self._slopes = RowFunction(ca.Function("slopes", inputs, [flat]), shared=(PARAMETERS, PERIOD))
 
-    def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> Windows:
+    def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> SimulatedWindows:
         """Simulate from the measured states at rows `starts` of a segment without faults."""
-        states = self.predictor.states(segment, p)
+        measured = self.predictor.states(segment, p)
         rows = np.asarray(starts)[:, None] + np.arange(steps + 1)
         here, there = rows[:, :-1], rows[:, 1:]
         speed = (segment.rotor_speed[here] + segment.rotor_speed[there]) / 2
         acceleration = (segment.rotor_speed[there] - segment.rotor_speed[here]) * segment.rate
         inputs, environment = np.concatenate([speed, acceleration], axis=2), segment.environment[here]
-        found = np.empty((len(rows), steps + 1, states.shape[1]))
-        found[:, 0] = states[rows[:, 0]]
+        states = np.empty((len(rows), steps + 1, measured.shape[1]))
+        states[:, 0] = measured[rows[:, 0]]
         half = speed.shape[2]
         for step in range(steps):
             u, a = inputs[:, step, :half], inputs[:, step, half:]
-            found[:, step + 1] = self._step(found[:, step], u, a, p, environment[:, step], self._period)
-        return Windows(found, inputs, environment, rows)
+            states[:, step + 1] = self._step(states[:, step], u, a, p, environment[:, step], self._period)
+        return SimulatedWindows(states, inputs, environment, rows)
 
     def sensitivities(
-        self, windows: Windows, p: Floats, first: Floats, *, rotor_speed: Floats | None = None, held: bool = False
+        self,
+        windows: SimulatedWindows,
+        p: Floats,
+        first: Floats,
+        *,
+        rotor_speed: Floats | None = None,
+        held: bool = False,
     ) -> Floats:
         """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
 
@@ -81,33 +91,33 @@ class Simulator:
         flat = [x.reshape(count * steps, -1) for x in (windows.states[:, :-1], speed, windows.inputs[:, :, half:])]
         around = windows.environment.reshape(count * steps, -1)
         slopes = self._slopes(*flat, p, around, self._period).reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
-        found = np.empty((count, steps + 1, nx, width))
-        found[:, 0] = first
+        chained = np.empty((count, steps + 1, nx, width))
+        chained[:, 0] = first
         for step in range(steps):
-            found[:, step + 1] = slopes[:, step, :, :nx] @ found[:, step]
+            chained[:, step + 1] = slopes[:, step, :, :nx] @ chained[:, step]
             if not held:
-                found[:, step + 1, :, width - (slopes.shape[3] - nx) :] += slopes[:, step, :, nx:]
-        return found
+                chained[:, step + 1, :, width - (slopes.shape[3] - nx) :] += slopes[:, step, :, nx:]
+        return chained
 
 
 def healthy(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[Vehicle, list[Segment]]:
-    """The vehicle without its sensors' faults, and segments as healthy sensors would have read them."""
+    """The vehicle without its sensors' faults, and segments as sensors without faults would have read them."""
     faults = [use for use in vehicle.effects if catalogue[use.name].measurement is not None]
     if not faults:
         return vehicle, list(segments)
     model = build_model(vehicle, effects=faults, catalogue=catalogue)
     rest = tuple(use for use in vehicle.effects if use not in faults)
-    return msgspec.structs.replace(vehicle, effects=rest), [_as_read_healthily(s, model) for s in segments]
+    return msgspec.structs.replace(vehicle, effects=rest), [_without_faults(s, model) for s in segments]
 
 
-def _as_read_healthily(segment: Segment, model: Model) -> Segment:
+def _without_faults(segment: Segment, model: Model) -> Segment:
     """Sensors read affinely, each axis and rotor for itself."""
     nothing, ones, p = np.zeros(3), np.ones(model.input_count), model.parameter_values
-    _, rate, speed, age = (np.array(found).ravel() for found in model.measure(nothing, nothing, 0 * ones, p))
+    _, rate, speed, age = (np.array(reading).ravel() for reading in model.measure(nothing, nothing, 0 * ones, p))
     gain = np.array(model.measure(nothing, nothing, ones, p)[2]).ravel() - speed
-    return _in_time(
+    return _with_pose_of(
         replace(
             segment,
             gyro=None if segment.gyro is None else segment.gyro - rate,
@@ -117,8 +127,8 @@ def _as_read_healthily(segment: Segment, model: Model) -> Segment:
     )
 
 
-def _in_time(segment: Segment, age: float) -> Segment:
-    """The segment with its pose moved to when it was so; the last rows keep the pose that they have."""
+def _with_pose_of(segment: Segment, age: float) -> Segment:
+    """The segment with the pose that arrives `age` s later; the last rows keep theirs."""
     time = np.arange(len(segment)) / segment.rate
 
     def moved(values: Floats) -> Floats:
@@ -140,6 +150,6 @@ def _step(model: Model, speed_measured: bool) -> tuple[list[Expression], Express
         if not speed_measured:
             return rates
         _, angular = model.respond(state, u, a, p, e)  # with the moment of rotors that speed up
-        return ca.vertcat(rates[:10], angular, rates[13:])
+        return ca.vertcat(rates[: RATE.start], angular, rates[HIDDEN])
 
     return [x, u, a, p, e, dt], ca.densify(with_unit_attitude(rk4(field, x, dt)))

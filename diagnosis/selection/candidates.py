@@ -1,12 +1,12 @@
 """The effects that might be missing, as columns of a regression: linearised about the present model.
 
 Columns come from the effects' own expressions. An effect that is linear in some of its parameters gives one column
-for each of them and is tried at several values of the others; an effect whose parameters are all held gives one
-column, the whole difference that it makes, whose amplitude must come out near 1.
+for each of them and is tried on a grid of the others; an effect whose parameters are all held gives one column, a
+fixed-shape regressor: the difference that it makes, whose coefficient must come out near 1.
 
-Under feedback the controller answers turbulence within 30 ms, so rotor speeds carry the disturbance and the moments
-of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the rotors' moments
-from slow measured motion; those for estimation and evaluation are the plain ones.
+Under feedback the controller answers turbulence within 30 ms, so rotor speeds are correlated with the disturbance and
+the moments of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the rotors'
+moments from slow measured motion; those for estimation and evaluation are the plain ones.
 """
 
 from __future__ import annotations
@@ -20,18 +20,21 @@ from diagnosis.data.filters import difference, slow
 from diagnosis.data.segment import Segment
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.visibility import can_show
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Span
 from dynamics.vehicle import EffectUse, Vehicle
 
-ANGULAR = slice(6, 9)
-
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """An effect with some parameters held. free: those that are regressed. at: values about which it is linear.
+    """An effect at one point of its grid.
 
-    columns: places of its columns in the regression. whole: it has one column, the difference that it makes in all.
+    effect: of the catalogue.
+    rotor: that it sits on, if it is one rotor's.
+    at: values about which it is linear, of all parameters.
+    free: parameters that are regressed.
+    columns: places of its columns in the regression.
     """
 
     effect: Effect
@@ -41,8 +44,8 @@ class Candidate:
     columns: tuple[int, ...]
 
     @property
-    def whole(self) -> bool:
-        """Whether all its parameters are held."""
+    def fixed_shape(self) -> bool:
+        """Whether all its parameters are held, and its size is regressed."""
         return not self.free
 
     @property
@@ -63,75 +66,87 @@ class Candidate:
 def make_candidates(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[Candidate, ...]:
-    """All variants of all effects that these flights could show, in the order of the catalogue."""
+    """All effects that these flights could show, at each point of their grids, in the order of the catalogue."""
     span = _span(segments)
-    found: list[Candidate] = []
+    candidates: list[Candidate] = []
     count = 0
     for effect in catalogue.values():
         if effect.stochastic or not can_show(effect, segments, vehicle, catalogue):
             continue
         for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
-            for at, free in _variants(effect, rotor, vehicle, span):
+            for at, free in _grid(effect, rotor, vehicle, span):
                 width = max(1, len(free))
-                found.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width))))
+                candidates.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width))))
                 count += width
-    return tuple(found)
+    return tuple(candidates)
 
 
-def _variants(
+def _grid(
     effect: Effect, rotor: int | None, vehicle: Vehicle, span: Span
 ) -> list[tuple[dict[str, float], tuple[str, ...]]]:
+    """(values about which it is linear, free parameters) at each point of an effect's grid.
+
+    An effect that the vehicle's model already holds has one point, its own values: what is regressed is their error.
+    """
     names = tuple(p.name for p in effect.parameters)
+    points = effect.grid(vehicle, span) if effect.grid is not None else [{}]
+    own = next((u for u in vehicle.effects if u.name == effect.name and u.rotor == rotor), None)
+    if own is not None:
+        free = tuple(name for name in names if name not in points[0])
+        return [({**effect.defaults(vehicle), **own.parameters}, free)] if free else []
     neutral = {p.name: p.neutral for p in effect.parameters}
-    known = next((u for u in vehicle.effects if u.name == effect.name and u.rotor == rotor), None)
-    tried = effect.grid(vehicle, span) if effect.grid is not None else [{}]
-    if known is not None:  # the model has it: regress how far off its values are
-        at = {**effect.defaults(vehicle), **known.parameters}
-        held = tried[0].keys()
-        free = tuple(name for name in names if name not in held)
-        return [(at, free)] if free else []
-    return [({**neutral, **held}, tuple(name for name in names if name not in held)) for held in tried]
+    return [({**neutral, **held}, tuple(name for name in names if name not in held)) for held in points]
 
 
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
-    """The vehicle file's effects but this one."""
+    """The vehicle file's effects except this one."""
     return tuple(u for u in vehicle.effects if (u.name, u.rotor) != (candidate.effect.name, candidate.rotor))
 
 
 def make_predictor(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], candidate: Candidate, segment: Segment
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    candidate: Candidate,
+    segment: Segment,
+    thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> Predictor:
-    """The model with a candidate in it, with slopes in its free parameters; it serves all variants."""
+    """The model with a candidate in it, with slopes in its free parameters; it serves the effect's whole grid."""
     return Predictor(
         vehicle,
         [*without(vehicle, candidate), candidate.use()],
         catalogue,
         [f"{candidate.key}.{name}" for name in candidate.free],
         speed_measured=segment.rotor_source == "measured",
+        thresholds=thresholds,
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """Rotor speeds that give the measured thrust and the moment that slow measured motion needs. (n, rotors)."""
+    """Rotor speeds that give the measured thrust and the moment that slow measured motion needs.
+
+    rotor_speed: (n, rotors) rad/s.
+    rotor_acceleration: (n, rotors) rad/s^2.
+    """
 
     rotor_speed: Floats
     rotor_acceleration: Floats
-    reduced_rate: float
 
 
 def make_instruments(segment: Segment, vehicle: Vehicle) -> Instruments:
     """Instruments of a segment."""
+
+    def slow_part(values: Floats) -> Floats:
+        return slow(values, segment.rate, segment.filters)
+
     inertia = np.array(vehicle.body.inertia)
-    rate = slow(segment.turning, segment.rate)
-    moment = inertia * slow(difference(segment.turning, segment.rate), segment.rate)
+    rate = slow_part(segment.rate_from_attitude)
+    moment = inertia * slow_part(difference(segment.rate_from_attitude, segment.rate))
     moment += np.cross(rate, inertia * rate)
     allocation = vehicle.rotors.allocation
-    squares = segment.rotor_speed**2
-    wanted = np.column_stack([squares @ allocation[0], moment])
-    speed = np.sqrt(np.maximum(wanted @ np.linalg.pinv(allocation).T, 0.0))
-    reduced = segment.rate / max(1, round(segment.rate / 25.0))
-    return Instruments(speed, slow(segment.rotor_acceleration, segment.rate), reduced)
+    wrench = np.column_stack([segment.rotor_speed**2 @ allocation[0], moment])
+    speed = np.sqrt(np.maximum(wrench @ np.linalg.pinv(allocation).T, 0.0))
+    return Instruments(speed, slow_part(segment.rotor_acceleration))
 
 
 def _span(segments: Sequence[Segment]) -> Span:

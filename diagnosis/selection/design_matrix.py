@@ -1,8 +1,7 @@
 """From a segment to residuals and the columns of all candidates, with the models built once.
 
-Candidates that vanish at their neutral values do not disturb each other there, so that one model with all of them in it
-gives all their slopes at once; those that are tried at several values, bring hidden states or move the air stand in
-models of their own.
+Candidates that vanish at their neutral values do not interact there, so that one model with all of them in it gives all
+their slopes at once; those that have a grid, bring hidden states or move the air have models of their own.
 """
 
 from __future__ import annotations
@@ -15,95 +14,121 @@ import numpy as np
 from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
+from diagnosis.models.channels import ANGULAR_ACCELERATION
 from diagnosis.models.prediction import Prediction, Predictor
-from diagnosis.selection.candidates import ANGULAR, Candidate, Instruments, make_instruments, make_predictor
+from diagnosis.selection.candidates import Candidate, Instruments, make_instruments, make_predictor
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import EffectUse, Vehicle
 
-AT_ONCE = 120_000  # rows times columns that are filtered at once: more does not stay near the processor
+MAX_BATCH = 120_000  # rows times columns that are filtered at once: more does not fit the cache
 
 
 @dataclass(frozen=True, eq=False)
 class _Group:
-    """Candidates whose slopes one predictor gives in one evaluation. rotors: whether they scale the rotors' forces."""
+    """Candidates whose slopes one predictor gives in one evaluation.
+
+    scale_rotors: whether they scale the rotors' forces.
+    """
 
     candidates: tuple[Candidate, ...]
     predictor: Predictor
-    rotors: bool
+    scale_rotors: bool
 
 
-class Pipeline:
-    """The present model of a vehicle and all candidates beside it. example: any of the segments."""
+class DesignMatrix:
+    """Residuals of a vehicle's present model, and the columns of all candidates, for any segment.
+
+    example: any of the segments.
+    """
 
     def __init__(
-        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], example: Segment
+        self,
+        vehicle: Vehicle,
+        catalogue: Mapping[str, Effect],
+        candidates: Sequence[Candidate],
+        example: Segment,
+        thresholds: PredictionThresholds = DEFAULT.prediction,
     ) -> None:
         self._vehicle = vehicle
         self._width = max((i for c in candidates for i in c.columns), default=-1) + 1
-        measured = example.rotor_source == "measured"
-        self._present = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured)
-        together = [c for c in candidates if _stands_beside_others(c, candidates)]
-        groups = [
-            _joint(vehicle, catalogue, [c for c in together if _scales_rotors(c) is rotors], rotors, measured)
-            for rotors in (False, True)
-        ]
-        self._groups = [g for g in groups if g is not None]
-        shared: dict[tuple[str, tuple[str, ...]], Predictor] = {}
-        for c in candidates:
-            if c in together:
-                continue
-            if (c.key, c.free) not in shared:
-                shared[c.key, c.free] = make_predictor(vehicle, catalogue, c, example)
-            self._groups.append(_Group((c,), shared[c.key, c.free], _scales_rotors(c)))
+        self._source = _ModelSource(vehicle, catalogue, example, thresholds)
+        self._present = self._source.predictor(vehicle.effects)
+        together = [c for c in candidates if _vanishes_beside_others(c, candidates)]
+        joint = [[c for c in together if _scales_rotors(c) is scaled] for scaled in (False, True)]
+        self._groups = [self._source.joint(group) for group in joint if group]
+        self._groups += self._source.alone([c for c in candidates if c not in together])
 
-    def run(self, segment: Segment, *, instrumented: bool = True) -> tuple[Floats, Floats]:
-        """(m, 12) residuals of the present model, and (m, 12, k) columns; for detection if instrumented, else plain."""
+    def evaluate(self, segment: Segment, *, instrumented: bool = True) -> tuple[Floats, Floats]:
+        """(m, 12) residuals of the present model, and (m, 12, k) columns.
+
+        instrumented: columns for detection, which use instruments for the rotors' moments; else plain ones.
+        """
         base = channels.predicted(segment, [self._present.predict(segment)])
         instruments = make_instruments(segment, self._vehicle) if instrumented else None
-        found = np.empty((len(base), channels.CHANNELS, self._width))
+        columns = np.empty((len(base), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []
         for group in self._groups:
             waiting += _predictions(group, segment, instruments)
-            if len(waiting) * len(segment) > AT_ONCE:
-                _fill(found, segment, waiting, base, instruments)
+            if len(waiting) * len(segment) > MAX_BATCH:
+                _fill(columns, segment, waiting, base, instrumented=instrumented)
                 waiting = []
-        _fill(found, segment, waiting, base, instruments)
-        return channels.measured(segment) - base[:, :, 0], found
+        _fill(columns, segment, waiting, base, instrumented=instrumented)
+        return channels.measured(segment) - base[:, :, 0], columns
 
 
-def _stands_beside_others(candidate: Candidate, candidates: Sequence[Candidate]) -> bool:
+@dataclass(frozen=True, eq=False)
+class _ModelSource:
+    """What all models of a design matrix share."""
+
+    vehicle: Vehicle
+    catalogue: Mapping[str, Effect]
+    example: Segment
+    thresholds: PredictionThresholds
+
+    def predictor(self, uses: Sequence[EffectUse], free: Sequence[str] = ()) -> Predictor:
+        measured = self.example.rotor_source == "measured"
+        return Predictor(self.vehicle, uses, self.catalogue, free, speed_measured=measured, thresholds=self.thresholds)
+
+    def joint(self, candidates: Sequence[Candidate]) -> _Group:
+        """One model with all candidates in it."""
+        own = {(c.effect.name, c.rotor) for c in candidates}
+        others = [use for use in self.vehicle.effects if (use.name, use.rotor) not in own]
+        free = [f"{c.key}.{name}" for c in candidates for name in c.free]
+        predictor = self.predictor([*others, *(c.use() for c in candidates)], free)
+        return _Group(tuple(candidates), predictor, _scales_rotors(candidates[0]))
+
+    def alone(self, candidates: Sequence[Candidate]) -> list[_Group]:
+        """A group for each candidate; those at several points of one grid share a model."""
+        shared: dict[tuple[str, tuple[str, ...]], Predictor] = {}
+        groups = []
+        for c in candidates:
+            if (c.key, c.free) not in shared:
+                shared[c.key, c.free] = make_predictor(self.vehicle, self.catalogue, c, self.example, self.thresholds)
+            groups.append(_Group((c,), shared[c.key, c.free], _scales_rotors(c)))
+        return groups
+
+
+def _vanishes_beside_others(candidate: Candidate, candidates: Sequence[Candidate]) -> bool:
     effect = candidate.effect
     alone = sum(c.key == candidate.key for c in candidates) == 1
     moves = effect.hidden or effect.wind is not None or effect.rotor_speed is not None or effect.resists_air
-    return alone and not candidate.whole and not moves
+    return alone and not candidate.fixed_shape and not moves
 
 
 def _scales_rotors(candidate: Candidate) -> bool:
     return candidate.effect.physics is not None
 
 
-def _joint(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], candidates: Sequence[Candidate], rotors: bool, measured: bool
-) -> _Group | None:
-    if not candidates:
-        return None
-    mine = {(c.effect.name, c.rotor) for c in candidates}
-    kept = [use for use in vehicle.effects if (use.name, use.rotor) not in mine]
-    free = [f"{c.key}.{name}" for c in candidates for name in c.free]
-    uses = [*kept, *(c.use() for c in candidates)]
-    predictor = Predictor(vehicle, uses, catalogue, free, speed_measured=measured)
-    return _Group(tuple(candidates), predictor, rotors)
-
-
 def _predictions(
     group: _Group, segment: Segment, instruments: Instruments | None
 ) -> list[tuple[int, Prediction, Candidate]]:
-    """(place of the column, slope or whole prediction, candidate) of a group's columns."""
+    """(place of the column, slope or prediction of the fixed shape, candidate) of a group's columns."""
     first = group.candidates[0]
-    if first.whole:
+    if first.fixed_shape:
         return [(first.columns[0], group.predictor.predict(segment, first.values), first)]
-    speed = instruments.rotor_speed if instruments is not None and group.rotors else None
+    speed = instruments.rotor_speed if instruments is not None and group.scale_rotors else None
     acceleration = instruments.rotor_acceleration if instruments is not None else None
     values = {name: value for c in group.candidates for name, value in c.values.items()}
     slopes = group.predictor.slopes(segment, values, rotor_speed=speed, rotor_acceleration=acceleration)
@@ -112,17 +137,22 @@ def _predictions(
 
 
 def _fill(
-    found: Floats, segment: Segment, waiting: Sequence[tuple[int, Prediction, Candidate]], base: Floats,
-    instruments: Instruments | None,
-) -> None:  # fmt: skip
-    """Write filtered columns to their places in found (m, 12, k)."""
+    matrix: Floats,
+    segment: Segment,
+    waiting: Sequence[tuple[int, Prediction, Candidate]],
+    base: Floats,
+    *,
+    instrumented: bool,
+) -> None:
+    """Write filtered columns to their places in the matrix (m, 12, k)."""
     if not waiting:
         return
     columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
     for i, (place, _, candidate) in enumerate(waiting):
         column = columns[:, :, i]
-        if candidate.whole:
+        if candidate.fixed_shape:
             column = column - base[:, :, 0]
-            if instruments is not None and candidate.effect.rotor_speed is not None:
-                column[:, ANGULAR] = slow(column[:, ANGULAR], instruments.reduced_rate)
-        found[:, :, place] = column
+            if instrumented and candidate.effect.rotor_speed is not None:
+                angular = column[:, ANGULAR_ACCELERATION]
+                column[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters)
+        matrix[:, :, place] = column

@@ -1,7 +1,7 @@
-"""Errors in variables: the sensors' own noise stands in the columns too, and shrinks and mixes coefficients.
+"""Errors-in-variables correction: the sensors' noise is in the columns too, and biases coefficients.
 
-A segment with the sensors' noise added once more goes through the whole pipeline again; what that changes in the
-normal equations is what the noise had changed in them before, to first order (SIMEX).
+A segment with noise of the same level added is evaluated once more; the change of the normal equations is, to first
+order, the bias that the sensors' noise had caused in them (SIMEX).
 """
 
 from __future__ import annotations

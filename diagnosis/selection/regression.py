@@ -1,8 +1,8 @@
 """The regression: one whitened Gram matrix a flight, from which everything else is small linear algebra.
 
-Every flight has its own clock offset, gyro's bias and accelerometer's bias, with what sensors are specified to have as
-their prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a
-fault of a sensor is what all flights share beyond them.
+Every flight has its own clock offset, gyro's bias and accelerometer's bias, with the sensors' specification as their
+prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a fault
+of a sensor is what all flights share beyond them.
 """
 
 from __future__ import annotations
@@ -15,20 +15,24 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_candidates
-from diagnosis.selection.design_matrix import Pipeline
+from diagnosis.selection.design_matrix import DesignMatrix
 from diagnosis.selection.errors_in_variables import perturbed
 from diagnosis.selection.noise import NoiseModel, estimate_noise
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
-RIDGE = 1e-6
 SEED = 1
 
 
 @dataclass(frozen=True, eq=False)
 class Biases:
-    """columns: places of what a flight's sensors are off by. information: inverse variances by specification."""
+    """Each flight's own sensor errors.
+
+    columns: their places among the columns.
+    information: their inverse prior variances.
+    """
 
     columns: tuple[int, ...]
     information: Floats
@@ -38,11 +42,21 @@ class Biases:
 class Regression:
     """Normal equations of all candidates, a set for each flight.
 
-    gram: flights x (k, k), product: flights x (k,), both compensated for noise in the columns; plain_* are not. In
-    all of them the flight's biases are marginalised; joint_gram and joint_product still hold them.
-    rows: channels: what was measured less the model, (m, 12) a segment. columns: (m, 12, k) a segment, for detection.
-    flight_of: the flight of each segment. observations: a flight's number of whitened residuals.
-    pipeline: makes rows and columns of other segments. everything: (k,) coefficients of all columns at once, ridged.
+    In all but the joint ones the flight's biases are marginalised.
+
+    segments, flight_of: what was fitted, and the flight of each segment.
+    candidates: all of them; the model that they are added to is the vehicle's.
+    noise: by which residuals are whitened.
+    rows: (m, 12) residuals of the vehicle's model, a segment each.
+    columns: (m, 12, k) for detection, a segment each.
+    gram, product: (k, k) and (k,) a flight, with errors-in-variables correction.
+    plain_gram, plain_product: without that correction.
+    joint_gram, joint_product: corrected, biases not marginalised.
+    observations: number of whitened residuals of each flight.
+    rate: of the rows, Hz.
+    design: makes rows and columns of other segments.
+    everything: (k,) ridge coefficients of all columns at once.
+    thresholds: for all that is built on this regression.
     """
 
     vehicle: Vehicle
@@ -62,8 +76,9 @@ class Regression:
     observations: list[int]
     rate: float
     biases: Biases
-    pipeline: Pipeline
+    design: DesignMatrix
     everything: Floats
+    thresholds: Thresholds = DEFAULT
 
     @property
     def flights(self) -> range:
@@ -78,7 +93,10 @@ class Regression:
     def solve(
         self, chosen: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
     ) -> tuple[Floats, float]:
-        """Coefficients of the chosen columns, and twice the log-likelihood that they gain."""
+        """Coefficients of the chosen columns, and twice the log-likelihood that they gain.
+
+        plain: without errors-in-variables correction.
+        """
         where = list(chosen)
         if not where:
             return np.zeros(0), 0.0
@@ -92,11 +110,11 @@ class Regression:
         return theta, float(theta @ product)
 
     def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
-        """Twice the log-likelihood that the chosen columns bring beyond the biases."""
+        """Twice the log-likelihood that the chosen columns gain beyond the biases."""
         return self.solve(chosen, flights)[1]
 
-    def crossed_gain(self, chosen: Sequence[int]) -> float:
-        """The same on each flight with coefficients from the others, without compensation."""
+    def cross_validated_gain(self, chosen: Sequence[int]) -> float:
+        """The same on each flight with coefficients from the others, without errors-in-variables correction."""
         total, where = 0.0, list(chosen)
         for flight in self.flights:
             theta, _ = self.solve(where, [f for f in self.flights if f != flight])
@@ -104,7 +122,7 @@ class Regression:
             total += float(2 * theta @ self.plain_product[flight][where] - quadratic)
         return total
 
-    def left_over(self, chosen: Sequence[int]) -> list[Floats]:
+    def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
         """(m, 12) residual of each segment with the chosen columns and its flight's biases taken out."""
         where, theta = list(chosen), self.solve(chosen)[0]
         off = []
@@ -119,46 +137,92 @@ class Regression:
 
 
 def make_regression(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], flight_of: Sequence[int]
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    segments: Sequence[Segment],
+    flight_of: Sequence[int],
+    thresholds: Thresholds = DEFAULT,
 ) -> Regression:
     """The regression of all candidates over segments of flights numbered from 0."""
     candidates = make_candidates(vehicle, catalogue, segments)
-    pipeline = Pipeline(vehicle, catalogue, candidates, segments[0])
-    rows, columns = map(list, zip(*(pipeline.run(s) for s in segments), strict=True))
+    design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
+    rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
     kinds = np.all([channels.present(s) for s in segments], axis=0)
-    active = [3 * kind + axis for kind in range(4) for axis in range(3) if kinds[kind]]
-    rate = segments[0].rate / max(1, round(segments[0].rate / 25.0))
+    active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
+    everything = _everything(rows, columns, active, thresholds.regression.ridge)
+    residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
     # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
     mixed = segments[0].rotor_source != "command"
-    everything = _everything(rows, columns, active)
-    left = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
-    noise = estimate_noise(left, rate, active, mixed=mixed)
-    count = max(flight_of) + 1
-    width = columns[0].shape[2]
-    grams = [np.zeros((width, width)) for _ in range(count)]
-    products = [np.zeros(width) for _ in range(count)]
-    plain_grams, plain_products = [g.copy() for g in grams], [b.copy() for b in products]
-    observations = [0] * count
-    random = np.random.default_rng(SEED)
-    for segment, flight, y, x in zip(segments, flight_of, rows, columns, strict=True):
-        white_y, white_x = noise.whiten(y), noise.whiten(x)
-        again_y, again_x = pipeline.run(perturbed(segment, random))
-        error_y, error_x = noise.whiten(again_y - y), noise.whiten(again_x - x)
-        gram, product = _normal(white_x, white_y)
-        error_gram, error_product = _normal(error_x, error_y)
-        plain_grams[flight] += gram
-        plain_products[flight] += product
-        grams[flight] += gram - error_gram
-        products[flight] += product - error_product
-        observations[flight] += white_y.size
+    rate = segments[0].decimated_rate
+    noise = estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise)
+    plain = [_normal(noise.whiten(x), noise.whiten(y)) for x, y in zip(columns, rows, strict=True)]
+    errors = _errors_in_variables(segments, design, noise, rows, columns)
+    corrected = [(a - da, b - db) for (a, b), (da, db) in zip(plain, errors, strict=True)]
+    plain_gram, plain_product = _by_flight(plain, flight_of)
+    joint_gram, joint_product = _by_flight(corrected, flight_of)
     biases = _biases(candidates)
-    free = [marginal(g, b, biases) for g, b in zip(grams, products, strict=True)]
-    plain = [marginal(g, b, biases) for g, b in zip(plain_grams, plain_products, strict=True)]
+    gram, product = _marginals(joint_gram, joint_product, biases)
+    plain_gram, plain_product = _marginals(plain_gram, plain_product, biases)
+    observations = [0] * len(gram)
+    for flight, y in zip(flight_of, rows, strict=True):
+        observations[flight] += (len(y) - noise.order) * len(active)
     return Regression(
-        vehicle, catalogue, segments, flight_of, candidates, noise, rows, columns,
-        [g for g, _ in free], [b for _, b in free], [g for g, _ in plain], [b for _, b in plain],
-        grams, products, observations, rate, biases, pipeline, everything,
-    )  # fmt: skip
+        vehicle=vehicle,
+        catalogue=catalogue,
+        segments=segments,
+        flight_of=flight_of,
+        candidates=candidates,
+        noise=noise,
+        rows=rows,
+        columns=columns,
+        gram=gram,
+        product=product,
+        plain_gram=plain_gram,
+        plain_product=plain_product,
+        joint_gram=joint_gram,
+        joint_product=joint_product,
+        observations=observations,
+        rate=rate,
+        biases=biases,
+        design=design,
+        everything=everything,
+        thresholds=thresholds,
+    )
+
+
+def _errors_in_variables(
+    segments: Sequence[Segment],
+    design: DesignMatrix,
+    noise: NoiseModel,
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+) -> list[tuple[Floats, Floats]]:
+    """Bias of each segment's normal equations by noise in the columns, estimated by adding as much again."""
+    random = np.random.default_rng(SEED)
+    biases = []
+    for segment, y, x in zip(segments, rows, columns, strict=True):
+        noisier_y, noisier_x = design.evaluate(perturbed(segment, random))
+        biases.append(_normal(noise.whiten(noisier_x - x), noise.whiten(noisier_y - y)))
+    return biases
+
+
+def _by_flight(
+    equations: Sequence[tuple[Floats, Floats]], flight_of: Sequence[int]
+) -> tuple[list[Floats], list[Floats]]:
+    """Normal equations of segments, summed over each flight."""
+    count, width = max(flight_of) + 1, len(equations[0][1])
+    grams, products = [np.zeros((width, width)) for _ in range(count)], [np.zeros(width) for _ in range(count)]
+    for (gram, product), flight in zip(equations, flight_of, strict=True):
+        grams[flight] += gram
+        products[flight] += product
+    return grams, products
+
+
+def _marginals(
+    grams: Sequence[Floats], products: Sequence[Floats], biases: Biases
+) -> tuple[list[Floats], list[Floats]]:
+    free = [marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True)]
+    return [gram for gram, _ in free], [product for _, product in free]
 
 
 def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Floats]:
@@ -169,15 +233,15 @@ def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Flo
     return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
 
 
-def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int]) -> Floats:
-    """(k,) coefficients of a ridge regression on all columns, which leaves mostly noise."""
+def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:
+    """(k,) coefficients of a ridge regression on all columns, whose residuals are mostly noise."""
     scale = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)) + 1e-12
-    keep = list(active)
-    x = np.vstack([(c[:, keep] / scale[keep, None]).reshape(-1, c.shape[2]) for c in columns])
-    y = np.concatenate([(r[:, keep] / scale[keep]).ravel() for r in rows])
+    some = list(active)
+    x = np.vstack([(c[:, some] / scale[some, None]).reshape(-1, c.shape[2]) for c in columns])
+    y = np.concatenate([(r[:, some] / scale[some]).ravel() for r in rows])
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
     x = x / size
-    return np.asarray(np.linalg.solve(x.T @ x + RIDGE * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
+    return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
 
 
 def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
@@ -186,7 +250,7 @@ def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
 
 
 def _biases(candidates: Sequence[Candidate]) -> Biases:
-    """Columns of what sensors are specified to be off by: of effects with a sensor prior, one candidate each."""
+    """Columns of the errors that sensors are specified to have: of effects with a sensor prior, one candidate each."""
     columns: list[int] = []
     information: list[float] = []
     taken: set[str] = set()
@@ -195,7 +259,7 @@ def _biases(candidates: Sequence[Candidate]) -> Biases:
         if deviation is None or candidate.key in taken:
             continue
         taken.add(candidate.key)
-        if candidate.whole:  # its column is the effect of the size at which it was tried
+        if candidate.fixed_shape:  # its column is the effect of the size at which it was tried
             deviation /= next(iter(candidate.at.values()))
         columns += candidate.columns
         information += [deviation**-2] * len(candidate.columns)

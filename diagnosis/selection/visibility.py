@@ -1,4 +1,4 @@
-"""Which effects a log could show at all: an effect that looks at what was not logged is no candidate."""
+"""Which effects a log could show at all: an effect that depends on what was not logged is no candidate."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ import casadi as ca
 from diagnosis.data.segment import Segment
 from dynamics.effect import Effect
 from dynamics.model import Model, build_model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, POSITION, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 
-STATE_ROWS = {"position": range(3), "velocity": range(3, 6), "attitude": range(6, 10)}
-RATE_READ, POSE_AGE, VALUES = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
+STATE_ROWS = {"position": POSITION, "velocity": VELOCITY, "attitude": ATTITUDE}
+RATE_READING, POSE_AGE, PARAMETERS = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
 ENVIRONMENT, BATTERY = 3, 1  # place among the inputs of `observe` and `derivative`, and of the voltage in it
 
 
@@ -21,25 +21,25 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
     """Whether the segments hold what the effect acts through."""
     source = segments[0].rotor_source
     if effect.rotor_speed is not None:
-        return source != "measured"  # what happens between command and speed does not matter where speed is known
+        return source != "measured"  # between command and speed, which does not matter where speed is measured
     if effect.acts_on == "rotor_speed_reading":
         return source == "measured"
     if effect.acts_on == "command_gain" and source == "command":
-        return False  # where only a command is logged its gain is an unknown of its own, which holds this already
+        return False  # where only commands were logged their gain is an unknown of its own, which absorbs this
     if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
-    return not lacks or not lacks & looks_at(effect, vehicle, catalogue)
+    return not lacks or not lacks & state_dependencies(effect, vehicle, catalogue)
 
 
-def looks_at(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> frozenset[str]:
+def state_dependencies(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> frozenset[str]:
     """Which of position, velocity and attitude an effect needs: by the structure of its own expressions."""
     model = _alone(effect, vehicle, catalogue)
     columns = _state_columns(model)
-    seen = {name for name, rows in STATE_ROWS.items() if columns & set(rows)}
-    if model.measure.jac_sparsity(RATE_READ, VALUES).nnz() or model.measure.jac_sparsity(POSE_AGE, VALUES).nnz():
-        seen.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
-    return frozenset(seen)
+    quantities = {name for name, rows in STATE_ROWS.items() if columns & set(range(rows.start, rows.stop))}
+    if any(model.measure.jac_sparsity(output, PARAMETERS).nnz() for output in (RATE_READING, POSE_AGE)):
+        quantities.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
+    return frozenset(quantities)
 
 
 def needs_battery(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
@@ -57,10 +57,10 @@ def _alone(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) ->
 
 def _state_columns(model: Model) -> set[int]:
     """The entries of the state that forces, torques and hidden states depend on."""
-    found: set[int] = set()
+    entries: set[int] = set()
     for output in range(2):  # specific force and angular acceleration
-        found |= set(model.observe.jac_sparsity(output, 0).get_triplet()[1])
+        entries |= set(model.observe.jac_sparsity(output, 0).get_triplet()[1])
     hidden: ca.Sparsity = model.derivative.jac_sparsity(0, 0)
     rows, columns = hidden.get_triplet()
-    found |= {column for row, column in zip(rows, columns, strict=True) if row >= RIGID_BODY_STATES}
-    return found
+    entries |= {column for row, column in zip(rows, columns, strict=True) if row >= RIGID_BODY_STATES}
+    return entries

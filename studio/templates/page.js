@@ -4,7 +4,7 @@ function controls(plot, meta) {
   bar.className = "controls";
   if ((meta.choices || []).length > 1) {
     const menu = document.createElement("select");
-    menu.setAttribute("aria-label", meta.asked);
+    menu.setAttribute("aria-label", meta.label);
     meta.choices.forEach((choice, index) => menu.add(new Option(choice.name, index)));
     menu.onchange = () => Plotly.update(plot, { visible: meta.choices[menu.value].visible }, meta.choices[menu.value].layout);
     bar.append(menu);

@@ -6,7 +6,7 @@ import pytest
 from diagnosis.addition import add_effect, top_effect
 from diagnosis.addition_report import report
 from diagnosis.data.dataset import make_dataset
-from diagnosis.report import Diagnosis, FoundEffect
+from diagnosis.report import Diagnosis, MissingEffect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse
@@ -14,12 +14,12 @@ from dynamics.vehicle import EffectUse
 SOME = {n: CATALOGUE[n] for n in ("wind", "imu_bias", "gyro_bias", "time_delay")}
 
 
-def said(verdict: str, *effects: FoundEffect) -> Diagnosis:
+def said(verdict: str, *effects: MissingEffect) -> Diagnosis:
     return Diagnosis(verdict, effects, {}, (), (), "fly yaw spins")
 
 
-def found(name: str, *, rotor: int | None = None, rivals: tuple[str, ...] = ()) -> FoundEffect:
-    return FoundEffect(name, rotor, {}, 1.0, rivals)
+def found(name: str, *, rotor: int | None = None, rivals: tuple[str, ...] = ()) -> MissingEffect:
+    return MissingEffect(name, rotor, {}, 1.0, rivals)
 
 
 def test_the_first_effect_of_a_diagnosis_is_the_top_one():
@@ -57,7 +57,7 @@ def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_told(pla
     windy = arpl_250g.with_effects(EffectUse("wind", {"x": 1.5, "y": 0.0, "z": 0.0}))
     added = add_effect("wind", make_dataset(plain_flights, windy), windy, SOME, date="2026-01-02")
     assert added.vehicle.effects[0].parameters["x"] == pytest.approx(0.0, abs=0.03)
-    assert added.misfit[1] < 0.5 * added.misfit[0]
+    assert added.chi_square[1] < 0.5 * added.chi_square[0]
     before, after = (errors[2] for errors in added.open_loop)
     assert before.horizon == after.horizon == 1.0
     assert after.velocity < before.velocity

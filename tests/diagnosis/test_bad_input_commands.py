@@ -79,7 +79,7 @@ def weighing(vehicle: Vehicle, factor: float) -> Vehicle:
         (scaled(0.0, "rotor_speed_2"), ["rotor 2 reads nearly zero", "rotor_speed_fault"]),
     ],
     ids=["short", "slow", "motors", "lacking", "rpm", "degrees", "g", "millimetres", "frames", "dead"],
-)  # fmt: skip
+)
 def test_what_cannot_answer_is_said_with_what_to_do(refused, change: Change, words: list[str]) -> None:
     wrong = refused(change, count=2 if "Fly 20 s or more" in words else 6)
     assert all(word in wrong for word in words), wrong

@@ -6,7 +6,7 @@ from rotorpy.vehicles.multirotor import Multirotor
 
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
-from diagnosis.estimation.evaluation import misfit, residuals
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals
 from diagnosis.selection.regression import make_regression
 from diagnosis.selection.search import select
 from dynamics.effects import CATALOGUE
@@ -64,7 +64,7 @@ def test_a_drag_hidden_in_rotorpy_flights_is_named_with_its_value(arpl_250g):
     assert estimate.value == pytest.approx(1.5e-5, rel=0.01)
     assert abs(estimate.value - 1.5e-5) < 4 * estimate.std
     before, after = (
-        misfit(residuals(vehicle, SOME, dataset.held_out, regression.noise), regression.noise)
+        reduced_chi_square(residuals(vehicle, SOME, dataset.held_out, regression.noise), regression.noise)
         for vehicle in (arpl_250g, fitted.vehicle)
     )
     assert after < 1.3 < 5 < before

@@ -4,19 +4,29 @@ import msgspec
 import numpy as np
 import pytest
 
-from diagnosis.comparison import compare
+from diagnosis.comparison import compare_dataset
 from diagnosis.data.dataset import make_dataset
-from diagnosis.data.filters import kept
-from diagnosis.regimes import BINS, plane_cells, regime_maps, regime_planes
+from diagnosis.regimes import plane_cells, regime_maps, regime_planes
 from diagnosis.selection.noise import estimate_noise
 from diagnosis.spectrum import residual_spectrum
+from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
+from dynamics.state import VELOCITY
 
 SOME = {name: CATALOGUE[name] for name in ("rotor_drag", "imu_bias", "gyro_bias", "time_delay")}
 WANTED = {
-    "speed m/s", "thrust over weight", "body rate rad/s", "roll rate rad/s", "pitch rate rad/s", "yaw rate rad/s",
-    "height m", "east m", "north m", "heading of motion rad", "time s",
-}  # fmt: skip
+    "speed m/s",
+    "thrust over weight",
+    "body rate rad/s",
+    "roll rate rad/s",
+    "pitch rate rad/s",
+    "yaw rate rad/s",
+    "height m",
+    "east m",
+    "north m",
+    "heading of motion rad",
+    "time s",
+}
 
 
 @pytest.fixture(scope="module")
@@ -26,8 +36,8 @@ def segments(plain_flights, arpl_250g):
 
 def failing_fast(segment):
     """Residuals at their floor of 1, five times as large in the accelerometer above 1.5 m/s."""
-    rows = kept(len(segment), segment.rate)
-    fast = np.linalg.norm(segment.smooth[rows, 3:6], axis=1) > 1.5
+    rows = segment.decimated
+    fast = np.linalg.norm(segment.smooth[rows, VELOCITY], axis=1) > 1.5
     found = np.ones((len(fast), 12))
     found[fast, 0:3] *= 5
     return found
@@ -48,8 +58,8 @@ def test_planes_leave_what_was_not_flown_unmarked(segments, arpl_250g):
     rows = [failing_fast(s) for s in segments]
     planes = {(p.across, p.up): p for p in regime_planes(segments, rows, np.ones(12), arpl_250g)}
     plane = planes["speed m/s", "thrust over weight"]
-    assert plane.over_floor.shape == (4, BINS, BINS)
-    assert 0 < np.isnan(plane.over_floor[0]).sum() < BINS * BINS
+    assert plane.over_floor.shape == (4, DEFAULT.regimes.bins, DEFAULT.regimes.bins)
+    assert 0 < np.isnan(plane.over_floor[0]).sum() < DEFAULT.regimes.bins * DEFAULT.regimes.bins
     last = plane.over_floor[0][:, -1]  # the fastest column, some of whose thrusts were flown
     assert np.nanmax(last) == pytest.approx(5.0)
     cells = plane_cells(plane).over_floor["imu"]
@@ -71,7 +81,7 @@ def test_a_line_stands_out_of_the_noise_models_spectrum():
 
 
 def test_the_comparison_as_json_holds_maps_planes_and_spectrum(plain_flights, arpl_250g):
-    found = compare(make_dataset(plain_flights, arpl_250g), arpl_250g, SOME)
+    found = compare_dataset(make_dataset(plain_flights, arpl_250g), arpl_250g, SOME)
     told = msgspec.json.decode(msgspec.json.encode(found.comparison))
     assert {m["name"] for m in told["maps"]} >= WANTED
     assert [p["across"] for p in told["planes"]] == ["speed m/s", "roll rate rad/s", "east m"]

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from diagnosis.comparison import Compared, compare
+from diagnosis.comparison import ComparisonDetails, compare_dataset
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import Findings, diagnose
+from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
@@ -25,10 +25,10 @@ def dataset(vehicle: Vehicle) -> Dataset:
 
 
 @pytest.fixture(scope="session")
-def findings(dataset: Dataset, vehicle: Vehicle) -> Findings:
-    return diagnose(dataset, vehicle, CATALOGUE)
+def findings(dataset: Dataset, vehicle: Vehicle) -> DiagnosisDetails:
+    return diagnose_dataset(dataset, vehicle, CATALOGUE)
 
 
 @pytest.fixture(scope="session")
-def compared(dataset: Dataset, vehicle: Vehicle) -> Compared:
-    return compare(dataset, vehicle, CATALOGUE)
+def compared(dataset: Dataset, vehicle: Vehicle) -> ComparisonDetails:
+    return compare_dataset(dataset, vehicle, CATALOGUE)

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from diagnosis.comparison import Compared
+from diagnosis.comparison import ComparisonDetails
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import Findings
+from diagnosis.diagnose import DiagnosisDetails
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from studio.evidence import likeness, overlay
@@ -43,7 +43,9 @@ def numbers(page: str) -> set[float]:
 
 
 @pytest.fixture(scope="module")
-def pages(findings: Findings, compared: Compared, dataset: Dataset, vehicle: Vehicle) -> dict[str, str]:
+def pages(
+    findings: DiagnosisDetails, compared: ComparisonDetails, dataset: Dataset, vehicle: Vehicle
+) -> dict[str, str]:
     return {
         "diagnose": diagnosis_page(findings, dataset, vehicle, origin=ORIGIN),
         "compare": comparison_page(compared, dataset, vehicle, origin=ORIGIN),
@@ -65,7 +67,9 @@ def test_the_diagnosis_shows_its_sections_in_the_order_of_questions(pages: dict[
     assert pages["diagnose"].index("The model misses rotor_drag") < places[0]
 
 
-def test_the_pages_numbers_are_those_of_the_json(pages: dict[str, str], findings: Findings, compared: Compared) -> None:
+def test_the_pages_numbers_are_those_of_the_json(
+    pages: dict[str, str], findings: DiagnosisDetails, compared: ComparisonDetails
+) -> None:
     diagnosis = findings.diagnosis
     told = {value for e in diagnosis.channels.values() for value in (e.before, e.after, e.floor)}
     told |= {p.value for e in diagnosis.effects for p in e.parameters.values()}
@@ -75,9 +79,11 @@ def test_the_pages_numbers_are_those_of_the_json(pages: dict[str, str], findings
     assert axes <= numbers(pages["compare"])
 
 
-def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(findings: Findings, dataset: Dataset) -> None:
+def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(
+    findings: DiagnosisDetails, dataset: Dataset
+) -> None:
     regression = findings.regression
-    seen = overlay(dataset.held_out, findings.before, findings.after, regression.noise.floor, regression.rate)
+    seen = overlay(dataset.held_out, findings.before, findings.after, regression)
     known = np.isfinite(seen.measured).all(axis=1)
     left = np.vstack(findings.before)
     np.testing.assert_allclose((seen.measured - seen.current)[known], left, atol=1e-12)
@@ -88,7 +94,7 @@ def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(findings: Fi
     assert np.mean(squares[inside]) > np.mean(squares[known])
 
 
-def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: Findings) -> None:
+def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: DiagnosisDetails) -> None:
     pair = [s for s in findings.selection.singles if s.names & {"thrust_constant", "mass"}]
     assert likeness(findings.regression, pair).shared[0, 1] > 0.9
     seen = likeness(findings.regression, findings.selection.singles)
@@ -97,7 +103,7 @@ def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: Findin
     assert ((seen.shared >= 0) & (seen.shared <= 1)).all()
 
 
-def test_the_command_that_adds_is_the_one_to_type(findings: Findings) -> None:
+def test_the_command_that_adds_is_the_one_to_type(findings: DiagnosisDetails) -> None:
     command = add_command(findings.diagnosis, [Path("a b.csv")], "v.toml", "hold*")
     assert command == "alula add rotor_drag 'a b.csv' --vehicle v.toml --hold-out 'hold*'"
 
@@ -148,11 +154,19 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
     found = None
     for budget in (30_000, 120_000, 480_000):  # ms of the browser's own clock, which a busy machine cannot keep up with
         command = [
-            BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader",
-            "--enable-unsafe-swiftshader", "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}",
-            "--allow-file-access-from-files", f"--virtual-time-budget={budget}", "--dump-dom",
+            BROWSER,
+            "--headless",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--use-gl=swiftshader",
+            "--enable-unsafe-swiftshader",
+            "--proxy-server=127.0.0.1:9",
+            f"--user-data-dir={tmp_path / 'profile'}",
+            "--allow-file-access-from-files",
+            f"--virtual-time-budget={budget}",
+            "--dump-dom",
             (tmp_path / "phone.html").as_uri(),
-        ]  # fmt: skip
+        ]
         done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
         found = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
         if found is not None:

@@ -10,7 +10,7 @@ import pytest
 from diagnosis.data.command_curve import fit_command_curve, lagged
 from diagnosis.data.dataset import make_dataset
 from diagnosis.data.segment import Segment, segments
-from diagnosis.selection.visibility import looks_at
+from diagnosis.selection.visibility import state_dependencies
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
@@ -84,10 +84,17 @@ def test_a_lag_reaches_63_percent_after_its_time() -> None:
 @pytest.mark.parametrize(
     ("name", "needed"),
     [
-        ("motor_lag", set()), ("inertia", set()), ("weak_rotor", set()), ("imu_bias", set()),
-        ("linear_drag", {"velocity", "attitude"}), ("ground_effect", {"position", "attitude"}),
-        ("time_delay", {"attitude"}), ("gyro_bias", {"attitude"}),
+        ("motor_lag", set()),
+        ("inertia", set()),
+        ("weak_rotor", set()),
+        ("imu_bias", set()),
+        ("linear_drag", {"velocity", "attitude"}),
+        ("ground_effect", {"position", "attitude"}),
+        ("time_delay", {"attitude"}),
+        ("gyro_bias", {"attitude"}),
     ],
-)  # fmt: skip
-def test_what_an_effect_looks_at_is_read_off_its_expressions(arpl_250g: Vehicle, name: str, needed: set[str]) -> None:
-    assert looks_at(CATALOGUE[name], arpl_250g, CATALOGUE) == needed
+)
+def test_what_an_effect_depends_on_follows_from_its_expressions(
+    arpl_250g: Vehicle, name: str, needed: set[str]
+) -> None:
+    assert state_dependencies(CATALOGUE[name], arpl_250g, CATALOGUE) == needed

@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
-from diagnosis.data.filters import delayed, difference, kept, low_pass, simpson
+from diagnosis.data.filters import decimated_rows, delayed, difference, simpson
+from diagnosis.thresholds import DEFAULT
+from flights.filters import zero_phase
 
 RATE = 100.0
 TIME = np.arange(600) / RATE
@@ -22,7 +24,7 @@ def test_simpsons_weights_match_the_central_difference(frequency):
 
 def test_the_filter_keeps_motion_where_it_is_and_takes_vibration_out():
     motion, vibration = np.sin(2 * np.pi * 2 * TIME), np.sin(2 * np.pi * 30 * TIME)
-    filtered = low_pass((motion + vibration)[:, None], RATE)[:, 0]
+    filtered = zero_phase((motion + vibration)[:, None], RATE, DEFAULT.filters.cutoff)[:, 0]
     np.testing.assert_allclose(filtered[30:-30], motion[30:-30], atol=0.01)
 
 
@@ -34,7 +36,7 @@ def test_a_delay_shows_what_was_then():
 
 
 def test_decimation_leaves_about_25_rows_a_second():
-    rows = np.arange(1000)[kept(1000, 100.0)]
+    rows = np.arange(1000)[decimated_rows(1000, 100.0, DEFAULT.filters)]
     assert rows[0] == 30
     assert np.all(np.diff(rows) == 4)
     assert rows[-1] < 970

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import Estimate, Fit, with_candidates
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, with_candidates
 from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import open_loop_errors
 from diagnosis.models.prediction import Predictor
@@ -64,7 +64,7 @@ def test_output_error_finds_the_truth_from_a_wrong_beginning(plain, arpl_250g, n
     regression = make_regression(arpl_250g, some, plain.fitted, plain.flight_of)
     candidate = next(c for c in regression.candidates if c.effect.name == name)
     vehicle = with_candidates(arpl_250g, [candidate], {f"{name}.ratio": begin})
-    started = Fit(vehicle, {(name, "ratio"): Estimate(begin, 0.01, "1")}, (candidate,))
+    started = Fit(vehicle, {(name, "ratio"): ParameterEstimate(begin, 0.01, "1")}, (candidate,))
     found = refit(started, arpl_250g, some, plain.fitted, plain.held_out)
     assert found is not None
     estimate = found.fit.estimates[name, "ratio"]
@@ -79,7 +79,7 @@ def test_the_lag_of_the_motors_is_found_through_its_hidden_states(commanded, arp
     regression = make_regression(arpl_250g, some, commanded.fitted, commanded.flight_of)
     candidate = next(c for c in regression.candidates if c.effect.name == "motor_lag")
     vehicle = with_candidates(arpl_250g, [candidate], {"motor_lag.time_constant": 0.06})
-    started = Fit(vehicle, {("motor_lag", "time_constant"): Estimate(0.06, 0.01, "s")}, (candidate,))
+    started = Fit(vehicle, {("motor_lag", "time_constant"): ParameterEstimate(0.06, 0.01, "s")}, (candidate,))
     found = refit(started, arpl_250g, some, commanded.fitted, commanded.held_out)
     assert found is not None
     lag = DEFAULT_MOTOR_LAG + ACTUATION_DELAY  # commands are heard late, which is as good as more lag
@@ -90,16 +90,18 @@ def test_a_fault_of_a_sensor_alone_is_not_simulated(plain, arpl_250g):
     some = {n: CATALOGUE[n] for n in ("gyro_bias", "imu_bias", "time_delay")}
     regression = make_regression(arpl_250g, some, plain.fitted, plain.flight_of)
     candidate = next(c for c in regression.candidates if c.effect.name == "gyro_bias")
-    estimates = {("gyro_bias", axis): Estimate(0.01, 0.01, "rad/s") for axis in "xyz"}
+    estimates = {("gyro_bias", axis): ParameterEstimate(0.01, 0.01, "rad/s") for axis in "xyz"}
     started = Fit(with_candidates(arpl_250g, [candidate], {}), estimates, (candidate,))
     assert refit(started, arpl_250g, some, plain.fitted, plain.held_out) is None
 
 
 def test_what_a_faulty_sensor_reads_is_put_right_before_simulating(plain, arpl_250g):
     faulty = arpl_250g.with_effects(
-        EffectUse("rotor_speed_fault", {"gain": 0.5}, 2), EffectUse("gyro_bias", {"x": 0.1, "y": 0.0, "z": 0.0}),
-        EffectUse("time_delay", {"delay": 0.02}), EffectUse("rotor_drag"),
-    )  # fmt: skip
+        EffectUse("rotor_speed_fault", {"gain": 0.5}, 2),
+        EffectUse("gyro_bias", {"x": 0.1, "y": 0.0, "z": 0.0}),
+        EffectUse("time_delay", {"delay": 0.02}),
+        EffectUse("rotor_drag"),
+    )
     rest, (mended,) = healthy(faulty, CATALOGUE, plain.held_out[:1])
     read = plain.held_out[0]
     assert [use.name for use in rest.effects] == ["rotor_drag"]

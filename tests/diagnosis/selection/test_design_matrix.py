@@ -6,7 +6,7 @@ import pytest
 from diagnosis.data.segment import segments
 from diagnosis.models import channels
 from diagnosis.selection.candidates import make_candidates, make_instruments, make_predictor
-from diagnosis.selection.design_matrix import Pipeline
+from diagnosis.selection.design_matrix import DesignMatrix
 from diagnosis.selection.noise import noise_floor
 from dynamics.effects import CATALOGUE
 
@@ -18,7 +18,7 @@ def segment(plain_flights, arpl_250g):
 
 def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(segment, arpl_250g):
     candidates = make_candidates(arpl_250g, CATALOGUE, [segment])
-    _, together = Pipeline(arpl_250g, CATALOGUE, candidates, segment).run(segment)
+    _, together = DesignMatrix(arpl_250g, CATALOGUE, candidates, segment).evaluate(segment)
     instruments = make_instruments(segment, arpl_250g)
     for name in ("inertia", "weak_rotor", "rotor_gyroscopic", "imu_bias", "wind", "translational_lift"):
         candidate = next(c for c in candidates if c.effect.name == name)

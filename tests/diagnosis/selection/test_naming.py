@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.diagnose import diagnose
+from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
@@ -16,7 +16,7 @@ def diagnosed(vehicle, *effects, noise=1.0, seed=5, commands=False, catalogue=CA
     uses = [EffectUse(name, values, rotor) for name, values, rotor in effects]
     everything = {**CATALOGUE, **FOREIGN}
     flights = compiled_flights(vehicle, uses, catalogue=everything, seed=seed, noise=noise, commands=commands)
-    return diagnose(make_dataset(flights, vehicle), vehicle, catalogue).diagnosis
+    return diagnose_dataset(make_dataset(flights, vehicle), vehicle, catalogue).diagnosis
 
 
 def test_a_wrong_mass_beside_a_strong_drag_is_not_taken_for_a_wrong_thrust_constant(arpl_250g):
@@ -56,6 +56,6 @@ def test_no_more_than_two_effects_are_named_as_not_told_apart(arpl_250g):
     body = msgspec.structs.replace(arpl_250g.body, mass=0.97 * arpl_250g.body.mass)
     flights = compiled_flights(arpl_250g, [], catalogue=CATALOGUE, seed=6)
     light = msgspec.structs.replace(arpl_250g, body=body)
-    found = diagnose(make_dataset(flights, light), light, CATALOGUE).diagnosis
+    found = diagnose_dataset(make_dataset(flights, light), light, CATALOGUE).diagnosis
     assert all(len(effect.ambiguous_with) <= 1 for effect in found.effects)
     assert "mass" in {found.effects[0].name, *found.effects[0].ambiguous_with}

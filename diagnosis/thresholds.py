@@ -1,0 +1,460 @@
+"""Every threshold of diagnosis: unit, meaning, default, and where the default comes from.
+
+A field's line ends with its origin in brackets: "planted truth" (`benchmarks/diagnosis_planted_truth.py`, whose even
+seeds are for calibration), another benchmark, "decisions" (`docs/decisions/diagnosis.md`), a definition, or "not
+derived yet" where the value works on all flights that were tried, and nobody has varied it. Functions take a
+`Thresholds` as an argument; `diagnosis.thresholds_file` reads one from TOML, for a fleet that needs others.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta, Struct
+
+Positive = Annotated[float, Meta(gt=0)]
+Score = Annotated[float, Meta(ge=0)]
+Share = Annotated[float, Meta(ge=0, le=1)]
+Factor = Annotated[float, Meta(ge=1)]
+Correlation = Annotated[float, Meta(ge=-1, le=1)]
+Count = Annotated[int, Meta(ge=1)]
+Range = tuple[Score, Score]
+
+
+class Section(Struct, frozen=True, forbid_unknown_fields=True):
+    """Thresholds of one subject. Raises ValueError for a range whose first value is not below its second."""
+
+    def __post_init__(self) -> None:
+        """Check the ranges, which are the fields of two values."""
+        for name in self.__struct_fields__:
+            value = getattr(self, name)
+            if isinstance(value, tuple) and len(value) == 2 and not value[0] < value[1]:
+                raise ValueError(f"{name} is {value[0]:g} to {value[1]:g}: the first must be below the second")
+
+
+class FilterThresholds(Section, frozen=True):
+    """Filters on both sides of the regression. Applied when flights are read.
+
+    cutoff: of the low-pass on both sides, Hz. [not derived yet]
+    slow_cutoff: motion below it is no answer of the controller to turbulence, Hz. [not derived yet]
+    rate: of the rows after decimation, Hz. [three times the cutoff]
+    edge: that the filters spoil at both ends of a segment, s. [not derived yet]
+    """
+
+    cutoff: Positive = 8.0
+    slow_cutoff: Positive = 1.5
+    rate: Positive = 25.0
+    edge: Positive = 0.3
+
+
+class SegmentThresholds(Section, frozen=True):
+    """Which rows of a flight are used. Applied when flights are read.
+
+    max_rate: of a log that is not thinned out first, Hz. [not derived yet]
+    resampled_rate: to which a faster log is thinned out, Hz. [not derived yet]
+    min_rate_share: of the slowest usable rate at which a stream still counts; clocks are not exact. [not derived yet]
+    min_duration: of a segment, s. [not derived yet]
+    margin: left out around ground and contact, s. [not derived yet]
+    max_specific_force: beyond it is a crash or a landing, m/s^2. [not derived yet]
+    full_cell: voltage of a full battery cell, V. [definition: lithium polymer]
+    cell_slack: by which a cell may be above that, V. [not derived yet]
+    min_voltage: of a battery that is measured at all, V. [not derived yet]
+    voltage_cutoff: of the low-pass on the voltage, Hz; it falls with every manoeuvre, its noise does not. [not derived
+    yet]
+    """
+
+    max_rate: Positive = 500.0
+    resampled_rate: Positive = 250.0
+    min_rate_share: Share = 0.95
+    min_duration: Positive = 3.0
+    margin: Score = 0.5
+    max_specific_force: Positive = 60.0
+    full_cell: Positive = 4.2
+    cell_slack: Score = 0.2
+    min_voltage: Score = 2.5
+    voltage_cutoff: Positive = 4.0
+
+
+class DatasetThresholds(Section, frozen=True):
+    """What is fitted and what is held out. Applied when flights are read.
+
+    held_out_share: of the flights, or of the one flight's time. [convention]
+    min_groups: of fitted rows, which leaving one out needs; fewer flights are cut into parts. [not derived yet]
+    min_part: duration of such a part, s. [not derived yet]
+    """
+
+    held_out_share: Annotated[float, Meta(gt=0, lt=1)] = 0.2
+    min_groups: Annotated[int, Meta(ge=2)] = 4
+    min_part: Positive = 6.0
+
+
+class CommandCurveThresholds(Section, frozen=True):
+    """Thrust over command, where no rotor speed was measured. Applied when flights are read.
+
+    gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
+    max_lag: of the rotors behind commands that is tried, s. [not derived yet]
+    lag_step: between the lags that are tried, s. [not derived yet]
+    noise: specific force that other effects leave, m/s^2. [not derived yet]
+    independent_share: of rows that count as independent observations. [not derived yet]
+    term_std: prior standard deviations of constant, linear and quadratic term. [not derived yet]
+    air_std: prior standard deviation of the drag of climbing, 1/s, and the lift of travelling, 1/m. [not derived yet]
+    max_motor_difference: of a healthy vehicle's motor from the mean. [decisions: the command's gain; 0.1 occurs]
+    command_percentiles: range of commands within which the curve is not straight. [not derived yet]
+    """
+
+    gain: Range = (0.55, 1.8)
+    max_lag: Positive = 0.15
+    lag_step: Positive = 0.01
+    noise: Positive = 0.3
+    independent_share: Annotated[float, Meta(gt=0, le=1)] = 0.1
+    term_std: tuple[Positive, Positive, Positive] = (0.3, 1.0, 0.3)
+    air_std: Positive = 1.0
+    max_motor_difference: Share = 0.25
+    command_percentiles: Range = (0.5, 99.5)
+
+
+class DataChecks(Section, frozen=True):
+    """What flights and vehicle file must meet before anything is diagnosed.
+
+    min_duration: of all flights together, s. [not derived yet]
+    min_speed: horizontal, RMS, m/s; less with little rotation is hover. [not derived yet]
+    min_rate: body rate, RMS, rad/s; less with little speed is hover. [not derived yet]
+    min_thrust_change: standard deviation where there is no velocity, m/s^2. [not derived yet]
+    thrust_ratio: range of modelled over measured thrust. [not derived yet]
+    min_agreement: correlation of modelled and measured roll and pitch acceleration that passes. [not derived yet]
+    clear_agreement: correlation at which another order of the rotors is named. [not derived yet]
+    best_agreement: the same of an order that is better than all others by `agreement_margin`. [not derived yet]
+    agreement_margin: see `best_agreement`. [not derived yet]
+    opposite_agreement: correlation below which rotors act the other way round. [not derived yet]
+    min_explained: share of the angular acceleration by any mixture of rotors, if not by the file's. [not derived yet]
+    min_angular_acceleration: standard deviation about x and y that a correlation needs, rad/s^2. [not derived yet]
+    min_yaw_acceleration: the same about z, where rotors act less. [not derived yet]
+    angular_ratio: range of measured over modelled angular acceleration. [not derived yet]
+    tilt_ratio: range of the pose's horizontal acceleration over that which the tilt gives. [not derived yet]
+    min_tilt_acceleration: RMS of the latter that the ratio needs, m/s^2. [not derived yet]
+    min_rotor_speed: share of hover speed below which a sensor is dead. [not derived yet]
+    max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
+    response_times: lags of rotors behind commands that are tried, s. [not derived yet]
+    """
+
+    min_duration: Positive = 20.0
+    min_speed: Score = 0.25
+    min_rate: Score = 0.10
+    min_thrust_change: Score = 0.5
+    thrust_ratio: Range = (0.6, 1.67)
+    min_agreement: Correlation = 0.4
+    clear_agreement: Correlation = 0.7
+    best_agreement: Correlation = 0.45
+    agreement_margin: Score = 0.2
+    opposite_agreement: Correlation = -0.4
+    min_explained: Share = 0.5
+    min_angular_acceleration: Score = 0.5
+    min_yaw_acceleration: Score = 0.3
+    angular_ratio: Range = (0.2, 5.0)
+    tilt_ratio: Range = (0.2, 5.0)
+    min_tilt_acceleration: Score = 0.3
+    min_rotor_speed: Share = 0.1
+    max_permuted_rotors: Count = 6
+    response_times: tuple[Score, ...] = (0.0, 0.03, 0.06, 0.1)
+
+
+class PredictionThresholds(Section, frozen=True):
+    """Models along flights.
+
+    hidden_rate: at which hidden states without a short time constant are integrated, Hz. [not derived yet]
+    horizons: of open-loop prediction, ascending, s. [definition]
+    start_interval: between starts of open-loop prediction, s. [not derived yet]
+    """
+
+    hidden_rate: Positive = 50.0
+    horizons: tuple[Positive, ...] = (0.1, 0.5, 1.0)
+    start_interval: Positive = 0.5
+
+
+class NoiseThresholds(Section, frozen=True):
+    """Noise of the residual channels.
+
+    order: of the autoregressive models. [not derived yet]
+    reference_band: its level caps the spectrum below it, where missing effects show, Hz. [decisions: the noise floor]
+    spectrum_rows: of a periodogram. [not derived yet]
+    torque_redness: factor on that cap for torques, which the rotors' turbulence reddens. [decisions: the noise floor]
+    """
+
+    order: Count = 6
+    reference_band: Range = (1.5, 3.0)
+    spectrum_rows: Annotated[int, Meta(ge=16)] = 128
+    torque_redness: Factor = 1.5
+
+
+class RegressionThresholds(Section, frozen=True):
+    """Normal equations of all candidates.
+
+    ridge: on all columns at once, over the number of rows. [not derived yet]
+    max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [not derived yet]
+    """
+
+    ridge: Positive = 1e-6
+    max_bias: Positive = 2.5
+
+
+class SearchThresholds(Section, frozen=True):
+    """Forward search over candidates. A score is twice the log-likelihood gained, less the criterion's penalty.
+
+    min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
+    where nothing is hidden]
+    min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
+    min_share: of the first effect's gain that a further one must bring. [not derived yet]
+    parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
+    min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
+    max_effects: in one search. [not derived yet]
+    paired: best single effects with which pairs are tried. [not derived yet]
+    tried: best additions that are cross-validated in one step. [not derived yet]
+    contenders: best single effects of which cross-validation chooses the first. [not derived yet]
+    min_contender_share: of the best score that a contender must have. [not derived yet]
+    bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [not derived yet]
+    amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
+    min_gust_share: of the effects' gain that a gust beside them must bring. [not derived yet]
+    min_share_beside_gust: of a gust's score below which no effect is named beside it. [not derived yet]
+    """
+
+    min_gain: Score = 40.0
+    min_fault_gain: Score = 15.0
+    min_share: Share = 0.003
+    parsimony: Share = 0.985
+    min_cross_validated: Share = 0.3
+    max_effects: Count = 3
+    paired: Count = 8
+    tried: Count = 12
+    contenders: Count = 5
+    min_contender_share: Share = 0.5
+    bound_slack: Score = 0.02
+    amplitude: Range = (0.4, 1.9)
+    min_gust_share: Share = 0.10
+    min_share_beside_gust: Share = 0.5
+
+
+class RivalThresholds(Section, frozen=True):
+    """When these flights cannot tell two effects apart.
+
+    score: difference within which they cannot. [not derived yet]
+    share: of the gain, the same. [not derived yet]
+    command_share: of what an effect brings, where rotor speeds come from commands. [not derived yet]
+    max_rivals: that are compared with an effect. [not derived yet]
+    """
+
+    score: Score = 12.0
+    share: Share = 0.01
+    command_share: Share = 0.15
+    max_rivals: Count = 7
+
+
+class GustThresholds(Section, frozen=True):
+    """Random air motion.
+
+    max_frequency: of the cosines that make it up, Hz. [not derived yet]
+    corner: of its spectrum, Hz. [not derived yet]
+    strengths: that are tried. [not derived yet]
+    """
+
+    max_frequency: Positive = 0.7
+    corner: Positive = 0.15
+    strengths: Annotated[int, Meta(ge=2)] = 25
+
+
+class ResidualTestThresholds(Section, frozen=True):
+    """Tests of what an identified model leaves; `VerdictThresholds` says from where on they reject.
+
+    features: random Fourier features of state or position. [not derived yet]
+    state_fineness: of a feature of the state, over the standard deviation of the state. [not derived yet]
+    position_fineness: the same of position alone, where a field of air repeats. [not derived yet]
+    ridges: that are tried. [not derived yet]
+    low_band: in which accelerometer and pose must not agree, Hz. [not derived yet]
+    reference_band: against which that is compared, Hz. [not derived yet]
+    line_band: in which a spectral line is sought, Hz. [not derived yet]
+    line_rows: of a periodogram. [not derived yet]
+    line_surroundings: bins over which a line's surroundings are the median. [not derived yet]
+    """
+
+    features: Count = 120
+    state_fineness: Positive = 0.35
+    position_fineness: Positive = 1.5
+    ridges: tuple[Positive, ...] = (1e2, 1e3, 1e4, 1e5)
+    low_band: Range = (0.05, 1.5)
+    reference_band: Range = (2.5, 6.5)
+    line_band: Range = (0.6, 7.0)
+    line_rows: Annotated[int, Meta(ge=64)] = 512
+    line_surroundings: Count = 61
+
+
+class EquationErrorThresholds(Section, frozen=True):
+    """Gauss-Newton on accelerations.
+
+    max_steps: of Gauss-Newton. [not derived yet]
+    max_cost_growth: factor on the cost beyond which a step is halved. [not derived yet]
+    converged: step over the standard deviation at which it ends; output error uses the same. [not derived yet]
+    difference_step: of finite differences, relative. [not derived yet]
+    min_lag_rows: shortest lag that one Runge-Kutta step a row follows, rows. [formula: stability of RK4, 1 / 2.8]
+    block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
+    """
+
+    max_steps: Count = 8
+    max_cost_growth: Factor = 1.001
+    converged: Positive = 0.02
+    difference_step: Positive = 0.02
+    min_lag_rows: Positive = 0.4
+    block: Positive = 2.0
+
+
+class OutputErrorThresholds(Section, frozen=True):
+    """Gauss-Newton on simulated windows.
+
+    window: s. [benchmarks/output_error.py]
+    max_windows: of all segments, about. [not derived yet]
+    min_windows: below which nothing is fitted. [not derived yet]
+    max_steps: of Gauss-Newton. [not derived yet]
+    shrinkage: of the errors' covariance towards its diagonal. [not derived yet]
+    difference_step: of finite differences of hidden states' starts, relative. [not derived yet]
+    max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks/output_error.py]
+    """
+
+    window: Positive = 0.5
+    max_windows: Count = 300
+    min_windows: Count = 20
+    max_steps: Count = 4
+    shrinkage: Share = 0.1
+    difference_step: Positive = 1e-3
+    max_one_step_growth: Factor = 1.005
+
+
+class AcceptanceThresholds(Section, frozen=True):
+    """Held-out flights decide about effects.
+
+    max_ratio: of the held-out reduced chi-square with an effect over that without it. [not derived yet]
+    max_redundant_ratio: of it without an effect over that with it, at which the effect is dropped, and within which
+    rivals are alike. [decisions: the full model decides]
+    min_held_out_change: squared change over noise on held-out flights, below which these cannot judge. [decisions:
+    held-out flights]
+    leading: effects whose rivals are fitted in the full model. [decisions: the full model decides]
+    typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
+    flights]
+    """
+
+    max_ratio: Share = 0.999
+    max_redundant_ratio: Factor = 1.01
+    min_held_out_change: Score = 25.0
+    leading: Count = 2
+    typical_window: Positive = 2.0
+
+
+class VerdictThresholds(Section, frozen=True):
+    """From where on the residual tests reject, and how effects are reported.
+
+    max_agreement: of accelerometer and pose at low frequency. [planted truth]
+    max_predictable: log-likelihood a residual that a function of the state gains. [planted truth]
+    max_line: power of a line over its surroundings. [planted truth]
+    max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [not derived yet]
+    max_chi_square: reduced, of a typical held-out window. [planted truth]
+    max_share: of any of these before effects were added, the effects' own imperfect form. [not derived yet]
+    max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: a residual that depends
+    on the place]
+    resamples: of flights, for the confidence. [not derived yet]
+    max_ambiguous: effects in an ambiguous set; a third is as near as they are. [docs/diagnosis.md]
+    """
+
+    max_agreement: Score = 5.5
+    max_predictable: Score = 0.01
+    max_line: Score = 10.0
+    max_line_swinging: Score = 30.0
+    max_chi_square: Factor = 1.5
+    max_share: Share = 0.03
+    max_gust_predictable: Share = 0.35
+    resamples: Count = 40
+    max_ambiguous: Count = 2
+
+
+class CompletionThresholds(Section, frozen=True):
+    """How long effects are added.
+
+    max_rounds: of diagnosis. [not derived yet]
+    min_share: of what the first round took off the held-out reduced chi-square, for a further round. [not derived yet]
+    """
+
+    max_rounds: Count = 3
+    min_share: Share = 0.01
+
+
+class RegimeThresholds(Section, frozen=True):
+    """Maps of where a model fails.
+
+    bins: along a quantity. [not derived yet]
+    quantiles: of a quantity between which the bins lie. [not derived yet]
+    min_rows: of a cell that counts as flown. [definition: one second at 25 Hz]
+    min_failing: RMS over floor of a cell that is named. [not derived yet]
+    min_failing_share: the same over the median cell. [not derived yet]
+    min_speed: below which motion has no direction, m/s. [not derived yet]
+    worst_window: of the worst segment that is named, s. [definition]
+    """
+
+    bins: Annotated[int, Meta(ge=2)] = 6
+    quantiles: Range = (0.005, 0.995)
+    min_rows: Count = 25
+    min_failing: Factor = 1.5
+    min_failing_share: Factor = 1.2
+    min_speed: Score = 0.3
+    worst_window: Positive = 2.0
+
+
+class HoverTrimThresholds(Section, frozen=True):
+    """Rotors' shares of the load in hover, compared with normal flights.
+
+    min_hover: of a flight, s. [not derived yet]
+    min_segment: of hover that counts, s. [not derived yet]
+    min_rotor_rate: of the logged commands, Hz; means need no more. [not derived yet]
+    max_speed: of hover, m/s. [not derived yet]
+    max_rate: of hover, rad/s. [not derived yet]
+    cutoff: below which speed and rate count as motion, Hz. [not derived yet]
+    prior_spread: of a rotor's share between normal flights. [decisions: normal flights]
+    prior_freedom: degrees of freedom that the prior stands for. [decisions: normal flights]
+    false_alarms: of normal flights, over all rotors. [convention: 5 %]
+    min_spreads: above the normal flight in which the rotor worked hardest. [decisions: normal flights]
+    enough_flights: normal flights that need no prior. [decisions: normal flights]
+    """
+
+    min_hover: Positive = 4.0
+    min_segment: Positive = 0.5
+    min_rotor_rate: Positive = 5.0
+    max_speed: Positive = 0.3
+    max_rate: Positive = 0.5
+    cutoff: Positive = 1.0
+    prior_spread: Positive = 0.02
+    prior_freedom: Count = 20
+    false_alarms: Annotated[float, Meta(gt=0, lt=1)] = 0.05
+    min_spreads: Score = 1.0
+    enough_flights: Count = 5
+
+
+class Thresholds(Section, frozen=True):
+    """All of them, by subject."""
+
+    filters: FilterThresholds = FilterThresholds()
+    segment: SegmentThresholds = SegmentThresholds()
+    dataset: DatasetThresholds = DatasetThresholds()
+    command_curve: CommandCurveThresholds = CommandCurveThresholds()
+    data_checks: DataChecks = DataChecks()
+    prediction: PredictionThresholds = PredictionThresholds()
+    noise: NoiseThresholds = NoiseThresholds()
+    regression: RegressionThresholds = RegressionThresholds()
+    search: SearchThresholds = SearchThresholds()
+    rivals: RivalThresholds = RivalThresholds()
+    gust: GustThresholds = GustThresholds()
+    residual_tests: ResidualTestThresholds = ResidualTestThresholds()
+    equation_error: EquationErrorThresholds = EquationErrorThresholds()
+    output_error: OutputErrorThresholds = OutputErrorThresholds()
+    acceptance: AcceptanceThresholds = AcceptanceThresholds()
+    verdict: VerdictThresholds = VerdictThresholds()
+    completion: CompletionThresholds = CompletionThresholds()
+    regimes: RegimeThresholds = RegimeThresholds()
+    hover_trim: HoverTrimThresholds = HoverTrimThresholds()
+
+
+DEFAULT = Thresholds()
