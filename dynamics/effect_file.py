@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
 import runpy
 import traceback
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from dynamics.effect import Effect
+from dynamics.effect import Effect, Span
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
@@ -16,22 +18,24 @@ from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 EXAMPLE = "See examples/my_effects.py."
+ROOM = Span((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))  # m, in which a grid is tried
 
 
 def read_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects that a Python file defines. Raises RequestError when it cannot be run or defines none."""
+    """The effects that a Python file defines.
+
+    Raises RequestError, with the line, when the file cannot be run, defines none, or one that contradicts itself.
+    """
     path = Path(path)
     if not path.is_file():
         raise RequestError(f"{path} is no file. Give a Python file that defines EFFECT. {EXAMPLE}")
     try:
         names = runpy.run_path(str(path))
     except Exception as error:  # a user's file may raise anything
-        line = next(
-            (f.lineno for f in reversed(traceback.extract_tb(error.__traceback__)) if f.filename == str(path)), 0
-        )
-        raise RequestError(f"{path}, line {line or '?'}: {type(error).__name__}: {error}. {EXAMPLE}") from None
-    found = names.get("EFFECTS", names.get("EFFECT"))
-    effects = tuple(found) if isinstance(found, Iterable) else (found,)
+        where = f"line {_line_of(error, path) or '?'}"
+        raise RequestError(f"{path}, {where}: {type(error).__name__}: {str(error).rstrip('.')}. {EXAMPLE}") from None
+    defined = names.get("EFFECTS", names.get("EFFECT"))
+    effects = tuple(defined) if isinstance(defined, Iterable) else (defined,)
     if not effects or not all(isinstance(effect, Effect) for effect in effects):
         raise RequestError(f"{path} defines no EFFECT that is a dynamics.effect.Effect. {EXAMPLE}")
     return effects
@@ -43,26 +47,78 @@ def with_effects_of(files: Iterable[str | Path], vehicle: Vehicle) -> Mapping[st
     Raises RequestError for a file that defines none, a name that is taken, or an effect that fails on the vehicle.
     """
     catalogue = dict(CATALOGUE)
-    for path in files:
+    own: list[tuple[Path, Effect]] = []
+    for path in map(Path, files):
         for effect in read_effects(path):
             if effect.name in catalogue:
                 raise RequestError(f"{path}: there is an effect {effect.name!r} already; give yours another name.")
             _try(effect, vehicle, path)
             catalogue[effect.name] = effect
+            own.append((path, effect))
+    for path, effect in own:
+        for name in set(effect.confounded_with) - set(catalogue):
+            raise RequestError(f"{path}: effect {effect.name!r}: confounded_with names {name!r}, which is no effect.")
     return catalogue
 
 
-def _try(effect: Effect, vehicle: Vehicle, path: str | Path) -> None:
+def _try(effect: Effect, vehicle: Vehicle, path: Path) -> None:
     """Evaluate an effect in hover at its usual values; whatever it does wrong becomes a RequestError."""
     use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
-    try:
+    with _refusing(effect, path):
+        problem = next(_problems_on(effect, vehicle), None)
+    if problem is not None:
+        raise RequestError(f"{path}{problem}")
+    with _refusing(effect, path):
         model = build_model(vehicle, effects=[use], catalogue={effect.name: effect})
         state = model.initial_state(_hover())
-        result: Any = model.observe(state, vehicle.hover_speed, model.parameter_values, ENVIRONMENT_DEFAULT)[0]
+        values = model.observe(state, vehicle.hover_speed, model.parameter_values, ENVIRONMENT_DEFAULT)
+        rates = model.derivative(state, vehicle.hover_speed, model.parameter_values, ENVIRONMENT_DEFAULT, 0)
+    for value in (*values, rates):
+        if not value.is_regular():
+            raise RequestError(f"{path}: effect {effect.name!r} gives a force that is no number in hover: {value}.")
+
+
+@contextmanager
+def _refusing(effect: Effect, path: Path) -> Iterator[None]:
+    """Whatever a user's functions raise becomes a RequestError with the line."""
+    try:
+        yield
     except Exception as error:
-        raise RequestError(f"{path}: effect {effect.name!r} fails in hover: {type(error).__name__}: {error}") from None
-    if not result.is_regular():
-        raise RequestError(f"{path}: effect {effect.name!r} gives a force that is no number in hover: {result}.")
+        line = _line_of(error, path)
+        where = f"{path}, line {line}" if line else f"{path}"
+        raise RequestError(f"{where}: effect {effect.name!r} fails in hover: {type(error).__name__}: {error}") from None
+
+
+def _problems_on(effect: Effect, vehicle: Vehicle) -> Iterator[str]:
+    """What cannot be true of an effect on a vehicle: the line and a sentence each."""
+    bounds = {parameter.name: (parameter.lower, parameter.upper) for parameter in effect.parameters}
+    for parameter in effect.parameters:
+        prior = parameter.prior(vehicle)
+        if not (math.isfinite(prior.mean) and math.isfinite(prior.std) and prior.std > 0):
+            yield _at(parameter.prior, effect, f"the prior of {parameter.name} is {prior}")
+    for hidden in effect.hidden:
+        if not math.isfinite(hidden.initial(vehicle)):
+            yield _at(hidden.initial, effect, f"the initial value of {hidden.name} is {hidden.initial(vehicle)}")
+    if effect.grid is None:
+        return
+    for values in effect.grid(vehicle, ROOM):
+        for name, value in values.items():
+            if name not in bounds:
+                yield _at(effect.grid, effect, f"the grid names {name!r}, not one of {', '.join(bounds)}")
+            elif not bounds[name][0] <= value <= bounds[name][1]:
+                yield _at(effect.grid, effect, f"the grid holds {name} = {value}, outside {list(bounds[name])}")
+
+
+def _at(function: Callable[..., Any], effect: Effect, sentence: str) -> str:
+    code = getattr(function, "__code__", None)
+    line = f", line {code.co_firstlineno}" if code is not None else ""
+    return f"{line}: effect {effect.name!r}: {sentence}. {EXAMPLE}"
+
+
+def _line_of(error: Exception, path: Path) -> int | None:
+    """The innermost line of a file in an error's traceback."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return next((frame.lineno for frame in reversed(frames) if frame.filename == str(path)), None)
 
 
 def _hover() -> Any:

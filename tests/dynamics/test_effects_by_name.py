@@ -1,0 +1,52 @@
+"""No room asks for an effect of the catalogue by its name: what it needs to know stands in the effect."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from dynamics.effects import CATALOGUE
+
+ROOT = Path(__file__).parents[2]
+ROOMS = (
+    "alula", "diagnosis", "dynamics", "export", "flights", "runtime", "simulation", "sitl_mock", "studies", "studio",
+    "training",
+)  # fmt: skip
+
+# Words that are an effect's name as well, and what they are there.
+ALLOWED = {
+    "dynamics/model.py": {"mass", "thrust_constant", "centre_of_mass"},  # outputs of the model's constants
+    "dynamics/references/campaign.py": {  # what the example campaign hides: a user's configuration
+        "motor_lag", "rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift",
+        "thrust_constant", "inertia", "gust",
+    },
+    "flights/quality/rotor_balance.py": {"rotor_speed_fault"},  # the name of a finding in reports
+    "runtime/control/rti/problem.py": {"thrust_constant"},  # a field of the C struct
+    "sitl_mock/vehicle/plant.py": {"torque_constant", "gyro_bias"},  # constants of the mock's own sensors and battery
+    "sitl_mock/vehicle/sensors.py": {"gyro_bias"},
+    "sitl_mock/vehicle/vehicle.py": {"torque_constant"},
+    "studies/demo/flights.py": {"rotor_drag", "parasitic_drag"},  # what the demo hides by default
+    "studies/sweep/catalogue.py": {"inertia"},  # a study's name
+    "studies/sweep/cell.py": {"mass", "inertia"},  # fields of the vehicle's body
+    "studies/sweep/figures.py": {"inertia"},
+}  # fmt: skip
+
+
+def names_in(tree: ast.AST) -> set[str]:
+    """Effects that string literals name, alone or as an effect is written on a command line, `name:key=value`."""
+    literals = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
+    return {literal.split(":")[0] for literal in literals} & set(CATALOGUE)
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_no_effect_is_asked_for_by_name(room: str) -> None:
+    for path in (ROOT / room).rglob("*.py"):
+        place = path.relative_to(ROOT).as_posix()
+        if not place.startswith("dynamics/effects/"):
+            named = names_in(ast.parse(path.read_text(encoding="utf-8")))
+            assert named <= ALLOWED.get(place, set()), place
+
+
+def test_every_exception_is_still_needed() -> None:
+    for place, allowed in ALLOWED.items():
+        assert names_in(ast.parse((ROOT / place).read_text(encoding="utf-8"))) == allowed, place
