@@ -15,6 +15,11 @@ SUFFIX, CARD_SUFFIX = ".pt", ".json"
 LOCK = "lock"
 
 
+def run_folder(out: Path) -> Path:
+    """Where the members of a model keep what they go on from."""
+    return out.with_name(f"{out.name}.run")
+
+
 @contextmanager
 def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterator[None]:
     """The model's path and the members' folder for this process alone; the folder stays if they can go on from it.

@@ -30,9 +30,14 @@ def changed(struct: Definition, changes: Mapping[str, Any]) -> Definition:
     except msgspec.ValidationError as error:
         what, _, where = str(error).partition(" - at `$.")
         name = where.rstrip("`").split("[")[0]
-        choices = ", ".join(_choices(get_type_hints(kind).get(name)))
+        choices = choices_of(kind, name)
         wanted = f"wanted one of {choices}" if choices else what[:1].lower() + what[1:]
         raise RequestError(f"{name} = {changes.get(name)}: {wanted}.") from error
+
+
+def choices_of(kind: type[msgspec.Struct], name: str) -> str:
+    """The words that a field of a struct allows, with commas between them; empty where it takes other values."""
+    return ", ".join(_choices(get_type_hints(kind).get(name)))
 
 
 def _choices(annotation: Any) -> Iterator[str]:

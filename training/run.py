@@ -28,7 +28,7 @@ from training.checkpoint import TrainedModel
 from training.config import ModelConfig, convolutions_for
 from training.data.recordings import find_logs, left_out, read_recordings, split_recordings
 from training.effects_fit import named_effects
-from training.folder import CARD_SUFFIX, PROGRESS, STATE, claimed, require_free
+from training.folder import CARD_SUFFIX, PROGRESS, STATE, claimed, require_free, run_folder
 from training.models import named_kind
 from training.overrides import changed
 from training.plan import Plan, make_plan
@@ -71,7 +71,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     @property
     def folder(self) -> Path:
         """Where members keep what they go on from."""
-        return self.out.with_name(f"{self.out.name}.run")
+        return run_folder(self.out)
 
     @property
     def seeds(self) -> tuple[int, ...]:

@@ -1,4 +1,4 @@
-"""`alula sweep`: the paper's studies, grids and searches, many trainings that may be stopped and gone on with."""
+"""`alula sweep`: the paper's studies, grids and searches, many trainings that may be stopped and continued."""
 
 from __future__ import annotations
 
@@ -9,54 +9,81 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from alula.cli.options import Mapping, VehicleOption
 from alula.workbench import workbench
+from studies.sweep.catalogue import GRID, SEARCH, SEARCHED, STARRED, STUDIES
+from training.models import KINDS
+from training.recipe import FAST, RECIPES
 
 if TYPE_CHECKING:
     from studies.sweep.cell import Outcome
     from studies.sweep.run import Sweep
 
-STUDIES = "kinds, ablation, history, inertia, rotors, lambda, motors, regimes, starred; grid and search are your own"
+TRAINING, OWN, RUN, REPORT = "Training of a cell", f"{GRID} and {SEARCH}", "Run", "Report"
 
 
 def sweep(
-    study: Annotated[str, typer.Argument(help=f"What to vary: {STUDIES}.")],
+    study: Annotated[
+        str,
+        typer.Argument(help=f"What to vary: {', '.join(STUDIES)}; {GRID} and {SEARCH} are your own."),
+    ],
     logs: Annotated[
         list[Path], typer.Argument(help="Training logs, folders of them, or a campaign's folder.", metavar="LOG...")
     ],
-    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that is ours.")],
-    out: Annotated[Path, typer.Option(help="Folder for a file each cell; a sweep that was stopped goes on from it.")],
+    vehicle: VehicleOption,
+    out: Annotated[Path, typer.Option(help="Folder with a file each cell; a sweep that was stopped continues there.")],
     test: Annotated[
         list[Path] | None, typer.Option(help="Logs or folders to judge on; a campaign's test flights by default.")
     ] = None,
     simulated: Annotated[
         list[Path] | None,
-        typer.Option(help="For starred: logs of a simulation without effects (alula campaign --no-effects)."),
+        typer.Option(help=f"For {STARRED}: logs of a simulation without effects (alula campaign --no-effects)."),
     ] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.")] = 2,
-    steps: Annotated[int | None, typer.Option(min=1, help="Steps of the optimiser; 10,000 by default.")] = None,
-    batch: Annotated[int | None, typer.Option(min=1, help="Windows a step; 256 by default.")] = None,
-    recipe: Annotated[str, typer.Option(help="fast, or paper.")] = "fast",
-    model: Annotated[str, typer.Option(help="For grid and search: what to train.")] = "pi_tcn",
+    mapping: Mapping = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.", rich_help_panel=TRAINING)] = 2,
+    steps: Annotated[
+        int | None,
+        typer.Option(min=1, help=f"Steps of the optimiser; {FAST.steps:,} by default.", rich_help_panel=TRAINING),
+    ] = None,
+    batch: Annotated[
+        int | None, typer.Option(min=1, help=f"Windows a step; {FAST.batch} by default.", rich_help_panel=TRAINING)
+    ] = None,
+    recipe: Annotated[str, typer.Option(help=f"{' or '.join(RECIPES)}.", rich_help_panel=TRAINING)] = "fast",
+    model: Annotated[str, typer.Option(help=f"What to train: {', '.join(KINDS)}.", rich_help_panel=OWN)] = "pi_tcn",
     grid: Annotated[
-        list[str] | None, typer.Option(help="For grid: NAME=VALUE,VALUE,... of the recipe or the model; repeatable.")
+        list[str] | None,
+        typer.Option(
+            help=f"For {GRID}: NAME=VALUE,VALUE,... of the recipe or the model; repeatable.", rich_help_panel=OWN
+        ),
     ] = None,
     over: Annotated[
         list[str] | None,
-        typer.Option(help="For search: NAME=LOW:HIGH of the recipe; physics_weight=1e-4:1 by default."),
+        typer.Option(help=f"For {SEARCH}: NAME=LOW:HIGH of the recipe; {SEARCHED} by default.", rich_help_panel=OWN),
     ] = None,
-    trials: Annotated[int, typer.Option(min=1, help="For search: trainings in all.")] = 20,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Processes; one for every core by default.")] = None,
+    trials: Annotated[int, typer.Option(min=1, help=f"For {SEARCH}: trainings in all.", rich_help_panel=OWN)] = 20,
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Processes; one for every core by default.", rich_help_panel=RUN)
+    ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Address of a Dask scheduler (tcp://host:port); its workers see the same folders."),
+        typer.Option(
+            help="Address of a Dask scheduler (tcp://host:port); its workers need the same folders.",
+            rich_help_panel=RUN,
+        ),
     ] = None,
-    mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
-    json_file: Annotated[Path | None, typer.Option("--json", help="Write every cell as JSON; - for stdout.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Folder for one CSV file a table.")] = None,
-    pictures: Annotated[Path | None, typer.Option(help="Folder for pictures, PNG and PDF.")] = None,
-    html: Annotated[Path | None, typer.Option(help="Write tables and pictures as one page to this file.")] = None,
+    json_file: Annotated[
+        Path | None, typer.Option("--json", help="Write every cell as JSON; - for stdout.", rich_help_panel=REPORT)
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="Folder for one CSV file a table.", rich_help_panel=REPORT)] = None,
+    pictures: Annotated[
+        Path | None, typer.Option(help="Folder for pictures, PNG and PDF.", rich_help_panel=REPORT)
+    ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option(help="Write tables and pictures as one page to this file.", rich_help_panel=REPORT),
+    ] = None,
 ) -> None:
-    """Train and judge every cell of a study. Killed, the same command goes on and trains nothing twice."""
+    """Train and evaluate every cell of a study. The same command continues a stopped one and trains nothing twice."""
     with workbench("alula sweep"):
         from studies.sweep.report import require_all_trained, show
         from studies.sweep.run import SweepOptions, make_sweep
@@ -74,13 +101,13 @@ def sweep(
 
 def _outcomes(made: Sweep, console: Console) -> tuple[Outcome, ...]:
     """Every cell's outcome in the cells' order, under a progress bar."""
-    found: dict[int, Outcome] = {}
+    finished: dict[int, Outcome] = {}
     with _bar(console) as bar:
         task = bar.add_task(made.study, total=made.count, last="")
         for place, outcome in made.outcomes():
-            found[place] = outcome
-            bar.update(task, completed=len(found), last=outcome.cell.name)
-    return tuple(found[place] for place in sorted(found))
+            finished[place] = outcome
+            bar.update(task, completed=len(finished), last=outcome.cell.name)
+    return tuple(finished[place] for place in sorted(finished))
 
 
 def _bar(console: Console) -> Progress:

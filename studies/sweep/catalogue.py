@@ -12,6 +12,8 @@ from studies.sweep.cell import Cell, StudyOptions, repeated
 FACTORS = (0.6, 0.8, 1.0, 1.2, 1.4)
 HISTORIES = (20, 10, 4, 1, 0)
 WEIGHTS = (0.0, 0.001, 0.01, 0.1, 1.0)
+GRID, SEARCH = "grid", "search"  # studies of the user's own
+SEARCHED = "physics_weight=1e-4:1"  # lambda
 STARRED = "starred"  # the study that needs flights of a simulation without effects as well
 SLOW = "*_60.*"  # training flights at six tenths of their speed
 

@@ -12,9 +12,10 @@ from rich.console import Console
 from dynamics.errors import DataError
 from dynamics.files import write_json
 from studies import figures
+from studies.sweep.catalogue import SEARCH
 from studies.sweep.cell import CellResult, FailedCell, Outcome, trained
 from studies.sweep.figures import study_figures
-from studies.sweep.run import SEARCH, Sweep
+from studies.sweep.run import Sweep
 from studies.sweep.tables import search_table, study_tables
 from studies.tables import Table, terminal_table, write_csv
 from studies.tables_page import write_tables_page

@@ -13,7 +13,7 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
-from studies.sweep.catalogue import STARRED, STUDIES, grid_cells
+from studies.sweep.catalogue import GRID, SEARCH, SEARCHED, STARRED, STUDIES, grid_cells
 from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
 from studies.sweep.cells import run_cells
 from studies.sweep.search import Range, Search
@@ -22,9 +22,6 @@ from training.config import ModelConfig
 from training.data.recordings import CAMPAIGN, find_logs
 from training.recipe import Recipe, named_recipe
 from vehicles import vehicle_path
-
-GRID, SEARCH = "grid", "search"
-SEARCHED = "physics_weight=1e-4:1"  # lambda
 
 
 class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
