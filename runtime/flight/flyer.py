@@ -102,8 +102,8 @@ class Flyer:
         self._controller = controller
         self._nominal = nominal
         self._nominal_ready = False
-        self._flies = controller
-        self._map = thrust_map
+        self._flying = controller
+        self._thrust_map = thrust_map
         self._rate_limit = vehicle.limits.rate
         self._thrust_limit = vehicle.thrust_limits[1]
         self._sent: tuple[Floats, float, float, float] | None = None
@@ -114,16 +114,16 @@ class Flyer:
         self._landing = LandingDetector(vehicle.weight)
         self._shifted = ShiftedSolution(vehicle)
         self._hand_over: HandOver | None = None
-        self._present: dict[Event, str] = {}
+        self._pending: dict[Event, str] = {}
         self._estimate: StateEstimate | None = None
-        self._before: StateEstimate | None = None
+        self._previous: StateEstimate | None = None
         self._force = nan
         self._solution: tuple[float, Command, Controller] | None = None
         self._state: Floats | None = None
-        self._last: tuple[Floats, float] = (ZERO_RATE, 0.0)
+        self._last_setpoint: tuple[Floats, float] = (ZERO_RATE, 0.0)
         self._last_disarm_request = -inf
         self._prepared = False
-        self._solved = -inf
+        self._last_solution = -inf
 
     @property
     def over(self) -> bool:
@@ -170,14 +170,14 @@ class Flyer:
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._prepared = False
             return
-        self._learn(time)
+        self._after_departure(time)
         self.mission.update(self._state, time)
         window = self._window(self._controller, time)
-        if time - self._solved > STALE_SOLUTION:
+        if time - self._last_solution > STALE_SOLUTION:
             self._controller.reset(self._state, time)
-        if self._estimate is not None and self._nominal is not None and self._flies is self._nominal:
+        if self._estimate is not None and self._nominal is not None and self._flying is self._nominal:
             self._controller.keep_warm(self._nominal, self._estimate.state, self._estimate.time, time)
-        self._judge_model(time)
+        self._check_model(time)
         self._controller.prepare(*window)
         self._prepared = True
         self._prepare_nominal(window, time)
@@ -188,23 +188,23 @@ class Flyer:
             self._nominal_ready = False
             return
         # a diverging model's commands are no evidence of what the vehicle did: the nominal model starts without them
-        diverging = Event.MODEL_OSCILLATES in self._present and Event.MODEL_OSCILLATES not in self.events.active
+        diverging = Event.MODEL_OSCILLATES in self._pending and Event.MODEL_OSCILLATES not in self.events.active
         if (diverging or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
-        if not diverging and self._estimate is not None and self._flies is not self._nominal:
+        if not diverging and self._estimate is not None and self._flying is not self._nominal:
             self._nominal.keep_warm(self._controller, self._estimate.state, self._estimate.time, time)
         self._nominal.prepare(*window)
         self._nominal_ready = True
 
-    def _judge_model(self, time: float) -> None:
+    def _check_model(self, time: float) -> None:
         """Whether a learned model may fly the next tick."""
         waiting, outside, unfit = self._controller.model_faults(time)
         if waiting:
-            self._present[Event.MODEL_WAITING] = waiting
+            self._pending[Event.MODEL_WAITING] = waiting
         if outside:
-            self._present[Event.MODEL_OUTSIDE] = outside
+            self._pending[Event.MODEL_OUTSIDE] = outside
         if unfit:
-            self._present[Event.MODEL_UNHEALTHY] = unfit
+            self._pending[Event.MODEL_UNHEALTHY] = unfit
 
     def reference_now(self, time: float) -> Floats | None:
         """The reference's state (13,) at a time, s; None when nothing is tracked."""
@@ -219,7 +219,7 @@ class Flyer:
         if observation.reset:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
         self._force = observation.specific_force_z
-        self._before, self._estimate = self._estimate, estimate
+        self._previous, self._estimate = self._estimate, estimate
         if estimate is not None and fresh:
             self._state = estimate.state
             if self._health.is_current(estimate, observation.time):
@@ -230,28 +230,28 @@ class Flyer:
             return
         rate_body, collective_thrust, thrust, time = self._sent
         self._sent = None
-        self.effectiveness.command(self._map.collective_thrust(thrust), time)
+        self.effectiveness.command(self._thrust_map.collective_thrust(thrust), time)
         self._health.sent(rate_body, collective_thrust, time)
 
-    def _learn(self, time: float) -> None:
+    def _after_departure(self, time: float) -> None:
         """What can wait until the setpoint has left: store the solution, check the flight, update the effectiveness."""
         if self._solution is not None:
             self._shifted.keep(*self._solution)
             self._solution = None
-        now, before = self._estimate, self._before
-        if now is None or now is before:
+        now, previous = self._estimate, self._previous
+        if now is None or now is previous:
             return
-        self._present |= self._health.flight(now.state, time, learned=self._controller.is_learned)
+        self._pending |= self._health.flight(now.state, time, learned=self._controller.is_learned)
         if self.mission.phase is Phase.TOUCHDOWN:
             return  # the ground carries a part of the weight
         force = self._force
-        if isnan(force) and before is not None and now.time - before.time > 1e-3:
-            elapsed = now.time - before.time
-            force = specific_force_z(before.velocity_world, now.velocity_world, elapsed, now.attitude)
+        if isnan(force) and previous is not None and now.time - previous.time > 1e-3:
+            elapsed = now.time - previous.time
+            force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
 
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
-        present, self._present = self._present, {}
+        present, self._pending = self._pending, {}
         if observation.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(observation.findings).items()}
         present |= self._health.estimate_age(estimate, observation.time)
@@ -320,7 +320,7 @@ class Flyer:
         for controller in (self._controller, self._nominal):
             if controller is not None:
                 controller.reset(self._state, time)
-        self._prepared, self._solved = False, time
+        self._prepared, self._last_solution = False, time
 
     # --- setpoint
 
@@ -353,7 +353,7 @@ class Flyer:
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
         if self._ramp.failed:
-            self._present[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N"
+            self._pending[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N"
         if not self._ramp.lifted:
             return
         settings = self._settings.thrust
@@ -367,7 +367,7 @@ class Flyer:
         since = observation.time - self.mission.phase_started
         decision.rate_body = ZERO_RATE
         share = max(0.0, 1.0 - since / SHUTDOWN_TIME)
-        decision.collective_thrust = share * min(self._last[1], 0.5 * self._vehicle.weight)
+        decision.collective_thrust = share * min(self._last_setpoint[1], 0.5 * self._vehicle.weight)
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
             decision.transitions += self.engagement.release("landed, left to the autopilot to disarm", observation.time)
@@ -404,10 +404,10 @@ class Flyer:
         finite = isfinite(float(command.rate_body.sum()) + command.collective_thrust)
         if command.status != 0 or not finite:
             detail = f"status {command.status}" if finite else "the solution is not finite"
-            self._present[Event.SOLVER_FAILED] = detail
+            self._pending[Event.SOLVER_FAILED] = detail
             return None
-        self._solution, self._flies = (time, command, controller), controller
-        self._solved = time
+        self._solution, self._flying = (time, command, controller), controller
+        self._last_solution = time
         return command.rate_body, command.collective_thrust
 
     def _watch_ground(self, observation: ObservationRecord, collective_thrust: float) -> None:
@@ -420,7 +420,7 @@ class Flyer:
         if self._landing.update(observation.time, climb_rate, collective_thrust, reported_landed=reported_landed):
             self.mission.shut_down(observation.time)
         elif long and self.mission.phase is Phase.TOUCHDOWN:
-            self._present[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
+            self._pending[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
 
     def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
         """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""
@@ -430,8 +430,8 @@ class Flyer:
         limited = zip(decision.rate_body.tolist(), self._rate_limit, strict=True)
         decision.rate_body = np.array([min(max(rate, -limit), limit) for rate, limit in limited])
         decision.collective_thrust = min(max(decision.collective_thrust, 0.0), self._thrust_limit)
-        decision.thrust = self._map.setpoint(decision.collective_thrust, self.effectiveness.value)
-        self._last = (decision.rate_body, decision.collective_thrust)
+        decision.thrust = self._thrust_map.setpoint(decision.collective_thrust, self.effectiveness.value)
+        self._last_setpoint = (decision.rate_body, decision.collective_thrust)
         self._sent = (decision.rate_body, decision.collective_thrust, decision.thrust, observation.time)
 
     def _window(self, controller: Controller, time: float) -> tuple[Floats, Floats]:

@@ -260,7 +260,7 @@ def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: V
     assert "nothing arrives" in report.outcome or "failsafe" in report.outcome
 
 
-def test_a_link_that_never_speaks_is_reported_with_what_to_check(vehicle: Vehicle) -> None:
+def test_a_silent_link_is_reported_with_what_to_check(vehicle: Vehicle) -> None:
     with pytest.raises(VehicleError, match="No MAVLink arrived"):
         fly(vehicle, Announcements(), request_for(f"udpin:127.0.0.1:{free_port()}", timeout=0.5))
 

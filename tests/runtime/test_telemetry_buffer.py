@@ -72,7 +72,7 @@ def test_the_rate_of_estimates_is_that_of_the_last_moments() -> None:
     assert buffer.estimate_rate(3.0) == 0.0
 
 
-def test_texts_of_the_vehicle_are_kept_for_the_supervisor() -> None:
+def test_texts_of_the_vehicle_wait_for_the_supervisor() -> None:
     buffer = TelemetryBuffer()
     buffer.reaction(Reaction(texts=[Text(1.0, 4, "Preflight Fail"), Text(1.0, 6, "Armed")]))
     assert list(buffer.texts) == ["Preflight Fail", "Armed"]

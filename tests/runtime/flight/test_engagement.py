@@ -1,4 +1,4 @@
-"""Control is taken only when told to, only when HEARTBEAT confirms it, and given up whenever someone else has it."""
+"""Control is taken only on request, only when HEARTBEAT confirms it, and given up whenever someone else has it."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_without_arm_it_waits_for_the_pilot_to_arm() -> None:
     assert machine.state is State.ENGAGED
 
 
-def test_a_vehicle_found_armed_is_left_alone() -> None:
+def test_a_vehicle_armed_before_is_left_alone() -> None:
     machine = Engagement(SETTINGS)
     machine.engage()
     transitions = run(machine, replace(FLYING, offboard=False, mode="HOLD"), 0.0, 10.0)
@@ -105,7 +105,7 @@ def test_a_vehicle_found_armed_is_left_alone() -> None:
     assert "--resume" in machine.refusal
 
 
-def test_a_vehicle_found_armed_is_taken_over_with_resume() -> None:
+def test_a_vehicle_armed_before_is_taken_over_with_resume() -> None:
     machine = Engagement(EngagementSettings(resume=True))
     machine.engage()
     run(machine, replace(FLYING, offboard=False, mode="HOLD"), 0.0, 2.0)
@@ -119,7 +119,7 @@ def test_when_the_pilot_takes_the_mode_it_stops_and_stays_away() -> None:
     transitions = run(machine, replace(FLYING, offboard=False, mode="POSCTL"), 3.0, 4.0)
     assert [transition.after for transition in transitions] == [State.STANDBY]
     assert "POSCTL" in transitions[0].reason
-    # PX4 went back to OFFBOARD by itself or the pilot did: still nobody told us
+    # PX4 went back to OFFBOARD by itself or the pilot did: still nothing was requested
     assert run(machine, FLYING, 4.0, 20.0) == []
     assert not machine.streaming
 

@@ -1,4 +1,4 @@
-"""Events are raised, cleared and turned into fallbacks as their policies say."""
+"""Events are raised, cleared and turned into fallbacks as in their policies."""
 
 from __future__ import annotations
 

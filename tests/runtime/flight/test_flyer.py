@@ -77,14 +77,14 @@ def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Cont
     assert np.max(heights) < 0.8
 
 
-def test_nothing_is_sent_before_it_is_told_to_engage(vehicle: Vehicle, controller: Controller) -> None:
+def test_nothing_is_sent_before_engaging_is_requested(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller)
     flight.engage = False
     story = flight.run(3.0)
     assert all(decision.rate_body is None and not decision.requests for decision in story.decisions)
 
 
-def test_a_vehicle_found_armed_is_not_streamed_to(vehicle: Vehicle, controller: Controller) -> None:
+def test_nothing_is_streamed_to_a_vehicle_armed_before(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller)
     flight.armed, flight.mode = True, "OFFBOARD"
     story = flight.run(3.0)
@@ -179,7 +179,7 @@ def test_a_slipped_clock_is_not_compensated_but_fallen_back_from(vehicle: Vehicl
 @pytest.mark.parametrize("event", [Event.INPUT_NOT_FINITE, Event.ESTIMATE_JUMP, Event.CLOCK_BACKWARDS])
 def test_a_doubted_estimate_is_not_followed(vehicle: Vehicle, controller: Controller, event: Event) -> None:
     flight = tracking(vehicle, controller)
-    flight.findings, flight.frozen = {event.value: "as planted"}, True  # the link withholds what it does not believe
+    flight.findings, flight.frozen = {event.value: "as planted"}, True  # the link withholds what it rejects
     flight.run(0.08)
     assert flight.flyer.engagement.state is State.FALLBACK
     assert "as planted" in flight.story.transitions[-1].reason
@@ -348,7 +348,7 @@ def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_to_physics_for
     later = [decision for decision in story.decisions[first:] if decision.rate_body is not None]
     assert {decision.fallback for decision in later} == {Fallback.NOMINAL_MODEL}
     rates = np.array([decision.rate_body for decision in later[:50]])
-    assert np.abs(np.diff(rates, axis=0)).max() < 0.4  # 0.5 where physics takes the other's plan over
+    assert np.abs(np.diff(rates, axis=0)).max() < 0.4  # 0.5 where the nominal model starts from the other's plan
     assert max(story.errors) < 0.3
     again = swinging(vehicle, 0.6).flyer
     for (observation, estimate), before in zip(story.observations, story.decisions, strict=True):

@@ -46,7 +46,7 @@ def test_a_physical_model_s_rates_may_miss_as_much_as_before(arpl_250g: Vehicle)
 
 
 @pytest.mark.parametrize(("jump", "events"), [(0.9, set()), (1.1, {Event.MODEL_OSCILLATES})])
-def test_setpoints_that_turn_back_from_tick_to_tick_are_noticed_where_the_limit_is(
+def test_setpoints_that_turn_back_from_tick_to_tick_are_detected_at_the_limit(
     arpl_250g: Vehicle, jump: float, events: set[Event]
 ) -> None:
     health = FlightHealth(arpl_250g)

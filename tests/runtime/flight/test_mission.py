@@ -73,7 +73,7 @@ def test_positions_and_velocities_of_every_phase_belong_together(vehicle: Vehicl
     assert np.max(np.linalg.norm(moved - predicted, axis=1)) < 0.02
 
 
-def test_told_to_land_it_brakes_and_comes_down_there(vehicle: Vehicle) -> None:
+def test_a_landing_in_the_air_brakes_and_descends_there(vehicle: Vehicle) -> None:
     mission = airborne(vehicle)
     _, states, time = fly(mission, state_at((0.5, -0.5, 0.15)), 1.0, 9.0)
     state = states[-1]
@@ -85,7 +85,7 @@ def test_told_to_land_it_brakes_and_comes_down_there(vehicle: Vehicle) -> None:
     assert np.linalg.norm(after[-1, 0:2] - state[0:2]) < np.linalg.norm(state[VELOCITY]) ** 2 / 2 + 0.1
 
 
-def test_told_to_land_on_the_ground_it_only_shuts_down(vehicle: Vehicle) -> None:
+def test_a_landing_on_the_ground_only_shuts_down(vehicle: Vehicle) -> None:
     mission = Mission(vehicle, Transfer(vehicle, pose(0, 0, 1), pose(1, 0, 1), 3.0), Plan())
     mission.ramp(state_at((0, 0, 0)), 0.0)
     mission.land("interrupted", state_at((0, 0, 0)), 0.5)

@@ -1,4 +1,4 @@
-"""Vehicles of any weight lift off without a leap, the controller takes over without a step, landings are noticed."""
+"""Vehicles of any weight lift off without a leap, the controller takes over without a step, landings are detected."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def lift_off(effectiveness: float, *, lag: float = 0.08) -> tuple[TakeoffRamp, f
 
 
 @pytest.mark.parametrize("effectiveness", [0.7, 0.85, 1.0, 1.3])
-def test_vehicles_lighter_or_heavier_than_believed_lift_off_gently(effectiveness: float) -> None:
+def test_vehicles_lighter_or_heavier_than_modelled_lift_off_gently(effectiveness: float) -> None:
     ramp, height, climb = lift_off(effectiveness)
     assert ramp.lifted
     assert height < 0.3
@@ -65,7 +65,7 @@ def test_the_controller_takes_over_without_a_step() -> None:
     assert np.max(np.abs(np.diff(thrusts))) < 0.05
 
 
-def test_landing_is_noticed_by_stillness_at_low_thrust_or_by_the_vehicle_s_word() -> None:
+def test_landing_is_detected_by_stillness_at_low_thrust_or_reported_by_the_vehicle() -> None:
     detector = LandingDetector(WEIGHT)
     flying = [detector.update(t * 0.01, -0.5, 0.9 * WEIGHT, reported_landed=False) for t in range(100)]
     assert not any(flying)

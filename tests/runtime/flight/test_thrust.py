@@ -1,4 +1,4 @@
-"""Newtons become the right 0..1, and a planted hover point is found in spite of lag, noise and a sagging battery."""
+"""Thrust becomes the right 0..1, and a planted effectiveness is estimated despite lag, noise and a sagging battery."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_a_sagging_battery_is_followed() -> None:
     assert np.max(np.abs(errors[200:])) < 0.06
 
 
-def test_a_response_twice_as_slow_as_believed_leaves_the_mean_right() -> None:
+def test_a_response_twice_as_slow_as_modelled_leaves_the_mean_right() -> None:
     _, errors = estimate(lambda time: 0.85, lag=0.1)
     assert abs(np.mean(errors[500:])) < 0.02
 
@@ -109,7 +109,7 @@ def test_shocks_are_gated_and_change_nothing() -> None:
     assert estimator.rejected >= 20
 
 
-def test_a_lasting_contradiction_is_believed_in_the_end() -> None:
+def test_a_lasting_contradiction_is_accepted_in_the_end() -> None:
     estimator, _ = estimate(lambda time: 1.0)
     for tick in range(600):
         time = 20.0 + tick * 0.01

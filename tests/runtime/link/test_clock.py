@@ -65,7 +65,7 @@ def test_the_stated_uncertainty_covers_the_error() -> None:
 
 
 def test_a_wandering_clock_is_followed() -> None:
-    """Drift that swings by plus and minus 10 ms per second, as simulators' clocks do."""
+    """Drift that alternates by plus and minus 10 ms per second, as simulators' clocks do."""
 
     def vehicle(ours: float) -> float:
         return ours + 7.0 + 0.016 * np.sin(2 * np.pi * ours / 10.0)
@@ -104,7 +104,7 @@ def test_single_outliers_move_nothing() -> None:
     assert exchange.clock.resets == 0
 
 
-def test_a_lasting_jump_is_taken_over_and_told() -> None:
+def test_a_lasting_jump_restarts_the_filter_and_is_reported() -> None:
     exchange = Exchange(0.001)
     exchange.run(5.0, linear(5.0, 0.0))
     exchange.run(1.0, linear(9.0, 0.0))

@@ -64,7 +64,7 @@ def test_an_acknowledged_mode_that_never_shows_is_a_failure(link: Link, vehicle:
     assert "heartbeat did not show it" in result.reason
 
 
-def test_a_refused_arming_says_so(link: Link, vehicle: FakeVehicle) -> None:
+def test_a_refused_arming_has_its_reason(link: Link, vehicle: FakeVehicle) -> None:
     vehicle.obeys = False
     vehicle.acknowledgements[ARM] = [TEMPORARILY_REJECTED]
     result = commands.set_armed(link, True)

@@ -37,7 +37,7 @@ def feed(monitor: EstimateMonitor, time: float, **fields: Any) -> Judgement:
     return monitor.handle_odometry(read(**fields), time, time + 0.005, True)
 
 
-def believed(judgement: Judgement | None) -> StateEstimate:
+def accepted(judgement: Judgement | None) -> StateEstimate:
     assert judgement is not None
     assert judgement.estimate is not None, judgement
     return judgement.estimate
@@ -77,7 +77,7 @@ def test_both_velocity_frames_give_the_same_state(
     names = ("x", "y", "z", "vx", "vy", "vz", "rollspeed", "pitchspeed", "yawspeed")
     for child, wire_velocity in ((1, velocity), (12, velocity_body)):
         values = dict(zip(names, (*position, *wire_velocity, *rate), strict=True))
-        estimate = believed(feed(EstimateMonitor(), 1.0, q=attitude.tolist(), child_frame_id=child, **values))
+        estimate = accepted(feed(EstimateMonitor(), 1.0, q=attitude.tolist(), child_frame_id=child, **values))
         assert estimate.position_world == pytest.approx(NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ position, abs=1e-4)
         assert estimate.velocity_world == pytest.approx(NORTH_EAST_DOWN_TO_EAST_NORTH_UP @ velocity, abs=1e-4)
         assert estimate.rate_body == pytest.approx(FORWARD_RIGHT_DOWN_TO_FORWARD_LEFT_UP @ rate, abs=1e-4)
@@ -99,7 +99,7 @@ def test_what_is_not_finite_is_refused(monitor: EstimateMonitor, field: str, val
     feed(monitor, 1.0)
     judgement = feed(monitor, 1.01, **{field: value})
     assert (judgement.estimate, judgement.event) == (None, "estimate_not_finite")
-    assert believed(feed(monitor, 1.02)).time == 1.02
+    assert accepted(feed(monitor, 1.02)).time == 1.02
 
 
 @pytest.mark.parametrize("attitude", [[0.0] * 4, [float("nan"), 0.0, 0.0, 0.0], [2.0, 0.0, 0.0, 0.0]])
@@ -112,14 +112,14 @@ def test_a_jump_is_refused_until_it_lasts(monitor: EstimateMonitor) -> None:
     first = feed(monitor, 1.01, x=3.0)
     assert (first.estimate, first.event) == (None, "estimate_jump")
     assert "position by 3.00 m" in first.text
-    believed(feed(monitor, 1.02))
+    accepted(feed(monitor, 1.02))
     findings = [feed(monitor, 1.03 + 0.01 * n, x=3.0).event for n in range(11)]
     assert findings == ["estimate_jump"] * 9 + ["estimate_moved"] + [None]
     assert monitor.latest is not None
     assert monitor.latest.position_world[1] == pytest.approx(3.0)
 
 
-def test_samples_that_jump_about_are_never_believed(monitor: EstimateMonitor) -> None:
+def test_samples_that_jump_about_are_never_accepted(monitor: EstimateMonitor) -> None:
     feed(monitor, 1.0)
     findings = {feed(monitor, 1.0 + 0.01 * n, x=30.0 * (n % 5 + 1)).event for n in range(1, 80)}
     assert findings == {"estimate_jump"}
@@ -148,10 +148,10 @@ def test_fast_flight_is_not_a_jump(monitor: EstimateMonitor) -> None:
             q=[np.cos(5.0 * time), np.sin(5.0 * time), 0.0, 0.0],
             rollspeed=10.0,
         )
-        believed(judgement)
+        accepted(judgement)
 
 
-def test_a_reset_is_told_with_its_step(monitor: EstimateMonitor) -> None:
+def test_a_reset_is_reported_with_its_step(monitor: EstimateMonitor) -> None:
     yaw = np.radians(90.0)
     feed(monitor, 1.0, vx=1.0, reset_counter=11)
     judgement = feed(
@@ -161,7 +161,7 @@ def test_a_reset_is_told_with_its_step(monitor: EstimateMonitor) -> None:
     assert judgement.step is not None
     assert judgement.step.position_world == pytest.approx([2.0, 0.0, 1.0], abs=1e-5)
     assert judgement.step.yaw == pytest.approx(-yaw, abs=1e-5)  # to the right is negative about up
-    assert believed(judgement).position_world == pytest.approx([2.0, 0.1, 1.0])
+    assert accepted(judgement).position_world == pytest.approx([2.0, 0.1, 1.0])
 
 
 def test_a_reset_counter_that_starts_anywhere_is_no_reset(monitor: EstimateMonitor) -> None:
@@ -169,11 +169,11 @@ def test_a_reset_counter_that_starts_anywhere_is_no_reset(monitor: EstimateMonit
     assert feed(monitor, 1.01, reset_counter=11).event is None
 
 
-def test_time_running_backwards_is_told_and_survived(monitor: EstimateMonitor) -> None:
+def test_time_running_backwards_is_reported_and_survived(monitor: EstimateMonitor) -> None:
     feed(monitor, 5.0)
     judgement = feed(monitor, 4.0)
     assert (judgement.estimate, judgement.event) == (None, "estimate_time_backwards")
-    assert believed(feed(monitor, 5.01)).time == 5.01
+    assert accepted(feed(monitor, 5.01)).time == 5.01
 
 
 def test_the_same_sample_twice_is_dropped_silently(monitor: EstimateMonitor) -> None:
@@ -193,7 +193,7 @@ def test_the_attitude_s_sign_never_jumps(monitor: EstimateMonitor) -> None:
         half = 0.02 * n
         sign = -1.0 if n % 3 else 1.0
         attitude = [sign * np.cos(half), 0.0, 0.0, sign * np.sin(half)]
-        estimate = believed(feed(monitor, 1.0 + 0.01 * n, q=attitude, yawspeed=4.0))
+        estimate = accepted(feed(monitor, 1.0 + 0.01 * n, q=attitude, yawspeed=4.0))
         assert previous is None or float(estimate.attitude @ previous) > 0.99
         previous = estimate.attitude
 
@@ -211,7 +211,7 @@ def test_position_and_attitude_messages_stand_in_for_odometry(monitor: EstimateM
     attitude = quaternion.from_euler(0.1, -0.2, 1.0)
     assert monitor.handle_attitude(_attitude(attitude), 0.9, 0.9, True) is None
     monitor.handle_local_position(_local_position(x=1.0, y=2.0, z=-3.0, vx=0.5), 1.0)
-    estimate = believed(monitor.handle_attitude(_attitude(attitude), 1.02, 1.03, True))
+    estimate = accepted(monitor.handle_attitude(_attitude(attitude), 1.02, 1.03, True))
     assert estimate.source == "LOCAL_POSITION_NED"
     assert estimate.position_world == pytest.approx([2.0, 1.01, 3.0])
     assert quaternion.angle_between(estimate.attitude, frames.attitude_enu_flu(attitude)) < 1e-9

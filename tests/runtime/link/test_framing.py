@@ -57,7 +57,7 @@ def test_no_bytes_break_the_parser(data: bytes) -> None:
 
 
 @given(st.integers(0, len(FRAMES[0]) - 1), st.integers(1, 255))
-def test_a_damaged_frame_is_not_believed(at: int, change: int) -> None:
+def test_a_damaged_frame_is_rejected(at: int, change: int) -> None:
     damaged = bytearray(FRAMES[0])
     damaged[at] ^= change
     parser = FrameParser()

@@ -1,4 +1,4 @@
-"""A running link finds its vehicle, keeps its time, hands over its estimates, and survives what it is sent."""
+"""A running link finds its vehicle, follows its clock, publishes its estimates, and survives any message."""
 
 from __future__ import annotations
 
@@ -78,14 +78,14 @@ def test_we_speak_as_the_companion_on_board(link: Link, vehicle: FakeVehicle) ->
     assert heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID
 
 
-def test_a_ground_station_s_heartbeat_is_sent_when_asked_for() -> None:
+def test_a_ground_station_s_heartbeat_is_sent_on_request() -> None:
     with open_link(LinkSettings(gcs_heartbeat=True)) as link, FakeVehicle((LOCAL, port_of(link)), system=7) as vehicle:
         wait_until(lambda: vehicle.count("HEARTBEAT") >= 4)
         kinds = {(m.get_srcSystem(), m.type) for m in vehicle.received if m.get_type() == "HEARTBEAT"}
         assert kinds == {(7, mavlink.MAV_TYPE_ONBOARD_CONTROLLER), (7, mavlink.MAV_TYPE_GCS)}
 
 
-def test_the_vehicle_s_clock_is_found(link: Link, vehicle: FakeVehicle) -> None:
+def test_the_vehicle_s_clock_becomes_valid(link: Link, vehicle: FakeVehicle) -> None:
     wait_until(lambda: link.peer.clock.is_valid(time.monotonic()))
     assert link.peer.clock.offset(time.monotonic()) == pytest.approx(vehicle.clock_offset, abs=0.02)
     vehicle.send_odometry(x=1.0)
@@ -166,20 +166,20 @@ def test_a_vehicle_that_changes_its_port_is_followed(link: Link, vehicle: FakeVe
         wait_until(lambda: moved.count("HEARTBEAT"))
 
 
-def test_a_wrong_system_id_is_told_with_those_heard() -> None:
+def test_a_wrong_system_id_is_reported_with_those_heard() -> None:
     with open_link(LinkSettings(target_system=42)) as link, FakeVehicle((LOCAL, port_of(link))):
         with pytest.raises(VehicleError, match=r"No vehicle with system id 42.*Heard.*1/1 \(quadrotor, px4\)"):
             link.wait_for_vehicle(0.5)
         assert not link.status.is_known
 
 
-def test_a_link_that_never_speaks_is_told_what_to_check(link: Link) -> None:
+def test_a_silent_link_is_reported_with_what_to_check(link: Link) -> None:
     with pytest.raises(VehicleError, match=r"No MAVLink arrived on udpin.*nothing at all.*14540") as refusal:
         link.wait_for_vehicle(0.1)
     assert refusal.value.exit_code == 4
 
 
-def test_bytes_that_are_no_mavlink_are_told_apart_from_silence(link: Link) -> None:
+def test_bytes_that_are_no_mavlink_are_distinguished_from_silence(link: Link) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as noise:
         noise.sendto(b"hello there" * 10, (LOCAL, port_of(link)))
         wait_until(lambda: link.parser.skipped_bytes > 0)
@@ -187,7 +187,7 @@ def test_bytes_that_are_no_mavlink_are_told_apart_from_silence(link: Link) -> No
         link.wait_for_vehicle(0.1)
 
 
-def test_a_vehicle_that_falls_silent_is_told_and_its_return_too(
+def test_a_vehicle_s_silence_and_its_return_are_reported(
     link: Link, vehicle: FakeVehicle, events: list[LinkEvent]
 ) -> None:
     vehicle.speaks = False
@@ -332,7 +332,7 @@ def test_battery_and_outputs_are_read(harness: PeerHarness) -> None:
     assert outputs.value == pytest.approx((0.1, 0.2, 0.3, 0.4))
 
 
-def test_a_failsafe_is_seen_in_mode_and_state(harness: PeerHarness) -> None:
+def test_a_failsafe_is_observed_in_mode_and_state(harness: PeerHarness) -> None:
     harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 6 << 16, 4, 3), 1.0)
     harness.feed(mavlink.MAVLink_heartbeat_message(2, 12, 128, 4 << 16 | 5 << 24, mavlink.MAV_STATE_CRITICAL, 3), 2.0)
     assert [event.name for event in harness.events][-2:] == ["mode_changed", "vehicle_critical"]

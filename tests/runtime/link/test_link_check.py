@@ -1,4 +1,4 @@
-"""Checking a link tells who is there, what arrives, and what would stop a flight, without sending a setpoint."""
+"""The check of a link reports vehicle, rates and problems, without sending a setpoint."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ PARAMETERS = {
 
 
 class StreamingVehicle(FakeVehicle):
-    """A vehicle at rest on the ground that streams its estimate and IMU at fixed rates, whatever it is asked for."""
+    """A vehicle at rest on the ground that streams its estimate and IMU at fixed rates, whatever is requested."""
 
     def __init__(self, port: int, rate: float = 100.0, **odometry: Any) -> None:
         super().__init__(("127.0.0.1", port))
@@ -108,7 +108,7 @@ def test_nothing_flies_and_the_streams_are_given_back(port: int, vehicle: Stream
     assert vehicle.custom_mode == 4 << 16 | 3 << 24
 
 
-def test_a_double_acknowledgement_is_noticed(port: int, vehicle: StreamingVehicle) -> None:
+def test_a_double_acknowledgement_is_counted(port: int, vehicle: StreamingVehicle) -> None:
     vehicle.acknowledgements[mavlink.MAV_CMD_DO_SET_MODE] = [0, 1]
     assert check(port).acknowledgements_of_mode == 2
 
@@ -128,7 +128,7 @@ def test_unknown_axes_stop_a_flight(port: int) -> None:
     assert "No state estimate arrived" in problems(report)
 
 
-def test_a_wrong_attitude_is_seen_by_gravity(port: int, vehicle: StreamingVehicle) -> None:
+def test_gravity_reveals_a_wrong_attitude(port: int, vehicle: StreamingVehicle) -> None:
     vehicle.specific_force = (0.0, -9.81, 0.0)
     report = check(port)
     assert report.attitude is not None
@@ -147,7 +147,7 @@ def test_dangerous_parameters_are_warned_of(port: int, vehicle: StreamingVehicle
     assert report.is_ready
 
 
-def test_a_link_that_never_speaks_is_refused(port: int) -> None:
+def test_a_silent_link_is_refused(port: int) -> None:
     with pytest.raises(VehicleError, match="No MAVLink arrived"):
         check_link(Endpoint("udpin", "127.0.0.1", port), timeout=0.1)
 

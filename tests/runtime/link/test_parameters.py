@@ -60,7 +60,7 @@ def test_values_are_read_by_name(link: Link, vehicle: FakeVehicle) -> None:
     assert (action.value, action.type) == (4, INT)
 
 
-def test_an_unknown_name_is_told(link: Link, vehicle: FakeVehicle) -> None:
+def test_an_unknown_name_is_an_error(link: Link, vehicle: FakeVehicle) -> None:
     missing = read_parameter(link, "NO_SUCH_THING")
     assert (missing.value, missing.error) == (None, "does_not_exist")
 
@@ -76,7 +76,7 @@ def test_a_value_is_set_in_the_vehicle_s_type(link: Link, vehicle: FakeVehicle) 
     assert set_parameter(link, "THR_MDL_FAC", 0.3).error == ""
 
 
-def test_a_value_that_is_not_taken_is_told(link: Link, vehicle: FakeVehicle) -> None:
+def test_a_value_that_is_not_taken_is_an_error(link: Link, vehicle: FakeVehicle) -> None:
     class Stubborn(dict[str, tuple[float, int]]):
         def __setitem__(self, name: str, value: tuple[float, int]) -> None:
             return

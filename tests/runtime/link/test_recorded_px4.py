@@ -80,7 +80,7 @@ def test_every_message_is_understood(replay: Replay) -> None:
     assert names["CURRENT_MODE"] == 33
 
 
-def test_every_estimate_of_the_flight_is_believed(replay: Replay) -> None:
+def test_every_estimate_of_the_flight_is_accepted(replay: Replay) -> None:
     heard = next(received for received, frame in replay.frames if frame.message_id == 0 and frame.component == 1)
     odometry = [time for time, frame in replay.frames if frame.message_id == 331 and time > heard]
     assert len(replay.estimates) == len(odometry)
@@ -137,13 +137,13 @@ def test_states_are_dated_by_the_vehicle_s_clock(replay: Replay) -> None:
     assert age.min() >= 0.0
     assert np.percentile(age, 99.5) < 0.015
     assert age.max() > 0.1  # the recording's two stalls come out as old states, not as new ones
-    # successive states are as far apart as the vehicle says, but for its clock's drift of under 1 per cent
+    # successive states are as far apart as on the vehicle's clock, whose drift is under 1 per cent
     spacing = np.diff([estimate.time for _, estimate in dated])
     boot_spacing = np.diff([boot for boot, _ in dated])
     assert np.percentile(np.abs(spacing - boot_spacing), 99) < 2e-3
 
 
-def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(replay: Replay, log: dict[str, Floats]) -> None:
+def test_mode_changes_and_the_failsafe_are_observed_when_they_happened(replay: Replay, log: dict[str, Floats]) -> None:
     times = log["vehicle_status_time_usec"] * 1e-6
     states = [NAV_STATES[int(state)] for state in log["vehicle_status"][:, 0]]
     mode_changes = [(states[i], times[i]) for i in range(1, len(states)) if states[i] != states[i - 1]]
@@ -163,7 +163,7 @@ def test_mode_changes_and_the_failsafe_are_seen_when_they_happened(replay: Repla
     assert 0.0 < critical.time - failsafe < 1.1
 
 
-def test_arming_and_landing_are_seen(replay: Replay) -> None:
+def test_arming_and_landing_are_observed(replay: Replay) -> None:
     names = [event.name for event in replay.events if event.name in ("armed", "disarmed")]
     assert names == ["armed", "disarmed"]
     landed = [event.text.split()[-1].rstrip(".") for event in replay.events if event.name == "landed_state"]

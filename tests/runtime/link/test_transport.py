@@ -1,4 +1,4 @@
-"""Sockets and serial lines: what cannot be opened says what to do, what breaks says so, and nothing blocks a sender."""
+"""Sockets and serial lines: a refusal names a remedy, a loss is reported, and nothing blocks a sender."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ def test_a_file_that_is_no_device_is_refused(tmp_path: Path) -> None:
         open_transport(Endpoint("serial", device=str(path)))
 
 
-def test_nobody_listening_is_told(sender: socket.socket) -> None:
+def test_a_missing_listener_is_reported(sender: socket.socket) -> None:
     with socket.create_server((LOCAL, 0)) as server:
         port = server.getsockname()[1]
     with pytest.raises(VehicleError, match="nobody listens there"):
@@ -108,7 +108,7 @@ def test_datagrams_carry_the_kernel_s_time_of_arrival(listener: UdpTransport, se
     assert before - 1e-3 <= received.time <= after + 1e-2
 
 
-def test_udpin_stays_silent_until_it_is_told_whom_to_answer(listener: UdpTransport, sender: socket.socket) -> None:
+def test_udpin_stays_silent_until_it_has_a_peer(listener: UdpTransport, sender: socket.socket) -> None:
     assert not listener.send(b"nobody")
     sender.sendto(b"hello", (LOCAL, listener.port))
     listener.answer(receive(listener).source)

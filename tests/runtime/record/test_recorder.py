@@ -1,4 +1,4 @@
-"""The recorder keeps what it was given, through kill -9, torn files and full disks, and never blocks the tick."""
+"""The recorder preserves its records through kill -9, incomplete files and full disks, and never blocks the tick."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ class SmallDisk:
         self._file.close()
 
 
-def test_a_full_disk_is_told_and_what_was_written_stays_readable(
+def test_a_full_disk_is_reported_and_what_was_written_stays_readable(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(SmallDisk, "room", 100_000)
