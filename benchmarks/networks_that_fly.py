@@ -15,6 +15,7 @@ from provenance import write_result
 from table_two import FIRST_SEED
 from table_two_worker import DURATION, VEHICLE, Run, in_lockstep
 
+from dynamics.vehicle_file import find_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
 from runtime.control.rti.problem import Problem
@@ -22,7 +23,6 @@ from runtime.control.rti.processor import native_processor
 from studies.tables import Cell, Table, markdown
 from training.ground_truth import true_label
 from training.prediction import flight_errors, pooled, predict
-from vehicles import vehicle_path
 
 PLAUSIBLE = ("--physics-points", "plausible", "--physics-weight", "0.01")
 SPACE = ("--physics-points", "space", "--physics-weight", "1")
@@ -64,7 +64,7 @@ def row(name: str, place: int) -> tuple[Cell, ...]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.parse_args()
-    rows = [("nominal model", None, *flown(str(vehicle_path(VEHICLE))))]
+    rows = [("nominal model", None, *flown(str(find_vehicle(VEHICLE))))]
     rows += [row(name, place) for place, name in enumerate(TRAININGS)]
     headings = ("trained with", "RMSE against the truth", "Lemniscate, cm", "share that physics flew", "ended early")
     note = "One member and one flight each. Physics takes over where a network makes the vehicle oscillate."

@@ -21,7 +21,7 @@ from provenance import write_result
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
 from runtime.control.controller import Controller
@@ -33,7 +33,6 @@ from runtime.flight_setup import exported_bundle
 from simulation.lockstep import FlownReference, fly_reference
 from sitl_mock.vehicle.sensors import SensorErrors
 from sitl_mock.vehicle.vehicle import VehicleOptions
-from vehicles import vehicle_path
 
 VEHICLE = "arpl_250g"
 MODELS = ("nominal", "grey_box", "pi_tcn", "pi_mlp", "res_tcn", "mse_tcn")
@@ -48,7 +47,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--noise", default="1,2", help="factors on the usual noise of gyro and estimate")
     factors = [float(text) for text in parser.parse_args().noise.split(",")]
-    body = read_vehicle(vehicle_path(VEHICLE))
+    body = read_vehicle(find_vehicle(VEHICLE))
     with tempfile.TemporaryDirectory() as folder:
         lines = [
             _row(body, model, manoeuvre, noise, Path(folder))
@@ -71,7 +70,7 @@ def _head() -> list[str]:
 
 
 def _controllers(model: str, folder: Path) -> tuple[Controller, Controller | None]:
-    path = vehicle_path(VEHICLE)
+    path = find_vehicle(VEHICLE)
     if model == "nominal":
         return Controller.build(read_vehicle(path)), None
     if not (folder / model).exists():

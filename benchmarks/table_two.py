@@ -29,14 +29,13 @@ from diagnosis.addition import write_next_version
 from diagnosis.completion import complete
 from diagnosis.data.dataset import read_dataset
 from dynamics.effects import CATALOGUE
-from dynamics.vehicle_file import read_vehicle
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
 from flights.parallel import parallel_map
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
 from studies.paper import TRACKING_NOMINAL
-from vehicles import vehicle_path
 
 BUILD = Path(__file__).parent.parent / "build"
 MODELS = ("nominal", "effects", "pi_mlp", "pi_tcn", "grey_box")
@@ -93,14 +92,14 @@ def _arguments() -> argparse.Namespace:
 def _model(name: str, keep: Path, campaign: Path) -> tuple[Path, str]:
     """A model's vehicle file or bundle, made unless it is there, and the key of what it came from."""
     if name == "nominal":
-        path = vehicle_path(VEHICLE)
+        path = find_vehicle(VEHICLE)
         return path, _key(path)
     if name == "effects":
         path = _effects_file(keep)
         if not path.exists():
             _diagnose(keep, campaign)
         return path, _key(path)
-    checkpoint = vehicle_path(VEHICLE).with_suffix(f".{name}.pt")
+    checkpoint = find_vehicle(VEHICLE).with_suffix(f".{name}.pt")
     key = _key(checkpoint)
     folder = keep / f"{name}-{key}"
     if not folder.exists():
@@ -114,7 +113,7 @@ def _effects_file(keep: Path) -> Path:
 
 def _diagnose(keep: Path, campaign: Path) -> None:
     """Write the vehicle file with what training flights show to be missing."""
-    vehicle = read_vehicle(vehicle_path(VEHICLE))
+    vehicle = read_vehicle(find_vehicle(VEHICLE))
     dataset = read_dataset([campaign / "train" / f"{name}.parquet" for name in DIAGNOSED], vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     results = complete(dataset, vehicle, CATALOGUE, date=today, command="python benchmarks/table_two.py")

@@ -16,7 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
-from dynamics.vehicle_file import parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from flights import Flight, filters
 from runtime.control.controller import Controller
 from runtime.daemon import Daemon
@@ -28,7 +28,6 @@ from simulation.mock_process import mock_process
 from studies.demo.flights import BRISK, FINDING_PATIENCE
 from studies.demo.report import tracked
 from training.data.labels import RATE_CUTOFF, VELOCITY_CUTOFF
-from vehicles import vehicle_path
 
 VEHICLE = "arpl_250g"
 DURATION, RAMP = 15.0, 3.0  # s of the reference that are flown, and of its beginning that do not count
@@ -169,7 +168,7 @@ def _fallbacks(recording: FlightRecording) -> dict[str, float | int | None]:
 
 
 def in_lockstep(run: Run) -> Flown:
-    body, bundle = read_vehicle(vehicle_path(VEHICLE)), exported_bundle(Path(run.path))
+    body, bundle = read_vehicle(find_vehicle(VEHICLE)), exported_bundle(Path(run.path))
     controller = Controller.build(read_vehicle(Path(run.path))) if bundle is None else Controller.from_bundle(bundle)
     reference = named_reference(run.manoeuvre, controller.trim, duration=DURATION)
     flown = fly_reference(

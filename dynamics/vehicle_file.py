@@ -18,6 +18,17 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse, Vehicle
+from vehicles import FOLDER
+
+
+def find_vehicle(name: str | Path) -> Path:
+    """The path of a vehicle file: the path itself, or that of a bundled file by its name, such as "arpl_250g".
+
+    A file or folder of that name in the working directory comes first.
+    """
+    bundled = FOLDER / f"{name}.toml"
+    is_bundled = Path(name).name == str(name) and bundled.exists() and not Path(name).exists()
+    return bundled if is_bundled else Path(name)
 
 
 def read_vehicle(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:

@@ -16,7 +16,7 @@ from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_vehicle, vehicle_toml
+from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_toml
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
 from runtime.daemon import FlightRequest
@@ -25,7 +25,6 @@ from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
-from vehicles import vehicle_path
 
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
@@ -112,7 +111,7 @@ def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
         raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
     if isinstance(vehicle, Vehicle):
         return vehicle_toml(vehicle)
-    path = bundle / VEHICLE_TEXT if bundle is not None else vehicle_path(vehicle or "")
+    path = bundle / VEHICLE_TEXT if bundle is not None else find_vehicle(vehicle or "")
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

@@ -21,7 +21,7 @@ import numpy as np
 from dynamics.errors import RequestError
 from dynamics.references.campaign import REAL_WORLD, CampaignFlight, chosen_flights, paper_campaign
 from dynamics.vehicle import EffectUse
-from dynamics.vehicle_file import parse_effect, parse_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle
 from dynamics.version import __version__
 from flights.parallel import parallel_map
 from runtime.control.controller import Controller
@@ -29,7 +29,6 @@ from simulation.campaign_flight import FlightSummary, FlightTask, fly_task
 from sitl_mock.scenario import Scenario, parse_scenario
 from sitl_mock.vehicle.plant import build_plant
 from sitl_mock.vehicle.step_loop import StepLoop
-from vehicles import vehicle_path
 
 RECIPE, MANIFEST, SUMMARIES = "campaign.json", "manifest.json", "summaries"
 LIBRARIES = ("numpy", "casadi", "scipy", "pyarrow", "msgspec")
@@ -88,7 +87,7 @@ class Campaign:
         self.options = options
         self._catalogue = tuple(paper_campaign() if catalogue is None else catalogue)
         self.flights = chosen_flights(self._catalogue, options.flights)
-        text = _read(vehicle_path(options.vehicle), "vehicle file")
+        text = _read(find_vehicle(options.vehicle), "vehicle file")
         scenario_text = "" if options.scenario is None else _read(options.scenario, "scenario")
         self._vehicle = parse_vehicle(text)
         self._scenario = _checked(parse_scenario(scenario_text, self._vehicle.rotors.count))

@@ -21,7 +21,7 @@ from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from flights.parallel import parallel_map
 from training import checkpoint, process_group
 from training.checkpoint import TrainedModel
@@ -35,7 +35,6 @@ from training.plan import Plan, make_plan
 from training.progress import Report
 from training.recipe import Recipe, named_recipe
 from training.trainer import Member, Task, train
-from vehicles import vehicle_path
 
 POLL = 0.5  # s
 MAX_SEED = 2**31
@@ -150,7 +149,7 @@ def write_card(model: TrainedModel, out: Path) -> Path:
 
 
 def _vehicle(options: TrainOptions) -> Vehicle:
-    vehicle = read_vehicle(vehicle_path(options.vehicle))
+    vehicle = read_vehicle(find_vehicle(options.vehicle))
     uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects]
     return named_effects(vehicle, uses)
 

@@ -30,12 +30,11 @@ def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
 
 def vehicle_of(vehicle: Vehicle | str | Path, catalogue: Mapping[str, Effect]) -> Vehicle:
     """A vehicle as it is, or read from its file. Raises RequestError for a file that cannot be used."""
-    from dynamics.vehicle_file import read_vehicle
-    from vehicles import vehicle_path
+    from dynamics.vehicle_file import find_vehicle, read_vehicle
 
     if not isinstance(vehicle, (str, Path)):
         return vehicle
-    return read_vehicle(vehicle_path(vehicle), catalogue=catalogue)
+    return read_vehicle(find_vehicle(vehicle), catalogue=catalogue)
 
 
 def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:

@@ -152,17 +152,17 @@ def export(
         print(*result.summary, sep="\\n")
     """
     with workbench("alula.export"):
+        from dynamics.vehicle_file import find_vehicle
         from export.bundle import ExportOptions, export_bundle
         from export.trained import read_model
         from runtime.control.rti.problem import Problem
         from runtime.control.rti.processor import named_processor
         from simulation.flight_check import check_bundle
-        from vehicles import vehicle_path
     options = ExportOptions(
         Problem(nodes=nodes, horizon=horizon), named_processor(processor), _paths(logs), windows, seed, overwrite,
         command_line(),
     )  # fmt: skip
-    path = Path(model) if Path(model).suffix == ".pt" else vehicle_path(model)
+    path = Path(model) if Path(model).suffix == ".pt" else find_vehicle(model)
     exported = export_bundle(read_model(path, member=member, integrator=integrator), Path(out), options)
     check = check_bundle(exported.folder, exported.manifest) if flight_check else None
     return ExportResult(exported.folder, exported.manifest, exported.parity, check)

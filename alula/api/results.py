@@ -122,9 +122,9 @@ class AdditionResult:
         vehicle: the older file, or the name of a bundled one. Raises RequestError when it cannot be written.
         """
         from diagnosis.addition import write_next_version
-        from vehicles import vehicle_path
+        from dynamics.vehicle_file import find_vehicle
 
-        return write_next_version(self.vehicle, vehicle_path(vehicle))
+        return write_next_version(self.vehicle, find_vehicle(vehicle))
 
 
 @dataclass(frozen=True, eq=False)

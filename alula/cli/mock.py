@@ -9,11 +9,11 @@ from typing import Annotated
 import typer
 
 from dynamics.errors import RequestError
+from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
 from sitl_mock.server import Pace
 from sitl_mock.wire.link_spec import LinkSpec, default_links, parse_link
-from vehicles import vehicle_path
 
 
 def mock(
@@ -51,7 +51,7 @@ def mock(
 ) -> None:
     """Fly a simulated vehicle behind PX4's side of the link, until interrupted."""
     options = MockOptions(
-        vehicle=vehicle_path(vehicle),
+        vehicle=find_vehicle(vehicle),
         effects=tuple(effect or ()),
         scenario=scenario,
         seed=seed,

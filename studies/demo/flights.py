@@ -13,7 +13,7 @@ import numpy as np
 
 from dynamics.errors import VehicleError
 from dynamics.references import check_feasibility, named_reference
-from dynamics.vehicle_file import parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from runtime.control.controller import Controller
 from runtime.daemon import Daemon
 from runtime.flight.mission import Plan
@@ -21,7 +21,6 @@ from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.mock_process import mock_process
 from studies.demo.result import FlownManoeuvre
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
-from vehicles import vehicle_path
 
 Announce = Callable[[str], None]
 BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0)  # on the way to and from a manoeuvre
@@ -102,8 +101,8 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
     from flights import Flight
     from simulation.lockstep import fly_reference  # with it come the readers of logs, which a flight computer lacks
 
-    body = read_vehicle(vehicle_path(options.vehicle))
-    controller = Controller.build(read_vehicle(vehicle_path(vehicle)))
+    body = read_vehicle(find_vehicle(options.vehicle))
+    controller = Controller.build(read_vehicle(find_vehicle(vehicle)))
     reference = named_reference(name, controller.trim, duration=options.seconds)
     if model == NOMINAL:  # the better model may know that the vehicle is at its limits there; it flew it all the same
         check_feasibility(reference, controller.trim).require()

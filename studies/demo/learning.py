@@ -13,10 +13,9 @@ from diagnosis.completion import Completion, complete
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.report import sentence
 from dynamics.effects import CATALOGUE
-from dynamics.vehicle_file import read_vehicle
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 from studies.demo.flights import DemoOptions
 from studies.demo.result import Learned, PredictionError
-from vehicles import vehicle_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +37,7 @@ def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "")
 
     Raises DataError when the recordings cannot answer, RequestError when the file cannot be written.
     """
-    file = vehicle_path(options.vehicle)
+    file = find_vehicle(options.vehicle)
     vehicle = read_vehicle(file)
     dataset = read_dataset(recordings, vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()

@@ -12,10 +12,9 @@ import msgspec
 
 from dynamics.errors import RequestError
 from dynamics.references import named_reference
-from dynamics.vehicle_file import parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot
 from studies.demo.result import DemoReport, FlownManoeuvre
-from vehicles import vehicle_path
 
 if TYPE_CHECKING:
     from studies.demo.learning import Learning
@@ -26,7 +25,7 @@ NEEDED = ("scipy", "pyarrow")  # for diagnosis, which a flight computer's instal
 
 def check_options(options: DemoOptions) -> None:
     """Refuse what cannot be flown or written before anything takes off; makes the folder. Raises RequestError."""
-    vehicle = read_vehicle(vehicle_path(options.vehicle))
+    vehicle = read_vehicle(find_vehicle(options.vehicle))
     for text in options.effects:
         parse_effect(text, vehicle.rotors.count)
     for name in options.manoeuvres:
@@ -65,7 +64,7 @@ def run_demo(
     when the flights cannot be diagnosed.
     """
     check_options(options)
-    nominal = _fly_all(options, str(vehicle_path(options.vehicle)), NOMINAL, announce, started)
+    nominal = _fly_all(options, str(find_vehicle(options.vehicle)), NOMINAL, announce, started)
     absent = absent_libraries() if options.learn else ()
     report = DemoReport(
         options.vehicle, options.effects, options.seed, nominal, lockstep=options.lockstep, missing=absent

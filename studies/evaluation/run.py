@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from dynamics.errors import RequestError
 from dynamics.references.campaign import paper_campaign
-from dynamics.vehicle_file import read_vehicle
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 from studies import figures
 from studies.evaluation.inference import Inference, time_inference
 from studies.evaluation.tables import evaluation_tables, summary_lines
@@ -22,7 +22,6 @@ from training.config import ModelConfig
 from training.data.recordings import CAMPAIGN, find_logs, read_recordings
 from training.evaluation import PLANT, Evaluated, Judged, Named, evaluate, physical_model
 from training.ground_truth import campaign_of
-from vehicles import vehicle_path
 
 MODEL_SUFFIX = ".pt"
 VEHICLE_FILE = "vehicle file"
@@ -58,7 +57,7 @@ def run(
     logs = find_flights([path for path in given if path.suffix != MODEL_SUFFIX])
     dt = models[0].model.config.dt if models else ModelConfig("", "none", base="nominal").dt
     if vehicle is not None:
-        file = read_vehicle(vehicle_path(vehicle))
+        file = read_vehicle(find_vehicle(vehicle))
         like = models[0].model.config if models else ModelConfig("", "none", base="nominal", rotors=file.rotors.count)
         models.insert(0, Named(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
     if any(named.model.config.dt != dt for named in models):

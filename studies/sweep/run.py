@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from dynamics.errors import RequestError
-from dynamics.vehicle_file import read_vehicle, vehicle_toml
+from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
 from studies.sweep.catalogue import GRID, SEARCH, SEARCHED, STARRED, STUDIES, grid_cells
 from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
@@ -21,7 +21,6 @@ from studies.sweep.work import CellWork, file_hash, finished_cells
 from training.config import ModelConfig
 from training.data.recordings import CAMPAIGN, find_logs
 from training.recipe import Recipe, named_recipe
-from vehicles import vehicle_path
 
 
 class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -96,7 +95,7 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     if not tests:
         raise RequestError("no flight to judge on was given: give --test, logs or folders that nothing is trained on.")
     simulated = _simulated(options)
-    text = vehicle_toml(read_vehicle(vehicle_path(options.vehicle)))
+    text = vehicle_toml(read_vehicle(find_vehicle(options.vehicle)))
     judged = find_flights(tests)
     if shared := {path.resolve() for path in (*logs, *simulated)} & {path.resolve() for path in judged}:
         raise RequestError(f"{min(shared).name} is among both training and test flights. Give it once.")

@@ -7,15 +7,14 @@ from dynamics.effects import CATALOGUE
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.trim import find_trim
 from dynamics.vehicle import EffectUse, Vehicle
-from dynamics.vehicle_file import read_vehicle
-from vehicles import vehicle_path
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 
 HOVER = np.array([0.0, 0.0, 100.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
 
 
 @pytest.fixture
 def vehicle() -> Vehicle:
-    return read_vehicle(vehicle_path("arpl_250g"))
+    return read_vehicle(find_vehicle("arpl_250g"))
 
 
 def test_a_vehicle_without_effects_is_its_own_trim(vehicle: Vehicle) -> None:

@@ -3,6 +3,7 @@
 import re
 import stat
 import tomllib
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -10,7 +11,7 @@ import pytest
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse, HistoryEntry, Limits
-from dynamics.vehicle_file import parse_effect, parse_vehicle, read_vehicle, write_vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle, read_vehicle, write_vehicle
 from vehicles import FOLDER
 
 GOOD = (FOLDER / "arpl_250g.toml").read_text()
@@ -186,3 +187,15 @@ def test_every_effect_has_source_units_and_defaults_within_bounds(effect, arpl_2
         assert parameter.lower < parameter.upper
         assert parameter.prior(arpl_250g).std > 0
         assert parameter.lower <= effect.defaults(arpl_250g)[parameter.name] <= parameter.upper
+
+
+def test_a_bundled_vehicle_is_read_by_its_name():
+    assert find_vehicle("arpl_250g") == FOLDER / "arpl_250g.toml"
+
+
+def test_anything_else_is_taken_as_a_path(tmp_path, monkeypatch):
+    assert find_vehicle("mine.toml") == Path("mine.toml")
+    assert find_vehicle("folder/arpl_250g") == Path("folder/arpl_250g")
+    monkeypatch.chdir(tmp_path)
+    Path("arpl_250g").touch()
+    assert find_vehicle("arpl_250g") == Path("arpl_250g")

@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from alula.cli.app import app
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import EffectUse
-from dynamics.vehicle_file import read_vehicle, write_vehicle
+from dynamics.vehicle_file import find_vehicle, read_vehicle, write_vehicle
 from runtime.flight_setup import FlightSetup, prepare_flight
 from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process
@@ -19,7 +19,6 @@ from studies.demo.flights import DemoOptions
 from studies.demo.report import closing_lines, tracked, write_report
 from studies.demo.result import DemoReport, FlownManoeuvre
 from studies.demo.run import check_options, run_demo
-from vehicles import vehicle_path
 
 
 def ignore(_: str) -> None:
@@ -148,7 +147,7 @@ def test_without_the_desks_libraries_the_first_half_says_what_to_install(
 
 
 def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_infeasible(tmp_path: Path) -> None:
-    weak = read_vehicle(vehicle_path("arpl_250g")).with_effects(EffectUse("thrust_constant", {"ratio": 0.6}))
+    weak = read_vehicle(find_vehicle("arpl_250g")).with_effects(EffectUse("thrust_constant", {"ratio": 0.6}))
     write_vehicle(weak, tmp_path / "weak.toml")
     setup = FlightSetup(
         link="udpin:127.0.0.1:14540", reference="ExtendedLemniscate", vehicle=str(tmp_path / "weak.toml")

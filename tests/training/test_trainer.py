@@ -207,12 +207,12 @@ from training.data.recordings import read_recordings, split_recordings
 from training.trainer import train
 from training.process_group import leave_group
 from dynamics.vehicle_file import read_vehicle
-from vehicles import vehicle_path
+from dynamics.vehicle_file import find_vehicle
 import msgspec
 torch.set_num_threads(1)
 split = split_recordings(read_recordings(sorted(Path(sys.argv[1]).iterdir()), dt=0.01), validation="flight_3*")
 recipe = msgspec.structs.replace(FAST, steps=60, batch=64, evaluate_every=10, optimiser="adam")
-plan = make_plan(named_kind("pi_mlp").config, recipe, read_vehicle(vehicle_path("arpl_250g")), split, seed=0)
+plan = make_plan(named_kind("pi_mlp").config, recipe, read_vehicle(find_vehicle("arpl_250g")), split, seed=0)
 member = train(plan.task(0, 0, device=torch.device("cpu"), state_file=None), lambda _: None)
 if torch.distributed.get_rank() == 0:
     torch.save(member.weights, sys.argv[2])
