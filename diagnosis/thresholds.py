@@ -21,7 +21,7 @@ Count = Annotated[int, Meta(ge=1)]
 Range = tuple[Score, Score]
 
 
-class Section(Struct, frozen=True, forbid_unknown_fields=True):
+class ThresholdGroup(Struct, frozen=True, forbid_unknown_fields=True):
     """Thresholds of one subject. Raises ValueError for a range whose first value is not below its second."""
 
     def __post_init__(self) -> None:
@@ -32,7 +32,7 @@ class Section(Struct, frozen=True, forbid_unknown_fields=True):
                 raise ValueError(f"{name} is {value[0]:g} to {value[1]:g}: the first must be below the second")
 
 
-class FilterThresholds(Section, frozen=True):
+class FilterThresholds(ThresholdGroup, frozen=True):
     """Filters on both sides of the regression. Applied when flights are read.
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
@@ -47,7 +47,7 @@ class FilterThresholds(Section, frozen=True):
     edge: Positive = 0.3
 
 
-class SegmentThresholds(Section, frozen=True):
+class SegmentThresholds(ThresholdGroup, frozen=True):
     """Which rows of a flight are used. Applied when flights are read.
 
     max_rate: of a log that is not thinned out first, Hz. [not derived yet]
@@ -75,7 +75,7 @@ class SegmentThresholds(Section, frozen=True):
     voltage_cutoff: Positive = 4.0
 
 
-class DatasetThresholds(Section, frozen=True):
+class DatasetThresholds(ThresholdGroup, frozen=True):
     """What is fitted and what is held out. Applied when flights are read.
 
     held_out_share: of the flights, or of the one flight's time. [convention]
@@ -88,7 +88,7 @@ class DatasetThresholds(Section, frozen=True):
     min_part: Positive = 6.0
 
 
-class CommandCurveThresholds(Section, frozen=True):
+class CommandCurveThresholds(ThresholdGroup, frozen=True):
     """Thrust over command, where no rotor speed was measured. Applied when flights are read.
 
     gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
@@ -113,7 +113,7 @@ class CommandCurveThresholds(Section, frozen=True):
     command_percentiles: Range = (0.5, 99.5)
 
 
-class DataChecks(Section, frozen=True):
+class DataChecks(ThresholdGroup, frozen=True):
     """What flights and vehicle file must meet before anything is diagnosed.
 
     min_duration: of all flights together, s. [not derived yet]
@@ -158,7 +158,7 @@ class DataChecks(Section, frozen=True):
     response_times: tuple[Score, ...] = (0.0, 0.03, 0.06, 0.1)
 
 
-class PredictionThresholds(Section, frozen=True):
+class PredictionThresholds(ThresholdGroup, frozen=True):
     """Models along flights.
 
     hidden_rate: at which hidden states without a short time constant are integrated, Hz. [not derived yet]
@@ -171,7 +171,7 @@ class PredictionThresholds(Section, frozen=True):
     start_interval: Positive = 0.5
 
 
-class NoiseThresholds(Section, frozen=True):
+class NoiseThresholds(ThresholdGroup, frozen=True):
     """Noise of the residual channels.
 
     order: of the autoregressive models. [not derived yet]
@@ -186,7 +186,7 @@ class NoiseThresholds(Section, frozen=True):
     torque_redness: Factor = 1.5
 
 
-class RegressionThresholds(Section, frozen=True):
+class RegressionThresholds(ThresholdGroup, frozen=True):
     """Normal equations of all candidates.
 
     ridge: on all columns at once, over the number of rows. [not derived yet]
@@ -197,7 +197,7 @@ class RegressionThresholds(Section, frozen=True):
     max_bias: Positive = 2.5
 
 
-class SearchThresholds(Section, frozen=True):
+class SearchThresholds(ThresholdGroup, frozen=True):
     """Forward search over candidates. A score is twice the log-likelihood gained, less the criterion's penalty.
 
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
@@ -233,7 +233,7 @@ class SearchThresholds(Section, frozen=True):
     min_share_beside_gust: Share = 0.5
 
 
-class RivalThresholds(Section, frozen=True):
+class RivalThresholds(ThresholdGroup, frozen=True):
     """When these flights cannot tell two effects apart.
 
     score: difference within which they cannot. [not derived yet]
@@ -248,7 +248,7 @@ class RivalThresholds(Section, frozen=True):
     max_rivals: Count = 7
 
 
-class GustThresholds(Section, frozen=True):
+class GustThresholds(ThresholdGroup, frozen=True):
     """Random air motion.
 
     max_frequency: of the cosines that make it up, Hz. [not derived yet]
@@ -261,7 +261,7 @@ class GustThresholds(Section, frozen=True):
     strengths: Annotated[int, Meta(ge=2)] = 25
 
 
-class ResidualTestThresholds(Section, frozen=True):
+class ResidualTestThresholds(ThresholdGroup, frozen=True):
     """Tests of what an identified model leaves; `VerdictThresholds` says from where on they reject.
 
     features: random Fourier features of state or position. [not derived yet]
@@ -286,7 +286,7 @@ class ResidualTestThresholds(Section, frozen=True):
     line_surroundings: Count = 61
 
 
-class EquationErrorThresholds(Section, frozen=True):
+class EquationErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on accelerations.
 
     max_steps: of Gauss-Newton. [not derived yet]
@@ -305,7 +305,7 @@ class EquationErrorThresholds(Section, frozen=True):
     block: Positive = 2.0
 
 
-class OutputErrorThresholds(Section, frozen=True):
+class OutputErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on simulated windows.
 
     window: s. [benchmarks/output_error.py]
@@ -326,7 +326,7 @@ class OutputErrorThresholds(Section, frozen=True):
     max_one_step_growth: Factor = 1.005
 
 
-class AcceptanceThresholds(Section, frozen=True):
+class AcceptanceThresholds(ThresholdGroup, frozen=True):
     """Held-out flights decide about effects.
 
     max_ratio: of the held-out reduced chi-square with an effect over that without it. [not derived yet]
@@ -346,7 +346,7 @@ class AcceptanceThresholds(Section, frozen=True):
     typical_window: Positive = 2.0
 
 
-class VerdictThresholds(Section, frozen=True):
+class VerdictThresholds(ThresholdGroup, frozen=True):
     """From where on the residual tests reject, and how effects are reported.
 
     max_agreement: of accelerometer and pose at low frequency. [planted truth]
@@ -372,7 +372,7 @@ class VerdictThresholds(Section, frozen=True):
     max_ambiguous: Count = 2
 
 
-class CompletionThresholds(Section, frozen=True):
+class CompletionThresholds(ThresholdGroup, frozen=True):
     """How long effects are added.
 
     max_rounds: of diagnosis. [not derived yet]
@@ -383,7 +383,7 @@ class CompletionThresholds(Section, frozen=True):
     min_share: Share = 0.01
 
 
-class RegimeThresholds(Section, frozen=True):
+class RegimeThresholds(ThresholdGroup, frozen=True):
     """Maps of where a model fails.
 
     bins: along a quantity. [not derived yet]
@@ -404,7 +404,7 @@ class RegimeThresholds(Section, frozen=True):
     worst_window: Positive = 2.0
 
 
-class HoverTrimThresholds(Section, frozen=True):
+class HoverTrimThresholds(ThresholdGroup, frozen=True):
     """Rotors' shares of the load in hover, compared with normal flights.
 
     min_hover: of a flight, s. [not derived yet]
@@ -433,7 +433,7 @@ class HoverTrimThresholds(Section, frozen=True):
     enough_flights: Count = 5
 
 
-class Thresholds(Section, frozen=True):
+class Thresholds(ThresholdGroup, frozen=True):
     """All of them, by subject."""
 
     filters: FilterThresholds = FilterThresholds()

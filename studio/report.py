@@ -28,14 +28,12 @@ from studio.page import Origin, render
 
 def diagnosis_page(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
     """The page of `alula diagnose --html`. vehicle: with the model that was judged."""
-    found = result.diagnosis
     return render(
         "diagnosis.html",
         title=f"What the model of {vehicle.name} misses",
         origin=origin,
         vehicle=vehicle,
         **_diagnosed(result, dataset, vehicle),
-        unfinished=found.verdict == "unknown",
     )
 
 
@@ -52,7 +50,7 @@ def comparison_page(compared: ComparisonDetails, dataset: Dataset, vehicle: Vehi
         compared=compared.comparison,
         names=pictures.NAMES,
         bars=pictures.axis_bars(compared.comparison.axes),
-        seen=view,
+        view=view,
         lines=pictures.overlay_lines(view, improved=False),
         regimes=regions.regime_map(compared.maps),
         planes=[regions.plane_map(plane) for plane in compared.planes],
@@ -117,7 +115,7 @@ def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> 
         "notes": result.notes,
         "names": pictures.NAMES,
         "bars": pictures.channel_bars(result.diagnosis.channels),
-        "seen": view,
+        "view": view,
         "lines": pictures.overlay_lines(view, improved=improved),
         "regimes": regions.regime_map(maps),
         "planes": [regions.plane_map(plane) for plane in planes],

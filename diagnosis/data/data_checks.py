@@ -14,9 +14,9 @@ from diagnosis.data.segment import Segment
 from diagnosis.thresholds import DEFAULT, DataChecks
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY, Vehicle
 
-RPM = 2 * np.pi / 60
 DEGREES = 180 / np.pi
 
 

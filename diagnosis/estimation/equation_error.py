@@ -61,7 +61,7 @@ def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
     """Joint fit of candidates on the regression's flights, starting from its linear solution."""
     if not candidates:
         return Fit(regression.vehicle, {}, ())
-    problem = _Problem(regression, candidates)
+    problem = _EquationErrorProblem(regression, candidates)
     values, covariance = _settle(problem)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates = {}
@@ -73,7 +73,7 @@ def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
     return Fit(vehicle, estimates, tuple(candidates))
 
 
-def _settle(problem: _Problem) -> tuple[Floats, Floats]:
+def _settle(problem: _EquationErrorProblem) -> tuple[Floats, Floats]:
     """Values to which Gauss-Newton converges from the linear solution, and their covariance.
 
     A step that makes the fit worse is halved: along a hidden state's parameters the fit is no parabola.
@@ -129,7 +129,7 @@ class _Equations:
     cost: float
 
 
-class _Problem:
+class _EquationErrorProblem:
     """The least-squares problem of some candidates on a regression's flights."""
 
     def __init__(self, regression: Regression, candidates: Sequence[Candidate]) -> None:

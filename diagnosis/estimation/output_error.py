@@ -31,8 +31,7 @@ from dynamics.vehicle import Vehicle
 
 OUTPUTS = 9  # velocity, attitude as a rotation vector, body rate
 OF_VELOCITY, OF_ATTITUDE, OF_RATE = slice(0, 3), slice(3, 6), slice(6, 9)  # among outputs, and a start's unknowns
-START = 9  # unknowns of a window's start: velocity, attitude, body rate
-UNKNOWNS = START + 4  # and the gyro's bias and the pose's clock
+START = 9  # unknowns of a window's start; the gyro's bias and the pose's clock make 13
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,8 @@ def refit(
     names = [f"{c.key}.{name}" for c, name in free]
     instrumented = [c.effect.physics is not None for c, _ in free]
     problem, judge = (
-        _Problem(initial.vehicle, catalogue, part, names, instrumented, thresholds) for part in (fitted, held_out)
+        _OutputErrorProblem(initial.vehicle, catalogue, part, names, instrumented, thresholds)
+        for part in (fitted, held_out)
     )
     if not judge.count or problem.count < thresholds.output_error.min_windows:
         return None
@@ -101,7 +101,7 @@ def _moves(effect: Effect) -> bool:
     return effect.measurement is None
 
 
-class _Problem:
+class _OutputErrorProblem:
     """Residuals of windows and their slopes, segment by segment."""
 
     def __init__(

@@ -48,13 +48,13 @@ def gust_gain(regression: Regression, chosen: Sequence[int]) -> Gust:
     scale = float(np.mean([np.trace(gram) / len(gram) for gram, _ in parts]))
     if scale <= 0:
         return Gust(0.0, -np.inf, 0.0)
-    gain, variance = _most_likely(parts, np.geomspace(1e-3, 1e6, thresholds.strengths) / scale)
+    gain, variance = _best_strength(parts, np.geomspace(1e-3, 1e6, thresholds.strengths) / scale)
     penalty = np.log(regression.total / 4) + 2 * np.log(thresholds.strengths)
     _, weight = _cosines(len(residuals[0]), regression.rate, thresholds)
     return Gust(gain, gain - float(penalty), float(np.sqrt(variance * weight.sum() / 2)), effect)
 
 
-def _most_likely(parts: Sequence[tuple[Floats, Floats]], variances: Floats) -> tuple[float, float]:
+def _best_strength(parts: Sequence[tuple[Floats, Floats]], variances: Floats) -> tuple[float, float]:
     """Twice the greatest log-likelihood gained, and the variance of the amplitudes there; zeros where none gains.
 
     parts: normal equations (k, k) and (k,) of each segment's amplitudes.

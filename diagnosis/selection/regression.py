@@ -23,7 +23,7 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
 
-SEED = 1
+SEED = 1  # of the noise that is added for the errors-in-variables correction
 
 
 @dataclass(frozen=True, eq=False)

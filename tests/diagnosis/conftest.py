@@ -28,14 +28,14 @@ def plain_flights(arpl_250g) -> list[Flight]:
 def changed(plain_flights) -> Callable[..., list[Flight]]:
     """The flights with columns replaced by a function of their old values, by name."""
 
-    def make(**changes: Callable[[np.ndarray], np.ndarray]) -> list[Flight]:
-        return [with_columns(flight, {n: f(flight[n]) for n, f in changes.items()}) for flight in plain_flights]
+    def make(**columns: Callable[[np.ndarray], np.ndarray]) -> list[Flight]:
+        return [with_columns(flight, {n: f(flight[n]) for n, f in columns.items()}) for flight in plain_flights]
 
     return make
 
 
 def with_columns(flight: Flight, columns: dict[str, np.ndarray | None]) -> Flight:
     """The flight with other columns; None leaves one out."""
-    kept = {**flight.columns, **columns}
-    present = {name: values for name, values in kept.items() if values is not None}
+    together = {**flight.columns, **columns}
+    present = {name: values for name, values in together.items() if values is not None}
     return Flight(flight.time, present, flight.provenance, flight.origins, flight.parameters, flight.metadata)

@@ -1,4 +1,4 @@
-"""Which effect is added when none is named, and what is told with it."""
+"""Which effect is added when none is named, and the notes that come with it."""
 
 import msgspec
 import pytest
@@ -14,28 +14,28 @@ from dynamics.vehicle import EffectUse
 SOME = {n: CATALOGUE[n] for n in ("wind", "imu_bias", "gyro_bias", "time_delay")}
 
 
-def said(verdict: str, *effects: MissingEffect) -> Diagnosis:
+def diagnosed(verdict: str, *effects: MissingEffect) -> Diagnosis:
     return Diagnosis(verdict, effects, {}, (), (), "fly yaw spins")
 
 
-def found(name: str, *, rotor: int | None = None, rivals: tuple[str, ...] = ()) -> MissingEffect:
+def missing(name: str, *, rotor: int | None = None, rivals: tuple[str, ...] = ()) -> MissingEffect:
     return MissingEffect(name, rotor, {}, 1.0, rivals)
 
 
 def test_the_first_effect_of_a_diagnosis_is_the_top_one():
-    assert top_effect(said("effect", found("weak_rotor", rotor=2), found("mass"))) == ("weak_rotor", 2, ())
+    assert top_effect(diagnosed("effect", missing("weak_rotor", rotor=2), missing("mass"))) == ("weak_rotor", 2, ())
 
 
-def test_what_is_doubtful_about_the_top_effect_is_told():
-    _, _, notes = top_effect(said("ambiguous", found("mass", rivals=("thrust_constant",))))
+def test_what_is_doubtful_about_the_top_effect_is_noted():
+    _, _, notes = top_effect(diagnosed("ambiguous", missing("mass", rivals=("thrust_constant",))))
     assert "cannot tell mass from thrust_constant" in notes[0]
     assert "fly yaw spins" in notes[0]
-    _, _, notes = top_effect(said("unknown", found("mass")))
+    _, _, notes = top_effect(diagnosed("unknown", missing("mass")))
     assert "a part of what is missing at most" in notes[0]
 
 
 def test_a_gust_is_passed_over_for_what_a_vehicle_file_can_hold():
-    name, _, notes = top_effect(said("effect", found("gust"), found("mass")))
+    name, _, notes = top_effect(diagnosed("effect", missing("gust"), missing("mass")))
     assert name == "mass"
     assert "gust" in notes[0]
 
@@ -43,9 +43,9 @@ def test_a_gust_is_passed_over_for_what_a_vehicle_file_can_hold():
 @pytest.mark.parametrize(
     ("diagnosis", "reason"),
     [
-        (said("explained"), "the model explains these flights"),
-        (said("effect", found("gust")), "no value in a vehicle file predicts it"),
-        (said("unknown"), "no effect of the catalogue explains it"),
+        (diagnosed("explained"), "the model explains these flights"),
+        (diagnosed("effect", missing("gust")), "no value in a vehicle file predicts it"),
+        (diagnosed("unknown"), "no effect of the catalogue explains it"),
     ],
 )
 def test_nothing_is_added_where_a_diagnosis_names_nothing_that_could_be(diagnosis, reason):
@@ -53,7 +53,7 @@ def test_nothing_is_added_where_a_diagnosis_names_nothing_that_could_be(diagnosi
         top_effect(diagnosis)
 
 
-def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_told(plain_flights, arpl_250g):
+def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_noted(plain_flights, arpl_250g):
     windy = arpl_250g.with_effects(EffectUse("wind", {"x": 1.5, "y": 0.0, "z": 0.0}))
     added = add_effect("wind", make_dataset(plain_flights, windy), windy, SOME, date="2026-01-02")
     assert added.vehicle.effects[0].parameters["x"] == pytest.approx(0.0, abs=0.03)
@@ -62,7 +62,7 @@ def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_told(pla
     assert before.horizon == after.horizon == 1.0
     assert after.velocity < before.velocity
     assert any("velocity x coefficient" in note for note in added.notes)
-    told = msgspec.to_builtins(report(added))
-    assert told["effect"] == "wind"
-    assert told["fitted_by"] == ("output error" if added.by_output_error else "equation error")
-    assert told["parameters"]["wind"]["x"]["unit"] == "m/s"
+    answer = msgspec.to_builtins(report(added))
+    assert answer["effect"] == "wind"
+    assert answer["fitted_by"] == ("output error" if added.by_output_error else "equation error")
+    assert answer["parameters"]["wind"]["x"]["unit"] == "m/s"

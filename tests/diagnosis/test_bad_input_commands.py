@@ -29,7 +29,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 def refused(run: Run, plain_flights: list[Flight], arpl_250g: Vehicle, tmp_path: Path) -> Callable[..., str]:
     """What `alula diagnose` says of changed flights and a changed vehicle file; it must end with exit code 3."""
 
-    def told(change: Change = lambda flight: flight, vehicle: Vehicle = arpl_250g, count: int = 6) -> str:
+    def message(change: Change = lambda flight: flight, vehicle: Vehicle = arpl_250g, count: int = 6) -> str:
         file = tmp_path / "vehicle.toml"
         write_vehicle(vehicle, file)
         logs = [change(f).to_csv(tmp_path / f"flight_{i}.csv") for i, f in enumerate(plain_flights[:count])]
@@ -37,7 +37,7 @@ def refused(run: Run, plain_flights: list[Flight], arpl_250g: Vehicle, tmp_path:
         assert (code, shown) == (3, "")
         return wrong
 
-    return told
+    return message
 
 
 def scaled(factor: float, *columns: str) -> Change:

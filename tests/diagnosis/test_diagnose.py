@@ -35,28 +35,28 @@ def heavier(arpl_250g):
 
 
 def test_with_nothing_hidden_the_model_explains_the_flights(plain, arpl_250g):
-    found = diagnose_dataset(plain, arpl_250g, CATALOGUE).diagnosis
-    assert found.verdict == "explained"
-    assert found.effects == ()
-    assert all(c.after <= 1.2 * c.floor for c in found.channels.values())
-    assert "explains" in sentence(found)
+    diagnosis = diagnose_dataset(plain, arpl_250g, CATALOGUE).diagnosis
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.effects == ()
+    assert all(c.after <= 1.2 * c.floor for c in diagnosis.channels.values())
+    assert "explains" in sentence(diagnosis)
 
 
 def test_a_wrong_mass_is_named_with_its_value_and_the_error_falls_to_the_floor(plain, heavier):
-    found = diagnose_dataset(plain, heavier, SOME).diagnosis
-    assert found.verdict in ("effect", "ambiguous")
-    first = found.effects[0]
+    diagnosis = diagnose_dataset(plain, heavier, SOME).diagnosis
+    assert diagnosis.verdict in ("effect", "ambiguous")
+    first = diagnosis.effects[0]
     assert first.name == "mass"
     assert first.parameters["ratio"].value == pytest.approx(1 / 1.06, rel=0.01)
-    assert found.channels["mocap"].before > 2 * found.channels["mocap"].floor
-    assert found.channels["mocap"].after < 1.1 * found.channels["mocap"].floor
+    assert diagnosis.channels["mocap"].before > 2 * diagnosis.channels["mocap"].floor
+    assert diagnosis.channels["mocap"].after < 1.1 * diagnosis.channels["mocap"].floor
 
 
 def test_a_drag_that_the_file_overstates_is_corrected(plain, arpl_250g):
     draggy = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 2e-5}))
-    found = diagnose_dataset(plain, draggy, SOME).diagnosis
-    assert found.effects[0].name == "rotor_drag"
-    assert found.effects[0].parameters["coefficient"].value == pytest.approx(0.0, abs=1e-6)
+    diagnosis = diagnose_dataset(plain, draggy, SOME).diagnosis
+    assert diagnosis.effects[0].name == "rotor_drag"
+    assert diagnosis.effects[0].parameters["coefficient"].value == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -68,17 +68,17 @@ def test_a_drag_that_the_file_overstates_is_corrected(plain, arpl_250g):
 )
 def test_a_biased_sensor_is_told_from_a_force(changed, arpl_250g, name, quantity, change, parameter, value):
     columns = {f"{quantity}_{axis}": (lambda old, off=off: old + off) for axis, off in zip("xyz", change, strict=True)}
-    found = diagnose_dataset(make_dataset(changed(**columns), arpl_250g), arpl_250g, FAULTS).diagnosis
-    assert [effect.name for effect in found.effects] == [name]
-    assert found.effects[0].parameters[parameter].value == pytest.approx(value, rel=0.15)
+    diagnosis = diagnose_dataset(make_dataset(changed(**columns), arpl_250g), arpl_250g, FAULTS).diagnosis
+    assert [effect.name for effect in diagnosis.effects] == [name]
+    assert diagnosis.effects[0].parameters[parameter].value == pytest.approx(value, rel=0.15)
 
 
 def test_a_late_pose_is_told_from_a_force(changed, arpl_250g):
     names = [f"position_{a}" for a in "xyz"] + [f"velocity_{a}" for a in "xyz"] + [f"attitude_{a}" for a in "wxyz"]
     late = changed(**dict.fromkeys(names, lambda old: np.concatenate([np.repeat(old[:1], 3), old[:-3]])))
-    found = diagnose_dataset(make_dataset(late, arpl_250g), arpl_250g, FAULTS).diagnosis
-    assert [effect.name for effect in found.effects] == ["time_delay"]
-    assert found.effects[0].parameters["delay"].value == pytest.approx(0.03, abs=0.003)
+    diagnosis = diagnose_dataset(make_dataset(late, arpl_250g), arpl_250g, FAULTS).diagnosis
+    assert [effect.name for effect in diagnosis.effects] == ["time_delay"]
+    assert diagnosis.effects[0].parameters["delay"].value == pytest.approx(0.03, abs=0.003)
 
 
 def test_an_effect_that_helps_is_added_with_a_line_of_history(plain, heavier, tmp_path):
@@ -107,9 +107,9 @@ def test_what_the_file_knew_is_fitted_again_with_what_is_added(plain, heavier):
 
 def test_diagnosis_too_fits_what_the_file_knew_beside_what_it_finds(plain, heavier):
     draggy = heavier.with_effects(EffectUse("rotor_drag", {"coefficient": 4e-6}))  # there is none
-    found = diagnose_dataset(plain, draggy, SOME)
-    values = {use.name: use.parameters for use in found.vehicle.effects}
-    assert found.diagnosis.effects[0].name == "mass"
+    result = diagnose_dataset(plain, draggy, SOME)
+    values = {use.name: use.parameters for use in result.vehicle.effects}
+    assert result.diagnosis.effects[0].name == "mass"
     assert values["mass"]["ratio"] == pytest.approx(1 / 1.06, rel=0.01)
     assert values["rotor_drag"]["coefficient"] < 6e-7
 
@@ -135,9 +135,9 @@ def test_motor_lag_is_found_where_the_log_holds_commands(plain_flights, arpl_250
     without = {f"rotor_speed_{i}": None for i in range(4)}
     dataset = make_dataset([with_columns(f, without) for f in plain_flights], arpl_250g)
     some = {n: CATALOGUE[n] for n in ("motor_lag", "rotor_drag", "thrust_constant", "inertia", "time_delay", *FAULTS)}
-    found = diagnose_dataset(dataset, arpl_250g, some).diagnosis
-    assert found.effects[0].name == "motor_lag"
-    assert found.effects[0].parameters["time_constant"].value == pytest.approx(0.035, rel=0.35)
+    diagnosis = diagnose_dataset(dataset, arpl_250g, some).diagnosis
+    assert diagnosis.effects[0].name == "motor_lag"
+    assert diagnosis.effects[0].parameters["time_constant"].value == pytest.approx(0.035, rel=0.35)
 
 
 def test_perturbing_the_data_does_not_change_the_segment(plain):
@@ -152,16 +152,16 @@ def test_perturbing_the_data_does_not_change_the_segment(plain):
 
 def test_what_the_catalogue_does_not_know_is_called_unknown(plain, heavier):
     others = {n: SOME[n] for n in ("rotor_drag", "wind", "gyro_bias", "time_delay", "inertia")}
-    found = diagnose_dataset(plain, heavier, {**others, "imu_bias": CATALOGUE["imu_bias"]}).diagnosis
-    assert found.verdict == "unknown"
-    assert "no effect of the catalogue explains" in sentence(found)
+    diagnosis = diagnose_dataset(plain, heavier, {**others, "imu_bias": CATALOGUE["imu_bias"]}).diagnosis
+    assert diagnosis.verdict == "unknown"
+    assert "no effect of the catalogue explains" in sentence(diagnosis)
 
 
 def test_an_effect_that_was_not_excited_is_neither_there_nor_absent(plain_flights, arpl_250g):
     high = [flight for i, flight in enumerate(plain_flights) if i != 3]  # the third alone comes down to the ground
-    found = diagnose_dataset(
+    result = diagnose_dataset(
         make_dataset(high, arpl_250g), arpl_250g, {**SOME, "ground_effect": CATALOGUE["ground_effect"]}
     )
-    assert "ground_effect" in found.diagnosis.not_excited
-    assert "mass" not in found.diagnosis.not_excited
-    assert "ground" in found.diagnosis.next_flight
+    assert "ground_effect" in result.diagnosis.not_excited
+    assert "mass" not in result.diagnosis.not_excited
+    assert "ground" in result.diagnosis.next_flight

@@ -36,9 +36,9 @@ def drawn(random: np.random.Generator, flights: int, spread: float, harder: floa
 
 
 def test_shares_are_the_means_over_hover(arpl_250g: Vehicle) -> None:
-    found = hover_shares(flown(UNEVEN, name="a"), arpl_250g)
-    np.testing.assert_allclose(found.shares, UNEVEN, atol=0.01)
-    assert found.seconds == pytest.approx(12.0, abs=0.5)
+    shares = hover_shares(flown(UNEVEN, name="a"), arpl_250g)
+    np.testing.assert_allclose(shares.shares, UNEVEN, atol=0.01)
+    assert shares.seconds == pytest.approx(12.0, abs=0.5)
 
 
 def test_a_flight_that_never_hovers_is_refused(arpl_250g: Vehicle) -> None:
@@ -50,15 +50,15 @@ def test_a_weak_rotor_is_flagged_with_its_loss(arpl_250g: Vehicle) -> None:
     normal = [flown(UNEVEN, name=f"normal {i}") for i in range(3)]
     weak = UNEVEN.copy()
     weak[2] /= 1 - 0.2
-    found = compare_trim([flown(weak, name="weak")], normal, arpl_250g)
-    (effect,) = found.effects
-    assert (found.verdict, effect.name, effect.rotor) == ("ambiguous", "weak_rotor", 2)
+    comparison = compare_trim([flown(weak, name="weak")], normal, arpl_250g)
+    (effect,) = comparison.effects
+    assert (comparison.verdict, effect.name, effect.rotor) == ("ambiguous", "weak_rotor", 2)
     assert effect.parameters["loss"].value == pytest.approx(0.2, abs=0.02)
     assert effect.ambiguous_with == ("centre_of_mass",)
-    x, y = found.centre_of_mass_moved
+    x, y = comparison.centre_of_mass_moved
     assert x < 0  # the rotor behind on the right carries more
     assert y < 0
-    assert "Rotor 2 works harder" in trim_sentence(found)
+    assert "Rotor 2 works harder" in trim_sentence(comparison)
 
 
 @pytest.mark.parametrize("normal", [1, 2, 5, 8])
@@ -67,14 +67,14 @@ def test_normal_flights_are_seldom_flagged_and_strong_faults_nearly_always(
     arpl_250g: Vehicle, normal: int, spread: float
 ) -> None:
     random = np.random.default_rng(5)
-    alarms = found = 0
+    alarms = detected = 0
     for _ in range(200):
         usual = drawn(random, normal, spread)
         alarms += judge_shares(drawn(random, 1, spread), usual, arpl_250g).verdict == "ambiguous"
-        told = judge_shares(drawn(random, 1, spread, harder=0.2), usual, arpl_250g)
-        found += [(e.name, e.rotor) for e in told.effects] == [("weak_rotor", 2)]
+        comparison = judge_shares(drawn(random, 1, spread, harder=0.2), usual, arpl_250g)
+        detected += [(e.name, e.rotor) for e in comparison.effects] == [("weak_rotor", 2)]
     assert alarms <= 14  # 5 % of 200 and a little more
-    assert found >= 190
+    assert detected >= 190
 
 
 def test_normal_flights_that_differ_much_make_it_more_careful(arpl_250g: Vehicle) -> None:

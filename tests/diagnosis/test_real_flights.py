@@ -1,4 +1,4 @@
-"""Real flights through the command line: what is known of them is found, and what they cannot say is not claimed."""
+"""Real flights through the command line: effects measured elsewhere are named, and nothing beyond what they show."""
 
 from __future__ import annotations
 
@@ -71,17 +71,17 @@ def test_gyro_accelerometer_and_commands_alone_show_the_motors_lag(run: Run, tmp
         "diagnose", DATA / "arpl_crazyflie" / "log10_cut.csv.gz", "--vehicle", "crazyflie", "--json", file
     )
     assert code == 0
-    told = json.loads(file.read_text())
-    first = told["effects"][0]
+    answer = json.loads(file.read_text())
+    first = answer["effects"][0]
     assert first["name"] == "motor_lag"
     assert first["parameters"]["time_constant"]["value"] == pytest.approx(0.077, abs=0.006)
-    assert set(told["channels"]) == {"imu", "angular"}
-    assert told["channels"]["imu"]["after"] < 0.5 * told["channels"]["imu"]["before"]
+    assert set(answer["channels"]) == {"imu", "angular"}
+    assert answer["channels"]["imu"]["after"] < 0.5 * answer["channels"]["imu"]["before"]
     without, with_lag = map(int, re.findall(r"(\d+) %", shown.split("followed with a lag")[1])[:2])
     assert without < 80
     assert with_lag >= 96
     assert "no pose in the log" in shown
-    assert not {e["name"] for e in told["effects"]} & {"mass", "thrust_constant", "rotor_drag", "linear_drag", "wind"}
+    assert not {e["name"] for e in answer["effects"]} & {"mass", "thrust_constant", "rotor_drag", "linear_drag", "wind"}
 
 
 def test_motors_in_the_crazyflies_own_order_are_noticed(run: Run, tmp_path: Path) -> None:
@@ -102,12 +102,12 @@ def test_a_log_without_pose_is_compared_in_what_it_has(run: Run) -> None:
     log = DATA / "arpl_crazyflie" / "log10_cut.csv.gz"
     code, shown, _ = run("compare", log, "--vehicle", "crazyflie", "--json", "-")
     assert code == 0
-    told = json.loads(shown)
-    assert {axis["kind"] for axis in told["axes"]} == {"imu", "angular"}
-    names = {regime["name"] for regime in told["maps"]}
+    answer = json.loads(shown)
+    assert {axis["kind"] for axis in answer["axes"]} == {"imu", "angular"}
+    names = {regime["name"] for regime in answer["maps"]}
     assert {"thrust over weight", "body rate rad/s", "time s"} <= names
     assert not {"speed m/s", "height m", "east m"} & names
-    assert told["open_loop"] == []
+    assert answer["open_loop"] == []
 
 
 def test_commanded_thrust_and_torque_show_lateral_drag(run: Run, upgraded: Path, tmp_path: Path) -> None:
@@ -115,9 +115,9 @@ def test_commanded_thrust_and_torque_show_lateral_drag(run: Run, upgraded: Path,
     file = tmp_path / "verdict.json"
     code, shown, _ = run("diagnose", *LEE, "--vehicle", upgraded, "--json", file)
     assert code == 0
-    found = {e["name"]: e for e in json.loads(file.read_text())["effects"]}
-    assert {"motor_lag", "blade_flapping"} <= set(found)
-    drag = found.get("rotor_drag") or found["linear_drag"]
+    effects = {e["name"]: e for e in json.loads(file.read_text())["effects"]}
+    assert {"motor_lag", "blade_flapping"} <= set(effects)
+    drag = effects.get("rotor_drag") or effects["linear_drag"]
     assert {"rotor_drag", "linear_drag"} <= {drag["name"], *drag["ambiguous_with"]}
     vehicle = read_vehicle(upgraded)
     speeds = 4 * vehicle.hover_speed if drag["name"] == "rotor_drag" else 1.0
@@ -130,11 +130,11 @@ def test_commanded_thrust_and_torque_show_lateral_drag(run: Run, upgraded: Path,
 
 def test_a_drag_of_the_vehicle_file_leaves_less_to_explain(run: Run, upgraded: Path, tmp_path: Path) -> None:
     vehicle = read_vehicle(upgraded)
-    known = write_vehicle_to(
-        tmp_path / "known.toml", vehicle.with_effects(EffectUse("linear_drag", {"coefficient": 0.33 * 0.037}))
+    with_drag = write_vehicle_to(
+        tmp_path / "with_drag.toml", vehicle.with_effects(EffectUse("linear_drag", {"coefficient": 0.33 * 0.037}))
     )
     errors = []
-    for file in (upgraded, known):
+    for file in (upgraded, with_drag):
         code, shown, _ = run("compare", *LEE, "--vehicle", file, "--json", "-")
         assert code == 0
         axes = {(a["kind"], a["axis"]): a["rms"] for a in json.loads(shown)["axes"]}
@@ -142,7 +142,7 @@ def test_a_drag_of_the_vehicle_file_leaves_less_to_explain(run: Run, upgraded: P
     assert errors[1] < 0.75 * errors[0]
 
 
-def test_a_log_without_gyro_and_pitch_is_told_what_it_lacks(run: Run) -> None:
+def test_a_log_without_gyro_and_pitch_is_refused_with_what_it_lacks(run: Run) -> None:
     code, _, wrong = run("diagnose", DATA / "crazyflie" / "E8_log00.gz", "--vehicle", "crazyflie")
     assert code == 3
     assert "it lacks attitude, gyro, accelerometer" in wrong
@@ -150,7 +150,7 @@ def test_a_log_without_gyro_and_pitch_is_told_what_it_lacks(run: Run) -> None:
 
 
 @pytest.mark.parametrize(
-    ("log", "normal", "least_loss"),
+    ("log", "normal", "min_loss"),
     [
         ("add_weight_W3_near_M3_E9_log02", E9, 0.2),
         ("cut_propeller_M3_3mm_E8_log01", E8, 0.08),
@@ -158,19 +158,19 @@ def test_a_log_without_gyro_and_pitch_is_told_what_it_lacks(run: Run) -> None:
     ],
 )
 def test_a_rotor_that_works_harder_than_in_normal_flights_is_flagged(
-    run: Run, log: str, normal: list[str], least_loss: float
+    run: Run, log: str, normal: list[str], min_loss: float
 ) -> None:
     code, shown, _ = run("diagnose", TRIM / f"{log}.csv.gz", "--vehicle", "crazyflie", *normal, "--json", "-")
     assert code == 0
-    told = json.loads(shown)
-    assert told["verdict"] == "ambiguous"
-    (effect,) = told["effects"]
+    answer = json.loads(shown)
+    assert answer["verdict"] == "ambiguous"
+    (effect,) = answer["effects"]
     assert (effect["name"], effect["rotor"]) == ("weak_rotor", 1)  # motor 3 of the Crazyflie
     assert effect["ambiguous_with"] == ["centre_of_mass"]
-    assert effect["parameters"]["loss"]["value"] > least_loss
-    x, y = told["centre_of_mass_moved"]
+    assert effect["parameters"]["loss"]["value"] > min_loss
+    x, y = answer["centre_of_mass_moved"]
     assert x < 0 < y  # motor 3 is behind on the left
-    assert "exchange rotor 1's propeller" in told["next_flight"]
+    assert "exchange rotor 1's propeller" in answer["next_flight"]
 
 
 def test_tape_and_normal_flights_are_not_claimed_to_be_anything(run: Run) -> None:
@@ -196,7 +196,7 @@ def test_px4_motors_at_10_hz_are_answered_with_the_profile_to_set(run: Run) -> N
     assert "rotor_speed at 4 Hz, rotor_command at 10 Hz" in wrong
 
 
-def test_a_hover_is_found_too_gentle_to_name_anything(run: Run) -> None:
+def test_a_hover_is_refused_as_too_gentle(run: Run) -> None:
     """PX4's flight again, by its telemetry with motors at 50 Hz; what it stood on the ground is left out."""
     log = DATA / "px4_sih_offboard" / "offboard_hover.tlog.gz"
     code, _, wrong = run("diagnose", log, "--vehicle", "px4_sih")
@@ -210,7 +210,7 @@ def test_a_hover_is_found_too_gentle_to_name_anything(run: Run) -> None:
     assert gain.mean == pytest.approx(1.0, abs=0.02)  # SIH's thrust is what the file says
 
 
-def test_eight_rotors_with_commanded_thrusts_are_understood_and_found_too_short(run: Run, tmp_path: Path) -> None:
+def test_eight_rotors_with_commanded_thrusts_are_read_and_refused_as_too_short(run: Run, tmp_path: Path) -> None:
     file = tmp_path / "x8.toml"
     file.write_text(X8)
     log = DATA / "acsl_x8copter" / "log_20240613_115633_cut.log.gz"

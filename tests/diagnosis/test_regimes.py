@@ -14,7 +14,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.state import VELOCITY
 
 SOME = {name: CATALOGUE[name] for name in ("rotor_drag", "imu_bias", "gyro_bias", "time_delay")}
-WANTED = {
+QUANTITIES = {
     "speed m/s",
     "thrust over weight",
     "body rate rad/s",
@@ -38,15 +38,15 @@ def failing_fast(segment):
     """Residuals at their floor of 1, five times as large in the accelerometer above 1.5 m/s."""
     rows = segment.decimated
     fast = np.linalg.norm(segment.smooth[rows, VELOCITY], axis=1) > 1.5
-    found = np.ones((len(fast), 12))
-    found[fast, 0:3] *= 5
-    return found
+    rows_of_one = np.ones((len(fast), 12))
+    rows_of_one[fast, 0:3] *= 5
+    return rows_of_one
 
 
 def test_every_regime_that_the_flights_have_is_mapped_and_the_planted_one_stands_out(segments, arpl_250g):
     rows = [failing_fast(s) for s in segments]
     maps = {m.name: m for m in regime_maps(segments, rows, np.ones(12), arpl_250g)}
-    assert set(maps) >= WANTED
+    assert set(maps) >= QUANTITIES
     speed = maps["speed m/s"]
     above = speed.edges[:-1] > 1.5
     assert np.nanmin(speed.over_floor[0, above]) == pytest.approx(5.0)
@@ -81,10 +81,10 @@ def test_a_line_stands_out_of_the_noise_models_spectrum():
 
 
 def test_the_comparison_as_json_holds_maps_planes_and_spectrum(plain_flights, arpl_250g):
-    found = compare_dataset(make_dataset(plain_flights, arpl_250g), arpl_250g, SOME)
-    told = msgspec.json.decode(msgspec.json.encode(found.comparison))
-    assert {m["name"] for m in told["maps"]} >= WANTED
-    assert [p["across"] for p in told["planes"]] == ["speed m/s", "roll rate rad/s", "east m"]
-    assert any(None in row for plane in told["planes"] for row in plane["over_floor"]["imu"])
-    assert set(told["spectrum"]["power"]) == set(told["spectrum"]["noise"])
-    assert len(told["spectrum"]["frequency"]) == len(told["spectrum"]["power"]["imu x"])
+    details = compare_dataset(make_dataset(plain_flights, arpl_250g), arpl_250g, SOME)
+    written = msgspec.json.decode(msgspec.json.encode(details.comparison))
+    assert {m["name"] for m in written["maps"]} >= QUANTITIES
+    assert [p["across"] for p in written["planes"]] == ["speed m/s", "roll rate rad/s", "east m"]
+    assert any(None in row for plane in written["planes"] for row in plane["over_floor"]["imu"])
+    assert set(written["spectrum"]["power"]) == set(written["spectrum"]["noise"])
+    assert len(written["spectrum"]["frequency"]) == len(written["spectrum"]["power"]["imu x"])

@@ -22,7 +22,7 @@ from studio.numbers import quantity_shown, shown
 from studio.page import Origin, write_page
 from studio.report import add_command, comparison_page, demo_page, diagnosis_page
 
-LARGEST = 5_000_000  # bytes
+MAX_SIZE = 5_000_000  # bytes
 ORIGIN = Origin("alula diagnose <a> & b.csv", "2026-01-01T00:00:00+00:00", {"b.csv": "0" * 64}, "alula add rotor_drag")
 SECTIONS = ("errors", "lines", "regions", "ranking", "spectrum", "agreement", "likeness", "history")
 
@@ -56,7 +56,7 @@ def pages(
 @pytest.mark.parametrize("name", ["diagnose", "compare", "demo"])
 def test_a_page_is_one_small_file_that_needs_nothing_else(pages: dict[str, str], name: str) -> None:
     page = pages[name]
-    assert len(page.encode()) < LARGEST
+    assert len(page.encode()) < MAX_SIZE
     assert not re.search(r"<(script|link|img|iframe)[^>]+(src|href)\s*=", page)
     assert "alula diagnose &lt;a&gt; &amp; b.csv" in page
 
@@ -71,10 +71,10 @@ def test_the_pages_numbers_are_those_of_the_json(
     pages: dict[str, str], findings: DiagnosisDetails, compared: ComparisonDetails
 ) -> None:
     diagnosis = findings.diagnosis
-    told = {value for e in diagnosis.channels.values() for value in (e.before, e.after, e.floor)}
-    told |= {p.value for e in diagnosis.effects for p in e.parameters.values()}
-    assert told <= numbers(pages["diagnose"])
-    assert told <= numbers(pages["demo"])
+    expected = {value for e in diagnosis.channels.values() for value in (e.before, e.after, e.floor)}
+    expected |= {p.value for e in diagnosis.effects for p in e.parameters.values()}
+    assert expected <= numbers(pages["diagnose"])
+    assert expected <= numbers(pages["demo"])
     axes = {value for a in compared.comparison.axes for value in (a.rms, a.floor)}
     assert axes <= numbers(pages["compare"])
 
@@ -83,24 +83,24 @@ def test_the_overlay_is_measured_modelled_and_the_worst_two_seconds(
     findings: DiagnosisDetails, dataset: Dataset
 ) -> None:
     regression = findings.regression
-    seen = overlay(dataset.held_out, findings.before, findings.after, regression)
-    known = np.isfinite(seen.measured).all(axis=1)
-    left = np.vstack(findings.before)
-    np.testing.assert_allclose((seen.measured - seen.current)[known], left, atol=1e-12)
-    assert seen.left_out == 0
-    inside = (seen.time >= seen.worst[0]) & (seen.time < seen.worst[1]) & known
+    view = overlay(dataset.held_out, findings.before, findings.after, regression)
+    flown_rows = np.isfinite(view.measured).all(axis=1)
+    residual = np.vstack(findings.before)
+    np.testing.assert_allclose((view.measured - view.current)[flown_rows], residual, atol=1e-12)
+    assert view.left_out == 0
+    inside = (view.time >= view.worst[0]) & (view.time < view.worst[1]) & flown_rows
     active = regression.noise.floor > 0
-    squares = np.mean(((seen.measured - seen.current)[:, active] / regression.noise.floor[active]) ** 2, axis=1)
-    assert np.mean(squares[inside]) > np.mean(squares[known])
+    squares = np.mean(((view.measured - view.current)[:, active] / regression.noise.floor[active]) ** 2, axis=1)
+    assert np.mean(squares[inside]) > np.mean(squares[flown_rows])
 
 
 def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: DiagnosisDetails) -> None:
     pair = [s for s in findings.selection.singles if s.names & {"thrust_constant", "mass"}]
     assert likeness(findings.regression, pair).shared[0, 1] > 0.9
-    seen = likeness(findings.regression, findings.selection.singles)
-    assert np.diag(seen.shared) == pytest.approx(1.0)
-    np.testing.assert_allclose(seen.shared, seen.shared.T)
-    assert ((seen.shared >= 0) & (seen.shared <= 1)).all()
+    likenesses = likeness(findings.regression, findings.selection.singles)
+    assert np.diag(likenesses.shared) == pytest.approx(1.0)
+    np.testing.assert_allclose(likenesses.shared, likenesses.shared.T)
+    assert ((likenesses.shared >= 0) & (likenesses.shared <= 1)).all()
 
 
 def test_the_command_that_adds_is_the_one_to_type(findings: DiagnosisDetails) -> None:
@@ -151,7 +151,7 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
     assert BROWSER is not None, "CI must have Chromium"
     write_page(pages[name], tmp_path / "page.html")
     (tmp_path / "phone.html").write_text(NARROW)
-    found = None
+    title = None
     for budget in (30_000, 120_000, 480_000):  # ms of the browser's own clock, which a busy machine cannot keep up with
         command = [
             BROWSER,
@@ -168,11 +168,11 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
             (tmp_path / "phone.html").as_uri(),
         ]
         done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
-        found = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
-        if found is not None:
+        title = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
+        if title is not None:
             break
-    assert found is not None, done.stderr[-2000:]
-    drawn, pictures, wide, failed = map(int, found.groups())
+    assert title is not None, done.stderr[-2000:]
+    drawn, pictures, wide, failed = map(int, title.groups())
     assert drawn == pictures > 5
     assert wide <= 390
     assert failed == 0

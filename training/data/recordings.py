@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 
 from pyarrow import ArrowException
@@ -16,11 +15,13 @@ from dynamics.references.campaign import paper_campaign
 from flights.aligned import read_aligned
 from flights.exclusion import free_flight
 from flights.flight import Flight
+from flights.hold_out import cuts_in_time, matching
 from flights.source import sha256
 from flights.tables import decode_notes
 
 CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
 VALIDATION_SHARE = 0.1
+VALIDATION_TIME_SHARE = 0.2  # of the only flight
 SHORTEST = 1.0  # s of a segment worth learning from
 SIMULATED = "alula.lockstep"  # what wrote a campaign's flights, as they say themselves
 TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
@@ -151,14 +152,14 @@ def split_recordings(
     notes: list[str] = []
     kept = list(recordings)
     if hold_out is not None:
-        out = [r for r in kept if _is_called(r, hold_out)]
-        kept = [r for r in kept if r not in out]
-        _require_some(hold_out, "--hold-out", out, kept, recordings)
+        places = matching([r.name for r in kept], hold_out, option="--hold-out")
+        out = [r for i, r in enumerate(kept) if i in places]
+        kept = [r for i, r in enumerate(kept) if i not in places]
         notes.append(f"held out, not looked at: {', '.join(r.name for r in out)}")
     if validation is not None:
-        judges = [r for r in kept if _is_called(r, validation)]
-        learned = [r for r in kept if r not in judges]
-        _require_some(validation, "--validation", judges, learned, kept)
+        places = matching([r.name for r in kept], validation, option="--validation")
+        judges = [r for i, r in enumerate(kept) if i in places]
+        learned = [r for i, r in enumerate(kept) if i not in places]
         return Split(tuple(learned), tuple(judges), tuple(notes))
     if len(kept) == 1:
         notes.append(
@@ -168,7 +169,7 @@ def split_recordings(
         learned_part, judging_part = _cut(kept[0])
         return Split((learned_part,), (judging_part,), tuple(notes))
     count = max(1, round(VALIDATION_SHARE * len(kept)))
-    places = {round((i + 0.5) * len(kept) / count) for i in range(count)}
+    places = frozenset(round((i + 0.5) * len(kept) / count) for i in range(count))
     judges = [r for i, r in enumerate(kept) if i in places]
     return Split(tuple(r for r in kept if r not in judges), tuple(judges), tuple(notes))
 
@@ -184,28 +185,12 @@ def _read(name: str, path: Path, rate: float, mapping: Path | None) -> Recording
     return Recording(name, flight.provenance.sha256, segments)
 
 
-def _is_called(recording: Recording, pattern: str) -> bool:
-    """Whether a pattern is for this flight, with folders or without."""
-    return fnmatchcase(recording.name, pattern) or fnmatchcase(Path(recording.name).name, pattern)
-
-
 def _cut(recording: Recording) -> tuple[Recording, Recording]:
     """The first four fifths of a flight's rows, and the rest."""
-    limit, passed = round(0.8 * recording.rows), 0
+    cuts = cuts_in_time([len(segment) for segment in recording.segments], VALIDATION_TIME_SHARE)
     before: list[Flight] = []
     after: list[Flight] = []
-    for segment in recording.segments:
-        cut = min(max(limit - passed, 0), len(segment))
+    for segment, cut in zip(recording.segments, cuts, strict=True):
         before += [segment.rows(0, cut)] if cut else []
         after += [segment.rows(cut, len(segment))] if cut < len(segment) else []
-        passed += len(segment)
     return tuple(dataclasses.replace(recording, segments=tuple(part)) for part in (before, after))  # type: ignore[return-value]
-
-
-def _require_some(
-    pattern: str, option: str, matched: Sequence[Recording], left: Sequence[Recording], among: Sequence[Recording]
-) -> None:
-    if not matched or not left:
-        which = "none" if not matched else "all"
-        names = ", ".join(r.name for r in among[:6])
-        raise RequestError(f"{option} {pattern!r} matches {which} of {names}. Wanted a pattern that matches some.")

@@ -1,4 +1,4 @@
-"""What a command is worth is found where it is planted: gain by flight, gain by motor, curve, lag."""
+"""Thrust over command is recovered where it is planted: gain by flight, gain by motor, curve, lag."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ CONSTANT, LINEAR = 0.1, 0.9  # of thrust over a rotor's share of the weight
 def signalled(flight: Flight, vehicle: Vehicle, gain: float) -> Flight:
     """The flight with motor signals whose worth the vehicle file does not know, instead of its rotor speeds."""
     thrust = (flight["rotor_speed"] / vehicle.hover_speed) ** 2
-    said = (thrust - CONSTANT) / LINEAR / (gain * MOTORS)
-    signals = vehicle.hover_speed * np.sqrt(np.maximum(said, 0.0)) / vehicle.rotors.speed_max
+    commanded = (thrust - CONSTANT) / LINEAR / (gain * MOTORS)
+    signals = vehicle.hover_speed * np.sqrt(np.maximum(commanded, 0.0)) / vehicle.rotors.speed_max
     columns = {f"rotor_speed_{i}": None for i in range(4)}
     return with_columns(flight, {**columns, **{f"rotor_command_{i}": signals[:, i] for i in range(4)}})
 
@@ -40,7 +40,7 @@ def named(flight: Flight, number: int) -> Flight:
     return replace(flight, provenance=replace(flight.provenance, path=f"flight_{number}"))
 
 
-def test_gains_and_curve_are_found_and_give_the_rotors_speeds_back(
+def test_gains_and_curve_are_recovered_and_give_the_rotors_speeds_back(
     commanded: list[Segment], plain_flights: list[Flight], arpl_250g: Vehicle
 ) -> None:
     curve = fit_command_curve(commanded, (), arpl_250g)
@@ -52,8 +52,8 @@ def test_gains_and_curve_are_found_and_give_the_rotors_speeds_back(
     assert curve.explained > 0.95
     for segment in commanded:
         plain = segments(plain_flights[int(segment.flight[-1])], arpl_250g)[0]
-        found = curve.applied(segment, arpl_250g).rotor_speed
-        assert np.sqrt(np.mean((found / plain.rotor_speed - 1) ** 2)) < 0.03
+        speed = curve.applied(segment, arpl_250g).rotor_speed
+        assert np.sqrt(np.mean((speed / plain.rotor_speed - 1) ** 2)) < 0.03
 
 
 def test_a_held_out_flight_gets_its_own_gain(commanded: list[Segment], arpl_250g: Vehicle) -> None:

@@ -41,14 +41,14 @@ def test_sensitivities_are_those_of_finite_differences(commanded, arpl_250g):
     nx = windows.states.shape[2]
     first = np.zeros((2, nx, 2))
     first[:, 4, 0] = 1.0  # of the velocity to the north
-    found = simulator.sensitivities(windows, p, first)
+    refitted = simulator.sensitivities(windows, p, first)
     mass = p[predictor.model.parameter_index(name)]
     moved = simulator.run(segment, [10, 200], 20, predictor.values({name: mass + NUDGE}))
     first[:, :, 0] = (moved.states[:, 0] - windows.states[:, 0]) / NUDGE  # where hidden states begin depends on it, too
     both = simulator.sensitivities(windows, p, first)[:, -1].sum(axis=2)
     assert (moved.states[:, -1] - windows.states[:, -1]) / NUDGE == pytest.approx(both, rel=1e-3, abs=1e-3)
-    assert found[:, -1, 4, 0] == pytest.approx(1.0, abs=0.01)  # nothing drags
-    assert found[:, -1, 1, 0] == pytest.approx(20 / segment.rate, rel=0.01)
+    assert refitted[:, -1, 4, 0] == pytest.approx(1.0, abs=0.01)  # nothing drags
+    assert refitted[:, -1, 1, 0] == pytest.approx(20 / segment.rate, rel=0.01)
 
 
 def test_windows_end_where_the_vehicle_did_only_with_the_right_mass(plain, arpl_250g):
@@ -65,13 +65,13 @@ def test_output_error_finds_the_truth_from_a_wrong_beginning(plain, arpl_250g, n
     candidate = next(c for c in regression.candidates if c.effect.name == name)
     vehicle = with_candidates(arpl_250g, [candidate], {f"{name}.ratio": begin})
     started = Fit(vehicle, {(name, "ratio"): ParameterEstimate(begin, 0.01, "1")}, (candidate,))
-    found = refit(started, arpl_250g, some, plain.fitted, plain.held_out)
-    assert found is not None
-    estimate = found.fit.estimates[name, "ratio"]
+    refitted = refit(started, arpl_250g, some, plain.fitted, plain.held_out)
+    assert refitted is not None
+    estimate = refitted.fit.estimates[name, "ratio"]
     assert estimate.value == pytest.approx(truth, abs=0.1 * (begin - truth))
     assert abs(estimate.value - truth) < 4 * estimate.std
-    assert found.after < found.before
-    assert found.fit.vehicle.effects[0].parameters["ratio"] == estimate.value
+    assert refitted.after < refitted.before
+    assert refitted.fit.vehicle.effects[0].parameters["ratio"] == estimate.value
 
 
 def test_the_lag_of_the_motors_is_found_through_its_hidden_states(commanded, arpl_250g):
@@ -80,10 +80,10 @@ def test_the_lag_of_the_motors_is_found_through_its_hidden_states(commanded, arp
     candidate = next(c for c in regression.candidates if c.effect.name == "motor_lag")
     vehicle = with_candidates(arpl_250g, [candidate], {"motor_lag.time_constant": 0.06})
     started = Fit(vehicle, {("motor_lag", "time_constant"): ParameterEstimate(0.06, 0.01, "s")}, (candidate,))
-    found = refit(started, arpl_250g, some, commanded.fitted, commanded.held_out)
-    assert found is not None
+    refitted = refit(started, arpl_250g, some, commanded.fitted, commanded.held_out)
+    assert refitted is not None
     lag = DEFAULT_MOTOR_LAG + ACTUATION_DELAY  # commands are heard late, which is as good as more lag
-    assert found.fit.estimates["motor_lag", "time_constant"].value == pytest.approx(lag, abs=0.003)
+    assert refitted.fit.estimates["motor_lag", "time_constant"].value == pytest.approx(lag, abs=0.003)
 
 
 def test_a_fault_of_a_sensor_alone_is_not_simulated(plain, arpl_250g):
@@ -109,6 +109,6 @@ def test_what_a_faulty_sensor_reads_is_put_right_before_simulating(plain, arpl_2
     assert mended.gyro - read.gyro == pytest.approx(np.tile([-0.1, 0, 0], (len(read), 1)))
     late = round(0.02 * read.rate)
     assert mended.velocity[:-late] == pytest.approx(read.velocity[late:], abs=1e-9)
-    same, kept = healthy(msgspec.structs.replace(arpl_250g), CATALOGUE, plain.held_out)
+    same, untouched = healthy(msgspec.structs.replace(arpl_250g), CATALOGUE, plain.held_out)
     assert same == arpl_250g
-    assert kept == list(plain.held_out)
+    assert untouched == list(plain.held_out)

@@ -25,13 +25,13 @@ def make(vehicle, name, values, free=(), rotor=None):
 
 def test_a_prediction_is_the_models_at_every_row(segment, arpl_250g):
     predictor = make(arpl_250g, "rotor_drag", {"coefficient": 3e-5})
-    found = predictor.predict(segment)
+    prediction = predictor.predict(segment)
     model = build_model(arpl_250g, effects=[EffectUse("rotor_drag", {"coefficient": 3e-5})])
     for row in (0, 100, 500):
         arguments = (segment.smooth[row], segment.rotor_speed[row], model.parameter_values, segment.environment[row])
         force, angular, _ = model.observe(*arguments)
-        np.testing.assert_allclose(found.specific_force[row], np.array(force).ravel(), rtol=1e-9)
-        np.testing.assert_allclose(found.angular_acceleration[row], np.array(angular).ravel(), rtol=1e-9)
+        np.testing.assert_allclose(prediction.specific_force[row], np.array(force).ravel(), rtol=1e-9)
+        np.testing.assert_allclose(prediction.angular_acceleration[row], np.array(angular).ravel(), rtol=1e-9)
 
 
 @pytest.mark.parametrize(

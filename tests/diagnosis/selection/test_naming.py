@@ -20,10 +20,10 @@ def diagnosed(vehicle, *effects, noise=1.0, seed=5, commands=False, catalogue=CA
 
 
 def test_a_wrong_mass_beside_a_strong_drag_is_not_taken_for_a_wrong_thrust_constant(arpl_250g):
-    found = diagnosed(
+    diagnosis = diagnosed(
         arpl_250g, ("mass", {"ratio": 1.18}, None), ("rotor_drag", {"coefficient": 4.7e-5}, None), noise=3.0
     )
-    values = {effect.name: effect.parameters for effect in found.effects}
+    values = {effect.name: effect.parameters for effect in diagnosis.effects}
     assert set(values) == {"mass", "rotor_drag"}
     assert values["mass"]["ratio"].value == pytest.approx(1.18, rel=0.01)
     assert values["rotor_drag"]["coefficient"].value == pytest.approx(4.7e-5, rel=0.02)
@@ -31,8 +31,8 @@ def test_a_wrong_mass_beside_a_strong_drag_is_not_taken_for_a_wrong_thrust_const
 
 def test_an_effect_that_the_held_out_flights_do_not_show_is_named_from_the_others(arpl_250g):
     wall = {"gain": -0.17, "heading": -np.pi / 2, "distance": 2.12, "scale": 0.14}  # only the second flight is near it
-    found = diagnosed(arpl_250g, ("wall_effect", wall, None))
-    assert [effect.name for effect in found.effects] == ["wall_effect"]
+    diagnosis = diagnosed(arpl_250g, ("wall_effect", wall, None))
+    assert [effect.name for effect in diagnosis.effects] == ["wall_effect"]
 
 
 def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
@@ -43,10 +43,10 @@ def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
 
 
 def test_commanded_speeds_are_taken_at_their_word(arpl_250g):
-    found = diagnosed(
+    diagnosis = diagnosed(
         arpl_250g, ("motor_lag", {"time_constant": 0.03}, None), ("mass", {"ratio": 1.1}, None), commands=True
     )
-    first = {effect.name: effect for effect in found.effects}
+    first = {effect.name: effect for effect in diagnosis.effects}
     assert set(first) <= {"motor_lag", "mass", "thrust_constant"}
     assert first["motor_lag"].parameters["time_constant"].value == pytest.approx(0.03, rel=0.05)
     assert len(first) == 2
@@ -56,6 +56,6 @@ def test_no_more_than_two_effects_are_named_as_not_told_apart(arpl_250g):
     body = msgspec.structs.replace(arpl_250g.body, mass=0.97 * arpl_250g.body.mass)
     flights = compiled_flights(arpl_250g, [], catalogue=CATALOGUE, seed=6)
     light = msgspec.structs.replace(arpl_250g, body=body)
-    found = diagnose_dataset(make_dataset(flights, light), light, CATALOGUE).diagnosis
-    assert all(len(effect.ambiguous_with) <= 1 for effect in found.effects)
-    assert "mass" in {found.effects[0].name, *found.effects[0].ambiguous_with}
+    diagnosis = diagnose_dataset(make_dataset(flights, light), light, CATALOGUE).diagnosis
+    assert all(len(effect.ambiguous_with) <= 1 for effect in diagnosis.effects)
+    assert "mass" in {diagnosis.effects[0].name, *diagnosis.effects[0].ambiguous_with}
