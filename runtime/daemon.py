@@ -40,7 +40,7 @@ from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
 from runtime.telemetry_buffer import TelemetryBuffer
-from runtime.timing import TimingReport
+from runtime.timing import CONTROL_RATE, TimingReport
 
 MIN_RATE = 0.9  # of the rate of estimates that the flight requires
 MAX_ESTIMATE_RATE = 100.0  # Hz that are enough for a faster flight too: PX4 sends 124 Hz on a request for 200
@@ -75,7 +75,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """
 
     endpoint: Endpoint
-    rate: float = 100.0
+    rate: float = CONTROL_RATE
     plan: Plan = Plan()
     settings: FlyerSettings = FlyerSettings()
     record: Path | None = None

@@ -25,6 +25,7 @@ from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
+from runtime.timing import CONTROL_RATE
 
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
@@ -39,7 +40,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bundle: Path | None = None
     duration: float | None = None
     height: float = 1.5
-    rate: float = 100.0
+    rate: float = CONTROL_RATE
     record: Path | None = None
     arm: bool = True
     resume: bool = False

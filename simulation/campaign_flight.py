@@ -18,7 +18,8 @@ from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from flights.flight import Flight
 from runtime.control.controller import Controller
-from simulation.lockstep import PERIOD, FlownReference, fly_reference
+from runtime.timing import CONTROL_PERIOD
+from simulation.lockstep import FlownReference, fly_reference
 from sitl_mock.scenario import parse_scenario
 
 SPEEDS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)  # tried one after the other when hidden effects are too much for full speed
@@ -118,8 +119,8 @@ def _within_reach(reference: Reference, vehicle: Vehicle) -> Reference:
 
 
 def _write(task: FlightTask, flown: FlownReference, reference: Reference) -> FlightSummary:
-    truth = Flight.from_log(flown.truth, rate=1 / PERIOD)
-    flight = Flight.from_log(flown.log, rate=1 / PERIOD)
+    truth = Flight.from_log(flown.truth, rate=1 / CONTROL_PERIOD)
+    flight = Flight.from_log(flown.log, rate=1 / CONTROL_PERIOD)
     whole = min(_known_rows(flight), len(truth))
     flight, truth = flight.rows(0, whole), truth.rows(0, whole)
     asked = named_reference(task.reference, reference.vehicle)
@@ -145,15 +146,15 @@ def _known_rows(flight: Flight) -> int:
 
 def _summary(task: FlightTask, flight: Flight, truth: Flight, speed: float) -> FlightSummary:
     error = truth["position"] - flight["position_setpoint"]
-    acceleration = np.diff(truth["velocity"], axis=0) / PERIOD
-    turning = np.diff(truth["rate"], axis=0) / PERIOD
+    acceleration = np.diff(truth["velocity"], axis=0) / CONTROL_PERIOD
+    turning = np.diff(truth["rate"], axis=0) / CONTROL_PERIOD
     return FlightSummary(
         name=task.name,
         split=task.split,
         reference=task.reference,
         speed=round(speed, 4),
         seed=task.seed,
-        duration=round(len(flight) * PERIOD, 3),
+        duration=round(len(flight) * CONTROL_PERIOD, 3),
         samples=len(flight),
         position_rmse=float(np.sqrt(np.mean(np.sum(error**2, axis=1)))),
         peak_speed=_peak(truth["velocity"]),

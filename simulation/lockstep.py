@@ -26,10 +26,10 @@ from runtime.flight.mission import Mission, Phase, Plan
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
+from runtime.timing import CONTROL_PERIOD
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 
-PERIOD = 0.01  # s between ticks
 LATENCY = 0.005  # s from an estimate to the setpoint that follows from it, as over a link
 CLIMB_TIME, CLIMB_PATIENCE = 2.0, 30.0  # s
 ARRIVED = 0.15  # m and m/s
@@ -99,12 +99,12 @@ def fly_reference(
     controller = controller or Controller.build(vehicle, catalogue=catalogue)
     trim = controller.trim
     thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
-    settings = FlyerSettings(period=PERIOD, engagement=EngagementSettings(resume=True))
+    settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True))
     flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}
-    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, PERIOD * sum(rows.away), events)
+    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, CONTROL_PERIOD * sum(rows.away), events)
 
 
 def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:
@@ -172,7 +172,7 @@ def _advance(
         sample = plant.imu
         rows.imu.append((since, np.concatenate([sample.specific_force_body, sample.rate_body])))
     plant.advance(before, True, LATENCY - first)
-    plant.advance(after, True, PERIOD - LATENCY)
+    plant.advance(after, True, CONTROL_PERIOD - LATENCY)
 
 
 def _keep(

@@ -26,6 +26,7 @@ from runtime.control.history import ColumnHistory
 from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.solver import RtiSolver
+from runtime.timing import CONTROL_PERIOD
 
 HISTORY = 64  # ticks of inputs stored for delay compensation
 MAX_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
@@ -42,7 +43,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True)
     """
 
     problem: Problem = Problem()
-    period: float = 0.01
+    period: float = CONTROL_PERIOD
     rate_lookahead: float = 0.075
     yaw_lookahead: float = 0.3
     delay: float = 0.005

@@ -26,6 +26,7 @@ from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
 from runtime.flight.thrust import EffectivenessEstimator, EffectivenessSettings, ThrustMap, specific_force_z
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
+from runtime.timing import CONTROL_PERIOD
 
 ZERO_RATE = np.zeros(3)
 SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
@@ -46,7 +47,7 @@ class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     thrust: of the effectiveness filter.
     """
 
-    period: float = 0.01
+    period: float = CONTROL_PERIOD
     engagement: EngagementSettings = EngagementSettings()
     bounds: FallbackBounds = FallbackBounds()
     health: HealthLimits = HealthLimits()

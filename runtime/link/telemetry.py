@@ -6,14 +6,14 @@ Every struct has `time`, when it held, and `received`, when its bytes arrived, b
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite, nan, pi
+from math import isfinite, nan
 from typing import Literal
 
 import msgspec
 
+from dynamics.units import RPM
 from runtime.link.dialect import Message, mavlink
 
-_RAD_PER_S = 2 * pi / 60  # of one revolution per minute
 _UNKNOWN_VOLTAGE = 65535
 _IMU_WINDOW = 0.005  # s over which PX4 averages a sample, which it stamps at the end (IMU_INTEG_RATE 200 Hz)
 
@@ -116,7 +116,7 @@ def decode_telemetry(message: Message, received: float, to_ours: ToOurs) -> Tele
 
 
 def _rotor_speeds(message: Message, received: float, to_ours: ToOurs) -> RotorSpeeds:
-    speed = tuple(rpm * _RAD_PER_S for rpm in message.rpm)
+    speed = tuple(rpm * RPM for rpm in message.rpm)
     return RotorSpeeds(to_ours(message.time_usec * 1e-6, received), received, int(message.index), speed)
 
 
