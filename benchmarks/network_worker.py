@@ -19,6 +19,7 @@ from dynamics import quaternion
 from dynamics.codegen import compile_functions
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, vehicle_toml
@@ -106,11 +107,10 @@ def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> Train
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     states, commands = collect(vehicle, seed)
-    state = states[..., 3:13]
-    inputs = columns(config, state, commands)[:-1]
-    rates = np.concatenate([np.diff(state[..., 0:3], axis=0), np.diff(state[..., 7:10], axis=0)], -1) / DT
+    inputs = columns(config, states, commands)[:-1]
+    rates = np.concatenate([np.diff(states[..., VELOCITY], axis=0), np.diff(states[..., RATE], axis=0)], -1) / DT
     shape = rates.shape
-    targets = body_accelerations(rates.reshape(-1, 6), state[:-1, :, 3:7].reshape(-1, 4)).reshape(shape)
+    targets = body_accelerations(rates.reshape(-1, 6), states[:-1, :, ATTITUDE].reshape(-1, 4)).reshape(shape)
     over = (0, 1)
     scaling = Scaling(inputs.mean(over), inputs.std(over), targets.mean(over), targets.std(over))
     features = torch.as_tensor((inputs - scaling.input_mean) / scaling.input_std, dtype=torch.float32).transpose(0, 1)

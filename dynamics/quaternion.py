@@ -1,44 +1,29 @@
 """Hamilton quaternions, w first, body to world.
 
-The formulas stand once and serve NumPy arrays (components on the last axis, any leading axes) and CasADi
-column vectors alike; what only data needs (Euler angles, sign continuity, matrices to quaternions) is NumPy.
+The formulas stand once and serve NumPy arrays (components on the last axis, any leading axes) and CasADi column
+vectors alike; torch tensors take the shorter way of `dynamics.tensor_quaternion`. What only data needs (Euler angles,
+sign continuity, matrices to quaternions) is NumPy.
 """
 
 from __future__ import annotations
-
-from collections.abc import Sequence
-from typing import Any
 
 import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-Expression = Any  # a casadi.SX or casadi.MX column, or a NumPy array; CasADi carries no types of its own
+from dynamics import tensor_quaternion
+from dynamics.libraries import Expression, is_symbolic, is_tensor, join, library_of, split
+
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
-
-
-def is_symbolic(value: Expression) -> bool:
-    """Whether a value is a CasADi matrix rather than something NumPy understands."""
-    return isinstance(value, (ca.SX, ca.MX, ca.DM))
-
-
-def _split(value: Expression) -> list[Expression]:
-    if is_symbolic(value):
-        return list(ca.vertsplit(value))
-    return list(np.moveaxis(np.asarray(value, dtype=float), -1, 0))
-
-
-def _join(parts: Sequence[Expression]) -> Expression:
-    if any(is_symbolic(part) for part in parts):
-        return ca.vertcat(*parts)
-    return np.stack(np.broadcast_arrays(*parts), axis=-1)
 
 
 def multiply(left: Expression, right: Expression) -> Expression:
     """Hamilton product left * right. left, right: (..., 4)."""
-    a, b, c, d = _split(left)
-    w, x, y, z = _split(right)
-    return _join(
+    if is_tensor(left):
+        return tensor_quaternion.multiply(left, right)
+    a, b, c, d = split(left)
+    w, x, y, z = split(right)
+    return join(
         [
             a * w - b * x - c * y - d * z,
             a * x + b * w + c * z - d * y,
@@ -50,17 +35,19 @@ def multiply(left: Expression, right: Expression) -> Expression:
 
 def conjugate(attitude: Expression) -> Expression:
     """The inverse rotation of a unit quaternion. attitude: (..., 4)."""
-    w, x, y, z = _split(attitude)
-    return _join([w, -x, -y, -z])
+    w, x, y, z = split(attitude)
+    return join([w, -x, -y, -z])
 
 
 def rotate(attitude: Expression, vector_body: Expression) -> Expression:
     """A body vector in world axes (the paper's q (.) f). attitude: (..., 4), vector_body: (..., 3)."""
-    w, x, y, z = _split(attitude)
-    a, b, c = _split(vector_body)
+    if is_tensor(attitude):
+        return tensor_quaternion.rotate(attitude, vector_body)
+    w, x, y, z = split(attitude)
+    a, b, c = split(vector_body)
     # v + 2 w (r x v) + 2 r x (r x v), with r the vector part
     s, t, u = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-    return _join([a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s])
+    return join([a + w * s + y * u - z * t, b + w * t + z * s - x * u, c + w * u + x * t - y * s])
 
 
 def rotate_inverse(attitude: Expression, vector_world: Expression) -> Expression:
@@ -73,18 +60,20 @@ def derivative(attitude: Expression, rate_body: Expression) -> Expression:
 
     attitude: (..., 4). rate_body: (..., 3) rad/s. Returns (..., 4) 1/s.
     """
-    x, y, z = _split(rate_body)
-    return 0.5 * multiply(attitude, _join([0 * x, x, y, z]))
+    x, y, z = split(rate_body)
+    return 0.5 * multiply(attitude, join([0 * x, x, y, z]))
 
 
 def exponential(rotation_vector: Expression) -> Expression:
     """Quaternion of a rotation vector. rotation_vector: (..., 3) rad, any length, zero included."""
-    x, y, z = _split(rotation_vector)
+    if is_tensor(rotation_vector):
+        return tensor_quaternion.exponential(rotation_vector)
+    x, y, z = split(rotation_vector)
     square = x * x + y * y + z * z + 1e-24  # keeps value and derivative finite at zero rotation
     angle = square**0.5
-    sinc = ca.sin(angle / 2) / angle if is_symbolic(angle) else np.sin(angle / 2) / angle
-    cosine = ca.cos(angle / 2) if is_symbolic(angle) else np.cos(angle / 2)
-    return _join([cosine, sinc * x, sinc * y, sinc * z])
+    library = library_of(angle)
+    sinc = library.sin(angle / 2) / angle
+    return join([library.cos(angle / 2), sinc * x, sinc * y, sinc * z])
 
 
 def logarithm(attitude: ArrayLike) -> NDArray[np.float64]:
@@ -154,15 +143,15 @@ def from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.
     """Attitude of yaw, then pitch, then roll about the moving axes (z-y-x), all rad and broadcastable."""
     half = [np.asarray(angle, dtype=float) / 2 for angle in (roll, pitch, yaw)]
     zero = np.zeros_like(half[0] + half[1] + half[2])
-    about_x = _join([np.cos(half[0]) + zero, np.sin(half[0]), zero, zero])
-    about_y = _join([np.cos(half[1]) + zero, zero, np.sin(half[1]), zero])
-    about_z = _join([np.cos(half[2]) + zero, zero, zero, np.sin(half[2])])
+    about_x = join([np.cos(half[0]) + zero, np.sin(half[0]), zero, zero])
+    about_y = join([np.cos(half[1]) + zero, zero, np.sin(half[1]), zero])
+    about_z = join([np.cos(half[2]) + zero, zero, zero, np.sin(half[2])])
     return np.asarray(multiply(multiply(about_z, about_y), about_x))
 
 
 def to_euler(attitude: ArrayLike) -> NDArray[np.float64]:
     """Roll, pitch and yaw (z-y-x order), rad. attitude: (..., 4). Returns (..., 3)."""
-    w, x, y, z = _split(np.asarray(attitude, dtype=float))
+    w, x, y, z = split(np.asarray(attitude, dtype=float))
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))
     pitch = np.arcsin(np.clip(2 * (w * y - z * x), -1.0, 1.0))
     yaw = np.arctan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))

@@ -14,8 +14,9 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.integrators import required_steps, rk4
+from dynamics.kinematics import kinematic_step
 from dynamics.model import ENVIRONMENT_DEFAULT
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES, VELOCITY
 from export.trained import ExportedModel
 from runtime.control.rti.problem import Problem
 
@@ -41,9 +42,9 @@ def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start:
         if model.network is None:
             found = flown.derivative(x, u, flown.parameter_values, ENVIRONMENT_DEFAULT, quiet)
             return np.array(found).ravel()
-        rates = _rates(forward, np.concatenate([x[:RIGID_BODY_STATES], u])[:, None], x[RIGID_BODY_STATES:])
-        turning = np.asarray(quaternion.derivative(x[6:10], x[10:13]))
-        return np.concatenate([x[3:6], rates[:3], turning, rates[3:]])
+        rates = _rates(forward, np.concatenate([x[:RIGID_BODY_STATES], u])[:, None], x[HIDDEN])
+        turning = np.asarray(quaternion.derivative(x[ATTITUDE], x[RATE]))
+        return np.concatenate([x[VELOCITY], rates[:3], turning, rates[3:]])
 
     x, states = start, [start]
     for u in inputs:
@@ -59,13 +60,13 @@ def _by_columns(
     columns = list(window[:, :-1].T)
     before = np.zeros(0)
     if model.extrapolated:  # hidden states are not measured: as now, then a step back along their rate
-        then, hidden = np.array(columns[-length:]).T, start[RIGID_BODY_STATES:]
+        then, hidden = np.array(columns[-length:]).T, start[HIDDEN]
         before = _rates(forward, then, hidden - h * _rates(forward, then, hidden)[6:])
     x, states = start, [start]
     for u in inputs:
         for _ in range(round(problem.node / h)):
             columns.append(np.concatenate([x[:RIGID_BODY_STATES], u]))
-            rates = _rates(forward, np.array(columns[-length:]).T, x[RIGID_BODY_STATES:])
+            rates = _rates(forward, np.array(columns[-length:]).T, x[HIDDEN])
             mean = rates + (rates - before) / 2 if model.extrapolated else rates
             x, before = _moved(x, mean, h), rates
         states.append(x)
@@ -79,8 +80,5 @@ def _rates(forward: ca.Function, window: Floats, hidden: Floats) -> Floats:
 
 def _moved(x: Floats, mean: Floats, h: float) -> Floats:
     """The state (nx,) after h seconds of mean rates (6 + hidden,)."""
-    turned = quaternion.multiply(x[6:10], quaternion.exponential(h * (x[10:13] + h / 2 * mean[3:6])))
-    return np.concatenate([
-        x[0:3] + h * x[3:6] + h * h / 2 * mean[:3], x[3:6] + h * mean[:3], turned, x[10:13] + h * mean[3:6],
-        x[RIGID_BODY_STATES:] + h * mean[6:],
-    ])  # fmt: skip
+    moved = kinematic_step(x[:RIGID_BODY_STATES], mean[:3], mean[3:6], h)
+    return np.concatenate([moved, x[HIDDEN] + h * mean[6:]])

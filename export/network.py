@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+from dynamics.network_inputs import STATE_INPUTS, Frame
 
-Frame = Literal["world", "body"]
 WIDEST_LAYER = 240  # the kernel counts active entries in bytes
 
 
@@ -64,7 +63,7 @@ class Network:
 
     def __post_init__(self) -> None:
         """Refuse what no backend could evaluate."""
-        entries = (9 if self.inputs == "body" else 10) + self.rotors
+        entries = len(STATE_INPUTS[self.inputs]) + self.rotors
         width = self._chain(entries)
         if width != 6 or self.output_mean.shape != (6,) or self.output_std.shape != (6,):
             raise RequestError(f"the network gives {width} outputs, wanted 6: acceleration and angular acceleration.")

@@ -15,7 +15,7 @@ from dynamics.codegen import CompiledFunction
 from dynamics.errors import DataError
 from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from export.kinematics import roll_out
 from export.trained import ExportedModel, said_by_torch
 from runtime.control.rti.problem import fill_options
@@ -205,9 +205,9 @@ def _torch(backends: Backends, *, double: bool) -> Backend:
 
     def run(windows: Floats, hidden: Floats) -> Floats:
         rows = _newest(backends, windows).transpose(0, 2, 1)
-        inputs = columns(config, rows[..., 3:13], rows[..., 13:])
+        inputs = columns(config, rows[..., :RIGID_BODY_STATES], rows[..., RIGID_BODY_STATES:])
         said = said_by_torch(model, inputs, double=double)
-        attitude = windows[:, 6:10, -1]
+        attitude = windows[:, ATTITUDE, -1]
         base = None if model.physics is None else to_body(_physics(model, windows, hidden), attitude)
         return world_accelerations(accelerations_from(config, vehicle, said, base, attitude), attitude)
 
@@ -227,7 +227,7 @@ def _physics(model: ExportedModel, windows: Floats, hidden: Floats) -> Floats:
             slope = (after - x) / dt
         else:
             slope = np.array(physics.derivative(x, u, physics.parameter_values, ENVIRONMENT_DEFAULT, still)).ravel()
-        found.append(np.concatenate([slope[3:6], slope[10:13]]))
+        found.append(np.concatenate([slope[VELOCITY], slope[RATE]]))
     return np.array(found)
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 
 from dynamics.integrators import required_steps, rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import HIDDEN, RATE, VELOCITY
 
 NAME = "alula_physics"
 
@@ -24,7 +24,7 @@ def physics_function(model: Model, *, dt: float, mean: bool) -> ca.Function:
         return model.derivative(state, u, p, e, quiet)
 
     slope = (rk4(field, x, dt, steps=required_steps(model, dt)) - x) / dt if mean else field(x)
-    rates = ca.vertcat(slope[3:6], slope[10:13], slope[RIGID_BODY_STATES:])
+    rates = ca.vertcat(slope[VELOCITY], slope[RATE], slope[HIDDEN])
     parts = [ca.densify(part) for part in (rates, ca.jacobian(rates, x), ca.jacobian(rates, u))]
     return ca.Function(NAME, [x, u, p, e], ca.cse(parts), ["x", "u", "p", "e"], ["rates", "by_state", "by_input"])
 

@@ -6,7 +6,7 @@ import casadi as ca
 
 from dynamics import quaternion
 from dynamics.model import ENVIRONMENT_DEFAULT
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from export.network import Network
 from export.symbolic import assembly_function, features_function
 from export.trained import ExportedModel
@@ -53,8 +53,8 @@ def _rate_function(model: ExportedModel) -> ca.Function:
     assembly = assembly_function(model)
     said, column, hidden = (ca.SX.sym(assembly.name_in(i), assembly.size1_in(i)) for i in range(3))
     acceleration, hidden_rate = assembly(said, column, hidden)
-    turning = quaternion.derivative(column[6:10], column[10:13])
-    rate = ca.vertcat(column[3:6], acceleration[:3], turning, acceleration[3:], hidden_rate)
+    turning = quaternion.derivative(column[ATTITUDE], column[RATE])
+    rate = ca.vertcat(column[VELOCITY], acceleration[:3], turning, acceleration[3:], hidden_rate)
     return ca.Function("rate", [said, column, hidden], [rate])
 
 

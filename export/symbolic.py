@@ -12,7 +12,8 @@ import casadi as ca
 
 from dynamics import quaternion
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.network_inputs import state_inputs
+from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
 from export.network import Convolution, Network
 from export.physics import physics_function
@@ -41,13 +42,8 @@ def column_units(rotors: int) -> tuple[str, ...]:
 def features_function(network: Network) -> ca.Function:
     """A raw column (13 + rotors) -> standardised features."""
     column = ca.SX.sym("column", RIGID_BODY_STATES + network.rotors)
-    velocity, attitude, rest = column[3:6], column[6:10], column[10:]
-    if network.inputs == "body":
-        velocity, attitude = (
-            quaternion.rotate_inverse(attitude, velocity),
-            quaternion.rotate_inverse(attitude, ca.SX([0, 0, -1])),
-        )
-    raw = ca.vertcat(velocity, attitude, rest)
+    state, rotor_speed = column[:RIGID_BODY_STATES], column[RIGID_BODY_STATES:]
+    raw = ca.vertcat(state_inputs(network.inputs, state), rotor_speed)
     return ca.Function("features", [column], [(raw - network.input_mean) / network.input_std])
 
 
@@ -63,7 +59,7 @@ def assembly_function(model: ExportedModel) -> ca.Function:
     linear, angular = ca.SX.zeros(3), ca.SX.zeros(3)
     if network is not None:
         turned = network.outputs == "body"
-        linear = quaternion.rotate(column[6:10], said[0:3]) if turned else said[0:3]
+        linear = quaternion.rotate(column[ATTITUDE], said[0:3]) if turned else said[0:3]
         angular = said[3:6]
         if turned and physics is None:
             linear = linear - ca.vertcat(0, 0, GRAVITY)

@@ -11,7 +11,7 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.references import named_reference
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from export.trained import ExportedModel
 from training.data.dataset import make_dataset, settled_motors
@@ -27,7 +27,7 @@ def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, see
     recordings = read_recordings(find_logs(logs), dt=model.config.dt, may_be_tests=True)
     config = msgspec.structs.replace(settled_motors(model.config, recordings, vehicle), history=model.window)
     data = make_dataset(config, vehicle, recordings, fewest=1)
-    columns = np.hstack([data.position, data.state, data.rotor_speed])
+    columns = np.hstack([data.state, data.rotor_speed])
     chosen = np.random.default_rng(seed).permutation(data.ends)[:count]
     return np.asarray(columns[chosen[:, None] + np.arange(1 - model.window, 1)].transpose(0, 2, 1))
 
@@ -56,9 +56,10 @@ def random_windows(model: ExportedModel, count: int, seed: int) -> Floats:
     scale = np.array([1.0] * 3 + [4.0] * 3 + [0.5] * 4 + [4.0] * 3 + [0.2 * model.vehicle.hover_speed] * rotors)
     windows = rng.normal(size=(count, model.window, RIGID_BODY_STATES + rotors)) * scale
     windows[..., 2] += 3
-    windows[..., 6] += 1
-    windows[..., 6:10] = quaternion.normalise(windows[..., 6:10])
-    windows[..., 13:] = _within(windows[..., 13:] + model.vehicle.hover_speed, model.vehicle)
+    windows[..., ATTITUDE.start] += 1
+    windows[..., ATTITUDE] = quaternion.normalise(windows[..., ATTITUDE])
+    speeds = windows[..., RIGID_BODY_STATES:] + model.vehicle.hover_speed
+    windows[..., RIGID_BODY_STATES:] = _within(speeds, model.vehicle)
     return np.asarray(windows.transpose(0, 2, 1))
 
 

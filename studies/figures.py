@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
+from dynamics.state import ATTITUDE
 from training.data.features import world_accelerations
 from training.evaluation import BASE, NOMINAL, PLANT, Judged
 
@@ -131,7 +132,7 @@ def _common_rows(judged: Sequence[Judged], flight: str) -> tuple[Floats, Floats,
     for one in judged:
         data, ends = one.data, one.data.ends
         rows = np.flatnonzero(data.flight_of[ends] == data.flights.index(flight))
-        attitude = data.state[ends[rows], 3:7]
+        attitude = data.state[ends[rows], ATTITUDE]
         world = [world_accelerations(body, attitude) for body in (data.label[ends[rows]], one.body[rows])]
         times.append(np.round(data.time[ends[rows]], 6))
         parts.append(world)

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
 from training.data.features import outputs_from
@@ -34,7 +35,7 @@ def calibration(model: TrainedModel, data: Dataset, label: Floats) -> Calibratio
         return None
     ends = data.ends
     base = None if data.base is None else data.base[ends]
-    wanted = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, 3:7])
+    wanted = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, ATTITUDE])
     error = member_outputs(model, data).mean(axis=0) - wanted
     known = np.isfinite(error).all(axis=1)
     size = np.sqrt(np.mean((error[known] / model.scaling.output_std) ** 2, axis=1))

@@ -8,25 +8,15 @@ import msgspec
 from msgspec import Meta
 
 from dynamics.errors import RequestError
+from dynamics.network_inputs import STATE_INPUTS, Frame
 
 Base = Literal["none", "nominal", "grey_box"]
-Frame = Literal["world", "body"]
 Label = Literal["instantaneous", "mean_increment"]
 Network = Literal["tcn", "mlp", "none"]
 Outputs = Literal["world", "body", "wrench"]
 Motors = Literal["command", "measured"]
 Count = Annotated[int, Meta(ge=1)]
 
-STATE_INPUTS: dict[Frame, tuple[str, ...]] = {
-    "world": (
-        "velocity_x", "velocity_y", "velocity_z", "attitude_w", "attitude_x", "attitude_y", "attitude_z",
-        "rate_x", "rate_y", "rate_z",
-    ),
-    "body": (
-        "velocity_body_x", "velocity_body_y", "velocity_body_z", "gravity_x", "gravity_y", "gravity_z",
-        "rate_x", "rate_y", "rate_z",
-    ),
-}  # fmt: skip
 OUTPUTS: dict[Outputs, tuple[str, ...]] = {
     "world": ("acceleration_x", "acceleration_y", "acceleration_z"),
     "body": ("specific_force_x", "specific_force_y", "specific_force_z"),

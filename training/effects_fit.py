@@ -16,6 +16,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE, motor_lag
 from dynamics.errors import DataError, RequestError
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset, labelled
@@ -114,9 +115,9 @@ def _residual(problem: _Problem, values: Floats) -> Floats:
         p[problem.model.model.parameter_index(name)] = value
     data, left = problem.data, []
     for start, stop in problem.pieces:
-        state = np.hstack([data.position[start:stop], data.state[start:stop]])
+        state = data.state[start:stop]
         said = problem.model(state, data.rotor_speed[start:stop], parameters=p).body
-        left.append(data.label[start:stop] - labelled(problem.config, said, state[:, 6:10]))
+        left.append(data.label[start:stop] - labelled(problem.config, said, state[:, ATTITUDE]))
     rows = np.vstack(left)
     return rows[np.isfinite(rows).all(axis=1)]
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
 from training.calibration import Calibration, calibration
@@ -168,9 +169,8 @@ def _judge(named: Named, recordings: Sequence[Recording], campaign: Path | None,
     model, config = named.model, named.model.config
     data = seen_by(model, recordings)
     body = predict(model, data).body
-    recorded = np.hstack([data.position, data.state])
     truth = None if campaign is None else true_label(data, campaign, dt=config.dt)
-    states = recorded if campaign is None else true_states(data, campaign, dt=config.dt)
+    states = data.state if campaign is None else true_states(data, campaign, dt=config.dt)
     best = data.label if truth is None else truth
     members = tuple(
         pooled(flight_errors(data, predict(model, data, member=place).body, best)).combined
@@ -190,7 +190,7 @@ def _judge(named: Named, recordings: Sequence[Recording], campaign: Path | None,
 
 def _peaks(data: Dataset, campaign: Path | None, dt: float) -> tuple[Peak, ...]:
     label = data.label if campaign is None else true_label(data, campaign, dt=dt)
-    world = world_accelerations(label, data.state[:, 3:7])
+    world = world_accelerations(label, data.state[:, ATTITUDE])
     known = np.isfinite(world).all(axis=1)
     found = []
     for place, name in enumerate(data.flights):

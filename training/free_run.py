@@ -6,13 +6,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.kinematics import kinematic_step
+from dynamics.state import ATTITUDE
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig
 from training.data.features import accelerations_from, columns, world_accelerations
 from training.physics import BatchModel
 from training.prediction import gate_of
-from training.rollout import advanced
 from training.streaming import Stream
 
 WARM_UP = 40  # columns of recorded history that hidden states settle in: 0.4 s, eleven lags of 35 ms
@@ -48,11 +50,9 @@ class Simulation:
         """Let dt pass with these rotor speeds (m, rotors), rad/s."""
         dt, before = self._model.config.dt, self.state
         body = self._accelerations(before, rotor_speed)
-        world = world_accelerations(body, before[:, 6:10])
-        moving = advanced(torch.from_numpy(before[:, 3:]), torch.from_numpy(world), dt).numpy()
-        moving[:, 3:7] /= np.linalg.norm(moving[:, 3:7], axis=1, keepdims=True)
-        position = before[:, :3] + 0.5 * dt * (before[:, 3:6] + moving[:, :3])
-        self.state = np.hstack([position, moving])
+        world = world_accelerations(body, before[:, ATTITUDE])
+        self.state = kinematic_step(before, world[:, :3], world[:, 3:], dt)
+        self.state[:, ATTITUDE] = quaternion.normalise(self.state[:, ATTITUDE])
 
     def _accelerations(self, state: Floats, rotor_speed: Floats) -> Floats:
         """(m, 6) body accelerations; zeros in the warm-up of a network that has not seen enough columns yet."""
@@ -62,7 +62,7 @@ class Simulation:
             assert base is not None
             return base
         scaling = model.scaling
-        column = (columns(config, state[:, 3:], rotor_speed) - scaling.input_mean) / scaling.input_std
+        column = (columns(config, state, rotor_speed) - scaling.input_mean) / scaling.input_std
         given = torch.from_numpy(column).float()
         with torch.no_grad():
             said = [stream.push(given) for stream in self._streams]
@@ -75,7 +75,7 @@ class Simulation:
             spread = outputs.std(axis=0, ddof=1) / scaling.output_std
             gate = gate_of(np.sqrt(np.mean(spread**2, axis=1)), model.reliability.disagreement)
             mean = gate[:, None] * mean
-        return accelerations_from(config, model.vehicle, mean, base, state[:, 6:10])
+        return accelerations_from(config, model.vehicle, mean, base, state[:, ATTITUDE])
 
 
 def warm_up(config: ModelConfig) -> int:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from flights.flight import Flight
@@ -60,7 +61,7 @@ def true_label(data: Dataset, campaign: Path, *, dt: float) -> Floats:
         increments = mean_increment(np.hstack([part.flight["velocity"], part.flight["rate"]]), 1 / dt, dt)
         inside = part.at < len(increments)
         rows = part.rows[inside]
-        found[rows] = body_accelerations(increments[part.at[inside]], data.state[rows, 3:7])
+        found[rows] = body_accelerations(increments[part.at[inside]], data.state[rows, ATTITUDE])
     return found
 
 

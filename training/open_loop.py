@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.units import RPM
 from training.checkpoint import TrainedModel
 from training.data.dataset import Dataset
@@ -59,12 +60,9 @@ def open_loop(model: TrainedModel, data: Dataset, wanted: Floats) -> tuple[OpenL
         simulation.step(data.rotor_speed[rows + step - 1])
         if step in steps:
             error = simulation.state - wanted[rows + step]
-            angle = quaternion_angle(simulation.state[:, 6:10], wanted[rows + step, 6:10])
-            found.append(
-                OpenLoop(
-                    step * dt, rms(error[:, :3]), rms(error[:, 3:6]), rms(angle[:, None]), rms(error[:, 10:])
-                )
-            )  # fmt: skip
+            angle = quaternion_angle(simulation.state[:, ATTITUDE], wanted[rows + step, ATTITUDE])
+            parts = error[:, POSITION], error[:, VELOCITY], angle[:, None], error[:, RATE]
+            found.append(OpenLoop(step * dt, *(rms(part) for part in parts)))
     return tuple(found)
 
 
@@ -87,7 +85,7 @@ def starts(model: TrainedModel, data: Dataset, *, ahead: int) -> NDArray[np.intp
     """Rows with enough columns before them, and `ahead` rows after them, in one segment without a gap."""
     behind = warm_up(model.config) - 1
     rows = np.arange(behind, len(data.time) - ahead)
-    known = np.asarray(np.isfinite(np.hstack([data.position, data.state, data.rotor_speed])).all(axis=1))
+    known = np.asarray(np.isfinite(np.hstack([data.state, data.rotor_speed])).all(axis=1))
     broken = np.concatenate([[0], np.cumsum(~known | _begins(data))])
     # a segment's first row may be the oldest column, so it does not count as a break of the window that begins there
     whole = broken[rows + ahead + 1] - broken[rows - behind + 1] == 0
@@ -105,15 +103,14 @@ def _begins(data: Dataset) -> NDArray[np.bool_]:
 
 def _begun(model: TrainedModel, data: Dataset, rows: NDArray[np.intp]) -> Simulation:
     window = rows[:, None] + np.arange(1 - warm_up(model.config), 1)
-    states = np.concatenate([data.position[window], data.state[window]], axis=2)
-    return Simulation(model, states, data.rotor_speed[window[:, :-1]])
+    return Simulation(model, data.state[window], data.rotor_speed[window[:, :-1]])
 
 
 def _error(
     model: TrainedModel, plant: TrainedModel, data: Dataset, rows: NDArray[np.intp], which: Floats
 ) -> tuple[float, float, float]:
     said, true = (_response(one, data, rows, PULSE * which) for one in (model, plant))
-    up = quaternion.rotate(data.state[rows, 3:7], np.broadcast_to([0.0, 0.0, 1.0], (len(rows), 3)))
+    up = quaternion.rotate(data.state[rows, ATTITUDE], np.broadcast_to([0.0, 0.0, 1.0], (len(rows), 3)))
     along, true_along = (np.sum(value[:, :3] * up, axis=1, keepdims=True) for value in (said, true))
     parts = ((said[:, 3:], true[:, 3:]), (said[:, :3], true[:, :3]), (along, true_along))
     rate, velocity, thrust = (rms(one - other) / max(rms(other), 1e-300) for one, other in parts)
@@ -128,7 +125,7 @@ def _response(model: TrainedModel, data: Dataset, rows: NDArray[np.intp], pulse:
         simulations[0].step(speed)
         simulations[1].step(speed + pulse if step < PULSE_STEPS else speed)
     before, after = (simulation.state for simulation in simulations)
-    return np.hstack([(after - before)[:, 3:6], (after - before)[:, 10:]])
+    return np.hstack([(after - before)[:, VELOCITY], (after - before)[:, RATE]])
 
 
 def quaternion_angle(one: Floats, other: Floats) -> Floats:

@@ -17,7 +17,7 @@ from dynamics.codegen import compile_functions
 from dynamics.effects import CATALOGUE
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from training.config import Label, Motors
 
@@ -127,8 +127,8 @@ def row_function(model: Model, dt: float, label: Label) -> ca.Function:
     steps = required_steps(model, dt)
     after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), whole, dt, steps=steps))
     if label == "mean_increment":
-        acceleration = (after[3:6] - x[3:6]) / dt + ca.vertcat(0, 0, GRAVITY)
-        body = ca.vertcat(quaternion.rotate_inverse(x[6:10], acceleration), (after[10:13] - x[10:13]) / dt)
+        acceleration = (after[VELOCITY] - x[VELOCITY]) / dt + ca.vertcat(0, 0, GRAVITY)
+        body = ca.vertcat(quaternion.rotate_inverse(x[ATTITUDE], acceleration), (after[RATE] - x[RATE]) / dt)
     else:
         force, angular, _ = model.observe(whole, u, p, e)
         body = ca.vertcat(force, angular)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE
 from training.card import FlightError
 from training.checkpoint import Reliability, TrainedModel
 from training.data.dataset import Dataset
@@ -46,7 +47,7 @@ def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, ga
         assert base is not None
         return Prediction(base)
     outputs = member_outputs(model, data, member=member)
-    mean, attitude = outputs.mean(axis=0), data.state[ends, 3:7]
+    mean, attitude = outputs.mean(axis=0), data.state[ends, ATTITUDE]
     if len(outputs) == 1 or model.reliability is None:
         return Prediction(accelerations_from(model.config, model.vehicle, mean, base, attitude))
     deviation = outputs.std(axis=0, ddof=1)

@@ -13,7 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from dynamics import quaternion
 from dynamics.errors import DataError
+from dynamics.kinematics import kinematic_step
+from dynamics.network_inputs import state_inputs
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import GRAVITY, Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
@@ -25,7 +29,7 @@ from training.streaming import Stream
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """Recorded flights as roll-outs need them. state: (n, 10). base, label: (n, 6), world accelerations the latter.
+    """Recorded flights as roll-outs need them. state: (n, 13). base, label: (n, 6), world accelerations the latter.
 
     starts: (m,) rows at which a roll-out of `steps` steps may begin. spoken: (6,) outputs over
     accelerations. error_std: (6,) what their error is counted in. noise: deviation added to the standardised state.
@@ -54,7 +58,7 @@ class Rollout:
         starts = data.ends[np.isin(ahead, data.ends) & (_run_length(data.ends) >= steps)]
         if not len(starts):
             raise DataError(f"no segment of the flights has {steps} rows with labels after a whole history.")
-        world = world_accelerations(data.label, data.state[:, 3:7])
+        world = world_accelerations(data.label, data.state[:, ATTITUDE])
         base = np.zeros_like(data.label) if data.base_labelled is None else data.base_labelled
 
         def tensor(values: np.ndarray) -> Tensor:
@@ -81,16 +85,16 @@ class Rollout:
         for column in windows[:, :-1].unbind(1):
             stream.push(column)
         column, state = windows[:, -1], self.state[rows]
-        back = None if self.config.outputs == "world" else conjugate(state[:, 3:7])
+        back = None if self.config.outputs == "world" else quaternion.conjugate(state[:, ATTITUDE])
         error, total = torch.zeros(len(rows), 6, device=rows.device), torch.zeros((), device=rows.device)
         for step in range(self.steps):
             outputs = stream.push(column)
             assert outputs is not None
-            world = self._world(outputs, self.base[rows + step], state[:, 3:7])
+            world = self._world(outputs, self.base[rows + step], state[:, ATTITUDE])
             error = error + (world - self.label[rows + step])
-            counted = error if back is None else torch.cat([rotated(back, error[:, :3]), error[:, 3:]], 1)
+            counted = error if back is None else torch.cat([quaternion.rotate(back, error[:, :3]), error[:, 3:]], 1)
             total = total + (counted / ((step + 1) * self.error_std)).square().mean()
-            state = advanced(state, world, self.config.dt)
+            state = kinematic_step(state, world[:, :3], world[:, 3:], self.config.dt)
             if step + 1 < self.steps:
                 column = self._column(state, self.tensors.inputs[rows + step + 1])
         return total / self.steps
@@ -101,9 +105,9 @@ class Rollout:
         if self.config.outputs == "world":
             if self.config.base == "none":
                 return spoken
-            return spoken + torch.cat([rotated(attitude, base[:, :3]) - self._up(base), base[:, 3:]], 1)
+            return spoken + torch.cat([quaternion.rotate(attitude, base[:, :3]) - self._up(base), base[:, 3:]], 1)
         body = base + spoken
-        world: Tensor = torch.cat([rotated(attitude, body[:, :3]) - self._up(body), body[:, 3:]], 1)
+        world: Tensor = torch.cat([quaternion.rotate(attitude, body[:, :3]) - self._up(body), body[:, 3:]], 1)
         return world
 
     @staticmethod
@@ -112,40 +116,10 @@ class Rollout:
 
     def _column(self, state: Tensor, recorded: Tensor) -> Tensor:
         """A standardised column of a predicted state with the recorded motors."""
-        attitude = state[:, 3:7]
-        if self.config.inputs == "world":
-            moving = state
-        else:
-            back = conjugate(attitude)
-            down = torch.tensor([0.0, 0.0, -1.0], device=state.device).expand(len(state), 3)
-            moving = torch.cat([rotated(back, state[:, :3]), rotated(back, down), state[:, 7:]], 1)
-        width = moving.shape[1]
-        standardised = (moving - self.scaling["input_mean"][:width]) / self.scaling["input_std"][:width]
+        inputs: Tensor = state_inputs(self.config.inputs, state)
+        width = inputs.shape[1]
+        standardised = (inputs - self.scaling["input_mean"][:width]) / self.scaling["input_std"][:width]
         return torch.cat([standardised, recorded[:, width:]], 1)
-
-
-def conjugate(attitude: Tensor) -> Tensor:
-    """The inverse rotations. attitude: (b, 4), unit."""
-    return torch.cat([attitude[:, :1], -attitude[:, 1:]], 1)
-
-
-def rotated(attitude: Tensor, vector: Tensor) -> Tensor:
-    """Body vectors (b, 3) in world axes. attitude: (b, 4), unit."""
-    w, r = attitude[:, :1], attitude[:, 1:]
-    turned = 2 * torch.linalg.cross(r, vector)
-    world: Tensor = vector + w * turned + torch.linalg.cross(r, turned)
-    return world
-
-
-def advanced(state: Tensor, world: Tensor, dt: float) -> Tensor:
-    """Velocity, attitude and rates (b, 10) after dt of mean accelerations (b, 6); the attitude by its mean rate."""
-    rate = state[:, 7:] + dt * world[:, 3:]
-    half = 0.25 * dt * (state[:, 7:] + rate)  # half the rotation vector
-    angle = half.square().sum(1, keepdim=True).add(1e-16).sqrt()
-    w, r = torch.cos(angle), torch.sin(angle) / angle * half
-    q0, q = state[:, 3:4], state[:, 4:7]
-    turned = [q0 * w - (q * r).sum(1, keepdim=True), q0 * r + w * q + torch.linalg.cross(q, r)]
-    return torch.cat([state[:, :3] + dt * world[:, :3], *turned, rate], 1)
 
 
 def _run_length(ends: np.ndarray) -> np.ndarray:

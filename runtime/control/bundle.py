@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
+from dynamics.network_inputs import Frame
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from runtime.control.rti.problem import Problem
@@ -73,7 +74,7 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rotors: int
     history: int
     dt: float
-    frame: Literal["world", "body"]
+    frame: Frame
     ranges: tuple[InputRange, ...]
     errors: dict[str, float]
     shapes: dict[str, tuple[int | str, ...]]

@@ -11,13 +11,10 @@ from dataclasses import dataclass
 import msgspec
 import numpy as np
 
-from dynamics import quaternion
 from dynamics.arrays import Floats
-from dynamics.state import ATTITUDE, RATE, VELOCITY
+from dynamics.network_inputs import Frame, state_inputs
 from runtime.control.bundle import Bundle
 from runtime.running_mean import RunningMean
-
-DOWN = np.array([0.0, 0.0, -1.0])
 
 
 class FitLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -41,7 +38,7 @@ class FitLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class TrainingRange:
     """Smallest and largest inputs (k,) in training, in SI units, and their names; empty for a model without any."""
 
-    frame: str
+    frame: Frame
     names: tuple[str, ...]
     lowest: Floats
     highest: Floats
@@ -56,10 +53,7 @@ class TrainingRange:
         """Which input of a state (13,) and rotor speeds (n,) lies outside, empty when none does."""
         if not self.names:
             return ""
-        velocity, attitude = state[VELOCITY], state[ATTITUDE]
-        if self.frame == "body":
-            velocity, attitude = (quaternion.rotate_inverse(state[ATTITUDE], vector) for vector in (velocity, DOWN))
-        inputs = np.concatenate([velocity, attitude, state[RATE], speed])
+        inputs = np.concatenate([state_inputs(self.frame, state), speed])
         room = margin * (self.highest - self.lowest)
         excess = np.maximum(self.lowest - room - inputs, inputs - self.highest - room)
         worst = int(np.argmax(excess))

@@ -85,7 +85,7 @@ def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(proto.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    columns = np.hstack([data.position, data.state, data.rotor_speed])
+    columns = np.hstack([data.state, data.rotor_speed])
     rows = data.ends[0] + np.arange(1 - model.config.history, 1)
     given = {}
     for place, needed in enumerate(session.get_inputs()):
@@ -103,7 +103,7 @@ def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], objec
     given = exported(model)
     assert given.network is not None
     solver = kernel_solver(given.network, given.flight_model, Problem(), native_processor(), mean=given.mean)
-    columns = np.hstack([data.position, data.state, data.rotor_speed])
+    columns = np.hstack([data.state, data.rotor_speed])
     first, back = int(data.ends[0]), len(solver.history)
     solver.history[:] = columns[first + 1 - back : first + 1]
     rows = np.resize(columns[first + 1 : first + 1 + COLUMNS], (COLUMNS, columns.shape[1]))
@@ -114,7 +114,7 @@ def _physics_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
     rows = RowModel(
         model.vehicle, model.vehicle.effects, dt=model.config.dt, label=model.config.label, motors=model.config.motors
     )
-    state = np.hstack([data.position, data.state])[:BLOCK]
+    state = data.state[:BLOCK]
     speed = data.rotor_speed[:BLOCK]
     return lambda: rows(state, speed)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from dynamics.errors import DataError, RequestError
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from tests.support.small_campaign import fly_campaign
 from tests.support.trained import untrained_model
@@ -80,7 +81,7 @@ def test_a_simulation_begins_with_what_the_model_predicts(
     data = seen_by(model, recordings)
     rows = np.intersect1d(starts(model, data, ahead=1), data.ends)[::7]
     window = rows[:, None] + np.arange(1 - warm_up(model.config), 1)
-    states = np.concatenate([data.position[window], data.state[window]], axis=2)
+    states = data.state[window]
     simulation = Simulation(model, states, data.rotor_speed[window[:, :-1]])
     before = simulation.state.copy()
     simulation.step(data.rotor_speed[rows])
@@ -122,7 +123,7 @@ def test_no_segment_is_long_enough_for_open_loop_predictions(
     model = physical_model(NOMINAL, arpl_250g, named_kind("pi_tcn").config)
     short = dataclasses.replace(recordings[0], segments=(recordings[0].segments[0].rows(0, 130),))
     data = seen_by(model, [short])
-    assert open_loop(model, data, np.hstack([data.position, data.state])) == ()
+    assert open_loop(model, data, data.state) == ()
 
 
 def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_are_told(
@@ -185,5 +186,5 @@ def test_error_bars_that_are_known_cover_what_they_should(
     assert found.faded == 0
     assert calibration(model_of("pi_mlp", arpl_250g, members=1), data, label) is None
     truth = true_label(data, campaign, dt=0.01)
-    attitude = data.state[data.ends, 3:7]
+    attitude = data.state[data.ends, ATTITUDE]
     assert np.isfinite(outputs_from(model.config, arpl_250g, truth[data.ends], None, attitude)).mean() > 0.95

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import torch
 
-from dynamics import quaternion
 from dynamics.errors import RequestError
 from tests.training.conftest import MakePlan
 from training.data.features import columns
 from training.data.tensors import Tensors
 from training.networks import build_network
 from training.plan import Plan
-from training.rollout import Rollout, advanced, rotated
+from training.rollout import Rollout
 
 CPU = torch.device("cpu")
 FRAMES = [{"inputs": "body", "outputs": "body"}, {"inputs": "world", "outputs": "world"}]
@@ -22,22 +21,6 @@ FRAMES = [{"inputs": "body", "outputs": "body"}, {"inputs": "world", "outputs": 
 def rollout_of(plan: Plan, steps: int) -> Rollout:
     tensors = Tensors.of(plan.training, plan.scaling, plan.config.history, CPU)
     return Rollout.of(plan.config, plan.vehicle, plan.training, tensors, plan.scaling, steps, 0.0)
-
-
-def test_a_step_turns_and_moves_as_the_quaternions_of_dynamics_do() -> None:
-    random = np.random.default_rng(0)
-    state = np.hstack([random.normal(size=(8, 3)), quaternion.normalise(random.normal(size=(8, 4))),
-                       random.normal(size=(8, 3))])  # fmt: skip
-    world = random.normal(size=(8, 6))
-    after = advanced(torch.from_numpy(state), torch.from_numpy(world), 0.01).numpy()
-    rate = state[:, 7:] + 0.01 * world[:, 3:]
-    turn = quaternion.exponential(0.01 * (state[:, 7:] + rate) / 2)
-    np.testing.assert_allclose(after[:, 3:7], quaternion.multiply(state[:, 3:7], turn), atol=1e-12)
-    np.testing.assert_allclose(after[:, :3], state[:, :3] + 0.01 * world[:, :3], atol=1e-15)
-    np.testing.assert_allclose(after[:, 7:], rate, atol=1e-15)
-    vector = random.normal(size=(8, 3))
-    found = rotated(torch.from_numpy(state[:, 3:7]), torch.from_numpy(vector)).numpy()
-    np.testing.assert_allclose(found, quaternion.rotate(state[:, 3:7], vector), atol=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["mse_tcn", "window_mlp", "res_tcn"])

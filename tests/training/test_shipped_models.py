@@ -26,7 +26,7 @@ def brisk_windows(model: TrainedModel) -> Floats:
     row = np.arange(4.0 * model.config.history).reshape(4, -1, 1)
     wave = np.sin(0.07 * row + np.arange(14.0))
     attitude = quaternion.normalise([1.0, 0.0, 0.0, 0.0] + 0.3 * wave[..., 3:7])
-    state = np.concatenate([3 * wave[..., :3], attitude, 2 * wave[..., 7:10]], axis=-1)
+    state = np.concatenate([0 * wave[..., :3], 3 * wave[..., :3], attitude, 2 * wave[..., 7:10]], axis=-1)
     return columns(model.config, state, 1200 + 300 * wave[..., 10:])
 
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
 from training.config import ModelConfig
 from training.data.dataset import Dataset
@@ -44,9 +45,8 @@ def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: 
     draw = _of_space if recipe.physics_points == "space" else _plausible
     states, speeds = draw(config, recipe.physics_pool, vehicle, data, random)
     last = textbook(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
-    moving = np.swapaxes(states[:, :, 3:], 0, 1)
-    windows = columns(config, moving, np.swapaxes(speeds, 0, 1))
-    return Points(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, 6:10]))
+    windows = columns(config, np.swapaxes(states, 0, 1), np.swapaxes(speeds, 0, 1))
+    return Points(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, ATTITUDE]))
 
 
 def _of_space(
@@ -57,7 +57,7 @@ def _of_space(
     Velocity: each axis up to the highest recorded speed. Rates: up to the vehicle's limits. Attitude: any. Rotors: any
     speed, held. The past follows from the textbook model run backwards, so that columns are consistent.
     """
-    fastest = float(np.linalg.norm(data.state[data.ends, :3], axis=1).max())
+    fastest = float(np.linalg.norm(data.state[data.ends, VELOCITY], axis=1).max())
     rate = np.array(vehicle.limits.rate)
     attitude = random.normal(size=(count, 4))
     attitude *= np.where(attitude[:, :1] < 0, -1, 1) / np.linalg.norm(attitude, axis=1, keepdims=True)
@@ -89,13 +89,13 @@ def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, ra
     pulsed = np.clip(
         speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
     )  # fmt: skip
-    first = np.hstack([data.position[rows[:, 0]], recorded[:, 0]])
+    first = recorded[:, 0]
     (still, still_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
-    state = recorded + moved[:, :, 3:] - still[:, :, 3:]
-    turned = quaternion.multiply(quaternion.conjugate(still[:, :, 6:10]), moved[:, :, 6:10])
-    state[:, :, 3:7] = quaternion.multiply(recorded[:, :, 3:7], turned)
+    state = recorded + moved - still
+    turned = quaternion.multiply(quaternion.conjugate(still[..., ATTITUDE]), moved[..., ATTITUDE])
+    state[..., ATTITUDE] = quaternion.multiply(recorded[..., ATTITUDE], turned)
     answers = [
-        outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, 6:10])
+        outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, ATTITUDE])
         for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
     ]
     windows = columns(config, state, pulsed)
@@ -131,10 +131,10 @@ def _plausible(
     Faster than what was flown, but never far from it.
     """
     first = random.choice(data.ends, count) - (config.history - 1)
-    state = np.hstack([data.position[first], data.state[first]])
+    state = data.state[first]
     faster = random.uniform(1.0, MAX_SCALING, (count, 1))
-    state[:, 3:6] *= faster
-    state[:, 10:13] *= faster
+    state[:, VELOCITY] *= faster
+    state[:, RATE] *= faster
     forward = textbook(vehicle, dt=config.dt, label=config.label)
     driven = [data.rotor_speed[first + step] for step in range(config.history)]
     states = [state]

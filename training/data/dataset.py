@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from flights.flight import Flight
 from flights.rotors import rotor_speeds
@@ -46,8 +47,7 @@ class Dataset:
     flights: names of the flights.
     time: (n,) s of the flight's own clock.
     flight_of: (n,) index into `flights`.
-    position: (n, 3) m.
-    state: (n, 10) velocity_world m/s, attitude, rate_body rad/s.
+    state: (n, 13), zeros for a position that the flight does not have.
     rotor_speed: (n, rotors) rad/s.
     label: (n, 6) measured accelerations.
     nominal: (n, 6) accelerations of the nominal model.
@@ -61,7 +61,6 @@ class Dataset:
     flights: tuple[str, ...]
     time: Floats
     flight_of: NDArray[np.intp]
-    position: Floats
     state: Floats
     rotor_speed: Floats
     label: Floats
@@ -121,7 +120,7 @@ def make_dataset(
             f"Wanted at least {fewest}, {fewest * config.dt:g} s of flight; `alula inspect` lists gaps."
         )
     dataset = Dataset(
-        flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp), position=table["position"],
+        flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp),
         state=table["state"], rotor_speed=table["rotor_speed"], label=table["label"], nominal=table["nominal"],
         base=None if config.base == "none" else table["base"],
         base_labelled=None if config.base == "none" else table["base_labelled"], inputs=table["inputs"],
@@ -141,16 +140,14 @@ def _segment(
     rotors = {f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(vehicle.rotors.count)}
     given = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
     seen = _samples(config, given)
-    attitude = seen.state[:, 3:7]
-    position = segment["position"] if segment.has("position") else np.full((len(segment), 3), 0.0)
-    whole = np.hstack([position, seen.state])
-    textbook_says = nominal(whole, seen.rotor_speed).body
-    base_says = textbook_says if base is nominal else base(whole, seen.rotor_speed).body
+    attitude = seen.state[:, ATTITUDE]
+    textbook_says = nominal(seen.state, seen.rotor_speed).body
+    base_says = textbook_says if base is nominal else base(seen.state, seen.rotor_speed).body
     base_labelled = labelled(config, base_says, attitude)
     label = body_accelerations(seen.label, attitude)
     targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
     return {
-        "time": seen.time, "flight_of": np.full(len(segment), float(place)), "position": position, "state": seen.state,
+        "time": seen.time, "flight_of": np.full(len(segment), float(place)), "state": seen.state,
         "rotor_speed": seen.rotor_speed, "label": label, "nominal": textbook_says, "base": base_says,
         "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.rotor_speed), "targets": targets,
     }  # fmt: skip
@@ -181,6 +178,6 @@ def _samples(config: ModelConfig, segment: Flight) -> Samples:
     assert inputs is not None
     assert labels is not None
     state = inputs.state.copy()
-    attitude = quaternion.normalise(quaternion.continuous(state[:, 3:7]))
-    state[:, 3:7] = attitude if not attitude[0, 0] < 0 else -attitude
+    attitude = quaternion.normalise(quaternion.continuous(state[:, ATTITUDE]))
+    state[:, ATTITUDE] = attitude if not attitude[0, 0] < 0 else -attitude
     return Samples(inputs.time, state, inputs.rotor_speed, labels.label)

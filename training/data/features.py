@@ -10,6 +10,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.network_inputs import state_inputs
 from dynamics.vehicle import GRAVITY, Vehicle
 from training.config import ModelConfig
 
@@ -17,16 +18,8 @@ UP = np.array([0.0, 0.0, 1.0])
 
 
 def columns(config: ModelConfig, state: Floats, rotor_speed: Floats) -> Floats:
-    """(..., inputs) columns of `ModelConfig.input_names`.
-
-    state: (..., 10) velocity_world, attitude, rate_body. rotor_speed: (..., rotors) rad/s.
-    """
-    if config.inputs == "world":
-        return np.concatenate([state, rotor_speed], axis=-1)
-    attitude = state[..., 3:7]
-    velocity = quaternion.rotate_inverse(attitude, state[..., 0:3])
-    gravity = quaternion.rotate_inverse(attitude, np.broadcast_to(-UP, velocity.shape))
-    return np.concatenate([velocity, gravity, state[..., 7:10], rotor_speed], axis=-1)
+    """(..., inputs) columns of `ModelConfig.input_names`. state: (..., 13). rotor_speed: (..., rotors) rad/s."""
+    return np.concatenate([state_inputs(config.inputs, state), rotor_speed], axis=-1)
 
 
 def body_accelerations(world: Floats, attitude: Floats) -> Floats:

@@ -29,7 +29,7 @@ class Samples:
     """Rows to learn from.
 
     time: (n,) s.
-    state: (n, 10) velocity_world m/s, attitude, rate_body rad/s.
+    state: (n, 13), zeros for a position that the flight does not have.
     rotor_speed: (n, rotors) rad/s.
     label: (n, 6) linear acceleration (world, m/s^2) and angular acceleration (body, rad/s^2); NaN where there is none.
     """
@@ -94,7 +94,7 @@ def mean_increment(values: Floats, rate: float, horizon: float = HORIZON) -> Flo
 
 def samples(segment: Flight, *, horizon: float = HORIZON) -> Samples:
     """Causal inputs, exactly as they were logged, with increment labels. Raises DataError for what is missing."""
-    state = np.hstack([segment["velocity"], segment["attitude"], segment["rate"]])
+    state = np.hstack([_position(segment), segment["velocity"], segment["attitude"], segment["rate"]])
     return Samples(segment.time, state, segment["rotor_speed"], increment_label(segment, horizon=horizon))
 
 
@@ -105,7 +105,11 @@ def paper_table(segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF) -> Sam
     the response to the motors. Raises DataError for what is missing.
     """
     attitude = filters.lowpass(quaternion.continuous(segment["attitude"]), segment.rate, cutoff)
-    columns = [filters.lowpass(segment["velocity"], segment.rate, cutoff), quaternion.normalise(attitude),
-               filters.lowpass(segment["rate"], segment.rate, cutoff)]  # fmt: skip
+    velocity, rate = (filters.lowpass(segment[name], segment.rate, cutoff) for name in ("velocity", "rate"))
+    state = np.hstack([_position(segment), velocity, quaternion.normalise(attitude), rate])
     rotor_speed = filters.lowpass(segment["rotor_speed"], segment.rate, cutoff)
-    return Samples(segment.time, np.hstack(columns), rotor_speed, paper_label(segment, cutoff=cutoff))
+    return Samples(segment.time, state, rotor_speed, paper_label(segment, cutoff=cutoff))
+
+
+def _position(segment: Flight) -> Floats:
+    return segment["position"] if segment.has("position") else np.zeros((len(segment), 3))

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from dynamics.errors import DataError
+from dynamics.state import ATTITUDE
 from flights import Flight
 from tests.support.simulated_flight import flown, table
 from training.data import labels
@@ -63,7 +64,7 @@ def test_no_input_of_a_sample_depends_on_later_rows(flight: Flight) -> None:
 def test_the_papers_own_table_is_filtered_both_ways(flight: Flight) -> None:
     whole, part = labels.paper_table(flight), labels.paper_table(flight.rows(0, 700))
     assert not np.allclose(whole.state[690], part.state[690], atol=1e-6)  # it knows the future, as the paper's does
-    assert np.allclose(np.linalg.norm(whole.state[:, 3:7], axis=1), 1.0)
+    assert np.allclose(np.linalg.norm(whole.state[:, ATTITUDE], axis=1), 1.0)
     rough = np.diff(labels.samples(flight).rotor_speed, n=3, axis=0)
     assert np.std(np.diff(whole.rotor_speed, n=3, axis=0)[100:-100]) < 0.2 * np.std(rough)
 

@@ -1,0 +1,69 @@
+"""What lets one formula serve NumPy arrays, CasADi columns and torch tensors.
+
+Components lie on the last axis of arrays and tensors, and along the column of CasADi matrices. torch is never imported
+here: a tensor can only come from a process that has imported it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+Expression = Any  # a NumPy array, casadi.SX or casadi.MX column, or torch.Tensor; CasADi carries no types of its own
+
+
+def is_symbolic(value: Expression) -> bool:
+    """Whether a value is a CasADi matrix."""
+    return isinstance(value, (ca.SX, ca.MX, ca.DM))
+
+
+def is_tensor(value: Expression) -> bool:
+    """Whether a value is a torch tensor."""
+    torch = sys.modules.get("torch")
+    return torch is not None and isinstance(value, torch.Tensor)
+
+
+def library_of(*values: Expression) -> Any:
+    """The module whose functions (sin, cos, ...) take these values: casadi, torch or numpy."""
+    if any(is_symbolic(value) for value in values):
+        return ca
+    return sys.modules["torch"] if any(is_tensor(value) for value in values) else np
+
+
+def split(value: Expression) -> list[Expression]:
+    """The components of vectors."""
+    if isinstance(value, np.ndarray):
+        return list(np.moveaxis(value.astype(float, copy=False), -1, 0))
+    library = library_of(value)
+    if library is ca:
+        return list(ca.vertsplit(value))
+    if library is np:
+        return list(np.moveaxis(np.asarray(value, dtype=float), -1, 0))
+    return list(value.unbind(-1))
+
+
+def join(components: Sequence[Expression]) -> Expression:
+    """Vectors of components, the inverse of `split`; components of arrays and tensors are broadcast."""
+    library = library_of(*components)
+    if library is ca:
+        return ca.vertcat(*components)
+    if library is np:
+        return np.stack(np.broadcast_arrays(*components), axis=-1)
+    return library.stack(library.broadcast_tensors(*components), dim=-1)
+
+
+def entries(vector: Expression, place: slice) -> Expression:
+    """Some components of vectors, as vectors."""
+    return vector[place] if is_symbolic(vector) else vector[..., place]
+
+
+def concatenate(vectors: Sequence[Expression]) -> Expression:
+    """Vectors one behind the other as longer ones."""
+    library = library_of(*vectors)
+    if library is ca:
+        return ca.vertcat(*vectors)
+    return np.concatenate(vectors, axis=-1) if library is np else library.cat(list(vectors), dim=-1)
