@@ -13,6 +13,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.network_inputs import Frame, state_inputs
+from dynamics.state import RATE, VELOCITY
 from runtime.control.bundle import Bundle
 from runtime.running_mean import RunningMean
 

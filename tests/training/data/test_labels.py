@@ -57,7 +57,7 @@ def test_no_input_of_a_sample_depends_on_later_rows(flight: Flight) -> None:
     whole, part = labels.samples(flight), labels.samples(cut)
     assert np.array_equal(whole.state[:700], part.state)
     assert np.array_equal(whole.rotor_speed[:700], part.rotor_speed)
-    assert whole.state.shape[1] == 10
+    assert whole.state.shape[1] == 13
     assert whole.label.shape[1] == 6
 
 
