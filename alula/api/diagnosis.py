@@ -104,7 +104,7 @@ def compare_hover(
     Raises RequestError for logs that cannot be found, DataError for flights without hover.
 
     Example:
-        result = alula.compare_hover("logs/flight_2.csv", ["logs/flight_0.csv", "logs/flight_1.csv"], "arpl_250g")
+        result = alula.compare_hover("hover/suspect.csv", "hover/normal_*", "arpl_250g")
         print(result.verdict, [rotor.now for rotor in result.rotors])
     """
     with workbench("alula.compare_hover"):

@@ -14,8 +14,6 @@ if TYPE_CHECKING:
     from runtime.daemon import FlightReport
     from simulation.lockstep import FlownReference
 
-LINK = "udpin:0.0.0.0:14540"
-
 
 def simulate(
     reference: str,
@@ -70,7 +68,7 @@ def fly(
     *,
     vehicle: Vehicle | str | Path | None = None,
     bundle: str | Path | None = None,
-    link: str = LINK,
+    link: str = "udpin:0.0.0.0:14540",
     duration: float | None = None,
     height: float = 1.5,
     rate: float = 100.0,

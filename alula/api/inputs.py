@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from alula.workbench import workbench
 from dynamics.errors import RequestError
 
 if TYPE_CHECKING:
@@ -69,9 +70,9 @@ def dataset_of(
 
 
 def _files(path: Path) -> Sequence[Path]:
-    from flights.reading import logs_below
-
     if path.is_dir():
+        with workbench("reading logs"):
+            from flights.reading import logs_below
         logs = [log for log in logs_below(path) if not (log.suffix == ".tlog" and log.with_suffix(".mcap").exists())]
     elif any(letter in path.name for letter in "*?[") and not path.exists():
         logs = sorted(path.parent.glob(path.name))

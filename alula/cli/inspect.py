@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.api.inputs import log_paths
 from dynamics.errors import AlulaError, DataError
 from studio.provenance import origin
 
@@ -28,7 +29,7 @@ COLOURS = {"good": "green", "limited": "yellow", "unusable": "red", "yes": "gree
 
 
 def inspect(
-    log: Annotated[list[Path], typer.Argument(help="Logs of any known format.", metavar="LOG...")],
+    log: Annotated[list[Path], typer.Argument(help="Logs of any known format, or folders of them.", metavar="LOG...")],
     mapping: Annotated[Path | None, typer.Option(help="Column-mapping TOML for a foreign CSV.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
@@ -38,14 +39,15 @@ def inspect(
     inspections: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
-    for path in log:
+    paths = log_paths(log)
+    for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping)
             inspections.append(alula.inspect(streams))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
         except AlulaError as error:
-            if len(log) == 1:
+            if len(paths) == 1:
                 raise
             refused.append(error)
     if as_json:

@@ -1,0 +1,144 @@
+"""What README and docs show can be run: commands are parsed by the command line itself, Python is executed.
+
+Commands in blocks are parsed whole, with their arguments; those within sentences may leave arguments out, so that only
+the command and its options are looked up. Python runs in a folder with a few short flights; functions that take minutes
+or a vehicle (train, evaluate, export, fly) are replaced by their own signatures.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from unittest.mock import MagicMock
+
+import msgspec
+import pytest
+
+import alula
+from alula.cli import app
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import write_vehicle
+from fixtures.planted import planted_flights
+from tests.support.small_campaign import fly_campaign
+
+ROOT = Path(__file__).parents[2]
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")])
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+INDENTED = re.compile(r"^(?: {4}.*\n?)+", re.MULTILINE)
+COMMAND = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*)$")
+SLOW = ("train", "evaluate", "export", "fly")
+MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
+
+
+def shell_lines(page: Path) -> Iterator[str]:
+    """Lines of blocks that are no Python, continued lines joined."""
+    text = page.read_text(encoding="utf-8")
+    blocks = [body for language, body in FENCED.findall(text) if language in ("", "sh", "bash")]
+    blocks += INDENTED.findall(FENCED.sub("", text))
+    for block in blocks:
+        yield from (line.strip() for line in block.replace("\\\n", " ").splitlines())
+
+
+def commands_in_blocks() -> list[tuple[str, str]]:
+    found = ((page, COMMAND.match(line)) for page in PAGES for line in shell_lines(page))
+    return [(page.name, match.group(1)) for page, match in found if match]
+
+
+def commands_in_sentences() -> list[tuple[str, str]]:
+    texts = ((page, FENCED.sub("", page.read_text(encoding="utf-8"))) for page in PAGES)
+    return [(page.name, command) for page, text in texts for command in re.findall(r"`(alula [^`]+)`", text)]
+
+
+def python_blocks() -> list[Any]:
+    blocks = ((page, body) for page in PAGES for language, body in FENCED.findall(page.read_text(encoding="utf-8"))
+              if language == "python")  # fmt: skip
+    return [pytest.param(body, id=f"{page.stem}-{place}") for place, (page, body) in enumerate(blocks)]
+
+
+@pytest.mark.parametrize(("page", "command"), commands_in_blocks())
+def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: str) -> None:
+    name, *arguments = shlex.split(command, comments=True)[1:]
+    if "..." in arguments:  # what was shown before is left out
+        test_a_command_in_a_sentence_exists_with_its_options(page, command)
+        return
+    assert name in app.COMMANDS, page
+    app.load(name).make_context(name, arguments)  # raises for an unknown option, a missing argument, a wrong type
+
+
+@pytest.mark.parametrize(("page", "command"), commands_in_sentences())
+def test_a_command_in_a_sentence_exists_with_its_options(page: str, command: str) -> None:
+    name, *words = shlex.split(command, comments=True)[1:]
+    if name in ("COMMAND", "--help", "--version"):
+        return
+    assert name in app.COMMANDS, page
+    known = {option for parameter in app.load(name).params for option in (*parameter.opts, *parameter.secondary_opts)}
+    assert {word.split("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, page
+
+
+def test_a_target_of_make_exists() -> None:
+    targets = set(re.findall(r"^([\w.-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    shown = {line.split()[1] for page in PAGES for line in shell_lines(page) if re.match(r"make [a-z]+\b", line)}
+    assert shown
+    assert shown <= targets | {"px4_sitl"}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_to_files_lead_somewhere(page: Path) -> None:
+    links = re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text(encoding="utf-8"))
+    assert [link for link in links if not (page.parent / link).exists()] == []
+
+
+def test_the_page_of_the_python_functions_is_the_one_of_their_docstrings() -> None:
+    command = [sys.executable, "docs/make_api.py", "--check"]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, f"run: python docs/make_api.py\n{done.stderr}"
+
+
+@pytest.fixture(scope="module")
+def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with what the snippets name: logs, vehicle files, a campaign, models."""
+    folder = tmp_path_factory.mktemp("snippets")
+    (folder / "logs").mkdir()
+    for place, flight in enumerate(planted_flights(arpl_250g, [], seed=5, manoeuvres=MANOEUVRES)):
+        flight.to_csv(folder / "logs" / f"flight_{place}.csv")
+    (folder / "hover").mkdir()
+    names = ("suspect.csv", "normal_0.csv", "normal_1.csv")
+    hovering = planted_flights(arpl_250g, [], seed=6, manoeuvres=["hover:laps=1"] * len(names))
+    for name, flight in zip(names, hovering, strict=True):
+        flight.to_csv(folder / "hover" / name)
+    for name in ("log.ulg", "Ellipse_1.bag"):  # formats are told apart by content
+        shutil.copy(folder / "logs" / "flight_0.csv", folder / name)
+    body = msgspec.structs.replace(arpl_250g.body, mass=1.06 * arpl_250g.body.mass)
+    for name in ("heavy.toml", "my_quad.toml"):
+        write_vehicle(msgspec.structs.replace(arpl_250g, body=body), folder / name)
+    (folder / "vehicles").symlink_to(ROOT / "vehicles")
+    effects = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
+    fly_campaign(folder / "build" / "campaign_learning", arpl_250g, effects, {"test/Line": "line:laps=3,ramp=1"})
+    return folder
+
+
+@pytest.mark.parametrize("code", python_blocks())
+def test_python_runs(code: str, flights: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    shutil.copytree(flights, tmp_path / "here", symlinks=True)
+    monkeypatch.chdir(tmp_path / "here")
+    for name in SLOW:
+        monkeypatch.setattr(alula, name, signature_of(getattr(alula, name)))
+    exec(compile(code, "snippet", "exec"), {})
+
+
+def signature_of(function: Any) -> Any:
+    """A function that takes what another takes, and does nothing."""
+    signature = inspect.signature(function)
+
+    def stand_in(*arguments: Any, **options: Any) -> MagicMock:
+        signature.bind(*arguments, **options)
+        return MagicMock()
+
+    return stand_in
