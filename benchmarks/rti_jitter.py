@@ -18,6 +18,7 @@ import tempfile
 import time
 from pathlib import Path
 
+import msgspec
 import numpy as np
 from network_worker import LAG_AND_DRAG
 from provenance import write_result
@@ -25,6 +26,7 @@ from rti_flight import NETWORKS, networks
 
 from dynamics.model import build_model
 from dynamics.references import Reference, named_reference
+from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
@@ -41,7 +43,12 @@ def learned_controller(period: float, folder: Path) -> Controller:
     """PI-TCN's, from a bundle as `alula export` writes it."""
     model = read_model(networks(NETWORKS) / "pi_tcn.pt")
     exported = export_bundle(model, folder / "bundle", ExportOptions(Problem(), native_processor(), windows=50))
-    return Controller.from_bundle(read_bundle(exported.folder), ControllerOptions(period=period, delay=0.0))
+    bundle = read_bundle(exported.folder)
+    return Controller.from_bundle(bundle, options(bundle.vehicle, period))
+
+
+def options(vehicle: Vehicle, period: float) -> ControllerOptions:
+    return msgspec.structs.replace(ControllerOptions.for_vehicle(vehicle, period=period), delay=0.0)
 
 
 def fly(controller: Controller, reference: Reference, period: float, ticks: int) -> dict[str, np.ndarray]:
@@ -112,7 +119,7 @@ def main() -> None:
         if arguments.learned:
             controller = learned_controller(period, Path(folder))
         else:
-            controller = Controller.build(vehicle, ControllerOptions(period=period, delay=0.0))
+            controller = Controller.build(vehicle, options(vehicle, period))
         reference = named_reference("Lemniscate", vehicle)
         fly(controller, reference, period, 50)
         prepare_interpreter()

@@ -13,10 +13,11 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from dynamics.arrays import Vector3
+from dynamics.controller_settings import ControllerSettings
 from dynamics.errors import RequestError
 
 GRAVITY = 9.81  # m/s^2
-Vector3 = tuple[float, float, float]
 Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 
@@ -154,6 +155,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     body: Body
     rotors: Rotors
     limits: Limits = Limits()
+    controller: ControllerSettings = ControllerSettings()
     effects: tuple[EffectUse, ...] = ()
     history: tuple[HistoryEntry, ...] = ()
     source: str = ""

@@ -7,13 +7,15 @@ import math
 import tomllib
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import tomli_w
 
+from dynamics.controller_defaults import lookaheads
+from dynamics.controller_settings import ControllerSettings
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
@@ -64,6 +66,7 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
         raise RequestError(f"{error}.") from error
     for use in vehicle.effects:
         check_effect(use, vehicle.rotors.count, catalogue=catalogue)
+    _check_controller(vehicle, catalogue)
     return vehicle
 
 
@@ -137,6 +140,42 @@ def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Ef
         )
     if not effect.per_rotor and use.rotor is not None:
         raise RequestError(f"effect {use.name} acts on the whole vehicle: leave rotor out.")
+
+
+def with_settings(
+    vehicle: Vehicle, assignments: Sequence[str], *, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Vehicle:
+    """The vehicle with settings of its controller replaced, each written as `controller.horizon=0.8`.
+
+    Raises RequestError for a key that does not exist or a value that cannot be flown.
+    """
+    table: dict[str, Any] = msgspec.to_builtins(vehicle.controller)
+    for text in assignments:
+        name, equals, value = text.partition("=")
+        room, _, key = name.strip().partition(".")
+        if not equals or room != "controller":
+            raise RequestError(f"setting {text!r}: write controller.KEY=VALUE, as in controller.horizon=0.8.")
+        try:
+            table[key] = tomllib.loads(f"value = {value}")["value"]
+        except tomllib.TOMLDecodeError:
+            raise RequestError(
+                f"setting {text!r}: {value!r} is no number, true, false or [x, y, z]; write it as in a vehicle file."
+            ) from None
+    refuse_unknown_keys({"controller": table}, Vehicle)
+    _refuse_non_finite(table, "controller")
+    try:
+        changed = msgspec.structs.replace(vehicle, controller=msgspec.convert(table, ControllerSettings))
+    except msgspec.ValidationError as error:
+        if isinstance(error.__cause__, RequestError):
+            raise error.__cause__ from None
+        raise RequestError(f"controller: {error}.") from error
+    _check_controller(changed, catalogue)
+    return changed
+
+
+def _check_controller(vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> None:
+    if vehicle.controller != ControllerSettings():
+        lookaheads(vehicle, catalogue)
 
 
 def nearest(word: str, known: Mapping[str, object] | tuple[str, ...]) -> str:

@@ -215,7 +215,8 @@ class Daemon:
             controller.feedback(controller.compensate(state, now - 0.02, now), now)
 
     def _controller_options(self) -> ControllerOptions:
-        return ControllerOptions(period=1.0 / self._request.rate)
+        options = ControllerOptions.for_vehicle(self._vehicle, period=1.0 / self._request.rate)
+        return options if self._bundle is None else options.for_kernel(self._bundle.manifest.problem)
 
     def _metadata(self) -> dict[str, str]:
         request = self._request

@@ -1,7 +1,7 @@
-"""The controller: RTI model predictive control of rotor speeds, given to the autopilot as body rates and thrust.
+"""The controller: RTI model predictive control of rotor speeds, sent to the autopilot as body rates and thrust.
 
-A pure object: time comes in as an argument. A tick is `feedback` (as soon as a state is there), then, once the
-command is on its way, `prepare` for the next tick.
+A pure object: time is an argument. A tick is `feedback`, as soon as a state has arrived, then, once the command has
+left, `prepare` for the next tick.
 """
 
 from __future__ import annotations
@@ -15,47 +15,87 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.controller_defaults import lookaheads
+from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
-from dynamics.state import RIGID_BODY_STATES
-from dynamics.trim import find_trim
+from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
 from runtime.control.history import ColumnHistory
 from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
-from runtime.control.rti.problem import Problem
+from runtime.control.rti.problem import DEFAULTS, Problem
 from runtime.control.rti.solver import RtiSolver
-from runtime.timing import CONTROL_PERIOD
 
 HISTORY = 64  # ticks of inputs stored for delay compensation
 MAX_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
 
 
-class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How the controller runs. period: expected time between ticks, s.
+class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Complete options of a controller, as a recording keeps them; `for_vehicle` derives them from a vehicle.
 
-    rate_lookahead, yaw_lookahead: how far ahead along the prediction's slope the body rates are read that the
-    autopilot is asked for, s; they make up for the time its rate loops take, which is longest in yaw (with yaw rates
-    read 75 ms ahead the mock of PX4's SIH swings by a radian in hover). delay: from a command's departure to its
-    action, s, added to the age of every estimate. largest_error: the reference is drawn towards a vehicle further away
-    than this, m, because a linearisation does not reach that far. fit: when a learned model is not trusted.
+    problem: cost, horizon and bounds.
+    period: expected time between ticks, s.
+    rate_lookahead: time along the prediction's slope at which roll and pitch rate setpoints are read, s: the delay of
+        the autopilot's rate loop.
+    yaw_lookahead: the same of the yaw rate, s.
+    delay: from a command's departure to its action, s; added to the age of every estimate.
+    max_position_error: distance, m, to which the position error is limited; a linearisation does not reach further.
+    fit: when a learned model does not fit any more.
     """
 
     problem: Problem = Problem()
     period: float = CONTROL_PERIOD
-    rate_lookahead: float = 0.075
-    yaw_lookahead: float = 0.3
-    delay: float = 0.005
-    largest_error: float = 2.0
+    rate_lookahead: float
+    yaw_lookahead: float
+    delay: float = DEFAULTS.delay
+    max_position_error: float = msgspec.field(default=DEFAULTS.max_position_error, name="largest_error")
     fit: FitLimits = FitLimits()
+
+    @classmethod
+    def for_vehicle(
+        cls, vehicle: Vehicle, *, period: float | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
+    ) -> ControllerOptions:
+        """The options of a vehicle's [controller]. period: s, instead of its rate's."""
+        settings, lookahead = vehicle.controller, lookaheads(vehicle, catalogue)
+        return cls(
+            problem=Problem.from_settings(settings),
+            period=period or 1 / settings.rate,
+            rate_lookahead=lookahead.rate,
+            yaw_lookahead=lookahead.yaw,
+            delay=settings.delay,
+            max_position_error=settings.max_position_error,
+        )
+
+    def for_kernel(self, compiled: Problem) -> ControllerOptions:
+        """The same with nodes and horizon that a kernel was compiled for; a default problem gives way to the kernel's.
+
+        Raises RequestError for other nodes or another horizon than the kernel's, where they are not the defaults.
+        """
+        if self.problem == Problem():
+            return msgspec.structs.replace(self, problem=compiled)
+        for name, unit in (("nodes", ""), ("horizon", " s")):
+            value, built, default = (getattr(problem, name) for problem in (self.problem, compiled, Problem()))
+            if value not in (built, default):
+                raise RequestError(
+                    f"controller.{name} = {value:g}{unit}, but the bundle's kernel was compiled for {built:g}{unit}: "
+                    "leave it out, or export the model again with it."
+                )
+        problem = msgspec.structs.replace(self.problem, nodes=compiled.nodes, horizon=compiled.horizon)
+        return msgspec.structs.replace(self, problem=problem)
 
 
 @dataclass(frozen=True)
 class Command:
-    """What the vehicle is asked for. rate_body: (3,) rad/s, body FLU. collective_thrust: N.
+    """The setpoint of one tick.
 
-    rotor_speed: (n,) rad/s, the optimal input behind them. status: the solver's, 0 when it solved its problem.
+    rate_body: (3,) rad/s, body FLU.
+    collective_thrust: N.
+    rotor_speed: (n,) rad/s, the optimal input from which they follow.
+    status: of the solver, 0 when it solved its problem.
+    seconds: of the feedback.
     """
 
     rate_body: Floats
@@ -68,28 +108,28 @@ class Command:
 class Controller:
     """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock.
 
-    trim: the vehicle without effects that weighs and thrusts as the model does in hover.
+    trim: the vehicle without effects that has the model's weight and thrust in hover.
     """
 
     def __init__(
         self, model: Model, options: ControllerOptions, bundle: Bundle | None = None, library: Path | None = None
     ) -> None:
-        """bundle: of the model, whose kernel then solves. library: compiled code of the model, without a bundle."""
+        """bundle: of the model; its kernel is the solver. library: compiled code of the model, without a bundle."""
         self.model, self.options = model, options
         self.solver = RtiSolver(model, options.problem, library if bundle is None else bundle.kernel)
-        self._longest = MAX_STEP
+        self._max_step = MAX_STEP
         self._columns: ColumnHistory | None = None
         if bundle is not None and bundle.manifest.learned:
             manifest = bundle.manifest
-            self._longest = manifest.dt
+            self._max_step = manifest.dt
             self._columns = ColumnHistory(len(self.solver.history), manifest.dt, model.input_count)
             self._range = TrainingRange.from_bundle(bundle)
             errors = manifest.errors
             self.health = ModelHealth(errors.get("linear", 0.0), errors.get("angular", 0.0), options.fit)
-        self._acting = 0.0  # when the state of the last tick was
+        self._acting = 0.0  # s, when the last tick's command acts
         self._thrust_constants = model.thrust_constants
         self._offsets: Floats = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
-        trim = find_trim(model)
+        trim = self.solver.trim
         self.trim = trim.vehicle
         self._hover, self._shares = trim.rotor_speed, trim.shares
         self._times = np.full(HISTORY, -np.inf)
@@ -107,25 +147,28 @@ class Controller:
         cls, vehicle: Vehicle, options: ControllerOptions | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
     ) -> Controller:
         """The controller of a vehicle with the effects of its file in the model; compiles unless cached."""
-        return cls(build_model(vehicle, catalogue=catalogue), options or ControllerOptions())
+        return cls(
+            build_model(vehicle, catalogue=catalogue),
+            options or ControllerOptions.for_vehicle(vehicle, catalogue=catalogue),
+        )
 
     @classmethod
     def from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller:
-        """The controller of an exported model, with the horizon that its kernel was built for."""
-        options = msgspec.structs.replace(options or ControllerOptions(), problem=bundle.manifest.problem)
+        """The controller of an exported model, with the horizon that its kernel was compiled for."""
+        options = (options or ControllerOptions.for_vehicle(bundle.vehicle)).for_kernel(bundle.manifest.problem)
         return cls(bundle.model, options, bundle)
 
     @classmethod
     def fallback_from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller | None:
-        """The physical model's controller to fall back to from a learned one, None where a physical one flies."""
+        """The fallback of a learned model: the controller of the vehicle file's model. None where no network flies."""
         if not bundle.manifest.learned:
             return None
-        options = msgspec.structs.replace(options or ControllerOptions(), problem=bundle.manifest.problem)
+        options = (options or ControllerOptions.for_vehicle(bundle.vehicle)).for_kernel(bundle.manifest.problem)
         return cls(build_model(bundle.vehicle), options, library=bundle.physics)
 
     @property
     def is_learned(self) -> bool:
-        """Whether a network predicts."""
+        """Whether the model is a network's."""
         return self._columns is not None
 
     @property
@@ -140,15 +183,15 @@ class Controller:
 
     @property
     def fit_ratio(self) -> float:
-        """A learned model's running error over its error in training, NaN for a physical one."""
+        """A learned model's running error over its error in training; NaN for a nominal or identified one."""
         return math.nan if self._columns is None else self.health.ratio
 
     def node_times(self, time: float) -> Floats:
-        """(N + 1,) times of the reference that a tick at a time looks at: from when its command acts."""
+        """(N + 1,) times of the reference for a tick at a time: from when its command acts."""
         return time + self.options.delay + self._offsets
 
     def reset(self, state: Floats, time: float) -> None:
-        """Start anew from a state: hover inputs, no history."""
+        """Restart from a state: hover inputs, no history."""
         self._times[:] = -np.inf
         self._inputs[:], self._hidden[:] = self._hover, self.model.hidden_initial
         self._ticks = 0
@@ -162,9 +205,9 @@ class Controller:
         self._remember(time, self._hover)
 
     def compensate(self, state: Floats, taken: float, now: float) -> Floats:
-        """The whole state now of a rigid-body state (13,) taken earlier, by the model and the inputs since given.
+        """The whole state now of a rigid-body state (13,) measured earlier, by the model and the inputs since.
 
-        The array returned is used again by the next call.
+        The next call overwrites the returned array.
         """
         if self._columns is not None:
             state = self._take(self._columns, taken, state)
@@ -175,7 +218,7 @@ class Controller:
             tick -= 1
         self._state[:RIGID_BODY_STATES] = state
         self._state[RIGID_BODY_STATES:] = self._hidden[tick % HISTORY]
-        if self._has_hidden:  # they were left where that tick's command began to act
+        if self._has_hidden:  # they are those of the moment at which that tick's command began to act
             lag = min(taken - self._times[tick % HISTORY], MAX_STEP)
             self._propagate(self._inputs[tick % HISTORY], lag, taken - lag, keep=False)
             self._state[:RIGID_BODY_STATES] = state
@@ -188,19 +231,22 @@ class Controller:
         return self._state
 
     def feedback(self, state: Floats, time: float) -> Command:
-        """The command for a state (nx,) as `compensate` gives it; the tick's urgent half."""
+        """The command for a state (nx,) from `compensate`; the tick's urgent half."""
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
         self._acted(state, time, speed)
-        now, then = self._command_states[0, 10:13], self._command_states[1, 10:13]
+        now, then = self._command_states[0, RATE], self._command_states[1, RATE]
         rate = now + self._lookahead * (then - now)
-        thrust = float(self._thrust_constants @ (speed * speed))
-        return Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
+        return Command(rate, float(self.collective_thrust(speed)), speed, status, self.solver.report.feedback_seconds)
+
+    def collective_thrust(self, rotor_speed: Floats) -> Floats:
+        """Thrust of all rotors with the model's effects on each, N. rotor_speed: (..., n) rad/s."""
+        return np.asarray((rotor_speed * rotor_speed) @ self._thrust_constants)
 
     def prepare(self, states: Floats, inputs: Floats) -> None:
         """Linearise for the next tick. states: (N + 1, 13) and inputs: (N, nu), the reference from that tick on.
 
-        Inputs are those of a vehicle without effects; each rotor's is scaled as its trim in hover asks for.
+        Inputs are those of a vehicle without effects; each rotor's is scaled by its trim in hover.
         """
         columns, after = self._columns, self._acting + self.options.period
         if columns is not None:
@@ -212,28 +258,28 @@ class Controller:
         self.solver.shift(self.options.period)
         reference = self.solver.state_reference
         reference[:, :RIGID_BODY_STATES] = states
-        if float(states[0, 6:10] @ expected[6:10]) < 0:
-            reference[:, 6:10] = -states[:, 6:10]  # the same attitudes, on the side where the state's quaternion is
-        error = reference[0, 0:3] - expected[0:3]
+        if float(states[0, ATTITUDE] @ expected[ATTITUDE]) < 0:
+            reference[:, ATTITUDE] = -states[:, ATTITUDE]  # the same attitudes, with the sign of the state's quaternion
+        error = reference[0, POSITION] - expected[POSITION]
         distance = math.sqrt(float(error @ error))
-        if distance > self.options.largest_error:
-            reference[:, 0:3] -= (1 - self.options.largest_error / distance) * error
+        if distance > self.options.max_position_error:
+            reference[:, POSITION] -= (1 - self.options.max_position_error / distance) * error
         self.solver.input_reference[:] = inputs * self._shares
         self.solver.prepare(expected)
 
     def keep_warm(self, other: Controller, state: Floats, taken: float, now: float) -> None:
-        """Keep up with another controller that flies in this one's place, so that either can take over without a step.
+        """Track another controller that flies instead of this one, so that either can take over without a step.
 
-        state: (13,) taken at a time. Predictions are this one's own, inputs the other's.
+        state: (13,) measured at the time `taken`. Predictions are this controller's own, inputs the other's.
         """
         state_now = self.compensate(state, taken, now)
         self.solver.inputs[:] = other.solver.inputs
         self._acted(state_now, now, other.solver.inputs[0])
 
     def model_faults(self, time: float) -> tuple[str, str, str]:
-        """Why a learned model should not fly now: its history is not filled, it is outside of what it knows, it errs.
+        """Reasons against flying a learned model now: history not filled, input outside of its range, error too large.
 
-        Each is empty where there is no reason.
+        Each is empty where there is none.
         """
         if self._columns is None:
             return "", "", ""
@@ -246,7 +292,7 @@ class Controller:
         return waiting, outside, f"{ratio:.1f} times the training error" if ratio > fit.ratio else ""
 
     def _take(self, columns: ColumnHistory, taken: float, state: Floats) -> Floats:
-        """Enter a measured state (13,) into the history, and hold it against what was predicted for its time."""
+        """Enter a measured state (13,) into the history, and compare it with the prediction for its time."""
         last, predicted = columns.last_measured, columns.prediction_at(taken)
         if last is not None and predicted is not None:
             self.health.compare(predicted, state, taken - last[0])
@@ -258,10 +304,10 @@ class Controller:
         self._remember(self._acting, speed)
 
     def _propagate(self, speed: Floats, seconds: float, start: float, *, keep: bool = True) -> None:
-        """Move the state on from a time; keep: its way goes into the history."""
+        """Propagate the state from a time on. keep: whether its steps go into the history."""
         columns = self._columns
         while seconds > 1e-6:
-            step = min(seconds, self._longest)
+            step = min(seconds, self._max_step)
             if columns is not None:
                 columns.write_columns(start, self.solver.history)
             self._state[:] = self.solver.propagate(self._state, speed, step)

@@ -113,7 +113,7 @@ class Flyer:
         self._hold = LevelHold(vehicle.weight)
         self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
         self._landing = LandingDetector(vehicle.weight)
-        self._shifted = ShiftedSolution(vehicle)
+        self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
         self._estimate: StateEstimate | None = None

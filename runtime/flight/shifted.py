@@ -6,15 +6,13 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.state import RATE
-from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
 
 
 class ShiftedSolution:
     """The last good command and its prediction, and their continuation."""
 
-    def __init__(self, vehicle: Vehicle) -> None:
-        self._constant = vehicle.rotors.thrust_constant
+    def __init__(self) -> None:
         self._since = 0.0
         self._times = np.zeros(0)
         self._rates = np.zeros((0, 3))
@@ -26,7 +24,7 @@ class ShiftedSolution:
         """Store a good solution of the tick at `time`, s; copies what the solver will overwrite."""
         self._since, self._times = time, controller.node_times(time)
         self._rates = controller.predicted_states[:, RATE].copy()
-        self._thrusts = self._constant * np.sum(controller.predicted_inputs**2, axis=1)
+        self._thrusts = controller.collective_thrust(controller.predicted_inputs)
         self._rate, self._thrust = command.rate_body, command.collective_thrust
 
     def reaches(self, time: float) -> bool:

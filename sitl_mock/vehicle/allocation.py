@@ -1,43 +1,16 @@
 """From normalised torques and thrust to motor signals, as PX4's control allocator does it.
 
-Source: PX4-Autopilot, ControlAllocationPseudoInverse.cpp (normalisation) and
-ControlAllocationSequentialDesaturation.cpp (saturation, airmode off); THR_MDL_FAC in MixingOutput. All in FLU axes.
+Source: PX4-Autopilot, ControlAllocationSequentialDesaturation.cpp (saturation, airmode off), MixingOutput
+(THR_MDL_FAC). All in FLU axes; `dynamics.allocation` has the mixer.
 """
 
 from __future__ import annotations
 
 import casadi as ca
-import numpy as np
-from numpy.typing import NDArray
 
 from dynamics.effect import Expression
-from dynamics.vehicle import Vehicle
 
 YAW_MARGIN = 0.15  # demand of yaw beyond full signal, at the expense of thrust
-
-
-def effectiveness(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Torque x, y, z about the centre of mass, N m, and thrust, N, of each rotor at full speed. Returns (4, rotors)."""
-    rotors, centre = vehicle.rotors, vehicle.body.centre_of_mass
-    thrust, roll, pitch, yaw = rotors.allocation * rotors.speed_max**2
-    return np.stack([roll - centre[1] * thrust, pitch + centre[0] * thrust, yaw, thrust])
-
-
-def mixer(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Matrix from (torque x, y, z, thrust), normalised as PX4 does, to motor thrusts of 0..1. Returns (rotors, 4).
-
-    Roll and pitch share one scale; a unit yaw torque is a full motor; a unit thrust is full thrust.
-    """
-    mix = np.linalg.pinv(effectiveness(vehicle))
-    mix[np.abs(mix) < 1e-9 * np.abs(mix).max(axis=0)] = 0.0
-    tilt_scale = max(np.sqrt(2 * np.sum(mix[:, axis] ** 2) / np.count_nonzero(mix[:, axis])) for axis in (0, 1))
-    yaw_scale = np.max(mix[:, 2]) if vehicle.rotors.torque_constant > 0 else 1.0
-    return np.asarray(mix / [tilt_scale, tilt_scale, yaw_scale, np.mean(np.abs(mix[:, 3]))])
-
-
-def torque_authority(vehicle: Vehicle) -> NDArray[np.float64]:
-    """Torque about body x, y, z of a unit of normalised torque, N m. Returns (3,)."""
-    return np.asarray(np.diag(effectiveness(vehicle)[0:3] @ mixer(vehicle)[:, 0:3]))
 
 
 def allocate(mix: Expression, demand: Expression) -> Expression:

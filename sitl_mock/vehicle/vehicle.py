@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from dynamics import quaternion
+from dynamics.allocation import mixer
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
@@ -21,7 +22,6 @@ from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
-from sitl_mock.vehicle.allocation import mixer
 from sitl_mock.vehicle.battery import BatteryPack, open_circuit_voltage, usual_battery
 from sitl_mock.vehicle.land_detector import LandDetector
 from sitl_mock.vehicle.plant import DT, Plant, build_plant

@@ -31,7 +31,7 @@
 typedef struct {
     double Q[NX], P[NX], R[NU];
     double u_lower[NU], u_upper[NU], x_lower[NX], x_upper[NX];
-    double thrust_lower, thrust_upper, thrust_constant;
+    double thrust_constant[NU], thrust_lower, thrust_upper; /* of each rotor, N s^2/rad^2; of all, N */
     double node, scale, levenberg_marquardt, tolerance, penalty;
     int iterations, row_iterations;
 } rti_options;
@@ -98,7 +98,7 @@ rti_report *rti_last_report(condensed *r) { return &r->report; }
 
 /* Dimensions for the loader to compare with its own. */
 void rti_dimensions(int *dimensions) {
-    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES};
+    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options)};
     memcpy(dimensions, built, sizeof built);
 }
 
@@ -151,9 +151,11 @@ static double move(const condensed *r, int k, int i, const double *z) {
 
 static double thrust(const condensed *r, int k, const double *z) {
     double sum = 0;
-    for (int j = 0; j < NU; j++)
-        sum += r->u[k][j] * (r->u[k][j] + 2 * r->options.scale * z[X0 + k * NU + j]);
-    return r->options.thrust_constant * sum;
+    for (int j = 0; j < NU; j++) {
+        const double u = r->u[k][j], change = r->options.scale * z[X0 + k * NU + j];
+        sum += r->options.thrust_constant[j] * u * (u + 2 * change);
+    }
+    return sum;
 }
 
 static double value_of(const condensed *r, int k, int i, const double *z) {
@@ -181,7 +183,7 @@ static void write_row(condensed *r, int k, int i, int rows, int place) {
     for (int c = 0; c < NV; c++) r->C[c * rows + place] = 0;
     if (i == NX)
         for (int j = 0; j < NU; j++)
-            r->C[(k * NU + j) * rows + place] = 2 * r->options.thrust_constant * r->options.scale * r->u[k][j];
+            r->C[(k * NU + j) * rows + place] = 2 * r->options.thrust_constant[j] * r->options.scale * r->u[k][j];
     else
         for (int c = 0; c < (k + 1) * NU; c++) r->C[c * rows + place] = r->S[k + 1][i][X0 + c];
     r->row_lower[place] = fmax(lower_bound(r, i) - value_of(r, k, i, at), -FAR);

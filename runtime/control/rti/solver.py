@@ -17,13 +17,14 @@ from dynamics.errors import RequestError
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.state import RIGID_BODY_STATES
+from dynamics.trim import find_trim
 from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.processor import Processor, native_processor
 
 ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
-    "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes",
+    "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes", "options_bytes",
 )  # fmt: skip
 
 
@@ -59,8 +60,9 @@ class RtiSolver:
         self.model, self.problem = model, problem
         self._code = _load(library or build_solver(model, problem))
         self._declare()
-        columns = 0 if library is None else self._require_dimensions(library)
-        options = fill_options(problem, model)
+        self.trim = find_trim(model)
+        options = fill_options(problem, model, self.trim)
+        columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
         self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
         nodes, states, inputs = problem.nodes, model.state_count, model.input_count
         self.states = self._view("rti_states", (nodes + 1, states))
@@ -93,7 +95,7 @@ class RtiSolver:
     def reset(self, state: NDArray[np.float64]) -> None:
         """Forget the trajectory: every node holds the state (nx,), every rotor its hover speed."""
         self.states[:] = state
-        self.inputs[:] = self.model.vehicle.hover_speed
+        self.inputs[:] = self.trim.rotor_speed
 
     def propagate(self, state: NDArray[np.float64], speed: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
         """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The next call overwrites the array."""
@@ -147,7 +149,7 @@ class RtiSolver:
         code.rti_feedback.argtypes = (pointer, pointer)
         code.rti_free.argtypes = code.rti_last_report.argtypes = (pointer,)
 
-    def _require_dimensions(self, library: Path) -> int:
+    def _require_dimensions(self, library: Path, options_bytes: int) -> int:
         """Columns of a kernel's history. Raises RequestError when it was built for other dimensions."""
         dimensions = (ctypes.c_int * len(KERNEL_DIMENSIONS))()
         self._code.rti_dimensions(dimensions)
@@ -155,6 +157,7 @@ class RtiSolver:
         required = {
             "states": self.model.state_count, "inputs": self.model.input_count, "nodes": self.problem.nodes,
             "parameters": self.model.parameter_values.size, "environment": ENVIRONMENT_DEFAULT.size,
+            "options_bytes": options_bytes,
         }  # fmt: skip
         if wrong := [
             f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size

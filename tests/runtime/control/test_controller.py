@@ -12,7 +12,10 @@ from runtime.control.controller import Controller, ControllerOptions
 HOVER = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
 
 
-def hovering(vehicle: Vehicle, options: ControllerOptions | None = None) -> Controller:
+def hovering(vehicle: Vehicle, delay: float | None = None) -> Controller:
+    options = ControllerOptions.for_vehicle(vehicle)
+    if delay is not None:
+        options = msgspec.structs.replace(options, delay=delay)
     controller = Controller.build(vehicle, options)
     controller.reset(HOVER, 0.0)
     controller.prepare(np.tile(HOVER, (21, 1)), np.full((20, 4), vehicle.hover_speed))
@@ -25,6 +28,30 @@ def test_in_hover_it_asks_for_no_rates_and_for_the_weight(arpl_250g: Vehicle) ->
     assert command.status == 0
     np.testing.assert_allclose(command.rate_body, 0, atol=1e-6)
     assert command.collective_thrust == pytest.approx(arpl_250g.weight, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "effect", [EffectUse("thrust_constant", {"ratio": 1.25}), EffectUse("weak_rotor", {"ratio": 0.8}, rotor=1)]
+)
+def test_the_bound_on_thrust_and_the_command_count_the_same_thrust(arpl_250g: Vehicle, effect: EffectUse) -> None:
+    limit = 1.3 * arpl_250g.weight
+    limits = msgspec.structs.replace(arpl_250g.limits, thrust=(0.5, limit))
+    controller = hovering(msgspec.structs.replace(arpl_250g, limits=limits).with_effects(effect))
+    above = HOVER.copy()
+    above[2] += 0.3
+    for tick in range(30):
+        command = controller.feedback(controller.compensate(HOVER, 0.01 * tick, 0.01 * tick), 0.01 * tick)
+        controller.prepare(np.tile(above, (21, 1)), np.full((20, 4), controller.trim.hover_speed))
+    assert command.collective_thrust == pytest.approx(limit, rel=0.01)
+
+
+def test_the_shifted_solution_continues_the_command(arpl_250g: Vehicle) -> None:
+    """The thrust of the prediction is that of the command, on rotors of different strength as well."""
+    controller = hovering(arpl_250g.with_effects(EffectUse("weak_rotor", {"ratio": 0.8}, rotor=1)))
+    command = controller.feedback(controller.compensate(HOVER, 0.0, 0.0), 0.0)
+    predicted = controller.collective_thrust(controller.predicted_inputs)
+    assert predicted.shape == (20,)
+    assert predicted[0] == command.collective_thrust
 
 
 @pytest.mark.parametrize("effect", [EffectUse("thrust_constant", {"ratio": 0.8}), EffectUse("mass", {"ratio": 1.3})])
@@ -50,7 +77,7 @@ def test_a_centre_of_mass_off_the_middle_asks_for_no_rates_in_hover(arpl_250g: V
 
 def test_an_old_estimate_is_carried_to_now_through_the_inputs_since(arpl_250g: Vehicle) -> None:
     """A truth flown by the controller's own inputs is recovered from estimates 30 ms old."""
-    controller = hovering(arpl_250g, ControllerOptions(delay=0.0))
+    controller = hovering(arpl_250g, delay=0.0)
     reference = named_reference("circle", arpl_250g)
     truth = reference.states(np.array([0.0]))[0]
     controller.reset(truth, 0.0)
@@ -69,7 +96,7 @@ def test_an_old_estimate_is_carried_to_now_through_the_inputs_since(arpl_250g: V
 
 
 def test_a_delay_is_looked_ahead_by_state_and_reference_alike(arpl_250g: Vehicle) -> None:
-    late = hovering(arpl_250g, ControllerOptions(delay=0.02))
+    late = hovering(arpl_250g, delay=0.02)
     moving = HOVER.copy()
     moving[3] = 2.0
     assert late.compensate(moving, 5.0, 5.0)[0] == pytest.approx(0.04, abs=1e-6)
@@ -78,7 +105,7 @@ def test_a_delay_is_looked_ahead_by_state_and_reference_alike(arpl_250g: Vehicle
 
 def test_hidden_states_of_the_model_follow_the_inputs(arpl_250g: Vehicle) -> None:
     vehicle = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.03}))
-    controller = hovering(vehicle, ControllerOptions(delay=0.0))
+    controller = hovering(vehicle, delay=0.0)
     climb = np.tile(HOVER, (21, 1))
     climb[:, 2] = 3.0
     state = controller.compensate(HOVER, 0.0, 0.0)
@@ -92,7 +119,7 @@ def test_hidden_states_of_the_model_follow_the_inputs(arpl_250g: Vehicle) -> Non
 def test_hidden_states_keep_time_between_old_estimates_and_ticks(arpl_250g: Vehicle) -> None:
     """A load swings for two seconds; nobody measures it, and estimates are 13 ms old at ticks of 10 ms."""
     vehicle = arpl_250g.with_effects(EffectUse("slung_load", {"mass": 0.02, "length": 0.5}))
-    controller = hovering(vehicle, ControllerOptions(delay=0.0))
+    controller = hovering(vehicle, delay=0.0)
     controller.reset(HOVER, 0.0)
     truth, inputs = [controller.model.initial_state(HOVER)], [controller.trim.hover_speed * np.ones(4)]
     target = np.tile(HOVER, (21, 1))
@@ -152,4 +179,4 @@ def test_a_broken_state_keeps_the_previous_solution(arpl_250g: Vehicle) -> None:
 
 def test_unknown_options_are_refused() -> None:
     with pytest.raises(msgspec.ValidationError):
-        msgspec.convert({"problem": {"nodez": 10}}, ControllerOptions)
+        msgspec.convert({"problem": {"nodez": 10}, "rate_lookahead": 0.1, "yaw_lookahead": 0.1}, ControllerOptions)

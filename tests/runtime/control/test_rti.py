@@ -11,6 +11,7 @@ import pytest
 import vehicles
 from dynamics.integrators import rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
+from dynamics.trim import Trim
 from dynamics.vehicle import EffectUse, Limits, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.rti import solver as rti_solver
@@ -273,8 +274,8 @@ def test_what_the_box_solver_refuses_hpipm_solves(monkeypatch: pytest.MonkeyPatc
     """A rotor whose bounds coincide."""
     speed = VEHICLE.hover_speed
 
-    def one_rotor_fixed(problem: Problem, model: Model) -> Any:
-        options = fill_options(problem, model)
+    def one_rotor_fixed(problem: Problem, model: Model, trim: Trim) -> Any:
+        options = fill_options(problem, model, trim)
         options.u_lower[2] = options.u_upper[2] = speed
         return options
 

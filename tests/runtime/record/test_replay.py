@@ -11,7 +11,7 @@ import pytest
 
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
-from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.controller import Controller
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
@@ -28,12 +28,13 @@ def reference_of(vehicle: Vehicle) -> Transfer:
 
 @pytest.fixture(scope="module")
 def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> FlightRecording:
-    flight = Flight(arpl_250g, Controller.build(arpl_250g), reference_of(arpl_250g))
+    controller = Controller.build(arpl_250g)
+    flight = Flight(arpl_250g, controller, reference_of(arpl_250g))
     story = flight.run(11.0)
     metadata = {
         "plan": msgspec.json.encode(Plan()).decode(),
         "settings": msgspec.json.encode(FlyerSettings()).decode(),
-        "controller": msgspec.json.encode(ControllerOptions()).decode(),
+        "controller": msgspec.json.encode(controller.options).decode(),
     }
     recorder = Recorder(tmp_path_factory.mktemp("replay"), "flight", metadata=metadata, capacity=100_000)
     for (observation, estimate), decision in zip(story.observations, story.decisions, strict=True):

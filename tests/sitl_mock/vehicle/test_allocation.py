@@ -3,16 +3,10 @@ import msgspec
 import numpy as np
 import pytest
 
+from dynamics.allocation import effectiveness, mixer, torque_authority
 from dynamics.vehicle import Body, Rotors, Vehicle
 from dynamics.vehicle_file import read_vehicle
-from sitl_mock.vehicle.allocation import (
-    allocate,
-    effectiveness,
-    mixer,
-    rotor_speed_command,
-    signal_for_thrust,
-    torque_authority,
-)
+from sitl_mock.vehicle.allocation import allocate, rotor_speed_command, signal_for_thrust
 from vehicles import FOLDER
 
 

@@ -2,11 +2,12 @@ import dataclasses
 
 import pytest
 
+from dynamics.rate_loop import motor_time_constant
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from sitl_mock.autopilot.parameter_table import LIMITS
 from sitl_mock.autopilot.parameters import Parameters
-from sitl_mock.vehicle.tuning import default_tuning, motor_time_constant, parameter_values
+from sitl_mock.vehicle.tuning import default_tuning, parameter_values
 from sitl_mock.vehicle.vehicle_interface import Tuning
 from vehicles import FOLDER
 

@@ -1,0 +1,53 @@
+"""Settings of the controller that follow from the vehicle: how far ahead it reads the body rates that it commands.
+
+A rate loop of first order with time constant T behind a lag L reaches a setpoint late by T + L. The controller commands
+what its prediction has that much later along its slope, less the rotors' lag where the model itself predicts it.
+`benchmarks/results/controller_defaults.md` compares this with one pair of lookaheads for all vehicles.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from dynamics.controller_settings import ControllerSettings
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.rate_loop import RateLoop, modelled_motor_lag, rate_loop
+from dynamics.vehicle import Vehicle
+
+MIN_HORIZON = 2.0  # times the delay of the rate loop: a shorter prediction ends before a rate command has taken effect
+
+
+@dataclass(frozen=True)
+class Lookaheads:
+    """Times along the prediction's slope at which body-rate setpoints are read, s: of roll and pitch, and of yaw."""
+
+    rate: float
+    yaw: float
+
+
+def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> Lookaheads:
+    """Those of the vehicle's file, else derived from its rate loop; never beyond the horizon.
+
+    Raises RequestError for a horizon that is too short for the vehicle's rate loop.
+    """
+    settings, loop = vehicle.controller, rate_loop(vehicle, catalogue=catalogue)
+    _require_horizon(vehicle, loop)
+    modelled = modelled_motor_lag(vehicle.effects, catalogue)
+    rate, yaw = settings.rate_lookahead, settings.yaw_lookahead
+    return Lookaheads(
+        min(loop.tilt_time - modelled, settings.horizon) if rate is None else rate,
+        min(loop.yaw_time - modelled, settings.horizon) if yaw is None else yaw,
+    )
+
+
+def _require_horizon(vehicle: Vehicle, loop: RateLoop) -> None:
+    shortest = min(vehicle.controller.delay + MIN_HORIZON * loop.tilt_time, ControllerSettings().horizon)
+    if vehicle.controller.horizon < shortest:
+        raise RequestError(
+            f"controller.horizon = {vehicle.controller.horizon:g} s is too short for {vehicle.name}: its body rates "
+            f"follow their setpoints {1e3 * loop.tilt_time:.0f} ms late (motors lag by {1e3 * loop.motor_lag:.0f} ms). "
+            f"Give at least {shortest:.2f} s."
+        )
