@@ -18,12 +18,12 @@ from dynamics.effects import CATALOGUE
 from dynamics.effects.motor_lag import rotor_lag
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import Model, build_model
+from dynamics.rate_loop import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
 from sitl_mock.vehicle.layout import Layout
 from sitl_mock.vehicle.sensors import next_estimate_error
-from sitl_mock.vehicle.tuning import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 
 DT = 0.001  # s
 ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
