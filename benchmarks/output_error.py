@@ -27,12 +27,12 @@ from diagnosis.selection.regression import make_regression
 from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
+from dynamics.rate_loop import ACTUATION_DELAY
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from fixtures.hidden_effect import fly
 from fixtures.rotorpy_flights import FINE_STEP, rotorpy_flights
 from flights.parallel import parallel_map
-from sitl_mock.vehicle.tuning import ACTUATION_DELAY
 from vehicles import FOLDER
 
 SENSORS = ("imu_bias", "gyro_bias", "time_delay")

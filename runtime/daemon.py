@@ -16,6 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
@@ -40,7 +41,7 @@ from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
 from runtime.telemetry_buffer import TelemetryBuffer
-from runtime.timing import CONTROL_RATE, TimingReport
+from runtime.timing import TimingReport
 
 MIN_RATE = 0.9  # of the rate of estimates that the flight requires
 MAX_ESTIMATE_RATE = 100.0  # Hz that are enough for a faster flight too: PX4 sends 124 Hz on a request for 200

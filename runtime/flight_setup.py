@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import DataError, RequestError
 from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
@@ -25,7 +26,6 @@ from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
-from runtime.timing import CONTROL_RATE
 
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"

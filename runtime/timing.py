@@ -9,8 +9,6 @@ import numpy as np
 
 from dynamics.arrays import Floats
 
-CONTROL_RATE = 100.0  # Hz, of ticks, unless a flight requests another
-CONTROL_PERIOD = 1.0 / CONTROL_RATE  # s
 CAPACITY = 400_000  # ticks whose times count for the percentiles: more than half an hour at 200 Hz
 
 

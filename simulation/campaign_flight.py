@@ -10,6 +10,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.errors import RequestError, VehicleError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.references.feasibility import slowed
@@ -18,7 +19,6 @@ from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from flights.flight import Flight
 from runtime.control.controller import Controller
-from runtime.timing import CONTROL_PERIOD
 from simulation.lockstep import FlownReference, fly_reference
 from sitl_mock.scenario import parse_scenario
 

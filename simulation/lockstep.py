@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import VehicleError
@@ -26,7 +27,6 @@ from runtime.flight.mission import Mission, Phase, Plan
 from runtime.flight.thrust import ThrustMap
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
-from runtime.timing import CONTROL_PERIOD
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 

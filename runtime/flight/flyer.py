@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
@@ -26,7 +27,6 @@ from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
 from runtime.flight.thrust import EffectivenessEstimator, EffectivenessSettings, ThrustMap, specific_force_z
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
-from runtime.timing import CONTROL_PERIOD
 
 ZERO_RATE = np.zeros(3)
 SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground

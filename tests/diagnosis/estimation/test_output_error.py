@@ -12,8 +12,8 @@ from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, healthy
 from diagnosis.selection.regression import make_regression
 from dynamics.effects import CATALOGUE
+from dynamics.rate_loop import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 from dynamics.vehicle import EffectUse
-from sitl_mock.vehicle.tuning import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 from tests.diagnosis.conftest import with_columns
 
 NUDGE = 1e-6
