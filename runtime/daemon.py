@@ -14,23 +14,22 @@ from math import isnan
 from pathlib import Path
 
 import msgspec
-import numpy as np
 
 from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
-from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from runtime import realtime
 from runtime.control.bundle import Bundle
-from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
+from runtime.flight.composition import Controllers, build_controllers, build_flyer, warm_up
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
-from runtime.flight.flyer import Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Plan
+from runtime.flight.flyer import FlyerSettings
+from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import THRUST_CURVE, ThrustMap
+from runtime.flight.thrust import THRUST_CURVE
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
@@ -56,7 +55,6 @@ SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may
     "SERVO_OUTPUT_RAW": 100.0,
 }
 
-WARM_UP_TICKS = 20
 
 Announce = Callable[[str], None]
 
@@ -164,14 +162,13 @@ class Daemon:
             self._telemetry = TelemetryBuffer(self._recorder)
             settings = LinkSettings(target_system=request.system, priority=request.priority)
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
-            controller, nominal = self._controllers()  # while the link listens
-            for each in (controller, nominal):
-                if each is not None:
-                    self._warm_up(each)
+            # while the link listens
+            controllers = build_controllers(self._vehicle, self._bundle, self._controller_options())
+            warm_up(controllers, self._reference, request.plan, rate=request.rate)
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
             stack.callback(realtime.lower_thread)
-            control = self._start(link, controller, nominal)
+            control = self._start(link, controllers)
             stack.callback(self._stop, control)
             self._serve(link, control)
             return self._report(link, control)
@@ -195,26 +192,6 @@ class Daemon:
                 "Nothing was sent."
             )
 
-    def _controllers(self) -> tuple[Controller, Controller | None]:
-        """The controller that flies, and the nominal model's one if that is a learned model's."""
-        options = self._controller_options()
-        if self._bundle is None:
-            return Controller.build(self._vehicle, options), None
-        return Controller.from_bundle(self._bundle, options), Controller.fallback_from_bundle(self._bundle, options)
-
-    def _warm_up(self, controller: Controller) -> None:
-        """Warm a controller up: what a process does for the first time takes tens of milliseconds."""
-        state = self._reference.states(np.zeros(1))[0]
-        mission = Mission(controller.trim, self._reference, self._request.plan)
-        mission.ramp(state, 0.0)
-        mission.climb(state, 0.0)
-        controller.reset(state, 0.0)
-        for tick in range(WARM_UP_TICKS):
-            now = tick / self._request.rate
-            states, inputs = mission.window(controller.node_times(now), state[ATTITUDE])
-            controller.prepare(states, inputs[:-1])
-            controller.feedback(controller.compensate(state, now - 0.02, now), now)
-
     def _controller_options(self) -> ControllerOptions:
         options = ControllerOptions.for_vehicle(self._vehicle, period=1.0 / self._request.rate)
         return options if self._bundle is None else options.for_kernel(self._bundle.manifest.problem)
@@ -233,7 +210,7 @@ class Daemon:
     def _settings(self) -> FlyerSettings:
         return msgspec.structs.replace(self._request.settings, period=1.0 / self._request.rate)
 
-    def _start(self, link: Link, controller: Controller, nominal: Controller | None) -> ControlThread:
+    def _start(self, link: Link, controllers: Controllers) -> ControlThread:
         request = self._request
         realtime.prepare_interpreter()
         if request.priority is not None:
@@ -242,9 +219,10 @@ class Daemon:
                     self._report_event(Event.REALTIME_UNAVAILABLE, refusal)
         rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
         request_rates(link, rates)
-        thrust_map = self._thrust_map(link, controller.trim)
-        mission = Mission(controller.trim, self._reference, request.plan)
-        self._flyer = Flyer(controller.trim, controller, mission, thrust_map, self._settings(), nominal=nominal)
+        thrust_curve = self._thrust_curve(link)
+        self._flyer = build_flyer(
+            controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
+        )
         self._check_start(link)
         self._requests.slow_findings = self._slow_findings(link, time.monotonic())
         control = ControlThread(
@@ -263,7 +241,8 @@ class Daemon:
         threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()
         return control
 
-    def _thrust_map(self, link: Link, trim: Vehicle) -> ThrustMap:
+    def _thrust_curve(self, link: Link) -> float:
+        """The autopilot's THR_MDL_FAC, read and recorded."""
         curve = read_parameter(link, THRUST_CURVE)
         if curve.value is None:
             self._announce(f"{THRUST_CURVE} could not be read ({curve.error}); 0 is assumed")
@@ -271,7 +250,7 @@ class Daemon:
         if self._recorder is not None:
             now = time.monotonic()
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
-        return ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, factor)
+        return factor
 
     def _check_start(self, link: Link) -> None:
         """Refuse a reference that leads from here into the ground or far away."""

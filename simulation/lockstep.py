@@ -20,11 +20,11 @@ from dynamics.references import Reference
 from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
 from runtime.control.controller import Controller
+from runtime.flight.composition import Controllers, build_flyer
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.events import Fallback
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Phase, Plan
-from runtime.flight.thrust import ThrustMap
+from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
@@ -97,10 +97,10 @@ def fly_reference(
     plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed, catalogue=catalogue)
     _climb(plant, start[0:3], yaw)
     controller = controller or Controller.build(vehicle, catalogue=catalogue)
-    trim = controller.trim
-    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, plant.tuning.thrust_model_factor)
     settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True))
-    flyer = Flyer(trim, controller, Mission(trim, reference, Plan()), thrust_map, settings, nominal=nominal)
+    flyer = build_flyer(
+        Controllers(controller, nominal), reference, Plan(), settings, thrust_curve=plant.tuning.thrust_model_factor
+    )
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
     left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}

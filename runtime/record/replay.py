@@ -8,11 +8,12 @@ import numpy as np
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
-from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.controller import ControllerOptions
+from runtime.flight.composition import build_controllers, build_flyer
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
-from runtime.flight.mission import Mission, Plan
+from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
-from runtime.flight.thrust import THRUST_CURVE, ThrustMap
+from runtime.flight.thrust import THRUST_CURVE
 from runtime.link.estimate import StateEstimate
 from runtime.record.recording import FlightRecording
 from runtime.record.records import EstimateRecord, ObservationRecord, ParameterRecord, SetpointRecord, StateRecord
@@ -83,11 +84,8 @@ def _flyer(recording: FlightRecording, vehicle: Vehicle, reference: Motion, bund
     settings = msgspec.json.decode(metadata["settings"], type=FlyerSettings)
     options = msgspec.json.decode(metadata["controller"], type=ControllerOptions)
     parameters = {record.name: record.value for record in recording.records(ParameterRecord)}
-    controller = Controller.build(vehicle, options) if bundle is None else Controller.from_bundle(bundle, options)
-    nominal = None if bundle is None else Controller.fallback_from_bundle(bundle, options)
-    trim = controller.trim
-    thrust_map = ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, parameters.get(THRUST_CURVE, 0.0))
-    return Flyer(trim, controller, Mission(trim, reference, plan), thrust_map, settings, nominal=nominal)
+    controllers = build_controllers(vehicle, bundle, options)
+    return build_flyer(controllers, reference, plan, settings, thrust_curve=parameters.get(THRUST_CURVE, 0.0))
 
 
 def _estimate(record: EstimateRecord) -> StateEstimate:

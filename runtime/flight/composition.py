@@ -1,0 +1,68 @@
+"""The composition of the flight logic: the same over a link, in simulation and in a replay."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from dynamics.state import ATTITUDE
+from dynamics.vehicle import Vehicle
+from runtime.control.bundle import Bundle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.flight.flyer import Flyer, FlyerSettings
+from runtime.flight.mission import Mission, Plan
+from runtime.flight.motion import Motion
+from runtime.flight.thrust import ThrustMap
+
+WARM_UP_TICKS = 20
+WARM_UP_AGE = 0.02  # s, of the estimates
+
+
+class Controllers(NamedTuple):
+    """The controllers of a flight. nominal: of the nominal model, to fall back to from a learned model's."""
+
+    flying: Controller
+    nominal: Controller | None = None
+
+
+def build_controllers(vehicle: Vehicle, bundle: Bundle | None, options: ControllerOptions) -> Controllers:
+    """Build the controllers. bundle: of a learned model, None for the vehicle file's model."""
+    if bundle is None:
+        return Controllers(Controller.build(vehicle, options))
+    return Controllers(Controller.from_bundle(bundle, options), Controller.fallback_from_bundle(bundle, options))
+
+
+def build_flyer(
+    controllers: Controllers, reference: Motion, plan: Plan, settings: FlyerSettings, *, thrust_curve: float
+) -> Flyer:
+    """Build the flight logic for the vehicle as it hovers. thrust_curve: the autopilot's THR_MDL_FAC."""
+    trim = controllers.flying.trim
+    return Flyer(
+        trim,
+        controllers.flying,
+        Mission(trim, reference, plan),
+        ThrustMap(trim.rotors.thrust_max, trim.rotors.thrust_curve, thrust_curve),
+        settings,
+        nominal=controllers.nominal,
+    )
+
+
+def warm_up(controllers: Controllers, reference: Motion, plan: Plan, *, rate: float) -> None:
+    """Run the controllers for some ticks: what a process does for the first time takes tens of milliseconds."""
+    for controller in controllers:
+        if controller is not None:
+            _warm_up(controller, reference, plan, rate)
+
+
+def _warm_up(controller: Controller, reference: Motion, plan: Plan, rate: float) -> None:
+    state = reference.states(np.zeros(1))[0]
+    mission = Mission(controller.trim, reference, plan)
+    mission.ramp(state, 0.0)
+    mission.climb(state, 0.0)
+    controller.reset(state, 0.0)
+    for tick in range(WARM_UP_TICKS):
+        now = tick / rate
+        states, inputs = mission.window(controller.node_times(now), state[ATTITUDE])
+        controller.prepare(states, inputs[:-1])
+        controller.feedback(controller.compensate(state, now - WARM_UP_AGE, now), now)
