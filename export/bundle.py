@@ -8,6 +8,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import metadata
@@ -20,7 +21,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.state import RIGID_BODY_STATES
-from export.c_files import c_files, compiled
+from export.c_files import build_c_files, c_files, compiled
 from export.integrator import cautions
 from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
 from export.onnx_file import OPSET, onnx_model
@@ -75,17 +76,27 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()
     texts = c_files(model)
     recipe = _kernel_recipe(model, options, "float")
+    double = _kernel_recipe(model, options, "double")
+    physics = None if model.network is None else _physics_recipe(build_model(model.vehicle), options)
+    _compile([recipe, double, *([physics] if physics else [])], texts)
     kernel = build_kernel(recipe)
-    parity = _prove(model, options, proto, texts, kernel)
+    parity = _prove(model, options, proto, texts, kernel, build_kernel(double))
     parity.require()
     with _appearing(folder) as part:
         _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
-        if model.network is not None:
-            physics = _physics_recipe(build_model(model.vehicle), options)
+        if physics is not None:
             shutil.copyfile(build_kernel(physics), part / PHYSICS)
         manifest = with_digest(_manifest(model, options, part))
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
     return Exported(folder, manifest, parity)
+
+
+def _compile(recipes: Sequence[KernelRecipe], texts: dict[str, str]) -> None:
+    """Compile all machine code of a bundle into the cache, several files at a time: this is most of an export."""
+    with ThreadPoolExecutor() as pool:
+        files = pool.submit(build_c_files, texts)
+        list(pool.map(build_kernel, recipes))
+        files.result()
 
 
 def _require_free(folder: Path, options: ExportOptions) -> None:
@@ -137,9 +148,11 @@ def _physics_recipe(model: Model, options: ExportOptions, field: ca.Function | N
     return KernelRecipe(sources, flags, "rti.c")
 
 
-def _prove(model: ExportedModel, options: ExportOptions, proto: bytes, texts: dict[str, str], kernel: Path) -> Parity:
+def _prove(
+    model: ExportedModel, options: ExportOptions, proto: bytes, texts: dict[str, str], kernel: Path, double_kernel: Path
+) -> Parity:
     single = RtiSolver(model.flight_model, options.problem, kernel)
-    double = RtiSolver(model.flight_model, options.problem, build_kernel(_kernel_recipe(model, options, "double")))
+    double = RtiSolver(model.flight_model, options.problem, double_kernel)
     backends = Backends(
         model, proto, model_function(model), jacobian_function(model), compiled(model, texts), single, double
     )

@@ -37,8 +37,13 @@ def c_files(model: ExportedModel) -> dict[str, str]:
     return texts
 
 
+def build_c_files(files: dict[str, str]) -> Path:
+    """Path of the compiled model.c. Raises RequestError when there is no compiler."""
+    return build_library({name: files[name] for name in (SOURCE, HEADER)}, flags=FLAGS, entry=SOURCE)
+
+
 def compiled(model: ExportedModel, files: dict[str, str]) -> dict[str, CompiledFunction]:
     """Forward and Jacobian of a bundle's model.c as this machine's code, by name."""
-    library = build_library({name: files[name] for name in (SOURCE, HEADER)}, flags=FLAGS, entry=SOURCE)
+    library = build_c_files(files)
     functions = (model_function(model), jacobian_function(model))
     return {function.name(): CompiledFunction(function, library) for function in functions}
