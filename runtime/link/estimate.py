@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from math import acos, degrees, hypot, isfinite
 from typing import Literal
 
@@ -11,8 +10,9 @@ import numpy as np
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
-from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
+from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from runtime.link.dialect import Message, mavlink
+from runtime.link.odometry import WIRE_VELOCITY, Odometry, state_from_wire
 
 Source = Literal["ODOMETRY", "LOCAL_POSITION_NED"]
 EstimateEvent = Literal[
@@ -23,48 +23,6 @@ EstimateEvent = Literal[
     "estimate_moved",
     "estimator_reset",
 ]
-
-# where ODOMETRY's 13 numbers have what
-_WIRE_POSITION, _WIRE_ATTITUDE, _WIRE_VELOCITY, _WIRE_RATE = slice(0, 3), slice(3, 7), slice(7, 10), slice(10, 13)
-
-
-def _rows_from_wire() -> list[tuple[int, float, int, float]]:
-    """Each of our 13 state numbers as a sum of two of ODOMETRY's: index, factor, index, factor.
-
-    The wire has position and attitude NED, velocity NED and rate FRD. Plain numbers, because one NumPy call on a
-    processor that has just woken up takes as long as all the rest of this module.
-    """
-    matrix = np.zeros((RIGID_BODY_STATES, RIGID_BODY_STATES))
-    matrix[POSITION, _WIRE_POSITION] = frames.enu_from_ned(np.eye(3)).T
-    matrix[ATTITUDE, _WIRE_ATTITUDE] = frames.attitude_enu_flu(np.eye(4)).T
-    matrix[VELOCITY, _WIRE_VELOCITY] = frames.enu_from_ned(np.eye(3)).T
-    matrix[RATE, _WIRE_RATE] = frames.flu_from_frd(np.eye(3)).T
-    rows = []
-    for row in matrix:
-        first, second = np.argsort(-np.abs(row), kind="stable")[:2].tolist()
-        rows.append((first, float(row[first]), second, float(row[second])))
-    return rows
-
-
-_ROWS = _rows_from_wire()
-# time_usec; x, y, z, q, vx, vy, vz, body rates; covariances left out; frame_id, child_frame_id, reset_counter
-_ODOMETRY = struct.Struct("<Q13f168x3B")
-
-
-class Odometry(msgspec.Struct, frozen=True, gc=False):
-    """The fields of ODOMETRY that are used. time: the vehicle's, s. wire: 13 numbers as they are sent."""
-
-    time: float
-    wire: tuple[float, ...]
-    frame_id: int
-    child_frame_id: int
-    reset_counter: int
-
-
-def read_odometry(payload: bytes) -> Odometry:
-    """ODOMETRY from its payload without the covariances, in a third of the time of decoding it all."""
-    fields = _ODOMETRY.unpack_from(payload.ljust(_ODOMETRY.size, b"\0"))
-    return Odometry(fields[0] * 1e-6, fields[1:14], *fields[14:17])
 
 
 class StateEstimate(msgspec.Struct, frozen=True, gc=False):
@@ -114,7 +72,7 @@ class ResetStep(msgspec.Struct, frozen=True):
     yaw: float
 
 
-class Judgement(msgspec.Struct, frozen=True):
+class EstimateCheck(msgspec.Struct, frozen=True):
     """The outcome of the checks of one message.
 
     estimate: None if it is rejected.
@@ -167,7 +125,7 @@ class EstimateMonitor:
     def reset(self) -> None:
         """Forget all estimates, as after a reboot of the vehicle."""
         self.latest: StateEstimate | None = None
-        self._doubted: list[StateEstimate] = []
+        self._jumps: list[StateEstimate] = []
         self._odometry_received = float("-inf")
         self._local_position: tuple[float, Message] | None = None
 
@@ -175,18 +133,18 @@ class EstimateMonitor:
         """Age of the latest accepted estimate, s; infinite before the first."""
         return now - self.latest.time if self.latest is not None else float("inf")
 
-    def handle_odometry(self, odometry: Odometry, time: float, received: float, is_synchronised: bool) -> Judgement:
+    def handle_odometry(self, odometry: Odometry, time: float, received: float, is_synchronised: bool) -> EstimateCheck:
         """Check an ODOMETRY message. time: when its state held, s on our clock."""
         self._odometry_received = received
         if odometry.frame_id != mavlink.MAV_FRAME_LOCAL_NED:
             return _refused_frame("frame_id", odometry.frame_id, "1 (LOCAL_NED)")
-        state = _state_from_wire(odometry.wire)
+        state = state_from_wire(odometry.wire)
         if odometry.child_frame_id == mavlink.MAV_FRAME_BODY_FRD:
-            velocity_body = frames.flu_from_frd(odometry.wire[_WIRE_VELOCITY])
+            velocity_body = frames.flu_from_frd(odometry.wire[WIRE_VELOCITY])
             state[VELOCITY] = quaternion.rotate(np.array(state[ATTITUDE]), velocity_body).tolist()
         elif odometry.child_frame_id != mavlink.MAV_FRAME_LOCAL_NED:
             return _refused_frame("child_frame_id", odometry.child_frame_id, "1 (LOCAL_NED) or 12 (BODY_FRD)")
-        return self._judge(state, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
+        return self._check(state, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
 
     def handle_local_position(self, message: Message, time: float) -> None:
         """Store a LOCAL_POSITION_NED message for the attitude that follows it."""
@@ -194,7 +152,7 @@ class EstimateMonitor:
 
     def handle_attitude(
         self, message: Message, time: float, received: float, is_synchronised: bool
-    ) -> Judgement | None:
+    ) -> EstimateCheck | None:
         """Check an ATTITUDE_QUATERNION message together with the latest position; None while ODOMETRY comes."""
         if received - self._odometry_received < self._limits.odometry_silence or self._local_position is None:
             return None
@@ -206,9 +164,9 @@ class EstimateMonitor:
         place = (position.x + step * position.vx, position.y + step * position.vy, position.z + step * position.vz)
         attitude = (message.q1, message.q2, message.q3, message.q4)
         wire = (*place, *attitude, *velocity, message.rollspeed, message.pitchspeed, message.yawspeed)
-        return self._judge(_state_from_wire(wire), time, received, 0, is_synchronised, "LOCAL_POSITION_NED")
+        return self._check(state_from_wire(wire), time, received, 0, is_synchronised, "LOCAL_POSITION_NED")
 
-    def _judge(
+    def _check(
         self,
         values: list[float],
         time: float,
@@ -216,10 +174,12 @@ class EstimateMonitor:
         reset_counter: int,
         is_synchronised: bool,
         source: Source,
-    ) -> Judgement:
+    ) -> EstimateCheck:
         latest, length = self.latest, hypot(*values[ATTITUDE])
         if not isfinite(sum(values)) or not abs(length - 1.0) < self._limits.attitude_length:
-            return Judgement(None, "estimate_not_finite", "The estimate holds NaN or infinity, or no unit quaternion.")
+            return EstimateCheck(
+                None, "estimate_not_finite", "The estimate holds NaN or infinity, or no unit quaternion."
+            )
         factor = 1.0 / length
         if latest is not None and _dot(values[ATTITUDE], latest.attitude.tolist()) < 0:
             factor = -factor
@@ -229,55 +189,56 @@ class EstimateMonitor:
         if latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source:
             return self._accept(estimate)
         if time <= latest.time:
-            return self._judge_time(estimate, latest)
+            return self._check_time(estimate, latest)
         if reset_counter != latest.reset_counter:
-            return self._judge_reset(estimate, latest)
+            return self._check_reset(estimate, latest)
         if (jump := self._jump(latest, estimate)) is None:
             return self._accept(estimate)
-        return self._doubt(estimate, latest, jump)
+        return self._check_jump(estimate, latest, jump)
 
-    def _accept(self, estimate: StateEstimate) -> Judgement:
+    def _accept(self, estimate: StateEstimate) -> EstimateCheck:
         self.latest = estimate
-        self._doubted.clear()
-        return Judgement(estimate)
+        self._jumps.clear()
+        return EstimateCheck(estimate)
 
-    def _judge_time(self, estimate: StateEstimate, latest: StateEstimate) -> Judgement:
+    def _check_time(self, estimate: StateEstimate, latest: StateEstimate) -> EstimateCheck:
         if latest.is_synchronised != estimate.is_synchronised:
             return self._accept(estimate)  # the vehicle's clock has just become valid, or invalid
         if latest.time - estimate.time < 1e-3:
-            return Judgement(None)  # the same sample sent twice
+            return EstimateCheck(None)  # the same sample sent twice
         text = f"The estimate's time went back by {latest.time - estimate.time:.3f} s."
-        return Judgement(None, "estimate_time_backwards", text)
+        return EstimateCheck(None, "estimate_time_backwards", text)
 
-    def _judge_reset(self, estimate: StateEstimate, latest: StateEstimate) -> Judgement:
+    def _check_reset(self, estimate: StateEstimate, latest: StateEstimate) -> EstimateCheck:
         step = _step(latest, estimate)
         text = (
             f"The estimator was reset: position moved by {np.linalg.norm(step.position_world):.2f} m, "
             f"velocity by {np.linalg.norm(step.velocity_world):.2f} m/s, yaw by {np.degrees(step.yaw):.1f} degrees."
         )
         self._accept(estimate)
-        return Judgement(estimate, "estimator_reset", text, step)
+        return EstimateCheck(estimate, "estimator_reset", text, step)
 
-    def _doubt(self, estimate: StateEstimate, latest: StateEstimate, jump: str) -> Judgement:
-        if self._doubted and self._jump(self._doubted[-1], estimate) is not None:
-            self._doubted.clear()
-        self._doubted.append(estimate)
-        if len(self._doubted) < self._limits.moved_samples:
-            return Judgement(None, "estimate_jump", f"The estimate jumped: {jump}.")
+    def _check_jump(self, estimate: StateEstimate, latest: StateEstimate, jump: str) -> EstimateCheck:
+        if self._jumps and self._jump(self._jumps[-1], estimate) is not None:
+            self._jumps.clear()
+        self._jumps.append(estimate)
+        if len(self._jumps) < self._limits.moved_samples:
+            return EstimateCheck(None, "estimate_jump", f"The estimate jumped: {jump}.")
         self._accept(estimate)
         text = f"The estimate has moved for good without a reset: {jump}."
-        return Judgement(estimate, "estimate_moved", text, _step(latest, estimate))
+        return EstimateCheck(estimate, "estimate_moved", text, _step(latest, estimate))
 
     def _jump(self, before: StateEstimate, after: StateEstimate) -> str | None:
         """What moved further from one estimate to the next than the limits allow, or None."""
         limits, elapsed = self._limits, abs(after.time - before.time)
-        a, b = before.state.tolist(), after.state.tolist()
         half = 0.5 * elapsed
-        position = hypot(
-            b[0] - a[0] - half * (a[3] + b[3]), b[1] - a[1] - half * (a[4] + b[4]), b[2] - a[2] - half * (a[5] + b[5])
-        )
-        velocity = hypot(b[3] - a[3], b[4] - a[4], b[5] - a[5])
-        attitude = 2.0 * acos(min(1.0, abs(_dot(a[ATTITUDE], b[ATTITUDE]))))
+        # plain numbers: this runs for every estimate, and NumPy would take longer
+        start, end = before.state.tolist(), after.state.tolist()
+        (x0, y0, z0), (x1, y1, z1) = start[POSITION], end[POSITION]
+        (u0, v0, w0), (u1, v1, w1) = start[VELOCITY], end[VELOCITY]
+        position = hypot(x1 - x0 - half * (u0 + u1), y1 - y0 - half * (v0 + v1), z1 - z0 - half * (w0 + w1))
+        velocity = hypot(u1 - u0, v1 - v0, w1 - w0)
+        attitude = 2.0 * acos(min(1.0, abs(_dot(start[ATTITUDE], end[ATTITUDE]))))
         if position > limits.position_noise + 0.25 * limits.max_acceleration * elapsed**2:
             return f"position by {position:.2f} m in {elapsed * 1e3:.0f} ms"
         if velocity > limits.velocity_noise + limits.max_acceleration * elapsed:
@@ -285,10 +246,6 @@ class EstimateMonitor:
         if attitude > limits.attitude_noise + limits.max_rate * elapsed:
             return f"attitude by {degrees(attitude):.0f} degrees in {elapsed * 1e3:.0f} ms"
         return None
-
-
-def _state_from_wire(wire: tuple[float, ...]) -> list[float]:
-    return [factor * wire[first] + other * wire[second] for first, factor, second, other in _ROWS]
 
 
 def _dot(a: list[float], b: list[float]) -> float:
@@ -308,8 +265,8 @@ def _step(before: StateEstimate, after: StateEstimate) -> ResetStep:
     )
 
 
-def _refused_frame(field: str, value: int, required: str) -> Judgement:
+def _refused_frame(field: str, value: int, required: str) -> EstimateCheck:
     entry = mavlink.enums["MAV_FRAME"].get(value)
     name = entry.name.removeprefix("MAV_FRAME_") if entry is not None else "unknown"
     text = f"ODOMETRY {field} is {value} ({name}), required {required}: the estimate's axes are undefined."
-    return Judgement(None, "estimate_frame_refused", text)
+    return EstimateCheck(None, "estimate_frame_refused", text)

@@ -9,16 +9,9 @@ import msgspec
 from runtime.link import modes, telemetry
 from runtime.link.clock import VehicleClock
 from runtime.link.dialect import Message, mavlink
-from runtime.link.estimate import (
-    EstimateLimits,
-    EstimateMonitor,
-    Judgement,
-    Odometry,
-    ResetStep,
-    StateEstimate,
-    read_odometry,
-)
+from runtime.link.estimate import EstimateCheck, EstimateLimits, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.framing import Frame
+from runtime.link.odometry import Odometry, read_odometry
 from runtime.link.rates import RateMeter
 from runtime.link.telemetry import BatterySample, LinkEvent, LinkSeverity, Telemetry, Text, VehicleStatus
 from runtime.link.texts import TextAssembler
@@ -227,11 +220,11 @@ class Peer:
 
     def _handle_attitude(self, message: Message, received: float, reaction: Reaction) -> None:
         time, synchronised = self._synchronised(message.time_boot_ms * 1e-3, received)
-        judgement = self.estimates.handle_attitude(message, time, received, synchronised)
-        if judgement is not None:
-            self._take(judgement, received, reaction)
+        check = self.estimates.handle_attitude(message, time, received, synchronised)
+        if check is not None:
+            self._take(check, received, reaction)
 
-    def _take(self, judgement: Judgement, received: float, reaction: Reaction) -> None:
-        reaction.estimate, reaction.reset = judgement.estimate, judgement.step
-        if judgement.event is not None:
-            reaction.events += self.limit_event(received, judgement.event, "warning", judgement.text)
+    def _take(self, check: EstimateCheck, received: float, reaction: Reaction) -> None:
+        reaction.estimate, reaction.reset = check.estimate, check.step
+        if check.event is not None:
+            reaction.events += self.limit_event(received, check.event, "warning", check.text)

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
-from runtime.link.estimate import EstimateMonitor, Judgement, Odometry, StateEstimate, read_odometry
+from runtime.link.estimate import EstimateCheck, EstimateMonitor, StateEstimate
+from runtime.link.odometry import Odometry, read_odometry
 from tests.support.fake_vehicle import odometry
 
 NORTH_EAST_DOWN_TO_EAST_NORTH_UP = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
@@ -33,14 +34,14 @@ def read(**fields: Any) -> Odometry:
     return read_odometry(data[10:-2])
 
 
-def feed(monitor: EstimateMonitor, time: float, **fields: Any) -> Judgement:
+def feed(monitor: EstimateMonitor, time: float, **fields: Any) -> EstimateCheck:
     return monitor.handle_odometry(read(**fields), time, time + 0.005, True)
 
 
-def accepted(judgement: Judgement | None) -> StateEstimate:
-    assert judgement is not None
-    assert judgement.estimate is not None, judgement
-    return judgement.estimate
+def accepted(check: EstimateCheck | None) -> StateEstimate:
+    assert check is not None
+    assert check.estimate is not None, check
+    return check.estimate
 
 
 @pytest.fixture
@@ -87,18 +88,18 @@ def test_both_velocity_frames_give_the_same_state(
 
 @pytest.mark.parametrize(("frame", "child"), [(20, 12), (4, 1), (1, 8), (1, 20), (99, 1), (1, 0)])
 def test_unknown_axes_are_refused_by_name(monitor: EstimateMonitor, frame: int, child: int) -> None:
-    judgement = feed(monitor, 1.0, frame_id=frame, child_frame_id=child)
-    assert judgement.estimate is None
-    assert judgement.event == "estimate_frame_refused"
-    assert "required 1 (LOCAL_NED)" in judgement.text
+    check = feed(monitor, 1.0, frame_id=frame, child_frame_id=child)
+    assert check.estimate is None
+    assert check.event == "estimate_frame_refused"
+    assert "required 1 (LOCAL_NED)" in check.text
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 @pytest.mark.parametrize("field", ["x", "vz", "yawspeed"])
 def test_what_is_not_finite_is_refused(monitor: EstimateMonitor, field: str, value: float) -> None:
     feed(monitor, 1.0)
-    judgement = feed(monitor, 1.01, **{field: value})
-    assert (judgement.estimate, judgement.event) == (None, "estimate_not_finite")
+    check = feed(monitor, 1.01, **{field: value})
+    assert (check.estimate, check.event) == (None, "estimate_not_finite")
     assert accepted(feed(monitor, 1.02)).time == 1.02
 
 
@@ -137,7 +138,7 @@ def test_fast_flight_is_not_a_jump(monitor: EstimateMonitor) -> None:
     for n in range(200):
         time = 0.02 * n
         noise = random.normal(0.0, 0.03, 3)
-        judgement = feed(
+        check = feed(
             monitor,
             10.0 + time,
             x=30.0 * time + noise[0],
@@ -148,20 +149,20 @@ def test_fast_flight_is_not_a_jump(monitor: EstimateMonitor) -> None:
             q=[np.cos(5.0 * time), np.sin(5.0 * time), 0.0, 0.0],
             rollspeed=10.0,
         )
-        accepted(judgement)
+        accepted(check)
 
 
 def test_a_reset_is_reported_with_its_step(monitor: EstimateMonitor) -> None:
     yaw = np.radians(90.0)
     feed(monitor, 1.0, vx=1.0, reset_counter=11)
-    judgement = feed(
+    check = feed(
         monitor, 1.1, x=0.1, y=2.0, z=-1.0, vx=1.0, q=[np.cos(yaw / 2), 0.0, 0.0, np.sin(yaw / 2)], reset_counter=12
     )
-    assert judgement.event == "estimator_reset"
-    assert judgement.step is not None
-    assert judgement.step.position_world == pytest.approx([2.0, 0.0, 1.0], abs=1e-5)
-    assert judgement.step.yaw == pytest.approx(-yaw, abs=1e-5)  # to the right is negative about up
-    assert accepted(judgement).position_world == pytest.approx([2.0, 0.1, 1.0])
+    assert check.event == "estimator_reset"
+    assert check.step is not None
+    assert check.step.position_world == pytest.approx([2.0, 0.0, 1.0], abs=1e-5)
+    assert check.step.yaw == pytest.approx(-yaw, abs=1e-5)  # to the right is negative about up
+    assert accepted(check).position_world == pytest.approx([2.0, 0.1, 1.0])
 
 
 def test_a_reset_counter_that_starts_anywhere_is_no_reset(monitor: EstimateMonitor) -> None:
@@ -171,14 +172,14 @@ def test_a_reset_counter_that_starts_anywhere_is_no_reset(monitor: EstimateMonit
 
 def test_time_running_backwards_is_reported_and_survived(monitor: EstimateMonitor) -> None:
     feed(monitor, 5.0)
-    judgement = feed(monitor, 4.0)
-    assert (judgement.estimate, judgement.event) == (None, "estimate_time_backwards")
+    check = feed(monitor, 4.0)
+    assert (check.estimate, check.event) == (None, "estimate_time_backwards")
     assert accepted(feed(monitor, 5.01)).time == 5.01
 
 
 def test_the_same_sample_twice_is_dropped_silently(monitor: EstimateMonitor) -> None:
     feed(monitor, 5.0)
-    assert feed(monitor, 5.0) == Judgement(None)
+    assert feed(monitor, 5.0) == EstimateCheck(None)
 
 
 def test_age_grows_until_the_next_estimate(monitor: EstimateMonitor) -> None:

@@ -12,8 +12,9 @@ import pytest
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from runtime.link.dialect import mavlink
-from runtime.link.estimate import StateEstimate, read_odometry
+from runtime.link.estimate import StateEstimate
 from runtime.link.framing import Frame
+from runtime.link.odometry import read_odometry
 from runtime.link.peer import Peer
 from runtime.link.telemetry import ImuSample, LinkEvent, MotorOutputs
 from runtime.record.tlog import read_tlog
