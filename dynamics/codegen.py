@@ -1,7 +1,7 @@
-"""C from CasADi functions: generated, compiled once, cached by the hash of everything that goes into it.
+"""C from CasADi functions: generated, compiled once, cached by the hash of its sources, flags, compiler and processor.
 
-Two processes that need the same library at the same time wait for one compilation; a library appears under its name
-only when it is whole. Generation and compilation happen at start-up, never in a control tick.
+Two processes that need the same library at the same time wait for one compilation; a library has its name only when
+it is complete. Generation and compilation happen at start-up, never in a control tick.
 """
 
 from __future__ import annotations
@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 
 if TYPE_CHECKING:
@@ -41,7 +42,7 @@ FLAGS = (
 
 
 def cache_folder() -> Path:
-    """Where compiled code is kept: $ALULA_CACHE, or alula/ in the user's cache folder."""
+    """The folder of compiled code: $ALULA_CACHE, or alula/ in the user's cache folder."""
     if folder := os.environ.get("ALULA_CACHE"):
         return Path(folder)
     return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "alula"
@@ -60,8 +61,10 @@ def build_library(
 ) -> Path:
     """Path of a shared library compiled from sources (file name -> text), taken from the cache when it is there.
 
-    entry: the file that the compiler is given; the others lie beside it for it to include. libraries: what the linker
-    is given behind it. Raises RequestError when there is no C compiler or it refuses the code.
+    entry: the file to compile; the others are for it to include.
+    libraries: arguments for the linker.
+
+    Raises RequestError when there is no C compiler or it refuses the code.
     """
     compiler = find_compiler()
     recipe = [_identity(compiler), entry, *flags, *libraries]
@@ -87,14 +90,14 @@ def build_library(
 def find_compiler() -> str:
     """The C compiler: $CC, or the first of cc, gcc, clang. Raises RequestError when there is none."""
     for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        if found := shutil.which(name):
-            return found
+        if path := shutil.which(name):
+            return path
     raise RequestError("no C compiler was found (looked for $CC, cc, gcc, clang). Install one, such as Debian's gcc.")
 
 
 @cache
 def _identity(compiler: str) -> str:
-    """What else decides the machine code: the compiler's version and the processor that -march=native means."""
+    """The compiler's version and the processor of -march=native, which decide the machine code as well."""
     version = subprocess.run([compiler, "--version"], capture_output=True, text=True, check=False).stdout
     try:
         flags = next(
@@ -130,7 +133,7 @@ def _compile(
 
 
 class CompiledFunction:
-    """A CasADi function as machine code: arrays in and out are fixed, so that a call costs one foreign call.
+    """A CasADi function as machine code with fixed arrays, so that a call costs one foreign call.
 
     inputs, outputs: by name, NumPy arrays that the code reads and writes in place; matrices are flattened by column,
     as CasADi stores them. An instance belongs to one thread.
@@ -153,11 +156,11 @@ class CompiledFunction:
         )
 
     def run(self) -> None:
-        """Work out the outputs from what the inputs hold now."""
+        """Evaluate the outputs at the present inputs."""
         self._call(*self._arguments)
 
-    def __call__(self, **inputs: ArrayLike) -> dict[str, NDArray[np.float64]]:
-        """Set inputs by name (those not named keep their values), run, and give the outputs, which stay ours."""
+    def __call__(self, **inputs: ArrayLike) -> dict[str, Floats]:
+        """Set inputs by name (the others keep their values), run, return the outputs; the next call overwrites them."""
         for name, value in inputs.items():
             self.inputs[name][:] = value
         self.run()
@@ -179,7 +182,7 @@ def compile_functions(functions: Sequence[ca.Function]) -> dict[str, CompiledFun
     return {function.name(): CompiledFunction(function, library) for function in functions}
 
 
-def _pointers(arrays: Sequence[NDArray[np.float64]], count: int) -> ctypes.Array[ctypes.c_void_p]:
-    """CasADi's array of argument pointers, with the room behind them that its code wants for itself."""
+def _pointers(arrays: Sequence[Floats], count: int) -> ctypes.Array[ctypes.c_void_p]:
+    """CasADi's array of argument pointers, with the space behind them that its code works in."""
     addresses = [array.ctypes.data for array in arrays]
     return (ctypes.c_void_p * max(1, count))(*addresses, *([None] * (max(1, count) - len(addresses))))

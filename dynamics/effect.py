@@ -1,15 +1,14 @@
-"""What a physical effect is: named parameters, a wrench, hidden states, a source. Written once, in CasADi.
+"""A physical effect: named parameters, a wrench, hidden states, a source. Written once, in CasADi.
 
-An effect is one module with an `EFFECT` in it. The same object is what the mock's plant adds, diagnosis regresses
-and fits, the controller compiles in and the training prior contains. Hooks are pure functions of CasADi
-expressions; an effect gives only those that it needs:
+An effect is one module with an `EFFECT` in it. The same object serves the mock's plant, diagnosis, the controller and
+the training prior. Hooks are pure functions of CasADi expressions; an effect has those that it needs:
 
 physics       changes the constants of body and rotors (mass, one rotor's thrust constant, ...)
 rotor_speed   what the rotors do with a commanded speed
 wind          velocity of the air, world ENU, m/s
 wrench        force (body FLU, N) and moment about the centre of mass (N m) added to the rigid body's
 derivative    time derivative of the effect's hidden states; `noise` is unit white noise, one entry a hidden state
-measurement   what a sensor says of the truth: faults of sensors are effects that change readings, not motion
+measurement   what a sensor reads: faults of sensors are effects that change readings, not motion
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ ActsOn = Literal["motion", "command_gain", "rotor_speed_reading"]
 
 @dataclass(frozen=True)
 class Prior:
-    """What is believed of a parameter before any flight: its usual value and a standard deviation, in its unit."""
+    """A parameter's distribution before any flight: its usual value and standard deviation, in its unit."""
 
     mean: float
     std: float
@@ -37,7 +36,14 @@ class Prior:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect. lower, upper: physical bounds. neutral: the value at which the effect vanishes."""
+    """One number of an effect.
+
+    unit: SI.
+    meaning: in a few words.
+    lower, upper: physical bounds.
+    prior: its usual value on a vehicle.
+    neutral: the value at which the effect vanishes.
+    """
 
     name: str
     unit: str
@@ -50,7 +56,12 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Hidden:
-    """A hidden state of an effect. initial: its value in hover, given the vehicle. per_rotor: one for each rotor."""
+    """A hidden state of an effect.
+
+    unit: SI.
+    initial: its value in hover on a vehicle.
+    per_rotor: whether there is one for each rotor.
+    """
 
     name: str
     unit: str
@@ -60,7 +71,17 @@ class Hidden:
 
 @dataclass(frozen=True)
 class Physics:
-    """Constants of body and rotors as expressions. rotor_position: (3, n) m; per-rotor constants: (n,)."""
+    """Constants of body and rotors as expressions.
+
+    mass: kg.
+    inertia: (3,) diagonal about body x, y, z, kg m^2.
+    centre_of_mass: (3,) body FLU, m.
+    rotor_position: (3, n) body FLU, m.
+    spin: (n,) sign of the reaction torque about body z.
+    thrust_constant: (n,) k_f, N s^2/rad^2.
+    torque_constant: (n,) k_tau, N m s^2/rad^2.
+    rotor_radius: of a propeller, m.
+    """
 
     mass: Expression
     inertia: Expression
@@ -79,7 +100,11 @@ class Physics:
 
 @dataclass(frozen=True)
 class Environment:
-    """What surrounds the vehicle. ground_height: world z, m. battery_ratio: voltage over its nominal value."""
+    """The vehicle's surroundings and supply.
+
+    ground_height: world z, m.
+    battery_ratio: voltage over its nominal value.
+    """
 
     ground_height: Expression
     battery_ratio: Expression
@@ -87,11 +112,22 @@ class Environment:
 
 @dataclass(frozen=True)
 class Conditions:
-    """All that a hook may look at, in SI and our frames; derived quantities are worked out once by the model.
+    """The arguments of an effect's hooks: state, input and quantities derived from them. SI, world ENU, body FLU.
 
-    air_velocity_body: velocity of the body relative to the air, body FLU. rotor_air_velocity: (3, n) the same at each
-    rotor hub. rotor_thrust: (n,) N, before this effect. command: commanded rotor speeds; rotor_speed: real ones.
-    wind_body: the air's own velocity, body FLU. has_drag: another effect of the model already resists the air.
+    position, velocity_world: (3,) world.
+    attitude: (4,) body to world, w first.
+    rate_body: (3,) rad/s.
+    command: (n,) commanded rotor speeds, rad/s.
+    rotor_speed: (n,) real rotor speeds, rad/s.
+    rotor_acceleration: (n,) their time derivatives, rad/s^2.
+    rotor_position: (3, n) from the centre of mass, m.
+    rotor_thrust: (n,) N, before any effect's wrench.
+    air_velocity_body: (3,) velocity of the body relative to the air.
+    rotor_air_velocity: (3, n) the same at each rotor hub.
+    wind_body: (3,) velocity of the air.
+    physics: the constants as the effects change them.
+    environment: ground and battery.
+    has_drag: whether an effect of the model resists the air.
     rotor: the rotor that a single-rotor effect sits on.
     """
 
@@ -115,8 +151,11 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Reading:
-    """What the sensors say. specific_force: body FLU, m/s^2. rate_body: rad/s. rotor_speed: (n,) rad/s.
+    """Readings of the sensors.
 
+    specific_force: (3,) body FLU, m/s^2.
+    rate_body: (3,) rad/s.
+    rotor_speed: (n,) rad/s.
     pose_age: s by which position, velocity and attitude are older than their stamps.
     """
 
@@ -128,7 +167,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Span:
-    """The corners of the box in which flights took place, world ENU, m."""
+    """The box in which flights took place: its corners, world ENU, m."""
 
     lowest: tuple[float, float, float]
     highest: tuple[float, float, float]
@@ -144,7 +183,7 @@ class Wrench:
 
 @dataclass(frozen=True)
 class Effect:
-    """One physical effect: its formula and everything that the rest of the tree needs to know of it.
+    """One physical effect: its formula, and how diagnosis, training, the mock and the controller treat it.
 
     name: as in vehicle files and on command lines.
     summary: what it does, in a few words.
@@ -152,8 +191,8 @@ class Effect:
     parameters: its numbers.
     hidden: its states behind the rigid body's.
     physics, rotor_speed, wind, wrench, derivative, measurement: its hooks, see above.
-    grid: values of the parameters in which it is not linear, tried one by one; the others are then found by linear
-        regression, and with all of them held the size of the whole effect is.
+    grid: values of the parameters in which it is not linear, tried one by one; linear regression gives
+        the others, or the size of the effect where all are on the grid.
     refine: parameters of the grid that the final fit frees.
     min_detectable: size below which it is not claimed where all parameters are on the grid, in their unit.
     caveat: what a fit of it cannot settle; {parameter} stands for a fitted value.
@@ -164,7 +203,7 @@ class Effect:
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, "rotor_speed_reading" shows only where
         rotor speeds are measured, "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
-    excitation: what a flight must hold to show it; None where nobody has said so.
+    excitation: what a flight must hold to show it; None where that is not stated.
     confounded_with: effects with nearly the same signal in most flights.
 
     Raises ValueError when it contradicts itself.
@@ -238,7 +277,7 @@ def _contradictions(effect: Effect) -> Iterator[str]:
 
 
 def _contradicting_roles(effect: Effect) -> Iterator[str]:
-    """What cannot be true of the fields that say how the rest of the tree treats an effect."""
+    """What cannot be true of the fields that steer diagnosis and integration."""
     for parameter in effect.parameters:
         if parameter.name in effect.time_constants and not parameter.lower > 0:
             yield f"time constant {parameter.name} has the lower bound {parameter.lower} s; it must be above 0"

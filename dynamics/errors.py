@@ -1,6 +1,6 @@
 """The errors that a user can cause, each with the exit code that the command line ends with.
 
-Messages say what was given, what was wanted and what to do next.
+A message names the input, what is wrong with it and what to do next.
 """
 
 
@@ -11,13 +11,13 @@ class AlulaError(Exception):
 
 
 class RequestError(AlulaError):
-    """What was asked for is wrong: a file, an option, a vehicle that cannot exist."""
+    """A wrong request: a file, an option, a vehicle that cannot exist."""
 
     exit_code = 2
 
 
 class DataError(AlulaError):
-    """The data cannot answer what was asked."""
+    """The data cannot answer the request."""
 
     exit_code = 3
 

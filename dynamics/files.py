@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all."""
+"""Files that are written completely or not at all."""
 
 from __future__ import annotations
 
@@ -12,16 +12,19 @@ from dynamics.errors import RequestError
 
 
 def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> Path:
-    """Write beside the path and move there, so that no torn file ever bears the name.
+    """Write a temporary file in the same folder and rename it, so that the path never holds part of a file.
 
-    write: to the path that it is given, raising OSError when it cannot. advice: what to do then. Raises RequestError.
+    write: writes to the path of its argument, raising OSError when it cannot.
+    advice: what to do then.
+
+    Raises RequestError.
     """
     part = path.with_name(f"{path.name}.part")
     try:
         write(part)
         part.replace(path)
     except OSError as error:
-        _leave_nothing(part)
+        _remove(part)
         raise RequestError(f"cannot write {path}: {error.strerror or error}. {advice}") from error
     return path
 
@@ -36,7 +39,7 @@ def write_json(value: msgspec.Struct, path: Path) -> None:
     write_whole(path, lambda part: part.write_bytes(text), advice="Give a folder that can be written.")
 
 
-def _leave_nothing(part: Path) -> None:
+def _remove(part: Path) -> None:
     try:
         part.unlink(missing_ok=True)
     except OSError:

@@ -9,9 +9,10 @@ from __future__ import annotations
 
 import casadi as ca
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from dynamics import tensor_quaternion
+from dynamics.arrays import Floats
 from dynamics.libraries import Expression, is_symbolic, is_tensor, join, library_of, split
 
 IDENTITY = np.array([1.0, 0.0, 0.0, 0.0])
@@ -76,7 +77,7 @@ def exponential(rotation_vector: Expression) -> Expression:
     return join([library.cos(angle / 2), sinc * x, sinc * y, sinc * z])
 
 
-def logarithm(attitude: ArrayLike) -> NDArray[np.float64]:
+def logarithm(attitude: ArrayLike) -> Floats:
     """Rotation vector of the shorter way, rad. attitude: (..., 4)."""
     q = normalise(attitude)
     q = np.where(q[..., :1] < 0, -q, q)
@@ -85,18 +86,18 @@ def logarithm(attitude: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(np.where(sine > 1e-12, angle / np.maximum(sine, 1e-300), 2.0) * q[..., 1:])
 
 
-def angle_between(first: ArrayLike, second: ArrayLike) -> NDArray[np.float64]:
+def angle_between(first: ArrayLike, second: ArrayLike) -> Floats:
     """Angle of the rotation from one attitude to another, rad in [0, pi]. first, second: (..., 4)."""
     return np.asarray(np.linalg.norm(logarithm(multiply(conjugate(np.asarray(first)), np.asarray(second))), axis=-1))
 
 
-def normalise(attitude: ArrayLike) -> NDArray[np.float64]:
+def normalise(attitude: ArrayLike) -> Floats:
     """Unit quaternions. attitude: (..., 4), none of zero length."""
     q = np.asarray(attitude, dtype=float)
     return np.asarray(q / np.linalg.norm(q, axis=-1, keepdims=True))
 
 
-def continuous(attitude: ArrayLike) -> NDArray[np.float64]:
+def continuous(attitude: ArrayLike) -> Floats:
     """The same attitudes with signs chosen so that neighbours never jump. attitude: (n, 4)."""
     q = np.array(attitude, dtype=float)
     flips = np.sum(q[1:] * q[:-1], axis=-1) < 0
@@ -104,7 +105,7 @@ def continuous(attitude: ArrayLike) -> NDArray[np.float64]:
     return np.asarray(q * signs[:, None])
 
 
-def nearest_sign(attitude: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_sign(attitude: Floats, other: Floats) -> Floats:
     """attitude or its negative, whichever lies nearer to other. Both: (4,)."""
     return -attitude if float(attitude @ other) < 0 else attitude
 
@@ -117,7 +118,7 @@ def rotation_matrix(attitude: Expression) -> Expression:
     return np.stack(columns, axis=-1)
 
 
-def from_rotation_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
+def from_rotation_matrix(matrix: ArrayLike) -> Floats:
     """Quaternion of a rotation matrix, by the numerically largest component. matrix: (..., 3, 3)."""
     m = np.asarray(matrix, dtype=float)
     xx, yy, zz = m[..., 0, 0], m[..., 1, 1], m[..., 2, 2]
@@ -139,7 +140,7 @@ def from_rotation_matrix(matrix: ArrayLike) -> NDArray[np.float64]:
     return normalise(np.where(q[..., :1] < 0, -q, q))
 
 
-def from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.float64]:
+def from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> Floats:
     """Attitude of yaw, then pitch, then roll about the moving axes (z-y-x), all rad and broadcastable."""
     half = [np.asarray(angle, dtype=float) / 2 for angle in (roll, pitch, yaw)]
     zero = np.zeros_like(half[0] + half[1] + half[2])
@@ -149,7 +150,7 @@ def from_euler(roll: ArrayLike, pitch: ArrayLike, yaw: ArrayLike) -> NDArray[np.
     return np.asarray(multiply(multiply(about_z, about_y), about_x))
 
 
-def to_euler(attitude: ArrayLike) -> NDArray[np.float64]:
+def to_euler(attitude: ArrayLike) -> Floats:
     """Roll, pitch and yaw (z-y-x order), rad. attitude: (..., 4). Returns (..., 3)."""
     w, x, y, z = split(np.asarray(attitude, dtype=float))
     roll = np.arctan2(2 * (w * x + y * z), 1 - 2 * (x * x + y * y))

@@ -1,4 +1,4 @@
-"""Layout of the rigid-body state vector: the one place that knows where each quantity stands.
+"""Layout of the rigid-body state vector, defined here alone.
 
 x = (position_world m, velocity_world m/s, attitude quaternion body to world w first, rate_body rad/s); the hidden
 states of effects follow. Row slices index the last axis of tables of states as well: `states[..., VELOCITY]`.

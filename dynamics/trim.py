@@ -1,4 +1,4 @@
-"""Trim: how a vehicle with effects hovers, what it weighs then and how fast each of its rotors turns."""
+"""Trim: the hover of a vehicle with effects, its weight there and the speed of each rotor."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.vehicle import GRAVITY, Vehicle
 
 ITERATIONS = 20
-HIGH_UP = 100.0  # m, where no ground is felt
-SAME = 1e-6  # relative difference that counts as none: a vehicle whose effects vanish in hover is left as it was
+FAR_FROM_GROUND = 100.0  # m, beyond ground effect
+NEGLIGIBLE = 1e-6  # relative difference: a vehicle whose effects vanish in hover stays as it is
 
 
 @dataclass(frozen=True, eq=False)
 class Trim:
-    """vehicle: the one without effects that weighs and thrusts as the model does in hover, for everything that thinks
-    in weights: references, take-off, thrust map, landing. rotor_speed: (rotors,) rad/s, without any turning.
+    """A hover.
+
+    vehicle: without effects, with the mass and thrust constant that the model has in hover: for references, take-off,
+        thrust map and landing.
+    rotor_speed: (rotors,) rad/s, without angular acceleration.
     """
 
     vehicle: Vehicle
@@ -35,8 +38,8 @@ class Trim:
 def find_trim(model: Model) -> Trim:
     """Hover of a model, level and at rest: thrust that carries the weight, no angular acceleration.
 
-    Forces sideways, which the vehicle would have to lean against, are not in it. The least change of rotor speeds is
-    taken where there are more than four.
+    Horizontal forces, against which the vehicle would have to tilt, are left out. With more than four rotors their
+    speeds change as little as possible.
     """
     vehicle = model.vehicle
     even = np.full(model.input_count, vehicle.hover_speed)
@@ -45,27 +48,27 @@ def find_trim(model: Model) -> Trim:
     respond = _hover_response(model)
     speed = even
     for _ in range(ITERATIONS):
-        found, slope = (np.array(value) for value in respond(speed))
-        step = np.linalg.lstsq(slope, found.ravel(), rcond=None)[0]
+        error, slope = (np.array(value) for value in respond(speed))
+        step = np.linalg.lstsq(slope, error.ravel(), rcond=None)[0]
         speed = np.maximum(speed - step, 0.1 * vehicle.hover_speed)
-    constants = model.thrust_constants
-    mass = float(constants @ speed**2) / GRAVITY
-    constant = float(np.mean(constants))
+    thrust_constants = model.thrust_constants
+    mass = float(thrust_constants @ speed**2) / GRAVITY
+    thrust_constant = float(np.mean(thrust_constants))
     body, rotors = vehicle.body, vehicle.rotors
-    if abs(mass - body.mass) > SAME * body.mass:
+    if abs(mass - body.mass) > NEGLIGIBLE * body.mass:
         body = msgspec.structs.replace(body, mass=mass)
-    if abs(constant - rotors.thrust_constant) > SAME * rotors.thrust_constant:
-        rotors = msgspec.structs.replace(rotors, thrust_constant=constant)
+    if abs(thrust_constant - rotors.thrust_constant) > NEGLIGIBLE * rotors.thrust_constant:
+        rotors = msgspec.structs.replace(rotors, thrust_constant=thrust_constant)
     trimmed = msgspec.structs.replace(vehicle, body=body, rotors=rotors, effects=())
-    return Trim(trimmed, np.where(np.abs(speed - even) > SAME * even, speed, even))
+    return Trim(trimmed, np.where(np.abs(speed - even) > NEGLIGIBLE * even, speed, even))
 
 
 def _hover_response(model: Model) -> ca.Function:
-    """(rotor speeds) -> what is left of (vertical, angular) acceleration, level and at rest, and its Jacobian."""
+    """(rotor speeds) -> (vertical, angular) acceleration, level and at rest, and its Jacobian."""
     speed = ca.SX.sym("speed", model.input_count)
-    state = ca.SX(model.initial_state(np.array([0.0, 0.0, HIGH_UP, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])))
+    state = ca.SX(model.initial_state(np.array([0.0, 0.0, FAR_FROM_GROUND, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])))
     for place in model.rotor_speed_places:
         state[place] = speed
     force, angular, _ = model.observe(state, speed, model.parameter_values, ENVIRONMENT_DEFAULT)
-    left = ca.vertcat(force[2] - GRAVITY, angular)
-    return ca.Function("hover_response", [speed], [left, ca.jacobian(left, speed)])
+    residual = ca.vertcat(force[2] - GRAVITY, angular)
+    return ca.Function("hover_response", [speed], [residual, ca.jacobian(residual, speed)])

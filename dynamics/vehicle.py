@@ -1,4 +1,4 @@
-"""The vehicle: its body, rotors, limits and the effects already known about it.
+"""The vehicle: its body, rotors, limits and identified effects.
 
 Plain frozen data, checked for physical sense on creation; `dynamics.vehicle_file` reads and writes it.
 """
@@ -11,9 +11,8 @@ from typing import Annotated
 import msgspec
 import numpy as np
 from msgspec import Meta
-from numpy.typing import NDArray
 
-from dynamics.arrays import Vector3
+from dynamics.arrays import Floats, Vector3
 from dynamics.controller_settings import ControllerSettings
 from dynamics.errors import RequestError
 
@@ -23,7 +22,12 @@ NonNegative = Annotated[float, Meta(ge=0)]
 
 
 class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The rigid body. mass: kg. inertia: diagonal about body x, y, z, kg m^2. centre_of_mass: body FLU, m."""
+    """The rigid body.
+
+    mass: kg.
+    inertia: diagonal about body x, y, z, kg m^2.
+    centre_of_mass: body FLU, m.
+    """
 
     mass: Positive
     inertia: tuple[Positive, Positive, Positive]
@@ -42,10 +46,14 @@ class Body(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The rotors, in the order of the input vector u.
 
-    position: body FLU, m, one row a rotor. spin: sign of the reaction torque about body z. thrust_constant: k_f,
-    N s^2/rad^2. torque_constant: k_tau, N m s^2/rad^2. speed_min, speed_max: rad/s. radius: propeller radius, m.
+    position: body FLU, m, one row a rotor.
+    spin: sign of the reaction torque about body z.
+    thrust_constant: k_f, N s^2/rad^2.
+    torque_constant: k_tau, N m s^2/rad^2.
+    speed_min, speed_max: rad/s.
+    radius: propeller radius, m.
     thrust_curve: c in thrust/thrust_max = c s^2 + (1 - c) s for a motor signal s of 0 to 1 (1: speed follows the
-    signal, 0: thrust does, as in PX4's SIH).
+        signal, 0: thrust does, as in PX4's SIH).
     """
 
     position: tuple[Vector3, ...]
@@ -71,8 +79,8 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
                 f"rotor spin {list(self.spin)} sums to {sum(self.spin)}: with {count} rotors the reaction torques must "
                 "cancel in hover. Half of the rotors must turn each way; the paper's quadrotor has [1, -1, 1, -1]."
             )
-        wanted = 4 if self.torque_constant > 0 else 3  # without reaction torque nothing yaws
-        if count < wanted or np.linalg.matrix_rank(self.allocation) < wanted:
+        independent = 4 if self.torque_constant > 0 else 3  # without reaction torque nothing yaws
+        if count < independent or np.linalg.matrix_rank(self.allocation) < independent:
             raise RequestError(
                 f"rotor spin {list(self.spin)} at positions {[list(p) for p in self.position]} cannot command thrust, "
                 "roll, pitch and yaw independently. A quadrotor's diagonally opposite rotors turn the same way."
@@ -84,7 +92,7 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return len(self.position)
 
     @property
-    def allocation(self) -> NDArray[np.float64]:
+    def allocation(self) -> Floats:
         """Matrix from squared rotor speeds to (thrust, torque x, y, z) (PI-TCN eq. 2). Returns (4, count).
 
         Torques are about the origin of the rotors' positions; about a centre of mass c elsewhere they are less by
@@ -102,7 +110,7 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def disc_radius(self) -> float:
-        """Propeller radius, m; when the file gives none, 0.45 of the least distance between two rotors."""
+        """Propeller radius, m; where the file has none, 0.45 of the smallest distance between two rotors."""
         if self.radius is not None:
             return self.radius
         position = np.array(self.position)
@@ -111,9 +119,12 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the vehicle may be asked to do. rate: rad/s about body x, y, z. thrust: least and most collective, N.
+    """Limits of flight.
 
-    speed: m/s. box: lower and upper corner of the allowed positions, world ENU, m.
+    rate: rad/s about body x, y, z.
+    thrust: minimum and maximum collective thrust, N; None for what the rotors can do.
+    speed: m/s.
+    box: lower and upper corner of the allowed positions, world ENU, m.
     """
 
     rate: tuple[Positive, Positive, Positive] = (6.0, 6.0, 3.0)
@@ -124,13 +135,18 @@ class Limits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     def __post_init__(self) -> None:
         """Refuse empty ranges."""
         if self.thrust is not None and self.thrust[0] >= self.thrust[1]:
-            raise RequestError(f"limits.thrust {list(self.thrust)} N is empty: give the least, then the most.")
+            raise RequestError(f"limits.thrust {list(self.thrust)} N is empty: give the minimum, then the maximum.")
         if self.box is not None and any(low >= high for low, high in zip(*self.box, strict=True)):
             raise RequestError(f"limits.box {self.box} m is empty: give the lower corner, then the upper corner.")
 
 
 class EffectUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """An effect of the catalogue with the values it has on this vehicle; rotor for effects of a single rotor."""
+    """An effect on a vehicle.
+
+    name: in the catalogue.
+    parameters: its values; those left out are usual ones.
+    rotor: of an effect of a single rotor.
+    """
 
     name: str
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
@@ -138,7 +154,7 @@ class EffectUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class HistoryEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One line of a vehicle file's history: what was added, from which flights, and what it brought."""
+    """One line of a vehicle file's history: what was added, from which flights, and the errors before and after."""
 
     date: str
     action: str
@@ -161,7 +177,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Refuse a vehicle that cannot lift itself: the usual sign of a constant in the wrong unit."""
+        """Refuse a vehicle that cannot lift itself: usually a constant is in the wrong unit."""
         if self.rotors.thrust_max <= self.weight:
             raise RequestError(
                 f"{self.name}: all rotors at speed_max give {self.rotors.thrust_max:.3g} N, the weight is "
@@ -180,9 +196,9 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def thrust_limits(self) -> tuple[float, float]:
-        """Least and most collective thrust, N: the file's limits, or what the rotors can do."""
-        least = self.rotors.count * self.rotors.thrust_constant * self.rotors.speed_min**2
-        return self.limits.thrust or (least, self.rotors.thrust_max)
+        """Minimum and maximum collective thrust, N: the file's limits, or what the rotors can do."""
+        thrust_min = self.rotors.count * self.rotors.thrust_constant * self.rotors.speed_min**2
+        return self.limits.thrust or (thrust_min, self.rotors.thrust_max)
 
     def with_effects(self, *uses: EffectUse) -> Vehicle:
         """The same vehicle with further effects."""

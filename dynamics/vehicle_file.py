@@ -96,7 +96,7 @@ def vehicle_toml(vehicle: Vehicle) -> str:
 
 
 def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:
-    """An effect as given on a command line: `name` or `name:key=value,key=value`, with `rotor=i` where it needs one.
+    """An effect as written on a command line: `name` or `name:key=value,key=value`, with `rotor=i` where it needs one.
 
     Raises RequestError for an unknown effect or key, a value that is no number, or one outside its bounds.
     """
@@ -128,12 +128,13 @@ def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Ef
     parameters = {parameter.name: parameter for parameter in effect.parameters}
     for key, value in use.parameters.items():
         if key not in parameters:
-            raise RequestError(f"effect {use.name}: unknown parameter {key!r}{nearest(key, parameters)}. "
-                               f"It has {', '.join(parameters)}.")  # fmt: skip
-        known = parameters[key]
-        if not known.lower <= value <= known.upper:
-            raise RequestError(f"effect {use.name}: {key} = {value} {known.unit} is outside its bounds "
-                               f"[{known.lower}, {known.upper}] {known.unit}.")  # fmt: skip
+            close = nearest(key, parameters)
+            raise RequestError(f"effect {use.name}: unknown parameter {key!r}{close}. It has {', '.join(parameters)}.")
+        lower, upper, unit = parameters[key].lower, parameters[key].upper, parameters[key].unit
+        if not lower <= value <= upper:
+            raise RequestError(
+                f"effect {use.name}: {key} = {value} {unit} is outside its bounds [{lower}, {upper}] {unit}."
+            )
     if effect.per_rotor and (use.rotor is None or not 0 <= use.rotor < rotor_count):
         raise RequestError(
             f"effect {use.name} sits on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}."
@@ -178,20 +179,20 @@ def _check_controller(vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> None
         lookaheads(vehicle, catalogue)
 
 
-def nearest(word: str, known: Mapping[str, object] | tuple[str, ...]) -> str:
-    """A remark that names the known word nearest to one that is not known, or nothing."""
-    close = difflib.get_close_matches(word, list(known), n=1, cutoff=0.5)
+def nearest(word: str, valid: Mapping[str, object] | tuple[str, ...]) -> str:
+    """A remark that names the valid word nearest to an unknown one, or nothing."""
+    close = difflib.get_close_matches(word, list(valid), n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else ""
 
 
 def refuse_unknown_keys(table: Mapping[str, Any], kind: type[msgspec.Struct], where: str = "") -> None:
-    """Raise a RequestError at the first key of a table that its struct does not know, naming the nearest one."""
+    """Raise a RequestError at the first key of a table that its struct does not have, naming the nearest one."""
     hints = typing.get_type_hints(kind)
     for key, value in table.items():
         if key not in hints:
             place = f" in [{where}]" if where else ""
-            known = ", ".join(hints)
-            raise RequestError(f"unknown key {key!r}{place}{nearest(key, hints)}. Known there: {known}.")
+            valid = ", ".join(hints)
+            raise RequestError(f"unknown key {key!r}{place}{nearest(key, hints)}. Known there: {valid}.")
         inner = _struct_inside(hints[key])
         if inner is None:
             continue
@@ -217,13 +218,13 @@ def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:
     if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
         return hint
     if typing.get_origin(hint) in (tuple, list, typing.Union, types.UnionType):
-        found = (_struct_inside(part) for part in typing.get_args(hint))
-        return next((struct for struct in found if struct is not None), None)
+        structs = (_struct_inside(part) for part in typing.get_args(hint))
+        return next((struct for struct in structs if struct is not None), None)
     return None
 
 
 def _without_none(value: Any) -> Any:
-    """The same value without entries that are None, empty or unset, which TOML cannot or need not say."""
+    """The same value without entries that are None, empty or unset, which TOML cannot or need not hold."""
     if isinstance(value, dict):
         return {key: _without_none(item) for key, item in value.items() if item not in (None, "", [], (), {})}
     if isinstance(value, list | tuple):

@@ -1,4 +1,4 @@
-"""The catalogue: every physical effect that Alula knows by name, one module each."""
+"""The catalogue: the physical effects that ship with Alula, one module each."""
 
 from collections.abc import Mapping
 

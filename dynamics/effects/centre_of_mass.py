@@ -1,4 +1,4 @@
-"""Centre of mass: it lies elsewhere than the vehicle file says, so that thrust twists the body."""
+"""Centre of mass: it is not where the vehicle file has it, so that thrust twists the body."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +17,7 @@ def usual(vehicle: Vehicle) -> Prior:
 
 
 def level(vehicle: Vehicle) -> Prior:
-    """The height hardly shows in a flight: none by default."""
+    """Zero: the height hardly shows in a flight."""
     return Prior(0.0, usual(vehicle).std)
 
 
@@ -27,13 +27,13 @@ def physics(body: Physics, p: Values, _: Environment, __: int | None) -> Physics
 
 
 def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
-    """At the height that the file says."""
+    """At the vehicle file's height."""
     return [{"z": 0.0}]
 
 
 EFFECT = Effect(
     name="centre_of_mass",
-    summary="The centre of mass lies elsewhere than the vehicle file says",
+    summary="Another centre of mass than the vehicle file's",
     source="PI-TCN eq. 2 with rotor arms taken from the centre of mass",
     parameters=(
         Parameter("x", "m", "forward", -0.5, 0.5, usual),

@@ -1,4 +1,4 @@
-"""Inertia: the vehicle turns less or more readily than its file says."""
+"""Inertia: the vehicle has other moments of inertia than in its file."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from dynamics.vehicle import Vehicle
 
 
 def usual(_: Vehicle) -> Prior:
-    """A tenth more than the file says."""
+    """A tenth more than in the vehicle file."""
     return Prior(1.1, 0.2)
 
 

@@ -1,4 +1,4 @@
-"""Mass: the vehicle weighs more or less than its file says."""
+"""Mass: the vehicle is heavier or lighter than in its file."""
 
 from dataclasses import replace
 

@@ -8,7 +8,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 
 
 def rotor_speed(_: Expression, hidden: Values) -> Expression:
-    """The rotors turn as fast as the hidden state says, not as commanded."""
+    """The real rotor speed is the hidden state, not the command."""
     return hidden["rotor_speed"]
 
 

@@ -11,7 +11,7 @@ from dynamics.excitation import FORCE, Excitation
 from dynamics.vehicle import Vehicle
 
 AXES = ("x", "y", "z")
-AIR_DAMPING = 0.1  # 1/s, of the swinging: lines are long against what the air takes
+AIR_DAMPING = 0.1  # 1/s, of the swing
 
 
 def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
@@ -19,21 +19,21 @@ def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
 
     f is the rotors' specific force: the attachment's acceleration less gravity and less the line's own pull.
     """
-    along, turning = _line(hidden)
-    driving = _specific_force(c)
-    across = driving - ca.dot(driving, along) * along
-    change = -across / p["length"] - ca.sumsqr(turning) * along - AIR_DAMPING * turning
-    return {f"line_{axis}": turning[i] for i, axis in enumerate(AXES)} | {
-        f"swing_{axis}": change[i] for i, axis in enumerate(AXES)
+    d, d_dot = _line(hidden)
+    f = _specific_force(c)
+    f_perp = f - ca.dot(f, d) * d
+    d_ddot = -f_perp / p["length"] - ca.sumsqr(d_dot) * d - AIR_DAMPING * d_dot
+    return {f"line_{axis}": d_dot[i] for i, axis in enumerate(AXES)} | {
+        f"swing_{axis}": d_ddot[i] for i, axis in enumerate(AXES)
     }
 
 
 def wrench(c: Conditions, p: Values, hidden: Values) -> Wrench:
     """F = T d with T (1 + m_load / m) = m_load (L |d'|^2 - d . f); a slack line does not push."""
-    along, turning = _line(hidden)
-    pull = p["length"] * ca.sumsqr(turning) - ca.dot(along, _specific_force(c))
+    d, d_dot = _line(hidden)
+    pull = p["length"] * ca.sumsqr(d_dot) - ca.dot(d, _specific_force(c))
     tension = p["mass"] * ca.fmax(pull, 0) / (1 + p["mass"] / c.physics.mass)
-    return Wrench(quaternion.rotate_inverse(c.attitude, tension * along), ca.SX.zeros(3))
+    return Wrench(quaternion.rotate_inverse(c.attitude, tension * d), ca.SX.zeros(3))
 
 
 def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
@@ -42,11 +42,11 @@ def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
 
 
 def _line(hidden: Values) -> tuple[Expression, Expression]:
-    """Unit vector along the line and its rate of change, cleared of what integration adds along the line."""
+    """d and d': the unit vector along the line, and its rate of change without what integration adds along d."""
     raw = ca.vertcat(*[hidden[f"line_{axis}"] for axis in AXES])
-    along = raw / ca.norm_2(raw)
-    turning = ca.vertcat(*[hidden[f"swing_{axis}"] for axis in AXES])
-    return along, turning - ca.dot(turning, along) * along
+    d = raw / ca.norm_2(raw)
+    d_dot = ca.vertcat(*[hidden[f"swing_{axis}"] for axis in AXES])
+    return d, d_dot - ca.dot(d_dot, d) * d
 
 
 def _specific_force(c: Conditions) -> Expression:

@@ -1,4 +1,4 @@
-"""Thrust constant: all rotors thrust more or less than the vehicle file says."""
+"""Thrust constant: the thrust of all rotors differs from the vehicle file's."""
 
 from dataclasses import replace
 

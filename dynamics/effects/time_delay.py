@@ -1,4 +1,4 @@
-"""Time delay: position, velocity and attitude are older than their stamps say."""
+"""Time delay: position, velocity and attitude are older than their stamps."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Torque constant: all rotors twist the body more or less than the vehicle file says."""
+"""Torque constant: the reaction torque of all rotors differs from the vehicle file's."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Wall effect: a wall beside the vehicle pulls or pushes, the more the nearer it is."""
+"""Wall effect: a nearby wall pulls or pushes the vehicle."""
 
 import math
 from collections.abc import Sequence

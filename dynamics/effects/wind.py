@@ -1,7 +1,7 @@
 """Steady wind: the air moves over the ground at a constant velocity.
 
-The wind acts through the drag effects of the model, which see the air's velocity. A model without any drag would
-not feel it, so the wind then brings a drag coefficient of its own; only their product shows in a flight.
+The wind acts through the drag effects of the model. A model without drag would not feel it, so the wind has a drag
+coefficient of its own there; a flight shows only the product of the two.
 """
 
 from collections.abc import Sequence
@@ -25,7 +25,7 @@ COEFFICIENT = Parameter(
 
 
 def push(c: Conditions, p: Values, wind_world: Expression) -> Wrench:
-    """F = coefficient sum_i Omega_i w_xy, the rotor drag of the moving air alone; nothing beside a drag effect."""
+    """F = coefficient sum_i Omega_i w_xy, the rotor drag of the moving air alone; none where a drag effect feels it."""
     none = ca.SX.zeros(3)
     if c.has_drag:
         return Wrench(none, none)

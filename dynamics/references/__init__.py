@@ -1,4 +1,4 @@
-"""References: smooth motions from hover to hover that a vehicle is asked to follow."""
+"""References: smooth motions from hover to hover for a vehicle to track."""
 
 from dynamics.references.catalogue import MANOEUVRES, Shape, make_reference, named_reference
 from dynamics.references.feasibility import Feasibility, check_feasibility

@@ -1,6 +1,6 @@
 """The paper's data set as a list: 68 flights by name, 60 to train and 8 to test (PI-TCN section IV-A).
 
-The paper names its eight test manoeuvres and says of the rest that they range from straight lines to circles,
+The paper names its eight test manoeuvres; the rest, it writes, range from straight lines to circles,
 parabolas and lemniscates, in every combination of axes, with different speeds, 58 min in all, up to 6 m/s, 18 m/s^2,
 54 rad/s^2 and 16,628 rpm. The eight were drawn from the 68 at random, so that the others are of their kind and as
 fast. The test flights here are its eight; the training flights never repeat one of them.
@@ -73,7 +73,12 @@ REAL_WORLD = (
 
 @dataclass(frozen=True)
 class CampaignFlight:
-    """One flight. name: of its file. reference: as `dynamics.references.named_reference` takes it."""
+    """One flight of a campaign.
+
+    name: of its file.
+    reference: for `dynamics.references.named_reference`.
+    split: whether it trains or tests.
+    """
 
     name: str
     reference: str
@@ -89,7 +94,7 @@ def paper_campaign() -> tuple[CampaignFlight, ...]:
 
 
 def chosen_flights(flights: Sequence[CampaignFlight], patterns: Sequence[str]) -> tuple[CampaignFlight, ...]:
-    """Those whose name or split one of the patterns matches, all without a pattern: `Lemniscate*`, `test`.
+    """Flights whose name or split matches one of the patterns, such as `Lemniscate*` or `test`; all without a pattern.
 
     Raises RequestError for a pattern that matches none.
     """
@@ -107,7 +112,7 @@ def _matches(flight: CampaignFlight, pattern: str) -> bool:
 
 
 def _shaped(shape: str, plane: str, speed: int) -> CampaignFlight:
-    """A training flight of a shape in a plane; the one that would repeat a test flight is smaller and faster."""
+    """A training flight of a shape in a plane; where that is a test flight, a smaller and faster one."""
     if speed == 100 and shape in PAPER and plane == PAPER[shape].plane:
         return CampaignFlight(f"{shape}_{plane}_small", _in_laps(f"{shape}:plane={plane},{SMALL}"), "train")
     speed = min(speed, BELOW.get(f"{shape}_{plane}", speed))
@@ -115,7 +120,7 @@ def _shaped(shape: str, plane: str, speed: int) -> CampaignFlight:
 
 
 def _in_laps(reference: str) -> str:
-    """The reference with as many whole laps as last nearest to a training flight."""
+    """The reference with the whole number of laps that lasts nearest to a training flight."""
     name, _, rest = reference.partition(":")
     speed = next((float(pair.split("=")[1]) for pair in rest.split(",") if pair.startswith("speed=")), 1.0)
     lap = 2 * np.pi / (MANOEUVRES[name].rate * speed)

@@ -22,10 +22,13 @@ _SPELLINGS = {name.lower().replace("_", ""): name for name in MANOEUVRES}
 
 
 class Shape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What may be said of a manoeuvre. speed, size: factors on its own. height: of its lowest point, m.
+    """The shape of a manoeuvre.
 
-    plane: the world axes its own first two axes lie along, such as xy, xz, z-y. laps: times around. ramp: s from rest
-    to full speed.
+    plane: the world axes along which its first two axes lie, such as xy, xz, z-y.
+    speed, size: factors on its own.
+    height: of its lowest point, m.
+    laps: times around.
+    ramp: s from rest to full speed.
     """
 
     plane: str | None = None
@@ -37,22 +40,22 @@ class Shape(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def named_reference(text: str, vehicle: Vehicle, *, duration: float | None = None) -> Reference:
-    """The reference of a name or file on a vehicle. duration: s that it should last at least, for manoeuvres.
+    """The reference of a name or file on a vehicle. duration: minimum, s, for manoeuvres.
 
-    Raises RequestError when the name, a key or a value means nothing, or the file cannot be read as a trajectory.
+    Raises RequestError for an unknown name or key, a value out of range, or a file that holds no trajectory.
     """
     if text.lower().endswith((".csv", ".csv.gz")) or Path(text).is_file():
         return read_table(Path(text), vehicle)
     name, _, rest = text.partition(":")
-    found = _SPELLINGS.get(name.strip().lower().replace("_", "").replace("-", "").replace(" ", ""))
-    if found is None:
-        known = ", ".join(MANOEUVRES)
-        raise RequestError(f"unknown reference {name!r}{nearest(name, MANOEUVRES)}. Known: {known}, or a .csv file.")
-    return make_reference(found, _parse_shape(text, rest), vehicle, duration=duration)
+    manoeuvre = _SPELLINGS.get(name.strip().lower().replace("_", "").replace("-", "").replace(" ", ""))
+    if manoeuvre is None:
+        names = ", ".join(MANOEUVRES)
+        raise RequestError(f"unknown reference {name!r}{nearest(name, MANOEUVRES)}. Known: {names}, or a .csv file.")
+    return make_reference(manoeuvre, _parse_shape(text, rest), vehicle, duration=duration)
 
 
 def make_reference(name: str, shape: Shape, vehicle: Vehicle, *, duration: float | None = None) -> Reference:
-    """A manoeuvre of the catalogue in a shape. Raises RequestError for a shape that makes no sense."""
+    """A manoeuvre of the catalogue in a shape. Raises RequestError for an impossible shape."""
     manoeuvre = MANOEUVRES[name]
     _check_shape(name, shape)
     rate = manoeuvre.rate * shape.speed
@@ -87,9 +90,9 @@ def _parse_shape(text: str, rest: str) -> Shape:
         if not equals:
             raise RequestError(f"reference {text!r}: {pair!r} is not key=value. {_EXAMPLE}.")
         if key.strip() not in Shape.__struct_fields__:
-            known = ", ".join(Shape.__struct_fields__)
+            keys = ", ".join(Shape.__struct_fields__)
             close = nearest(key, Shape.__struct_fields__)
-            raise RequestError(f"reference {text!r}: unknown key {key!r}{close}. Known: {known}.")
+            raise RequestError(f"reference {text!r}: unknown key {key!r}{close}. Known: {keys}.")
         values[key.strip()] = value if key.strip() == "plane" else _number(text, key.strip(), value)
     try:
         return msgspec.convert(values, Shape, strict=False)
@@ -112,13 +115,13 @@ def _check_shape(name: str, shape: Shape) -> None:
         "laps": (1, 1000),
         "height": (0.0, 1000.0),
     }
-    for key, (least, most) in limits.items():
+    for key, (lower, upper) in limits.items():
         value = getattr(shape, key)
-        if value is not None and not least <= value <= most:
-            raise RequestError(f"reference {name}: {key} = {value} is outside of {least} to {most}.")
+        if value is not None and not lower <= value <= upper:
+            raise RequestError(f"reference {name}: {key} = {value} is outside of {lower} to {upper}.")
 
 
 def _describe(shape: Shape) -> str:
-    told = {key: getattr(shape, key) for key in Shape.__struct_fields__}
+    values = {key: getattr(shape, key) for key in Shape.__struct_fields__}
     usual = Shape()
-    return ",".join(f"{key}={value}" for key, value in told.items() if value != getattr(usual, key))
+    return ",".join(f"{key}={value}" for key, value in values.items() if value != getattr(usual, key))

@@ -6,16 +6,17 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-ORDERS = 5  # position to snap: what body rates, angular accelerations and rotor speeds need
+from dynamics.arrays import Floats
+
+DERIVATIVES = 5  # position to snap: what body rates, angular accelerations and rotor speeds need
 FLAT = 4  # x, y, z, yaw
 
 
 class Curve(Protocol):
     """Flat outputs (x, y, z, yaw) as a function of phase, four times continuously differentiable."""
 
-    def derivatives(self, phase: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, phase: Floats) -> Floats:
         """The flat outputs and their first four derivatives. phase: (n,). Returns (n, 5, 4): m and rad."""
         ...
 
@@ -24,20 +25,21 @@ class Curve(Protocol):
 class HarmonicCurve:
     """A finite Fourier series over the phase, rad, plus a constant drift (continued yaw spins).
 
-    cosine, sine: (harmonics + 1, 4), row k belongs to cos k phase and sin k phase. drift: (4,) per rad.
+    cosine, sine: (harmonics + 1, 4), row k belongs to cos k phase and sin k phase.
+    drift: (4,) per rad.
     """
 
-    cosine: NDArray[np.float64]
-    sine: NDArray[np.float64]
-    drift: NDArray[np.float64]
+    cosine: Floats
+    sine: Floats
+    drift: Floats
 
-    def derivatives(self, phase: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, phase: Floats) -> Floats:
         """The flat outputs and their first four derivatives. phase: (n,) rad. Returns (n, 5, 4)."""
         harmonic = np.arange(len(self.cosine))
         angle = phase[:, None] * harmonic
         cos, sin = np.cos(angle), np.sin(angle)
-        result = np.empty((phase.size, ORDERS, FLAT))
-        for order in range(ORDERS):
+        result = np.empty((phase.size, DERIVATIVES, FLAT))
+        for order in range(DERIVATIVES):
             weight = harmonic.astype(float) ** order
             result[:, order] = (cos * weight) @ self.cosine + (sin * weight) @ self.sine
             cos, sin = -sin, cos
@@ -48,26 +50,26 @@ class HarmonicCurve:
 
 @dataclass(frozen=True, slots=True)
 class PiecewisePolynomial:
-    """Polynomial pieces over the phase, s; outside the breaks the first and last values hold.
+    """Polynomials between breaks of the phase, s; outside the breaks the first and last values hold.
 
-    breaks: (m + 1,) increasing. coefficients: (m, degree + 1, 4), ascending powers of the phase since the
-    piece's own break.
+    breaks: (m + 1,) increasing.
+    coefficients: (m, degree + 1, 4), ascending powers of the phase since the preceding break.
     """
 
-    breaks: NDArray[np.float64]
-    coefficients: NDArray[np.float64]
+    breaks: Floats
+    coefficients: Floats
 
-    def derivatives(self, phase: NDArray[np.float64]) -> NDArray[np.float64]:
+    def derivatives(self, phase: Floats) -> Floats:
         """The flat outputs and their first four derivatives. phase: (n,) s. Returns (n, 5, 4)."""
         clipped = np.clip(phase, self.breaks[0], self.breaks[-1])
-        piece = np.clip(np.searchsorted(self.breaks, clipped, side="right") - 1, 0, len(self.coefficients) - 1)
-        since = (clipped - self.breaks[piece])[:, None]
-        result = np.empty((phase.size, ORDERS, FLAT))
+        interval = np.clip(np.searchsorted(self.breaks, clipped, side="right") - 1, 0, len(self.coefficients) - 1)
+        since = (clipped - self.breaks[interval])[:, None]
+        result = np.empty((phase.size, DERIVATIVES, FLAT))
         coefficients = self.coefficients
-        for order in range(ORDERS):
+        for order in range(DERIVATIVES):
             value = np.zeros((phase.size, FLAT))
             for power in range(coefficients.shape[1] - 1, -1, -1):
-                value = value * since + coefficients[piece, power]
+                value = value * since + coefficients[interval, power]
             result[:, order] = value
             coefficients = coefficients[:, 1:] * np.arange(1, coefficients.shape[1])[None, :, None]
         return result
@@ -79,7 +81,7 @@ REST_TO_REST_SPEED = 315 / 128  # peak speed of a unit move in unit time
 REST_TO_REST_ACCELERATION = 9.372  # peak acceleration of a unit move in unit time
 
 
-def rest_to_rest(points: NDArray[np.float64], durations: NDArray[np.float64]) -> PiecewisePolynomial:
+def rest_to_rest(points: Floats, durations: Floats) -> PiecewisePolynomial:
     """Moves from point to point that start and end at rest; equal neighbours make a pause.
 
     points: (m + 1, 4) x, y, z in m and yaw in rad. durations: (m,) s.

@@ -1,4 +1,4 @@
-"""Whether a vehicle can fly a reference, and if not, what is in the way, when, and how much slower it would do."""
+"""Whether a vehicle can fly a reference; if not, which limit it exceeds, when, and the speed at which it could."""
 
 from __future__ import annotations
 
@@ -12,14 +12,19 @@ from dynamics.references.flatness import ReferenceSamples
 from dynamics.references.reference import Reference
 from dynamics.vehicle import Vehicle
 
-MARGIN = 0.05  # of the rotors' thrust range that control keeps to itself at either end
-STEP = 0.01  # s between the instants looked at
+MARGIN = 0.05  # of the rotors' thrust range that is reserved for control at either end
+STEP = 0.01  # s between the instants that are checked
 BISECTIONS = 12
 
 
 @dataclass(frozen=True)
 class Excess:
-    """A limit that a reference does not keep. time: s of the worst instant. value, limit: in unit."""
+    """A limit that a reference exceeds.
+
+    quantity: what is limited.
+    time: of the worst instant, s.
+    value, limit: in unit.
+    """
 
     quantity: str
     time: float
@@ -35,7 +40,11 @@ class Excess:
 
 @dataclass(frozen=True)
 class Feasibility:
-    """The verdict on one reference. excesses: the worst instant of every limit not kept."""
+    """The verdict on one reference.
+
+    excesses: the worst instant of every limit that is exceeded.
+    feasible_speed: the greatest factor of speed without one, None where slower does not help.
+    """
 
     reference: str
     excesses: tuple[Excess, ...]
@@ -47,7 +56,7 @@ class Feasibility:
         return not self.excesses
 
     def require(self) -> None:
-        """Raise a RequestError that says what is in the way and what would do."""
+        """Raise a RequestError with the limits that are exceeded and the speed that would be feasible."""
         if self.is_feasible:
             return
         listed = "; ".join(map(str, self.excesses))
@@ -59,7 +68,7 @@ class Feasibility:
 
 
 def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float = 0.0) -> Feasibility:
-    """Look at a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
+    """Check a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
     excesses = _excesses(_samples(reference), vehicle, ground)
     slower = _feasible_speed(reference, vehicle, ground) if excesses else None
     return Feasibility(reference.name, excesses, slower)
@@ -67,10 +76,8 @@ def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float =
 
 def slowed(reference: Reference, speed: float) -> Reference:
     """The same path at a factor of the speed, ramps stretched with it."""
-    law = replace(
-        reference.law, rate=reference.law.rate * speed, ramp=reference.law.ramp / speed,
-        duration=reference.law.duration / speed,
-    )  # fmt: skip
+    law = reference.law
+    law = replace(law, rate=law.rate * speed, ramp=law.ramp / speed, duration=law.duration / speed)
     return replace(reference, law=law)
 
 
@@ -87,34 +94,34 @@ def _feasible_speed(reference: Reference, vehicle: Vehicle, ground: float) -> fl
     return _bisect(fits, 0.05, 1.0)
 
 
-def _bisect(fits: Callable[[float], bool], least: float, most: float) -> float | None:
-    if not fits(least):
+def _bisect(fits: Callable[[float], bool], low: float, high: float) -> float | None:
+    if not fits(low):
         return None
     for _ in range(BISECTIONS):
-        middle = (least + most) / 2
-        least, most = (middle, most) if fits(middle) else (least, middle)
-    return int(100 * least) / 100
+        middle = (low + high) / 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return int(100 * low) / 100
 
 
 def _excesses(motion: ReferenceSamples, vehicle: Vehicle, ground: float) -> tuple[Excess, ...]:
     rotors, limits = vehicle.rotors, vehicle.limits
     full = rotors.thrust_constant * rotors.speed_max**2
-    least = rotors.thrust_constant * rotors.speed_min**2
-    margin = MARGIN * (full - least)
-    thrust_least, thrust_most = vehicle.thrust_limits
+    idle = rotors.thrust_constant * rotors.speed_min**2
+    margin = MARGIN * (full - idle)
+    thrust_min, thrust_max = vehicle.thrust_limits
     rows = [
-        ("rotor thrust", motion.rotor_thrust, least + margin, full - margin, "N"),
-        ("collective thrust", motion.collective_thrust, thrust_least, thrust_most, "N"),
+        ("rotor thrust", motion.rotor_thrust, idle + margin, full - margin, "N"),
+        ("collective thrust", motion.collective_thrust, thrust_min, thrust_max, "N"),
         ("speed", np.linalg.norm(motion.velocity, axis=1), -np.inf, limits.speed, "m/s"),
         ("height", motion.position[:, 2], ground, np.inf, "m"),
     ]
-    for axis, rate, most in zip(("roll", "pitch", "yaw"), motion.rate_body.T, limits.rate, strict=True):
-        rows.append((f"{axis} rate", rate, -most, most, "rad/s"))
+    for axis, rate, limit in zip(("roll", "pitch", "yaw"), motion.rate_body.T, limits.rate, strict=True):
+        rows.append((f"{axis} rate", rate, -limit, limit, "rad/s"))
     if limits.box is not None:
         for axis, place, low, high in zip("xyz", motion.position.T, *limits.box, strict=True):
             rows.append((f"position {axis}", place, low, high, "m"))
-    found = (_worst(motion.time, name, np.asarray(values), low, high, unit) for name, values, low, high, unit in rows)
-    return tuple(excess for excess in found if excess is not None)
+    worst = (_worst(motion.time, name, np.asarray(values), low, high, unit) for name, values, low, high, unit in rows)
+    return tuple(excess for excess in worst if excess is not None)
 
 
 def _worst(time: np.ndarray, name: str, values: np.ndarray, low: float, high: float, unit: str) -> Excess | None:

@@ -2,7 +2,7 @@
 
 Thrust direction and rates: Mellinger and Kumar, "Minimum snap trajectory generation and control for quadrotors"
 (ICRA 2011); Faessler, Franchi and Scaramuzza (RA-L 2018) without drag. The heading follows Watterson and Kumar,
-"Control of quadrotors using the Hopf fibration on SO(3)" (2017): attitude = least tilt that carries body z onto the
+"Control of quadrotors using the Hopf fibration on SO(3)" (2017): attitude = smallest tilt that turns body z onto the
 thrust, after a turn by yaw about body z. Unlike the construction from a horizontal heading vector it has no singular
 point when the vehicle tilts by 90 degrees, only upside down, and its quaternion never jumps in sign.
 """
@@ -24,9 +24,14 @@ _MIN_ONE_PLUS_COSINE = 0.02  # of the tilt; below it (tilt above 168 degrees) th
 class ReferenceSamples:
     """A reference at n instants: world ENU, body FLU, SI units.
 
-    time: (n,). position, velocity, acceleration, jerk, snap: (n, 3) world. yaw: (n,). attitude: (n, 4) body to
-    world. rate_body, rate_acceleration: (n, 3) body. collective_thrust: (n,) N. rotor_thrust: (n, rotors) N, negative
-    or beyond the limits where the vehicle cannot follow. rotor_speed: (n, rotors) rad/s.
+    time: (n,).
+    position, velocity, acceleration, jerk, snap: (n, 3) world.
+    yaw: (n,).
+    attitude: (n, 4) body to world.
+    rate_body, rate_acceleration: (n, 3) body.
+    collective_thrust: (n,) N.
+    rotor_thrust: (n, rotors) N, negative or beyond the limits where the vehicle cannot follow.
+    rotor_speed: (n, rotors) rad/s.
     """
 
     time: Floats
@@ -86,7 +91,7 @@ def _thrust_axis(specific: Floats, jerk: Floats, snap: Floats) -> tuple[Floats, 
 
 
 def _attitude(axis: Floats, yaw: Floats) -> Floats:
-    """Least tilt onto the thrust axis after a turn by yaw. axis: (n, 3) unit, yaw: (n,). Returns (n, 4)."""
+    """Smallest tilt onto the thrust axis after a turn by yaw. axis: (n, 3) unit, yaw: (n,). Returns (n, 4)."""
     a, b, c = axis.T
     w = np.sqrt(np.maximum(1 + c, _MIN_ONE_PLUS_COSINE) / 2)
     x, y = -b / (2 * w), a / (2 * w)
@@ -102,13 +107,13 @@ def _body_rates(axis: tuple[Floats, Floats, Floats], yaw: Floats) -> tuple[Float
     """
     (a, b, c), (a1, b1, c1), (a2, b2, c2) = (part.T for part in axis)
     r = 1 / np.maximum(1 + c, _MIN_ONE_PLUS_COSINE)
-    lean, lean_rate = c1 * r, c2 * r - (c1 * r) ** 2
-    tilt_rate = np.stack([b * lean - b1, a1 - a * lean, (b * a1 - a * b1) * r])
+    g, g_rate = c1 * r, c2 * r - (c1 * r) ** 2  # of ln(1 + c)
+    tilt_rate = np.stack([b * g - b1, a1 - a * g, (b * a1 - a * b1) * r])
     tilt_acceleration = np.stack(
         [
-            b1 * lean + b * lean_rate - b2,
-            a2 - a1 * lean - a * lean_rate,
-            (b * a2 - a * b2) * r - (b * a1 - a * b1) * r * lean,
+            b1 * g + b * g_rate - b2,
+            a2 - a1 * g - a * g_rate,
+            (b * a2 - a * b2) * r - (b * a1 - a * b1) * r * g,
         ]
     )
     cos, sin = np.cos(yaw[:, 0]), np.sin(yaw[:, 0])
@@ -127,7 +132,7 @@ def _body_rates(axis: tuple[Floats, Floats, Floats], yaw: Floats) -> tuple[Float
 
 
 def _rotor_thrust(thrust: Floats, rate: Floats, rate_acceleration: Floats, vehicle: Vehicle) -> Floats:
-    """Thrust of every rotor, N, that gives the wrench with the least effort. Returns (n, rotors)."""
+    """Thrust of every rotor, N, that gives the wrench with the smallest sum of squares. Returns (n, rotors)."""
     inertia = np.array(vehicle.body.inertia)
     torque = inertia * rate_acceleration + np.cross(rate, inertia * rate)
     x, y, _ = vehicle.body.centre_of_mass

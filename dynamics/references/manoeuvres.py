@@ -1,8 +1,8 @@
 """The paper's eight test manoeuvres and plainer ones as harmonic curves, in any plane and at any speed.
 
 Each of the eight is shaped so that its peak linear and angular accelerations are those of PI-TCN Table I, as far as a
-smooth curve of its kind on the paper's vehicle can have both: `benchmarks/references_table.py` says which does. The
-paper gives shapes in a picture and these two numbers only.
+smooth curve of its kind on the paper's vehicle can have both: `benchmarks/references_table.py` lists which does. The
+paper has no more than a picture of the shapes and these two numbers.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from dynamics.arrays import Floats
 from dynamics.references.curve import FLAT, HarmonicCurve
 
 Rows = tuple[tuple[float, float, float], ...]
@@ -20,11 +20,15 @@ Rows = tuple[tuple[float, float, float], ...]
 
 @dataclass(frozen=True, slots=True)
 class Manoeuvre:
-    """A closed curve about its centre. cosine, sine: amplitude (m) of harmonics 1, 2.. along its own three axes.
+    """A closed curve about its centre.
 
-    rate: rad/s of phase at full speed. laps: times around. plane: the world axes that its own first two axes lie along
-    unless told otherwise. turns: of yaw for every lap. height: of its lowest point above the ground, m. peaks: Table
-    I's linear (m/s^2) and angular (rad/s^2) accelerations.
+    cosine, sine: amplitude (m) of harmonics 1, 2.. along its own three axes.
+    rate: of phase at full speed, rad/s.
+    laps: times around.
+    plane: the world axes along which its first two axes lie by default.
+    peaks: Table I's linear (m/s^2) and angular (rad/s^2) accelerations.
+    turns: of yaw for every lap.
+    height: of its lowest point above the ground, m.
     """
 
     cosine: Rows
@@ -36,7 +40,7 @@ class Manoeuvre:
     turns: float = 0.0
     height: float = 1.0
 
-    def curve(self, plane: str, size: float, centre: NDArray[np.float64]) -> HarmonicCurve:
+    def curve(self, plane: str, size: float, centre: Floats) -> HarmonicCurve:
         """The curve in a plane such as "xy" or "z-x", its lengths times size, about a centre (3,) m."""
         axes = plane_axes(plane)
         tables = []
@@ -84,7 +88,7 @@ PLAIN: Mapping[str, Manoeuvre] = {
 }
 
 
-def plane_axes(plane: str) -> NDArray[np.float64]:
+def plane_axes(plane: str) -> Floats:
     """World directions of a curve's own three axes, rows of a proper or mirrored frame. Raises ValueError.
 
     plane: two different letters of x, y, z, each with a minus sign before it to reverse it; the third axis completes

@@ -1,9 +1,9 @@
 """A user's own reference from a CSV table, as a smooth curve.
 
-Positions (and yaw) at given times are joined by polynomials of degree nine that agree with their neighbours in four
-derivatives: what body rates and rotor speeds need. Values and derivatives at a row come from a polynomial fitted to the
-rows around it, which smooths small noise. A table that begins or ends in motion is travelled with a soft start and
-stop: its clock runs up to full speed over two seconds.
+Polynomials of degree nine join the rows and agree with their neighbours in four derivatives, which body rates and
+rotor speeds need. Values and derivatives at a row come from a polynomial fitted to the rows around it, which smooths
+small noise. A table that begins or ends in motion gets a soft start and stop: its clock reaches full speed in two
+seconds.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
-from dynamics.references.curve import FLAT, ORDERS, PiecewisePolynomial
+from dynamics.references.curve import DERIVATIVES, FLAT, PiecewisePolynomial
 from dynamics.references.reference import Reference
 from dynamics.references.time_law import TimeLaw
 from dynamics.vehicle import Vehicle
@@ -28,12 +28,12 @@ MIN_ROWS = 7
 WINDOW, DEGREE = 9, 6  # of the local fits: rows, and degree of the polynomial
 AT_REST = 0.05  # m/s or rad/s
 RAMP = 2.0  # s
-FASTEST = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
-_WANTED = "Wanted: a header with t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
+MAX_SPEED = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
+_COLUMNS = "Required: columns t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
 
 
 def read_table(path: Path, vehicle: Vehicle) -> Reference:
-    """The reference of a CSV file. Raises RequestError that names row and column where the table makes no sense."""
+    """The reference of a CSV file. Raises RequestError that names row and column of an impossible value."""
     columns = _read_columns(path)
     _check(path, columns)
     times = columns["t"] - columns["t"][0]
@@ -49,33 +49,33 @@ def read_table(path: Path, vehicle: Vehicle) -> Reference:
 
 def _local_fits(times: Floats, values: Floats) -> Floats:
     """Values and four derivatives at every row. times: (n,). values: (n, 4). Returns (n, 5, 4)."""
-    result = np.empty((times.size, ORDERS, FLAT))
+    result = np.empty((times.size, DERIVATIVES, FLAT))
     window = min(WINDOW, times.size)
-    factorials = np.array([math.factorial(order) for order in range(ORDERS)], dtype=float)
+    factorials = np.array([math.factorial(order) for order in range(DERIVATIVES)], dtype=float)
     for i, time in enumerate(times):
         first = min(max(i - window // 2, 0), times.size - window)
         since = times[first : first + window] - time
         scale = np.abs(since).max()
         powers = np.vander(since / scale, min(DEGREE, window - 1) + 1, increasing=True)
-        coefficients = np.linalg.lstsq(powers, values[first : first + window], rcond=None)[0][:ORDERS]
-        result[i] = coefficients * (factorials / scale ** np.arange(ORDERS))[:, None]
+        coefficients = np.linalg.lstsq(powers, values[first : first + window], rcond=None)[0][:DERIVATIVES]
+        result[i] = coefficients * (factorials / scale ** np.arange(DERIVATIVES))[:, None]
     return result
 
 
 def _joined(times: Floats, derivatives: Floats) -> PiecewisePolynomial:
     steps = np.diff(times)
-    pieces = [_piece(derivatives[i], derivatives[i + 1], step) for i, step in enumerate(steps)]
-    return PiecewisePolynomial(times, np.stack(pieces))
+    polynomials = [_polynomial(derivatives[i], derivatives[i + 1], step) for i, step in enumerate(steps)]
+    return PiecewisePolynomial(times, np.stack(polynomials))
 
 
-def _piece(start: Floats, end: Floats, duration: float) -> Floats:
-    """Coefficients (10, 4) of the polynomial with given derivatives (5, 4) at both ends of a duration, s."""
-    scale = duration ** np.arange(ORDERS)[:, None]
+def _polynomial(start: Floats, end: Floats, duration: float) -> Floats:
+    """Coefficients (10, 4) of the polynomial with derivatives (5, 4) at both ends of a duration, s."""
+    scale = duration ** np.arange(DERIVATIVES)[:, None]
     start, end = start * scale, end * scale
-    low = start / np.array([math.factorial(order) for order in range(ORDERS)])[:, None]
-    powers = np.arange(2 * ORDERS)
-    falling = np.array([[math.perm(power, order) for power in powers] for order in range(ORDERS)], dtype=float)
-    high = np.linalg.solve(falling[:, ORDERS:], end - falling[:, :ORDERS] @ low)
+    low = start / np.array([math.factorial(order) for order in range(DERIVATIVES)])[:, None]
+    powers = np.arange(2 * DERIVATIVES)
+    falling = np.array([[math.perm(power, order) for power in powers] for order in range(DERIVATIVES)], dtype=float)
+    high = np.linalg.solve(falling[:, DERIVATIVES:], end - falling[:, :DERIVATIVES] @ low)
     return np.asarray(np.vstack([low, high]) / (duration**powers)[:, None])
 
 
@@ -86,16 +86,16 @@ def _read_columns(path: Path) -> dict[str, Floats]:
     except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise RequestError(f"cannot read the reference {path}: {error}. Give a CSV file.") from error
     if not rows:
-        raise RequestError(f"the reference {path} is empty. {_WANTED}.")
+        raise RequestError(f"the reference {path} is empty. {_COLUMNS}.")
     header = [name.strip() for name in rows[0]]
     missing = [name for name in REQUIRED if name not in header]
     if missing:
         raise RequestError(
-            f"the reference {path} has no column {', '.join(missing)}; it has {', '.join(header)}. {_WANTED}."
+            f"the reference {path} has no column {', '.join(missing)}; it has {', '.join(header)}. {_COLUMNS}."
         )
     twice = {name for name in header if header.count(name) > 1}
     if twice:
-        raise RequestError(f"the reference {path} has the column {', '.join(sorted(twice))} twice. {_WANTED}.")
+        raise RequestError(f"the reference {path} has the column {', '.join(sorted(twice))} twice. {_COLUMNS}.")
     columns: dict[str, Floats] = {name: np.empty(len(rows) - 1) for name in header}
     for number, row in enumerate(rows[1:], start=2):
         if len(row) != len(header):
@@ -125,11 +125,11 @@ def _check(path: Path, columns: dict[str, Floats]) -> None:
         raise RequestError(f"{path}, row {row}, column t: {times[row - 2]} s is not later than the row before it.")
     position = np.column_stack([columns[f"position_{axis}"] for axis in "xyz"])
     speed = np.linalg.norm(np.diff(position, axis=0), axis=1) / steps
-    if np.any(speed > FASTEST):
-        row = int(np.argmax(speed > FASTEST)) + 3
+    if np.any(speed > MAX_SPEED):
+        row = int(np.argmax(speed > MAX_SPEED)) + 3
         raise RequestError(
             f"{path}, row {row}: the position moves at {speed[row - 3]:.0f} m/s from the row before, more than "
-            f"{FASTEST:g} m/s. Give metres and seconds (not mm, not ms), without jumps."
+            f"{MAX_SPEED:g} m/s. Give metres and seconds (not mm, not ms), without jumps."
         )
     yaw = columns.get("yaw")
     if yaw is not None and np.any(np.abs(np.diff(yaw)) > np.pi) and np.abs(yaw).max() > 4 * np.pi:

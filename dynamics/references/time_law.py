@@ -1,4 +1,4 @@
-"""How fast a curve is travelled: a phase that starts from rest, runs at a constant rate and comes to rest again."""
+"""Time laws: a phase that starts from rest, runs at a constant rate and comes to rest again."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
+
+from dynamics.arrays import Floats
 
 # The smoothstep with three vanishing derivatives at both ends: its use as a rate keeps the phase four times
 # differentiable, so that position to snap, and with them the rotor speeds, are continuous from hover to hover.
@@ -17,9 +19,12 @@ STEP_SLOPE = 2.1875  # steepest slope of that step
 
 @dataclass(frozen=True, slots=True)
 class TimeLaw:
-    """Phase over time. rate: phase per s at full speed. ramp, duration: s, ramp at most half of the duration.
+    """Phase over time; before t = 0 and after the duration it is constant.
 
-    start: phase at t = 0. Before t = 0 and after the duration the phase stands still.
+    rate: phase per s at full speed.
+    ramp: s, at most half of the duration.
+    duration: s.
+    start: phase at t = 0.
     """
 
     rate: float
@@ -32,7 +37,7 @@ class TimeLaw:
         """Phase at which the motion comes to rest."""
         return self.start + self.rate * (self.duration - self.ramp)
 
-    def phase(self, times: ArrayLike) -> NDArray[np.float64]:
+    def phase(self, times: ArrayLike) -> Floats:
         """Phase and its first four time derivatives. times: (n,) s. Returns (n, 5)."""
         t = np.clip(np.asarray(times, dtype=float), 0.0, self.duration)
         result = np.zeros((t.size, 5))
@@ -43,9 +48,7 @@ class TimeLaw:
             self._fill_ramp(result, t > self.duration - self.ramp, self.duration - t, forward=False)
         return result
 
-    def _fill_ramp(
-        self, result: NDArray[np.float64], rows: NDArray[np.bool_], since_rest: NDArray[np.float64], *, forward: bool
-    ) -> None:
+    def _fill_ramp(self, result: Floats, rows: NDArray[np.bool_], since_rest: Floats, *, forward: bool) -> None:
         """Overwrite the rows of one ramp; the way out is the way in, mirrored in time."""
         part = since_rest[rows] / self.ramp
         for order, step in enumerate(_STEP_DERIVATIVES):
@@ -54,8 +57,8 @@ class TimeLaw:
         result[rows, 0] += self.start if forward else self.end
 
 
-def travel(curve: NDArray[np.float64], phase: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Time derivatives of a curve that is travelled with a phase law (Faa di Bruno's formula, orders 0 to 4).
+def travel(curve: Floats, phase: Floats) -> Floats:
+    """Time derivatives of a curve under a time law (Faa di Bruno's formula, orders 0 to 4).
 
     curve: (n, 5, k) derivatives with respect to phase, order on axis 1. phase: (n, 5). Returns (n, 5, k).
     """

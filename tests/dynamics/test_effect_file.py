@@ -33,7 +33,7 @@ def written(folder, text):
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("text", "message"),
     [
         ("x = 1", "defines no EFFECT"),
         ("EFFECT = 3", "defines no EFFECT"),
@@ -42,8 +42,8 @@ def written(folder, text):
         ("def broken(:", "SyntaxError"),
     ],
 )
-def test_a_file_without_an_effect_is_refused(tmp_path, text, says):
-    with pytest.raises(RequestError, match=says):
+def test_a_file_without_an_effect_is_refused(tmp_path, text, message):
+    with pytest.raises(RequestError, match=message):
         read_effects(written(tmp_path, text))
 
 
@@ -58,11 +58,11 @@ def test_a_name_that_is_taken_is_refused(tmp_path, arpl_250g):
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [(('p["stiffness"]', 'p["stifness"]'), "KeyError"), (('p["stiffness"]', '(p["stiffness"] / 0)'), "no number")],
 )
-def test_an_effect_that_cannot_be_evaluated_is_refused(tmp_path, arpl_250g, change, says):
-    with pytest.raises(RequestError, match=says):
+def test_an_effect_that_cannot_be_evaluated_is_refused(tmp_path, arpl_250g, change, message):
+    with pytest.raises(RequestError, match=message):
         with_effects_of([written(tmp_path, EXAMPLE.read_text().replace(*change))], arpl_250g)
 
 

@@ -69,7 +69,7 @@ def observed(now, *uses, hidden=None):
 
 
 def added(now, *uses, hidden=None):
-    """Force and moment that effects add to the textbook model."""
+    """Force and moment that effects add to the nominal model."""
     with_effects, without = observed(now, *uses, hidden=hidden), observed(now)
     return with_effects[0] - without[0], with_effects[1] - without[1]
 
@@ -123,7 +123,7 @@ def wind(now, p):
 
 def mass(now, p):
     force = observed(now)[0]
-    return force / p["ratio"] - force, np.zeros(3)  # seen with the file's mass
+    return force / p["ratio"] - force, np.zeros(3)  # with the file's mass
 
 
 def thrust_constant(now, p):
@@ -180,7 +180,7 @@ def inertia(now, p):
     real, rate = file * [p["ratio_x"], p["ratio_y"], p["ratio_z"]], now.state[10:13]
     torque = observed(now)[1]
     angular = (torque - np.cross(rate, real * rate)) / real
-    return np.zeros(3), file * angular + np.cross(rate, file * rate) - torque  # seen with the file's inertia
+    return np.zeros(3), file * angular + np.cross(rate, file * rate) - torque  # with the file's inertia
 
 
 def slung_load(now, p):

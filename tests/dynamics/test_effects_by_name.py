@@ -1,4 +1,4 @@
-"""No room asks for an effect of the catalogue by its name: what it needs to know stands in the effect."""
+"""No room asks for an effect of the catalogue by its name: what it needs stands in the effect."""
 
 import ast
 from pathlib import Path

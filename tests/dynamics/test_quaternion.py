@@ -1,4 +1,4 @@
-"""Quaternions: the algebra, its agreement between NumPy and CasADi, and known facts about rotations."""
+"""Quaternions: the algebra, its agreement between NumPy and CasADi, and facts about rotations."""
 
 import casadi as ca
 import numpy as np

@@ -140,7 +140,7 @@ def test_a_duration_is_covered_by_enough_laps() -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("lemniscat", "did you mean 'Lemniscate'"),
         ("lemniscate:plan=xy", "did you mean 'plane'"),
@@ -152,8 +152,8 @@ def test_a_duration_is_covered_by_enough_laps() -> None:
         ("absent.csv", "cannot read"),
     ],
 )
-def test_a_reference_that_means_nothing_is_refused_with_what_would(text: str, told: str) -> None:
-    with pytest.raises(RequestError, match=told):
+def test_a_reference_that_cannot_be_read_is_refused_with_advice(text: str, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
         named_reference(text, VEHICLE)
 
 
@@ -162,7 +162,7 @@ def limited(**limits: object) -> Vehicle:
 
 
 @pytest.mark.parametrize(
-    ("text", "vehicle", "told"),
+    ("text", "vehicle", "message"),
     [
         ("lemniscate:speed=1.5", VEHICLE, "rotor thrust"),
         ("lemniscate", limited(rate=(2.0, 2.0, 2.0)), "pitch rate"),
@@ -171,12 +171,12 @@ def limited(**limits: object) -> Vehicle:
         ("yaw_spin", limited(rate=(2.0, 2.0, 1.0)), "yaw rate"),
     ],
 )
-def test_what_the_vehicle_cannot_fly_is_refused_with_reason_and_a_speed_that_would_do(
-    text: str, vehicle: Vehicle, told: str
+def test_what_the_vehicle_cannot_fly_is_refused_with_reason_and_a_feasible_speed(
+    text: str, vehicle: Vehicle, message: str
 ) -> None:
     reference = named_reference(text, vehicle)
     verdict = check_feasibility(reference, vehicle)
-    with pytest.raises(RequestError, match=told):
+    with pytest.raises(RequestError, match=message):
         verdict.require()
     assert verdict.feasible_speed is not None
     assert check_feasibility(slowed(reference, verdict.feasible_speed), vehicle).is_feasible
@@ -199,16 +199,16 @@ def write_table(path: Path, rows: list[str], header: str = "t,position_x,positio
     return path
 
 
-def test_a_table_of_a_known_motion_is_followed_closely_and_smoothly(tmp_path: Path) -> None:
+def test_a_table_of_a_circle_is_followed_closely_and_smoothly(tmp_path: Path) -> None:
     times = np.arange(0, 12, 0.1)
-    known = named_reference("circle:laps=2", VEHICLE)
-    points = known.sample(times).position
+    circle = named_reference("circle:laps=2", VEHICLE)
+    points = circle.sample(times).position
     rows = [",".join(f"{value:.9f}" for value in (t, *p)) for t, p in zip(times, points, strict=True)]
     reference = named_reference(str(write_table(tmp_path / "mine.csv", rows)), VEHICLE)
     middle = np.linspace(1, 10, 181)
-    np.testing.assert_allclose(reference.sample(middle).position, known.sample(middle).position, atol=5e-3)
-    np.testing.assert_allclose(reference.sample(middle).velocity, known.sample(middle).velocity, atol=5e-2)
-    np.testing.assert_allclose(reference.sample(middle).rate_body, known.sample(middle).rate_body, atol=5e-2)
+    np.testing.assert_allclose(reference.sample(middle).position, circle.sample(middle).position, atol=5e-3)
+    np.testing.assert_allclose(reference.sample(middle).velocity, circle.sample(middle).velocity, atol=5e-2)
+    np.testing.assert_allclose(reference.sample(middle).rate_body, circle.sample(middle).rate_body, atol=5e-2)
     rows = np.arange(1, 10, 0.1)
     before, after = reference.sample(rows - 1e-6), reference.sample(rows + 1e-6)
     np.testing.assert_allclose(before.jerk, after.jerk, atol=1e-3)
@@ -227,7 +227,7 @@ GOOD = [f"{0.1 * i:.1f},{0.05 * i:.3f},0,1" for i in range(20)]
 
 
 @pytest.mark.parametrize(
-    ("rows", "header", "told"),
+    ("rows", "header", "message"),
     [
         (GOOD, "t,position_x,position_y", "no column position_z"),
         (GOOD, "t,position_x,position_x,position_y", "position_z"),
@@ -242,11 +242,11 @@ GOOD = [f"{0.1 * i:.1f},{0.05 * i:.3f},0,1" for i in range(20)]
         ([], None, "0 rows"),
     ],
 )
-def test_a_table_that_makes_no_sense_is_refused_with_row_and_column(
-    tmp_path: Path, rows: list[str], header: str | None, told: str
+def test_a_table_of_impossible_values_is_refused_with_row_and_column(
+    tmp_path: Path, rows: list[str], header: str | None, message: str
 ) -> None:
     path = write_table(tmp_path / "bad.csv", rows, header or "t,position_x,position_y,position_z")
-    with pytest.raises(RequestError, match=told):
+    with pytest.raises(RequestError, match=message):
         named_reference(str(path), VEHICLE)
 
 

@@ -11,10 +11,10 @@ from dynamics.vehicle import GRAVITY, Body, Limits, Rotors, Vehicle
 RADIUS_PER_ARM = 0.45
 
 
-def rotors(positions, spin, **changes):
+def rotors(positions, spin, **overrides):
     """Rotors of unit thrust constant."""
     constants = {"thrust_constant": 1.0, "torque_constant": 0.1, "speed_max": 10.0}
-    return Rotors(tuple(map(tuple, positions)), tuple(spin), **{**constants, **changes})
+    return Rotors(tuple(map(tuple, positions)), tuple(spin), **{**constants, **overrides})
 
 
 def ring(count, radius=0.2):
