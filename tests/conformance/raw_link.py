@@ -16,11 +16,14 @@ from typing import Any
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from tests.support.deadline import Deadline
+
 SET_MODE, ARM_DISARM, SET_INTERVAL, REQUEST_MESSAGE = 176, 400, 511, 512
 OFFBOARD = 6 << 16
 HOLD, RTL, LAND = (4 << 16 | sub << 24 for sub in (3, 5, 6))
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 PERIOD = 0.01  # s between two setpoints
+POLL = 0.2  # s between two looks at a deadline, where nothing arrives
 
 
 def attitude_target(
@@ -128,7 +131,7 @@ class RawLink:
     ) -> tuple[float, Any]:
         """The first message of a kind that is accepted, heard since a time (now), with when it was heard."""
         start = time.monotonic() if since is None else since
-        deadline = time.monotonic() + within
+        deadline = Deadline(within)
         index = 0
         with self._arrival:
             while True:
@@ -137,10 +140,9 @@ class RawLink:
                     index += 1
                     if at >= start and message.get_type() == kind and accept(message):
                         return at, message
-                left = deadline - time.monotonic()
-                if left <= 0:
+                if deadline.passed:
                     raise AssertionError(f"no such {kind} within {within} s")
-                self._arrival.wait(left)
+                self._arrival.wait(POLL)
 
     def command(
         self, identifier: int, *parameters: float, target: tuple[int, int] = (1, 1), within: float = 5.0

@@ -17,7 +17,7 @@ from runtime.link.estimate import StateEstimate
 from runtime.link.telemetry import LinkEvent, VehicleStatus
 from runtime.record.records import ObservationRecord
 from runtime.telemetry_buffer import TelemetryBuffer
-from tests.support.fake_vehicle import wait_until
+from tests.support.deadline import wait_until
 
 PERIOD = 0.01
 

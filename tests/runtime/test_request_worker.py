@@ -8,7 +8,7 @@ import threading
 from runtime.flight.engagement import AutopilotRequest
 from runtime.link.commands import Confirmation
 from runtime.request_worker import RequestWorker
-from tests.support.fake_vehicle import wait_until
+from tests.support.deadline import wait_until
 
 REFUSED = Confirmation(False, ("denied",), "The vehicle refused mode OFFBOARD: denied.")
 

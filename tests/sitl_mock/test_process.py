@@ -20,6 +20,7 @@ from alula.cli.app import main
 from simulation.mock_process import MockProcess, free_port, mock_process
 from sitl_mock.wire.dialect import mavlink
 from sitl_mock.wire.link_spec import default_links, parse_link
+from tests.support.deadline import Deadline
 from vehicles import FOLDER
 
 pytestmark = pytest.mark.realtime
@@ -51,9 +52,11 @@ class Client:
 
     def wait_for(self, kind: str, seconds: float = 10.0) -> Any:
         """The next message of a kind."""
-        for message in self.messages(seconds):
-            if message.get_type() == kind:
-                return message
+        deadline = Deadline(seconds)
+        while not deadline.passed:
+            for message in self.messages(0.2):
+                if message.get_type() == kind:
+                    return message
         raise AssertionError(f"no {kind} within {seconds} s")
 
 

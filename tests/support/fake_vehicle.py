@@ -124,11 +124,3 @@ def odometry(**changes: Any) -> Any:
         "pose_covariance": [0.0] * 21, "velocity_covariance": [0.0] * 21, "reset_counter": 0,
     }  # fmt: skip
     return mavlink.MAVLink_odometry_message(**{**fields, **changes})
-
-
-def wait_until(condition: Any, timeout: float = 10.0) -> None:
-    """Waits for a condition with a deadline."""
-    deadline = time.monotonic() + timeout
-    while not condition():
-        assert time.monotonic() < deadline, "the condition did not come about in time"
-        time.sleep(0.002)

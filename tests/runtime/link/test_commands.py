@@ -12,7 +12,8 @@ from runtime.link import commands
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link
 from runtime.link.transport import UdpTransport
-from tests.support.fake_vehicle import FakeVehicle, wait_until
+from tests.support.deadline import wait_until
+from tests.support.fake_vehicle import FakeVehicle
 
 pytestmark = pytest.mark.realtime
 

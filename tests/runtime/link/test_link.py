@@ -26,7 +26,8 @@ from runtime.link.peer import Peer
 from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds
 from runtime.link.texts import TextAssembler, text_messages
 from runtime.link.transport import UdpTransport
-from tests.support.fake_vehicle import FakeVehicle, odometry, wait_until
+from tests.support.deadline import wait_until
+from tests.support.fake_vehicle import FakeVehicle, odometry
 
 pytestmark = pytest.mark.realtime
 

@@ -22,6 +22,7 @@ from runtime.link.transport import (
     UdpTransport,
     open_transport,
 )
+from tests.support.deadline import Deadline
 
 pytestmark = pytest.mark.realtime
 
@@ -29,8 +30,8 @@ LOCAL = "127.0.0.1"
 
 
 def receive(transport: Transport, timeout: float = 5.0) -> Received:
-    deadline = time.monotonic() + timeout
-    while time.monotonic() < deadline:
+    deadline = Deadline(timeout)
+    while not deadline.passed:
         if (received := transport.receive()) is not None:
             return received
     raise AssertionError("nothing came")
@@ -148,8 +149,8 @@ def test_tcpin_takes_the_next_client_after_one_left() -> None:
             assert receive(transport).data == text
             assert transport.send(text)
             assert client.recv(10) == text
-        deadline = time.monotonic() + 5.0
-        while transport.send(b"gone?") and time.monotonic() < deadline:
+        deadline = Deadline(5.0)
+        while transport.send(b"gone?") and not deadline.passed:
             transport.receive()
     transport.close()
 

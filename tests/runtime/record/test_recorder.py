@@ -20,7 +20,7 @@ from runtime.record import records
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
 from runtime.record.records import EstimateRecord, EventRecord, HorizonRecord, SetpointRecord, StateRecord
-from tests.support.fake_vehicle import wait_until
+from tests.support.deadline import wait_until
 
 pytestmark = pytest.mark.realtime
 
