@@ -19,7 +19,7 @@ import numpy as np
 from provenance import write_result
 
 from flights import Flight
-from simulation.campaign import MANIFEST, Manifest
+from simulation.campaign import MANIFEST, CampaignManifest
 from training.data.labels import paper_label
 
 PATIENCE = 7200.0  # s
@@ -48,7 +48,7 @@ def main() -> None:
         )
         wall = time.perf_counter() - start
         load = max(load, os.getloadavg()[0])
-        manifest = msgspec.json.decode((Path(name) / MANIFEST).read_bytes(), type=Manifest)
+        manifest = msgspec.json.decode((Path(name) / MANIFEST).read_bytes(), type=CampaignManifest)
         labels = label_peaks(Path(name))
         size = sum(file.stat().st_size for file in Path(name).rglob("*.parquet"))
     used = resource.getrusage(resource.RUSAGE_CHILDREN)

@@ -20,11 +20,11 @@ from provenance import write_result
 
 from studies.sweep.catalogue import STARRED
 from studies.sweep.cell import CellResult, Outcome, trained
-from studies.sweep.cells import run_cells
+from studies.sweep.cell_work import finished_cells
+from studies.sweep.execution import run_cells
 from studies.sweep.figures import HEATMAPS
 from studies.sweep.report import draw, require_all_trained, tables_of
 from studies.sweep.run import Sweep, SweepOptions, make_sweep
-from studies.sweep.work import finished_cells
 from studies.tables import Table, markdown
 from training import checkpoint
 from training.recipe import PAPER

@@ -1,8 +1,8 @@
-"""The paper's data set re-flown on the mock's vehicle: 68 flights in lockstep, in as many processes as there are cores.
+"""The paper's data set flown on the mock's vehicle: 68 flights in lockstep, in as many processes as there are cores.
 
-A folder of results holds `campaign.json` (what was asked for), `train/` and `test/` (what the vehicle measured),
-`truth/` (what was true), `summaries/`, and `manifest.json` once everything is flown. A flight appears under its name
-only when it is whole, so that the same command goes on after it was interrupted.
+A campaign's folder holds `campaign.json` (the recipe), `train/` and `test/` (the vehicle's measurements), `truth/`
+(ground truth), `summaries/`, and `manifest.json` once everything is flown. A flight gets its name only when it is
+complete, so that the same command resumes an interrupted campaign.
 """
 
 from __future__ import annotations
@@ -36,10 +36,15 @@ Progress = Callable[[FlightSummary], None]
 
 
 class CampaignOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What to fly. effects: hidden from the controller, as on the command line; None for those of a real vehicle.
+    """Options of a campaign.
 
-    scenario: file with sensors, battery and effects. flights: names, patterns or splits, all without any. jobs:
-    processes, None for one a core. scheduler: a Dask cluster's. csv: instead of Parquet.
+    folder: of the results.
+    effects: hidden from the controller, as on the command line; None for those of a real vehicle.
+    scenario: file with sensors, battery and effects.
+    flights: names, patterns or splits; empty for all.
+    jobs: processes, None for one a core.
+    scheduler: address of a Dask scheduler.
+    csv: write CSV instead of Parquet.
     """
 
     folder: Path
@@ -53,8 +58,8 @@ class CampaignOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     csv: bool = False
 
 
-class Recipe(msgspec.Struct, frozen=True):
-    """Everything that decides what the flights look like, but for their choice."""
+class CampaignRecipe(msgspec.Struct, frozen=True):
+    """Everything that decides a campaign's flights, except their selection."""
 
     vehicle: str
     vehicle_sha256: str
@@ -65,10 +70,10 @@ class Recipe(msgspec.Struct, frozen=True):
     versions: dict[str, str]
 
 
-class Manifest(msgspec.Struct, frozen=True):
-    """A campaign as it was flown. Durations in s, peaks over all flights in m/s, m/s^2, rad/s^2, rpm."""
+class CampaignManifest(msgspec.Struct, frozen=True):
+    """A flown campaign. Durations in s, peaks over all flights in m/s, m/s^2, rad/s^2, rpm."""
 
-    recipe: Recipe
+    recipe: CampaignRecipe
     command: str
     flights: tuple[FlightSummary, ...]
     sha256: dict[str, str]
@@ -80,7 +85,7 @@ class Manifest(msgspec.Struct, frozen=True):
 
 
 class Campaign:
-    """A checked request. Raises RequestError for options that make no sense."""
+    """A campaign with checked options. Raises RequestError for invalid ones."""
 
     def __init__(self, options: CampaignOptions, catalogue: Sequence[CampaignFlight] | None = None) -> None:
         """catalogue: the flights to choose from, by default the paper's."""
@@ -92,7 +97,7 @@ class Campaign:
         self._vehicle = parse_vehicle(text)
         self._scenario = _checked(parse_scenario(scenario_text, self._vehicle.rotors.count))
         self._uses = self._hidden_effects()
-        self.recipe = Recipe(
+        self.recipe = CampaignRecipe(
             vehicle=self._vehicle.name,
             vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
             effects=tuple(_described(use) for use in self._uses),
@@ -103,8 +108,8 @@ class Campaign:
         )
         self._texts = (text, scenario_text)
 
-    def run(self, progress: Progress) -> Manifest:
-        """Fly what is not there yet. progress: is told of every flight, flown now or before.
+    def run(self, progress: Progress) -> CampaignManifest:
+        """Fly the missing flights. progress: called with every flight's summary, flown now or before.
 
         Raises RequestError when the folder holds another campaign or cannot be written, VehicleError when a flight
         cannot be flown with these effects at any speed.
@@ -123,10 +128,10 @@ class Campaign:
         return self._write_manifest()
 
     def _hidden_effects(self) -> tuple[EffectUse, ...]:
-        given = self.options.effects
-        told = self._scenario.hidden_effects()
-        texts = given if given is not None else () if told else REAL_WORLD
-        return (*told, *(parse_effect(text, self._vehicle.rotors.count) for text in texts))
+        requested = self.options.effects
+        of_scenario = self._scenario.hidden_effects()
+        texts = requested if requested is not None else () if of_scenario else REAL_WORLD
+        return (*of_scenario, *(parse_effect(text, self._vehicle.rotors.count) for text in texts))
 
     def _jobs(self) -> int:
         return self.options.jobs if self.options.jobs is not None else len(os.sched_getaffinity(0))
@@ -141,13 +146,14 @@ class Campaign:
             if not recipe.exists():
                 recipe.write_bytes(text)
                 return
-            there = msgspec.json.decode(recipe.read_bytes(), type=Recipe)
+            there = msgspec.json.decode(recipe.read_bytes(), type=CampaignRecipe)
         except OSError as error:
             raise RequestError(f"cannot write to {folder}: {error.strerror or error}. Give another --out.") from error
         except msgspec.DecodeError as error:
             raise RequestError(f"{recipe} is no campaign's: {error}. Give another --out.") from error
         if there != self.recipe:
-            names = [name for name in Recipe.__struct_fields__ if getattr(there, name) != getattr(self.recipe, name)]
+            fields = CampaignRecipe.__struct_fields__
+            names = [name for name in fields if getattr(there, name) != getattr(self.recipe, name)]
             raise RequestError(
                 f"{folder} holds another campaign: its {', '.join(names)} differ. Give another --out, or the same "
                 f"request as in {recipe}."
@@ -169,17 +175,17 @@ class Campaign:
         )  # fmt: skip
 
     def _compile(self) -> None:
-        """Fill the cache of compiled code, so that the processes need not wait for each other."""
+        """Fill the cache of compiled code, so that processes do not wait for each other."""
         Controller.build(self._vehicle)
         StepLoop(build_plant(self._vehicle, self._uses))
 
-    def _write_manifest(self) -> Manifest:
-        """The manifest of everything of the campaign that lies in the folder, flown by this call or before."""
-        found = [(self._task(flight), self._finished(flight)) for flight in self._catalogue]
-        done = [(task, summary) for task, summary in found if summary is not None]
+    def _write_manifest(self) -> CampaignManifest:
+        """Write the manifest of all of the campaign's flights in the folder, flown now or before."""
+        tasks = [(self._task(flight), self._finished(flight)) for flight in self._catalogue]
+        done = [(task, summary) for task, summary in tasks if summary is not None]
         files = [file for task, _ in done for file in (task.flight_file, task.truth_file)]
         summaries = tuple(summary for _, summary in done)
-        manifest = Manifest(
+        manifest = CampaignManifest(
             recipe=self.recipe,
             command=" ".join(sys.argv),
             flights=summaries,

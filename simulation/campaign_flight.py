@@ -1,4 +1,4 @@
-"""One flight of a campaign, flown and written in whichever process it is sent to."""
+"""One flight of a campaign, flown and written by a worker process."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from runtime.control.controller import Controller
 from simulation.lockstep import FlownReference, fly_reference
 from sitl_mock.scenario import parse_scenario
 
-SPEEDS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)  # tried one after the other when hidden effects are too much for full speed
+SPEEDS = (1.0, 0.9, 0.8, 0.7, 0.6, 0.5)  # tried in this order when hidden effects are too strong for full speed
 
 
 class FlightTask(msgspec.Struct, frozen=True):
-    """Everything that one flight depends on, and where its files go."""
+    """Everything that one flight depends on, and the folder of its files."""
 
     name: str
     reference: str
@@ -40,12 +40,12 @@ class FlightTask(msgspec.Struct, frozen=True):
 
     @property
     def flight_file(self) -> Path:
-        """What the vehicle measured."""
+        """The vehicle's measurements."""
         return self.folder / self.split / f"{self.name}{self._ending}"
 
     @property
     def truth_file(self) -> Path:
-        """What was true, row by row at the same times."""
+        """Ground truth, row by row at the same times."""
         return self.folder / "truth" / f"{self.name}{self._ending}"
 
     @property
@@ -59,9 +59,12 @@ class FlightTask(msgspec.Struct, frozen=True):
 
 
 class FlightSummary(msgspec.Struct, frozen=True):
-    """How a flight went. speed: factor on the reference's own. rmse: of the true position, m. Peaks: of the truth.
+    """Summary of a flight.
 
-    Peaks in m/s, m/s^2, rad/s^2 (over 10 ms) and rpm.
+    speed: factor on the reference's own.
+    duration: s.
+    position_rmse: of the true position, m.
+    peak_...: of ground truth in m/s, m/s^2, rad/s^2 (over 10 ms) and rpm.
     """
 
     name: str
@@ -79,7 +82,7 @@ class FlightSummary(msgspec.Struct, frozen=True):
 
 
 def fly_task(task: FlightTask) -> FlightSummary:
-    """Fly, write truth, summary and flight, in this order: the flight's file says that all is there.
+    """Fly a flight and write ground truth, summary and flight, in this order: the flight's file completes the set.
 
     Raises VehicleError when it cannot be flown at half its speed, RequestError when nothing can be written.
     """
@@ -99,7 +102,7 @@ def fly_task(task: FlightTask) -> FlightSummary:
         )  # fmt: skip
         if not flown.aborted:
             return _write(task, flown, reference)
-    raise VehicleError(f"{task.name} cannot be flown even at half its speed: {flown.aborted}. Hide less from it.")
+    raise VehicleError(f"{task.name} cannot be flown even at half its speed: {flown.aborted}. Hide fewer effects.")
 
 
 @lru_cache(maxsize=4)
@@ -121,10 +124,10 @@ def _within_reach(reference: Reference, vehicle: Vehicle) -> Reference:
 def _write(task: FlightTask, flown: FlownReference, reference: Reference) -> FlightSummary:
     truth = Flight.from_log(flown.truth, rate=1 / CONTROL_PERIOD)
     flight = Flight.from_log(flown.log, rate=1 / CONTROL_PERIOD)
-    whole = min(_known_rows(flight), len(truth))
-    flight, truth = flight.rows(0, whole), truth.rows(0, whole)
-    asked = named_reference(task.reference, reference.vehicle)
-    summary = _summary(task, flight, truth, reference.law.rate / asked.law.rate)
+    rows = min(_complete_rows(flight), len(truth))
+    flight, truth = flight.rows(0, rows), truth.rows(0, rows)
+    requested = named_reference(task.reference, reference.vehicle)
+    summary = _summary(task, flight, truth, reference.law.rate / requested.law.rate)
     _save(truth, task.truth_file, csv=task.csv)
     task.summary_file.write_bytes(msgspec.json.format(msgspec.json.encode(summary)))
     _save(flight, task.flight_file, csv=task.csv)
@@ -138,10 +141,10 @@ def _save(flight: Flight, file: Path, *, csv: bool) -> None:
         flight.to_parquet(file)
 
 
-def _known_rows(flight: Flight) -> int:
-    """How many rows hold everything: the estimate comes late, so that the last ones have none."""
-    known = np.isfinite(np.hstack([flight["position"], flight["rotor_speed"]])).all(axis=1)
-    return int(np.flatnonzero(known)[-1]) + 1
+def _complete_rows(flight: Flight) -> int:
+    """Number of rows up to the last complete one: the estimate is late, so that the last rows have none."""
+    complete = np.isfinite(np.hstack([flight["position"], flight["rotor_speed"]])).all(axis=1)
+    return int(np.flatnonzero(complete)[-1]) + 1
 
 
 def _summary(task: FlightTask, flight: Flight, truth: Flight, speed: float) -> FlightSummary:

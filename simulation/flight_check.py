@@ -1,6 +1,6 @@
-"""A few seconds of flight with a new bundle, in lockstep on its own vehicle file: does the network itself hold it?
+"""Check of a new bundle by a few seconds of flight in lockstep on its own vehicle file: does the network hold it?
 
-`alula export` flies it and keeps the result in the bundle; `alula fly` reads it. Flying needs the readers of logs,
+`alula export` flies and writes the result into the bundle; `alula fly` reads it. Flying needs the readers of logs,
 which a flight computer lacks, so that only flying imports them.
 """
 
@@ -19,8 +19,8 @@ from runtime.control.bundle import Bundle, Manifest, read_bundle
 from runtime.control.controller import Controller
 from runtime.flight.events import Event
 
-FILE = "flight_check.json"  # beside parity.json; not in the manifest, because it proves nothing about the files
-MAX_AWAY = 0.1  # share of the time that physics may have flown in the network's place
+FILE = "flight_check.json"  # beside parity.json; not in the manifest, because it is no evidence about the files
+MAX_AWAY = 0.1  # share of the time in which the nominal model may have flown in the network's place
 GENTLE = ("Ellipse_1:laps=1", "hover:laps=1")  # 9 and 10 s; the first that the vehicle can fly
 ADVICE = "Train with the physics-inspired loss on pulses and --input-noise 0.3, see docs/training.md."
 
@@ -28,9 +28,11 @@ ADVICE = "Train with the physics-inspired loss on pulses and --input-noise 0.3, 
 class FlightCheck(msgspec.Struct, frozen=True):
     """A flight of a bundle on its own vehicle file, in lockstep with simulated sensors.
 
-    seconds: of the reference that were flown. position_rmse: of the truth, m, None where nothing was tracked. away:
-    share of the time that another model than the network flew. events: raised, and how often. ended: why the flight
-    ended early, empty where it did not.
+    seconds: of the reference that were flown.
+    position_rmse: of ground truth, m; None where nothing was tracked.
+    away: share of the time in which another model than the network flew.
+    events: how often each was raised.
+    ended: why the flight ended early, empty if it did not.
     """
 
     reference: str
@@ -51,29 +53,29 @@ class FlightCheck(msgspec.Struct, frozen=True):
         if self.ended:
             return f"{self.reference} in lockstep ended early: {self.ended}"
         error = "" if self.position_rmse is None else f" with {self.position_rmse:.3f} m RMS"
-        told = ", ".join(name for name in self.events if name != Event.MODEL_WAITING.value)
-        away = f"physics in the network's place {self.away:.0%} of them" + (f" ({told})" if told else "")
+        as_json = ", ".join(name for name in self.events if name != Event.MODEL_WAITING.value)
+        away = f"physics in the network's place {self.away:.0%} of them" + (f" ({as_json})" if as_json else "")
         return f"{self.seconds:.1f} s of {self.reference} in lockstep{error}, {away}"
 
     @property
     def warning(self) -> str:
-        """What is wrong and what to do, empty where the network held the flight."""
+        """The defect and what to do, empty where the network held the flight."""
         return "" if self.held else f"the network itself did not hold a simulated flight: {self.text}. {ADVICE}"
 
     @property
-    def told(self) -> dict[str, object]:
-        """All of it as JSON, the verdict and the warning too."""
+    def as_json(self) -> dict[str, object]:
+        """The check for JSON, with verdict and warning."""
         return {**msgspec.structs.asdict(self), "held": self.held, "warning": self.warning}
 
 
 def write_check(check: FlightCheck, folder: Path) -> None:
     """Keep a check in a bundle. Raises RequestError when it cannot be written."""
-    text = msgspec.json.format(msgspec.json.encode(check.told), indent=1) + b"\n"
+    text = msgspec.json.format(msgspec.json.encode(check.as_json), indent=1) + b"\n"
     write_whole(folder / FILE, lambda path: path.write_bytes(text), advice="Free some space, or --no-flight-check.")
 
 
 def read_check(folder: Path) -> FlightCheck | None:
-    """The check that a bundle holds, None where there is none. Raises RequestError for a file that is damaged."""
+    """The check in a bundle, None without one. Raises RequestError for a damaged file."""
     try:
         return msgspec.json.decode((folder / FILE).read_bytes(), type=FlightCheck)
     except FileNotFoundError:
@@ -83,7 +85,7 @@ def read_check(folder: Path) -> FlightCheck | None:
 
 
 def check_bundle(folder: Path, manifest: Manifest) -> FlightCheck | None:
-    """Fly a bundle that was just written and keep the verdict in it; None for physics, and for a model of the desk."""
+    """Fly a new bundle and write the check into it; None for bundles without a network, or for the workbench alone."""
     if not manifest.learned or manifest.filtered_inputs:
         return None
     check = check_flight(read_bundle(folder))
@@ -110,4 +112,4 @@ def check_flight(bundle: Bundle) -> FlightCheck:
 
 def _gentle(vehicle: Vehicle) -> Reference:
     references = [named_reference(name, vehicle) for name in GENTLE]
-    return next((found for found in references if check_feasibility(found, vehicle).is_feasible), references[-1])
+    return next((one for one in references if check_feasibility(one, vehicle).is_feasible), references[-1])

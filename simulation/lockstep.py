@@ -1,7 +1,7 @@
-"""A flight of the runtime's own logic on the mock's vehicle in one process: simulated time only, no link.
+"""Flights in lockstep: the runtime's own logic on the mock's vehicle in one process, in simulated time, without a link.
 
-The vehicle climbs to the reference's start by itself, the flyer takes over in the air, as it does for a pilot, and
-tracks the reference. Same inputs, same bits.
+The mock's autopilot climbs to the reference's start, the flyer engages in the air, as it does for a pilot, and tracks
+the reference. Same inputs, same bits.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import VehicleError
 from dynamics.references import Reference
+from dynamics.state import POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
 from runtime.control.controller import Controller
@@ -37,10 +38,10 @@ TAKE_OVER_PATIENCE = 20.0  # s
 
 
 @dataclass
-class Rows:
-    """What a flight left behind, row by row. Stamps are s since the reference's start.
+class FlightRows:
+    """A flight's data, row by row. Stamps are s since the reference's start.
 
-    away: whether something else flew than the controller's own model.
+    away: whether a fallback flew instead of the controller's own model.
     """
 
     estimate: list[tuple[float, Floats]] = field(default_factory=list)
@@ -53,10 +54,14 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class FlownReference:
-    """A tracked reference: what the vehicle's log would hold, and what was true. aborted: why it ended early.
+    """A tracked reference.
 
-    fallbacks: how often the controller's own model was left, for fallback_seconds in all. events: how often each was
-    raised in the whole flight.
+    log: the vehicle's log.
+    truth: ground truth.
+    aborted: why it ended early.
+    fallbacks: number of fallbacks from the controller's own model.
+    fallback_seconds: their duration in all.
+    events: how often each was raised in the whole flight.
     """
 
     log: Log
@@ -74,10 +79,10 @@ class FlownReference:
     @property
     def position_rmse(self) -> float:
         """Of the true position while the reference was tracked, m; NaN without any."""
-        true, asked = self.truth.stream("position"), self.log.stream("position_setpoint")
-        if true is None or asked is None:
+        true, setpoint = self.truth.stream("position"), self.log.stream("position_setpoint")
+        if true is None or setpoint is None:
             return float("nan")
-        return float(np.sqrt(np.mean(np.sum((true.values - asked.values) ** 2, axis=1))))
+        return float(np.sqrt(np.mean(np.sum((true.values - setpoint.values) ** 2, axis=1))))
 
 
 def fly_reference(
@@ -85,23 +90,26 @@ def fly_reference(
     seed: int = 0, name: str = "", controller: Controller | None = None, nominal: Controller | None = None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> FlownReference:  # fmt: skip
-    """Fly a reference from its start to its end. effects: hidden from the controller. options: the vehicle's sensors.
+    """Fly a reference from its start to its end.
 
-    controller: None for one of the vehicle file alone. nominal: to fall back to from a learned model's.
+    effects: hidden from the controller.
+    options: the vehicle's sensors.
+    controller: None for one of the vehicle file alone.
+    nominal: the fallback of a learned model's controller.
 
-    Raises VehicleError when the vehicle does not even reach the reference's start.
+    Raises VehicleError when the vehicle does not reach the reference's start.
     """
     start = reference.states(np.zeros(1))[0]
     yaw = float(2 * np.arctan2(start[9], start[6]))
     options = options or VehicleOptions(yaw=yaw)
     plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed, catalogue=catalogue)
-    _climb(plant, start[0:3], yaw)
+    _climb(plant, start[POSITION], yaw)
     controller = controller or Controller.build(vehicle, catalogue=catalogue)
     settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True))
     flyer = build_flyer(
         Controllers(controller, nominal), reference, Plan(), settings, thrust_curve=plant.tuning.thrust_model_factor
     )
-    rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[0:3], yaw=yaw))
+    rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[POSITION], yaw=yaw))
     left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}
     return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, CONTROL_PERIOD * sum(rows.away), events)
@@ -117,12 +125,12 @@ def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:
             return
     raise VehicleError(
         f"the vehicle did not reach {np.round(place, 2).tolist()} m, where the reference begins, within "
-        f"{CLIMB_PATIENCE:g} s: the hidden effects are more than its autopilot can bear."
+        f"{CLIMB_PATIENCE:g} s: the hidden effects are too strong for its autopilot."
     )
 
 
-def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tuple[Rows, str]:
-    rows, setpoint = Rows(), hold
+def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tuple[FlightRows, str]:
+    rows, setpoint = FlightRows(), hold
     began = plant.time
     tick = 0
     while True:
@@ -148,9 +156,10 @@ def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tupl
 
 
 def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Decision:
-    seen = plant.estimate
-    state = np.concatenate([seen.position_world, seen.velocity_world, seen.attitude, seen.rate_body])
-    estimate = StateEstimate(round(1000 * seen.time) / 1000, now, state, 0, True, "ODOMETRY")
+    estimated = plant.estimate
+    parts = [estimated.position_world, estimated.velocity_world, estimated.attitude, estimated.rate_body]
+    state = np.concatenate(parts)
+    estimate = StateEstimate(round(1000 * estimated.time) / 1000, now, state, 0, True, "ODOMETRY")
     observation = ObservationRecord(
         tick=tick, time=now, estimate_arrival=now, connected=True, armed=True, offboard=True, mode="OFFBOARD",
         landed=plant.on_ground, findings="", reset=False, reset_position=np.zeros(3), reset_yaw=0.0,
@@ -162,9 +171,9 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
 
 
 def _advance(
-    plant: SimulatedVehicle, before: ControlSetpoint, after: ControlSetpoint, rows: Rows | None, since: float
+    plant: SimulatedVehicle, before: ControlSetpoint, after: ControlSetpoint, rows: FlightRows | None, since: float
 ) -> None:
-    """One period; on the way an inertial sample is taken whose middle is the period's beginning."""
+    """One period, with an inertial sample whose middle is the period's start."""
     half = round(plant.options.sensors.imu_average / 2, 3)
     first = min(half, LATENCY)
     plant.advance(before, True, first)
@@ -176,19 +185,20 @@ def _advance(
 
 
 def _keep(
-    rows: Rows, plant: SimulatedVehicle, since: float, setpoint: ControlSetpoint, reference: Floats | None
+    rows: FlightRows, plant: SimulatedVehicle, since: float, setpoint: ControlSetpoint, reference: Floats | None
 ) -> None:
-    true, seen = plant.truth, plant.estimate
-    age = round(1000 * (plant.time - seen.time)) / 1000
-    rows.estimate.append((since - age, np.concatenate([seen.position_world, seen.velocity_world, seen.attitude])))
+    true, estimated = plant.truth, plant.estimate
+    age = round(1000 * (plant.time - estimated.time)) / 1000
+    pose = [estimated.position_world, estimated.velocity_world, estimated.attitude]
+    rows.estimate.append((since - age, np.concatenate(pose)))
     rows.motors.append((since, np.concatenate([plant.rotor_speed, plant.motor_signal, [plant.battery.voltage]])))
-    wanted = np.full(13, np.nan) if reference is None else reference
-    rows.setpoint.append((since, np.concatenate([wanted[0:10], setpoint.rate_body, [setpoint.thrust]])))
+    tracked = np.full(RIGID_BODY_STATES, np.nan) if reference is None else reference
+    rows.setpoint.append((since, np.concatenate([tracked[: RATE.start], setpoint.rate_body, [setpoint.thrust]])))
     motion = [true.position_world, true.velocity_world, true.attitude, true.rate_body, plant.true_rotor_speed]
     rows.truth.append((since, np.concatenate(motion)))
 
 
-def _log(rows: Rows, name: str) -> Log:
+def _log(rows: FlightRows, name: str) -> Log:
     motors = len(rows.motors[0][1]) // 2 if rows.motors else 0
     streams = [
         *_streams(rows.estimate, "estimate", position=(0, 3), velocity=(3, 6), attitude=(6, 10)),
@@ -205,7 +215,7 @@ def _log(rows: Rows, name: str) -> Log:
     return Log(tuple(streams), _provenance(name, "measured"))
 
 
-def _truth(rows: Rows, name: str) -> Log:
+def _truth(rows: FlightRows, name: str) -> Log:
     width = len(rows.truth[0][1]) if rows.truth else 13
     parts = {"position": (0, 3), "velocity": (3, 6), "attitude": (6, 10), "rate": (10, 13), "rotor_speed": (13, width)}
     return Log(tuple(_streams(rows.truth, "truth", **parts)), _provenance(name, "true"))

@@ -31,10 +31,10 @@ FORMATS = ("png", "pdf")
 
 
 def prediction_figure(judged: Sequence[Judged], flight: str) -> Figure:
-    """A flight as the paper's Figure 5 has it: left, a slice where NOM errs most; right, RMSE of each axis, stacked."""
+    """A flight like the paper's Figure 5: left, the slice of NOM's largest error; right, RMSE of each axis, stacked."""
     shown = [one for one in judged if one.evaluation.name != PLANT and one.evaluation.kind != BASE]
-    times, label, said = _common_rows(shown, flight)
-    begin = _worst_slice(times, said[0] - label)
+    times, label, predictions = _common_rows(shown, flight)
+    begin = _worst_slice(times, predictions[0] - label)
     inside = (times >= begin) & (times <= begin + SLICE)
     names = [one.evaluation.name for one in shown]
     with mpl.rc_context(STYLE):
@@ -42,10 +42,10 @@ def prediction_figure(judged: Sequence[Judged], flight: str) -> Figure:
         grid = figure.subplots(6, 2, width_ratios=(3, 1), sharex="col")
         for (heading, axis), (left, right) in zip(AXES, grid, strict=True):
             left.plot(times[inside], label[inside, axis], color="black", linewidth=1.8, label="measured")
-            for colour, name, body in zip(COLOURS, names, said, strict=False):
+            for colour, name, body in zip(COLOURS, names, predictions, strict=False):
                 left.plot(times[inside], body[inside, axis], color=colour, linewidth=0.9, label=name)
             left.set_ylabel(heading)
-            _stacked(right, times, [np.abs(body[:, axis] - label[:, axis]) for body in said])
+            _stacked(right, times, [np.abs(body[:, axis] - label[:, axis]) for body in predictions])
         grid[0, 0].set_title(f"{flight.split('.')[0]}: a slice")
         grid[0, 1].set_title("error by second, stacked")
         grid[-1, 0].set_xlabel("time, s")
@@ -75,21 +75,21 @@ def bars_figure(ratios: Mapping[str, Sequence[float | None]], flights: Sequence[
 def heatmap_figure(
     grids: Mapping[str, Floats], along: tuple[str, Sequence[float]], up: tuple[str, Sequence[float]], unit: str
 ) -> Figure:
-    """One heatmap a model on one scale of colours, as the paper's Figure 4; logarithmic, for NOM errs by far the most.
+    """One heatmap a model on one scale of colours, like the paper's Figure 4; logarithmic, for NOM's errors are large.
 
     grids: (len(up), len(along)) by model's name, NaN where a cell is missing. along, up: the quantity and its factors.
     """
-    known = np.concatenate([grid[np.isfinite(grid)] for grid in grids.values()])
-    if not len(known):
-        raise RequestError("no cell of this heatmap is finished yet. Go on with the same `alula sweep`.")
+    finite = np.concatenate([grid[np.isfinite(grid)] for grid in grids.values()])
+    if not len(finite):
+        raise RequestError("no cell of this heatmap is finished yet. Continue with the same `alula sweep`.")
     with mpl.rc_context({"font.size": 9}):
         figure = Figure(figsize=(3.4 * len(grids) + 0.8, 4.0), layout="constrained")
         row = figure.subplots(1, len(grids), sharey=True, squeeze=False)[0]
         for axes, (name, grid) in zip(row, grids.items(), strict=True):
-            drawn = axes.imshow(grid, origin="lower", cmap="viridis_r", norm=LogNorm(known.min(), known.max()))
+            drawn = axes.imshow(grid, origin="lower", cmap="viridis_r", norm=LogNorm(finite.min(), finite.max()))
             for (y, x), value in np.ndenumerate(grid):
                 if np.isfinite(value):
-                    dark = value > np.sqrt(known.min() * known.max())
+                    dark = value > np.sqrt(finite.min() * finite.max())
                     axes.text(x, y, f"{value:.2f}", ha="center", va="center", color="white" if dark else "black")
             axes.set_xticks(range(len(along[1])), [f"{factor:g}" for factor in along[1]])
             axes.set_yticks(range(len(up[1])), [f"{factor:g}" for factor in up[1]])
@@ -115,15 +115,15 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 
 def nominal_ratios(judged: Sequence[Judged]) -> tuple[dict[str, list[float | None]], list[str]]:
-    """RMSE over NOM's by learned model and flight, against the best known accelerations; and the flights' names."""
+    """RMSE over NOM's by learned model and flight, against ground truth or else labels; and the flights' names."""
     flights = [error.flight for error in judged[0].evaluation.best_known]
-    found: dict[str, list[float | None]] = {}
+    ratios: dict[str, list[float | None]] = {}
     for one in judged:
         if one.evaluation.name in (NOMINAL, PLANT) or one.evaluation.kind == BASE:
             continue
         by_flight = {error.flight: error.combined / error.nominal for error in one.evaluation.best_known}
-        found[one.evaluation.name] = [by_flight.get(flight) for flight in flights]
-    return found, [flight.split(".")[0] for flight in flights]
+        ratios[one.evaluation.name] = [by_flight.get(flight) for flight in flights]
+    return ratios, [flight.split(".")[0] for flight in flights]
 
 
 def _common_rows(judged: Sequence[Judged], flight: str) -> tuple[Floats, Floats, list[Floats]]:
@@ -145,14 +145,14 @@ def _common_rows(judged: Sequence[Judged], flight: str) -> tuple[Floats, Floats,
 
 
 def _worst_slice(times: Floats, error: Floats) -> float:
-    """Where NOM's squared error over a slice is largest."""
+    """Start of the slice in which NOM's squared error is largest."""
     size = np.concatenate([[0.0], np.cumsum(np.sum(error**2, axis=1))])
     ends = np.searchsorted(times, times + SLICE)
     return float(times[int(np.argmax(size[ends] - size[:-1]))])
 
 
 def _stacked(axes: Any, times: Floats, errors: Sequence[Floats]) -> None:
-    """RMSE second by second, one model's on top of the other's, so that none hides another."""
+    """RMSE by second, stacked, so that no model hides another."""
     edges = np.arange(times[0], times[-1] + 1.0, 1.0)
     which = np.digitize(times, edges) - 1
     rows = np.maximum(np.bincount(which, minlength=len(edges)), 1)

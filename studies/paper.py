@@ -1,4 +1,4 @@
-"""Figures of the paper that ours stand beside: Saviolo, Li, Loianno, RA-L 2022, doi 10.1109/LRA.2022.3192609."""
+"""The paper's own figures, for comparison: Saviolo, Li, Loianno, RA-L 2022, doi 10.1109/LRA.2022.3192609."""
 
 from collections.abc import Mapping
 
@@ -94,6 +94,6 @@ HISTORY: Mapping[int, tuple[float, float, float]] = {
 
 
 def prediction_ratio(flight: str, kind: str) -> float | None:
-    """The paper's RMSE over NOM's for a flight and a model, None where it has no such. flight: a file's name."""
+    """The paper's RMSE over NOM's for a flight and a model, None for others. flight: a file's name."""
     row = PREDICTION.get(flight.split(".")[0], {})
     return row[kind] / row["nominal"] if kind in row else None

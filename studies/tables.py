@@ -1,4 +1,4 @@
-"""Tables as data, for the terminal, for spreadsheets, for Markdown."""
+"""Tables for the terminal, for spreadsheets, for Markdown."""
 
 from __future__ import annotations
 
@@ -12,25 +12,29 @@ from rich.table import Table as RichTable
 
 from dynamics.files import write_whole
 
-Cell = str | int | float | None
+TableCell = str | int | float | None
 
 
 class Table(msgspec.Struct, frozen=True):
-    """name: of its file. note: what a reader has to know. headings: with units. rows: as long as the headings.
+    """A table.
 
-    digits: significant ones of numbers, for people; files hold all of them.
+    name: of its file.
+    headings: with units.
+    rows: as long as the headings.
+    note: for the reader.
+    digits: significant ones of numbers, for people; files have all of them.
     """
 
     name: str
     title: str
     headings: tuple[str, ...]
-    rows: tuple[tuple[Cell, ...], ...]
+    rows: tuple[tuple[TableCell, ...], ...]
     note: str = ""
     digits: int = 3
 
 
-def shown(cell: Cell, digits: int = 3) -> str:
-    """A cell as people read it: so many significant digits, never a power of ten where a few zeros do."""
+def shown(cell: TableCell, digits: int = 3) -> str:
+    """A cell for people: this number of significant digits, without an exponent for large numbers."""
     if cell is None or cell != cell:  # NaN is not itself
         return ""
     if not isinstance(cell, float):

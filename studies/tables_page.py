@@ -1,4 +1,4 @@
-"""Tables and pictures as one page that needs nothing else."""
+"""Tables and pictures as one self-contained page."""
 
 from __future__ import annotations
 
@@ -18,14 +18,18 @@ def write_tables_page(
     path: Path, title: str, lines: Sequence[str], tables: Sequence[Table], pictures: Sequence[tuple[Figure, str]], *,
     inputs: Mapping[str, str],
 ) -> None:  # fmt: skip
-    """Write a page. lines: the answer, a sentence each. pictures: with what they show. inputs: sha256 by name.
+    """Write a page.
+
+    lines: the summary, a sentence each.
+    pictures: with captions.
+    inputs: sha256 by name.
 
     Raises RequestError when it cannot be written.
     """
     images = []
-    for figure, says in pictures:
+    for figure, caption in pictures:
         buffer = io.BytesIO()
         figure.savefig(buffer, format="png", dpi=110)
-        images.append(Image(buffer.getvalue(), says))
+        images.append(Image(buffer.getvalue(), caption))
     shown = [PageTable(t.title, t.headings, t.rows, t.note, t.digits) for t in tables]
     write_page(tables_page(title, lines, shown, images, origin=origin(inputs)), path)

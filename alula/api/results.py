@@ -202,7 +202,7 @@ class ExportResult:
     @property
     def report(self) -> dict[str, Any]:
         """Comparisons and flight check, as `alula export --json` prints them."""
-        return {**msgspec.to_builtins(self.parity), "flight_check": self.flight_check and self.flight_check.told}
+        return {**msgspec.to_builtins(self.parity), "flight_check": self.flight_check and self.flight_check.as_json}
 
     @property
     def summary(self) -> Sequence[str]:

@@ -16,7 +16,7 @@ from alula.workbench import workbench
 from dynamics.errors import RequestError
 
 if TYPE_CHECKING:
-    from simulation.campaign import Manifest
+    from simulation.campaign import CampaignManifest
 
 
 def campaign(
@@ -68,7 +68,7 @@ def campaign(
         _print(manifest, out, console)
 
 
-def _print(manifest: Manifest, out: Path, console: Console) -> None:
+def _print(manifest: CampaignManifest, out: Path, console: Console) -> None:
     table = Table("flight", title="flown", title_justify="left")
     for heading in ("s", "at speed", "RMSE m", "m/s", "m/s²", "rad/s²", "rpm"):
         table.add_column(heading, justify="right")

@@ -11,7 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from alula.cli.options import Mapping, VehicleOption
 from alula.workbench import workbench
-from studies.sweep.catalogue import GRID, SEARCH, SEARCHED, STARRED, STUDIES
+from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES
 from training.models import KINDS
 from training.recipe import FAST, RECIPES
 
@@ -58,7 +58,9 @@ def sweep(
     ] = None,
     over: Annotated[
         list[str] | None,
-        typer.Option(help=f"For {SEARCH}: NAME=LOW:HIGH of the recipe; {SEARCHED} by default.", rich_help_panel=OWN),
+        typer.Option(
+            help=f"For {SEARCH}: NAME=LOW:HIGH of the recipe; {DEFAULT_RANGE} by default.", rich_help_panel=OWN
+        ),
     ] = None,
     trials: Annotated[int, typer.Option(min=1, help=f"For {SEARCH}: trainings in all.", rich_help_panel=OWN)] = 20,
     jobs: Annotated[

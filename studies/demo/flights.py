@@ -1,4 +1,4 @@
-"""How the demo's manoeuvres are flown: over MAVLink on the mock in real time, or in lockstep without a link."""
+"""Flights of the demo's manoeuvres: over MAVLink on the mock in real time, or in lockstep without a link."""
 
 from __future__ import annotations
 
@@ -24,18 +24,22 @@ from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
 Announce = Callable[[str], None]
 BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0)  # on the way to and from a manoeuvre
-FINDING_PATIENCE = 30.0  # s for the mock, which may have to compile its plant
-OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre unless told otherwise
-NOMINAL, LEARNED = "nominal", "learned"  # which model a flight was flown with, as its file name says
+FINDING_PATIENCE = 30.0  # s for the vehicle's first heartbeat
+OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre by default
+NOMINAL, LEARNED = "nominal", "learned"  # the model of a flight, part of its file name
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {NOMINAL: TRACKING_NOMINAL, LEARNED: TRACKING_LEARNED}
 
 
 class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the demo flies. effects: hidden from the controller. folder: for output. duration: s of each manoeuvre, None
-    for as many as diagnosis needs: in lockstep more, where the way there and back is not recorded.
+    """Options of the demo.
 
-    rate: of control, Hz. lockstep: fly in simulated time, without a link. learn: whether to go on after the flights
-    with the textbook model.
+    folder: for output.
+    effects: hidden from the controller.
+    duration: s of each manoeuvre; None for as many as diagnosis needs, in lockstep more, because the way to and from
+        the manoeuvre is not recorded there.
+    rate: of control, Hz.
+    lockstep: fly in simulated time, without a link.
+    learn: whether to continue after the flights with the nominal model.
     """
 
     folder: Path
@@ -50,7 +54,7 @@ class DemoOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def seconds(self) -> float:
-        """Of each manoeuvre."""
+        """Duration of each manoeuvre, s."""
         if self.duration is not None:
             return self.duration
         return IN_LOCKSTEP if self.lockstep else OVER_LINK
@@ -60,7 +64,11 @@ class Pilot(Protocol):
     """Flies one manoeuvre with the model of a vehicle file."""
 
     def __call__(self, name: str, vehicle: str, model: str) -> FlownManoeuvre:
-        """name: of the manoeuvre. vehicle: the controller's file. model: NOMINAL or LEARNED, what the file holds.
+        """Fly a manoeuvre.
+
+        name: of the manoeuvre.
+        vehicle: the controller's file.
+        model: NOMINAL or LEARNED, the kind of that file.
 
         Raises VehicleError when the flight does not end as it should.
         """
@@ -69,7 +77,7 @@ class Pilot(Protocol):
 
 @contextmanager
 def pilot(options: DemoOptions, announce: Announce) -> Iterator[Pilot]:
-    """A simulated vehicle that hides the effects, and who flies it. Raises VehicleError when the vehicle dies."""
+    """The pilot of a simulated vehicle with the hidden effects. Raises VehicleError when the vehicle's process ends."""
     if options.lockstep:
         yield lambda name, vehicle, model: _in_lockstep(name, vehicle, model, options)
         return
@@ -99,12 +107,12 @@ def _over_link(
 
 def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> FlownManoeuvre:
     from flights import Flight
-    from simulation.lockstep import fly_reference  # with it come the readers of logs, which a flight computer lacks
+    from simulation.lockstep import fly_reference  # it imports the readers of logs, which a flight computer lacks
 
     body = read_vehicle(find_vehicle(options.vehicle))
     controller = Controller.build(read_vehicle(find_vehicle(vehicle)))
     reference = named_reference(name, controller.trim, duration=options.seconds)
-    if model == NOMINAL:  # the better model may know that the vehicle is at its limits there; it flew it all the same
+    if model == NOMINAL:  # by the identified model the vehicle may be at its limits there; it flew it all the same
         check_feasibility(reference, controller.trim).require()
     effects = [parse_effect(text, body.rotors.count) for text in options.effects]
     flown = fly_reference(body, reference, effects=effects, seed=options.seed, name=name, controller=controller)
@@ -124,8 +132,8 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
 
 def _paper(reference: str, model: str) -> float | None:
     """The paper's RMSE of a reference with its model of this kind, m, if it flew that one."""
-    found = PAPER[model].get(reference)
-    return found[0] if found else None
+    rmse = PAPER[model].get(reference)
+    return rmse[0] if rmse else None
 
 
 def _recordings(options: DemoOptions) -> Path:
@@ -133,7 +141,7 @@ def _recordings(options: DemoOptions) -> Path:
 
 
 def _file_name(name: str, model: str) -> str:
-    """Date, time, model and the reference's name without the signs that a file name cannot have."""
+    """Date, time, model and the reference's name, without characters that a file name cannot have."""
     plain = "".join(sign if sign.isalnum() or sign in "-._" else "_" for sign in name)
     return f"{time.strftime('%Y%m%d-%H%M%S')}_{model}_{plain}"
 

@@ -1,4 +1,4 @@
-"""What the demo leaves behind: tables as Markdown, CSV and JSON, a picture of every flight, and a page to look at."""
+"""The demo's report: tables as Markdown, CSV and JSON, a picture of every flight, and an HTML page."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from studies.demo.learning import Learning
 
 LAST_TICKS = 0.03  # s before a phase's end, whose record may hold the next phase's reference already
-INK, SOFT, BEFORE, AFTER = "#1a1a1a", "#9a9a9a", "#d55e00", "#0072b2"  # Okabe and Ito: told apart by the colour-blind
+INK, SOFT, BEFORE, AFTER = "#1a1a1a", "#9a9a9a", "#d55e00", "#0072b2"  # Okabe and Ito: safe for the colour-blind
 CHANNELS: Mapping[str, str] = {
     "imu": "force, by the accelerometer",
     "mocap": "force, by the pose",
@@ -34,9 +34,9 @@ PAGE_NEEDS = ("plotly", "jinja2")
 
 
 def write_report(report: DemoReport, folder: Path, learning: Learning | None = None) -> DemoReport:
-    """Write report.md, tracking.csv and report.json, and what the install can draw: tracking.png, report.html.
+    """Write report.md, tracking.csv and report.json, and if the install can, tracking.png and report.html.
 
-    Names the files. Raises RequestError when one cannot be written.
+    Returns the report with the files' names. Raises RequestError when one cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -46,19 +46,19 @@ def write_report(report: DemoReport, folder: Path, learning: Learning | None = N
 
 
 def _write_all(report: DemoReport, folder: Path, learning: Learning | None) -> DemoReport:
-    files = [_whole(folder / "tracking.csv", lambda path: _write_csv(report, path))]
+    files = [_written(folder / "tracking.csv", lambda path: _write_csv(report, path))]
     if importlib.util.find_spec("matplotlib"):
-        files.append(_whole(folder / "tracking.png", lambda path: draw_tracking(report, path)))
+        files.append(_written(folder / "tracking.png", lambda path: draw_tracking(report, path)))
     if learning is not None and all(map(importlib.util.find_spec, PAGE_NEEDS)):
-        files.append(_whole(folder / "report.html", lambda path: _write_page(report, learning, path)))
-    files.append(_whole(folder / "report.md", lambda path: path.write_text(_text(report, files), encoding="utf-8")))
+        files.append(_written(folder / "report.html", lambda path: _write_page(report, learning, path)))
+    files.append(_written(folder / "report.md", lambda path: path.write_text(_text(report, files), encoding="utf-8")))
     finished = msgspec.structs.replace(report, files=(*map(str, files), str(folder / "report.json")))
-    _whole(folder / "report.json", lambda path: path.write_bytes(msgspec.json.encode(finished)))
+    _written(folder / "report.json", lambda path: path.write_bytes(msgspec.json.encode(finished)))
     return finished
 
 
-def _whole(path: Path, write: Callable[[Path], Any]) -> Path:
-    """Write under a temporary name and rename, so that nobody sees half a file."""
+def _written(path: Path, write: Callable[[Path], Any]) -> Path:
+    """Write under a temporary name and rename, so that no incomplete file is visible."""
     partial = path.with_name(f".part-{path.name}")
     write(partial)
     os.replace(partial, path)
@@ -69,7 +69,7 @@ def _write_csv(report: DemoReport, path: Path) -> None:
     with path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(("manoeuvre", "model", "speed_max", "position_rmse", "position_max", "paper_rmse", "recording"))
-        flights = [("textbook", flown) for flown in report.nominal]
+        flights = [("textbook", flown) for flown in report.nominal]  # the file's word for the nominal model
         flights += [("learned", flown) for flown in (report.learned.flown if report.learned is not None else ())]
         for model, flown in flights:
             numbers = [f"{value:.6g}" for value in (flown.speed_max, flown.position_rmse, flown.position_max)]
@@ -77,7 +77,7 @@ def _write_csv(report: DemoReport, path: Path) -> None:
 
 
 def tracking_rows(report: DemoReport) -> list[tuple[str, ...]]:
-    """A line a manoeuvre: its name, top speed, RMSE with the textbook and the learned model, ratio, the paper's two."""
+    """A row a manoeuvre: name, top speed, RMSE with the nominal and the identified model, ratio, the paper's two."""
     return [
         (
             before.name,
@@ -91,12 +91,12 @@ def tracking_rows(report: DemoReport) -> list[tuple[str, ...]]:
     ]
 
 
-TRACKING_HEADINGS = ("manoeuvre", "top speed m/s", "textbook m", "learned m", "ratio", "the paper m")
-PREDICTION_HEADINGS = ("prediction of", "textbook", "learned", "noise floor", "unit")
+TRACKING_HEADINGS = ("manoeuvre", "top speed m/s", "nominal m", "identified m", "ratio", "the paper m")
+PREDICTION_HEADINGS = ("prediction of", "nominal", "identified", "noise floor", "unit")
 
 
 def prediction_rows(report: DemoReport) -> list[tuple[str, ...]]:
-    """A line a channel: what is predicted, error with the textbook and the learned model, noise floor, unit."""
+    """A row a channel: prediction error with the nominal and the identified model, noise floor, unit."""
     if report.learned is None:
         return []
     return [
@@ -106,7 +106,7 @@ def prediction_rows(report: DemoReport) -> list[tuple[str, ...]]:
 
 
 def closing_lines(report: DemoReport) -> list[str]:
-    """What is said beneath the tables: what was found and added, or why there is no second half."""
+    """Sentences beneath the tables: the diagnosis and what was added, or why there is no second half."""
     if report.missing:
         return [
             "The second half, diagnosing these flights and flying the better model, needs "
@@ -129,7 +129,7 @@ def closing_lines(report: DemoReport) -> list[str]:
 def _text(report: DemoReport, files: list[Path]) -> str:
     how = "in simulated time, without a link" if report.lockstep else "over MAVLink (UDP) on the mock flight controller"
     lines = [
-        "# Alula demo: a vehicle with a hidden effect, flown with the textbook model and with what was learned",
+        "# Alula demo: a vehicle with a hidden effect, flown with the nominal and with the identified model",
         "",
         f"Vehicle {report.vehicle}, flown {how}. Hidden from the controller: "
         f"{', '.join(report.hidden_effects) or 'nothing'}. Seed {report.seed}.",
@@ -153,7 +153,7 @@ def _table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 
 def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
-    """The demo's page, or where nothing was flown again the page of the diagnosis that found nothing."""
+    """The demo's page, or where nothing was flown again the page of the diagnosis."""
     from studio.flown import FlownComparison
     from studio.page import Origin
     from studio.report import demo_page, diagnosis_page
@@ -181,11 +181,11 @@ def _flown_track(flown: FlownManoeuvre) -> Any:
     from studio.flown import FlownTrack
 
     errors = (flown.position_rmse, flown.position_max, flown.speed_max)
-    return FlownTrack(*flown_and_asked(Path(flown.recording)), *errors)
+    return FlownTrack(*flown_and_setpoint(Path(flown.recording)), *errors)
 
 
-def flown_and_asked(path: Path) -> tuple[Floats, Floats, Floats]:
-    """Times (n,) s since tracking began, flown and asked positions (n, 3) m of a demo's flight."""
+def flown_and_setpoint(path: Path) -> tuple[Floats, Floats, Floats]:
+    """Times (n,) s since tracking began, flown and setpoint positions (n, 3) m of a demo's flight."""
     if path.suffix == ".mcap":
         return tracked(read_recording(path))
     from flights import Flight
@@ -196,7 +196,7 @@ def flown_and_asked(path: Path) -> tuple[Floats, Floats, Floats]:
 
 
 def tracked(recording: FlightRecording) -> tuple[Floats, Floats, Floats]:
-    """Times (n,) s since tracking began, flown and asked positions (n, 3) m, while the reference was tracked."""
+    """Times (n,) s since tracking began, flown and setpoint positions (n, 3) m, while the reference was tracked."""
     phases = recording.table("/phase")
     first = int(np.flatnonzero(phases["phase"] == "track")[0])
     began = phases["time"][first]
@@ -224,18 +224,18 @@ def draw_tracking(report: DemoReport, path: Path) -> None:
 
 def _draw_manoeuvre(before: FlownManoeuvre, after: FlownManoeuvre | None, path_axes: Any, error_axes: Any) -> None:
     flights = (
-        [("flight", AFTER, before)] if after is None else [("textbook", BEFORE, before), ("learned", AFTER, after)]
+        [("flight", AFTER, before)] if after is None else [("nominal", BEFORE, before), ("identified", AFTER, after)]
     )
     for label, colour, flown in flights:
-        times, position, asked = flown_and_asked(Path(flown.recording))
-        first, second = sorted(np.argsort(np.ptp(asked, axis=0))[-2:])
+        times, position, setpoint = flown_and_setpoint(Path(flown.recording))
+        first, second = sorted(np.argsort(np.ptp(setpoint, axis=0))[-2:])
         if flown is before:
-            path_axes.plot(asked[:, first], asked[:, second], color=SOFT, linewidth=2.5, label="reference")
+            path_axes.plot(setpoint[:, first], setpoint[:, second], color=SOFT, linewidth=2.5, label="reference")
         path_axes.plot(position[:, first], position[:, second], color=colour, linewidth=0.9, label=label)
-        error_axes.plot(times, 100 * np.linalg.norm(position - asked, axis=1), color=colour, linewidth=0.9)
+        error_axes.plot(times, 100 * np.linalg.norm(position - setpoint, axis=1), color=colour, linewidth=0.9)
         error_axes.axhline(100 * flown.position_rmse, color=colour, linewidth=0.8, linestyle="--")
     path_axes.set(xlabel=f"{'xyz'[first]}, m", ylabel=f"{'xyz'[second]}, m", aspect="equal", title=before.name)
     path_axes.margins(0.08)
-    told = " and ".join(f"{100 * flown.position_rmse:.1f}" for _, _, flown in flights)
-    error_axes.set_title(f"RMSE {told} cm", fontsize=9)
+    errors = " and ".join(f"{100 * flown.position_rmse:.1f}" for _, _, flown in flights)
+    error_axes.set_title(f"RMSE {errors} cm", fontsize=9)
     error_axes.set(xlabel="time, s", ylabel="position error, cm", ylim=(0, None), xlim=(0, times[-1]))

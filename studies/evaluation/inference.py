@@ -1,6 +1,6 @@
-"""How long one prediction takes, by engine: torch's window, the streamed network, the ONNX file, C.
+"""Time of one prediction by engine: torch's window, the streaming network, the ONNX file, C.
 
-The C code of a network is the real-time kernel's, streamed column by column as the controller's roll-out does.
+The C code of a network is the real-time kernel's, which takes column by column as in the controller's roll-out.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from training.run import one_thread
 from training.streaming import Stream
 
 REPEATS, WARM_UP = 300, 20
-COLUMNS = 200  # a call of the kernel, so that entering it does not count
+COLUMNS = 200  # a call of the kernel, so that the call itself does not count
 
 
 class Inference(msgspec.Struct, frozen=True):
-    """Seconds of one prediction: the median, and what a tenth of them exceed."""
+    """Seconds of one prediction: the median, and the 90th percentile."""
 
     model: str
     engine: str
@@ -37,8 +37,8 @@ class Inference(msgspec.Struct, frozen=True):
 
 
 def time_inference(judged: Sequence[Judged]) -> tuple[tuple[Inference, ...], tuple[str, ...]]:
-    """Every model but the plant, with every engine that it has, on rows of the flights; and why one is missing."""
-    found, notes = [], []
+    """Timings of every model but the plant with each of its engines, and notes on missing ones."""
+    timings, notes = [], []
     with one_thread(torch.device("cpu")):
         for one in judged:
             name = one.evaluation.name
@@ -48,8 +48,8 @@ def time_inference(judged: Sequence[Judged]) -> tuple[tuple[Inference, ...], tup
                     calls["kernel, streamed"] = _kernel_call(one.model, one.data)
                 except RequestError as error:
                     notes.append(f"the kernel of {name} is not timed: {error}")
-            found += [_timed(name, engine, *call) for engine, call in calls.items()]
-    return tuple(found), tuple(notes)
+            timings += [_timed(name, engine, *call) for engine, call in calls.items()]
+    return tuple(timings), tuple(notes)
 
 
 def time_network(model: TrainedModel, data: Dataset) -> float:
@@ -59,7 +59,7 @@ def time_network(model: TrainedModel, data: Dataset) -> float:
 
 
 def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[], object], int]]:
-    """Something to call for each engine, and how many predictions a call makes."""
+    """A function to call for each engine, and the number of predictions of a call."""
     if not model.networks:
         return {"C, 128 rows a call": (_physics_call(model, data), BLOCK)}
     window = _window(model, data)
@@ -80,18 +80,18 @@ def _window(model: TrainedModel, data: Dataset) -> torch.Tensor:
 
 
 def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
-    """What a bundle's model.onnx computes: network and physics from a window in SI units."""
+    """A prediction by a bundle's model.onnx: network and base model from a window in SI units."""
     proto = onnx_model(exported(model), {})
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     session = onnxruntime.InferenceSession(proto.SerializeToString(), options, providers=["CPUExecutionProvider"])
     columns = np.hstack([data.state, data.rotor_speed])
     rows = data.ends[0] + np.arange(1 - model.config.history, 1)
-    given = {}
+    feed = {}
     for place, needed in enumerate(session.get_inputs()):
         shape = [size if isinstance(size, int) else 1 for size in needed.shape]
-        given[needed.name] = columns[rows].T[None].astype(np.float32) if place == 0 else np.zeros(shape, np.float32)
-    return lambda: session.run(None, given)
+        feed[needed.name] = columns[rows].T[None].astype(np.float32) if place == 0 else np.zeros(shape, np.float32)
+    return lambda: session.run(None, feed)
 
 
 def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], object], int]:
@@ -100,9 +100,9 @@ def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], objec
     from runtime.control.rti.problem import Problem
     from runtime.control.rti.processor import native_processor
 
-    given = exported(model)
-    assert given.network is not None
-    solver = kernel_solver(given.network, given.flight_model, Problem(), native_processor(), mean=given.mean)
+    bundle = exported(model)
+    assert bundle.network is not None
+    solver = kernel_solver(bundle.network, bundle.flight_model, Problem(), native_processor(), mean=bundle.mean)
     columns = np.hstack([data.state, data.rotor_speed])
     first, back = int(data.ends[0]), len(solver.history)
     solver.history[:] = columns[first + 1 - back : first + 1]

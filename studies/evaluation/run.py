@@ -1,4 +1,4 @@
-"""An evaluation from what was given on the command line: which are models, which flights, what is written where."""
+"""An evaluation from command-line arguments: models, flights, and the outputs."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ MAX_PICTURES = 8  # flights
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """What was found, as numbers, as tables, and what pictures need."""
+    """Results of an evaluation: numbers, tables, and what the pictures need."""
 
     evaluated: Evaluated
     timings: tuple[Inference, ...]
@@ -46,15 +46,20 @@ class Answer(msgspec.Struct, frozen=True):
 
 
 def run(
-    given: Sequence[Path], vehicle: str | None, *, mapping: Path | None, timed: bool, done: Callable[[str], None]
+    arguments: Sequence[Path], vehicle: str | None, *, mapping: Path | None, timed: bool, done: Callable[[str], None]
 ) -> Results:
-    """Evaluate. given: checkpoints (.pt) and flights in any order. done: told each model's name.
+    """Evaluate models on flights.
+
+    arguments: checkpoints (.pt) and flights in any order.
+    vehicle: a vehicle file to evaluate as well.
+    timed: whether to time inference.
+    done: called with each model's name.
 
     Raises RequestError and DataError for what a user can cause.
     """
-    paths = [path for path in given if path.suffix == MODEL_SUFFIX]
+    paths = [path for path in arguments if path.suffix == MODEL_SUFFIX]
     models = [Named(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
-    logs = find_flights([path for path in given if path.suffix != MODEL_SUFFIX])
+    logs = find_flights([path for path in arguments if path.suffix != MODEL_SUFFIX])
     dt = models[0].model.config.dt if models else ModelConfig("", "none", base="nominal").dt
     if vehicle is not None:
         file = read_vehicle(find_vehicle(vehicle))
@@ -69,19 +74,19 @@ def run(
     return Results(evaluated, timings, evaluation_tables(evaluated, timings), judged)
 
 
-def find_flights(given: Sequence[Path]) -> tuple[Path, ...]:
-    """The logs meant: files as they are, of a campaign's folder its test flights, of any other all files in it.
+def find_flights(paths: Sequence[Path]) -> tuple[Path, ...]:
+    """Logs of these paths: files as they are, of a campaign's folder its test flights, of other folders all files.
 
-    Raises RequestError for what is not there.
+    Raises RequestError for a missing path.
     """
-    found: list[Path] = []
-    for path in given:
+    logs: list[Path] = []
+    for path in paths:
         is_campaign = path.is_dir() and (path / CAMPAIGN).exists()
-        found += find_logs([path / "test" if is_campaign else path])
-    if not found:
+        logs += find_logs([path / "test" if is_campaign else path])
+    if not logs:
         raise RequestError("no flight was given. Give logs, a folder of logs, or a campaign's folder.")
     order = {flight.name: place for place, flight in enumerate(paper_campaign())}
-    return tuple(sorted(found, key=lambda path: order.get(path.stem, len(order))))
+    return tuple(sorted(logs, key=lambda path: order.get(path.stem, len(order))))
 
 
 def draw(results: Results, folder: Path) -> list[Path]:
@@ -94,29 +99,29 @@ def draw(results: Results, folder: Path) -> list[Path]:
 
 def write_html(results: Results, path: Path) -> None:
     """Tables and pictures in one file. Raises RequestError when it cannot be written."""
-    pictures = [(figure, says) for _, figure, says in _figures(results)]
-    title = "Flight models on flights that they have not seen"
+    pictures = [(figure, caption) for _, figure, caption in _figures(results)]
+    title = "Flight models on held-out flights"
     lines, flights = summary_lines(results.evaluated), results.evaluated.flights
     write_tables_page(path, title, lines, results.tables, pictures, inputs=flights)
 
 
 def _figures(results: Results) -> list[tuple[str, Figure, str]]:
     ratios, flights = figures.nominal_ratios(results.judged)
-    found = []
+    pictures = []
     if ratios:
         title = "RMSE over NOM's"
-        found.append(("rmse_over_nominal", figures.bars_figure(ratios, flights, title), f"{title}, by flight"))
+        pictures.append(("rmse_over_nominal", figures.bars_figure(ratios, flights, title), f"{title}, by flight"))
     shown = [one for one in results.judged if one.evaluation.name != PLANT]
     for error in results.judged[0].evaluation.label[:MAX_PICTURES]:
         if all(error.flight in [e.flight for e in one.evaluation.label] for one in shown):
             name = Path(error.flight).stem
             figure = figures.prediction_figure(shown, error.flight)
-            found.append((f"prediction_{name}", figure, f"Predictions along {name}, and the error second by second"))
-    return found
+            pictures.append((f"prediction_{name}", figure, f"Predictions along {name}, and the error second by second"))
+    return pictures
 
 
 def _names(paths: Sequence[Path]) -> list[str]:
-    """Short names that tell the files apart. Raises RequestError for a file given twice."""
+    """Short unique names of the files. Raises RequestError for a file given twice."""
     if len(set(paths)) < len(paths):
         raise RequestError("a model is given twice. Give each once.")
     stems = [path.stem for path in paths]

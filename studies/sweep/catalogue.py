@@ -1,4 +1,4 @@
-"""The paper's studies, and those that it lacks, as lists of trainings."""
+"""The studies of a sweep, the paper's and further ones, as lists of trainings."""
 
 from __future__ import annotations
 
@@ -13,14 +13,18 @@ FACTORS = (0.6, 0.8, 1.0, 1.2, 1.4)
 HISTORIES = (20, 10, 4, 1, 0)
 WEIGHTS = (0.0, 0.001, 0.01, 0.1, 1.0)
 GRID, SEARCH = "grid", "search"  # studies of the user's own
-SEARCHED = "physics_weight=1e-4:1"  # lambda
+DEFAULT_RANGE = "physics_weight=1e-4:1"  # lambda
 STARRED = "starred"  # the study that needs flights of a simulation without effects as well
-SLOW = "*_60.*"  # training flights at six tenths of their speed
+SLOW = "*_60.*"  # pattern of the training flights at six tenths of their speed
 
 
 @dataclass(frozen=True)
 class Study:
-    """along: the quantities that its cells differ in."""
+    """A study: its cells and the quantities in which they differ.
+
+    along: names of those quantities, keys of `Cell.at`.
+    cells: of the study, by its options.
+    """
 
     name: str
     summary: str
@@ -29,7 +33,7 @@ class Study:
 
 
 def _kinds(options: StudyOptions) -> tuple[Cell, ...]:
-    """Every model of Table I that is trained on the flights, and ours."""
+    """Every model of Table I that is trained on the flights, and window_mlp."""
     kinds = ("res_tcn", "mse_tcn", "pi_mlp", "pi_tcn", "window_mlp")
     return tuple(cell for kind in kinds for cell in repeated(options, kind, {"model": kind}, kind))
 
@@ -39,14 +43,14 @@ def _ablation(options: StudyOptions) -> tuple[Cell, ...]:
     cells: list[Cell] = []
     for history, loss in itertools.product(("yes", "no"), ("yes", "no")):
         at = {"history": history, "physics loss": loss}
-        changes: dict[str, Any] = {} if loss == "yes" else {"recipe": {"physics_weight": 0.0}}
+        overrides: dict[str, Any] = {} if loss == "yes" else {"recipe": {"physics_weight": 0.0}}
         model = "pi_tcn" if history == "yes" else "pi_mlp"
-        cells += repeated(options, f"history_{history}_loss_{loss}", at, model, **changes)
+        cells += repeated(options, f"history_{history}_loss_{loss}", at, model, **overrides)
     return tuple(cells)
 
 
 def _history(options: StudyOptions) -> tuple[Cell, ...]:
-    """PI-TCN with fewer and fewer columns; with 0 past ones its decoder alone is left (supplement)."""
+    """PI-TCN with fewer and fewer columns; without past ones it is its decoder alone (supplement)."""
     cells: list[Cell] = []
     for history in HISTORIES:
         at = {"history": float(history)}
@@ -58,22 +62,22 @@ def _history(options: StudyOptions) -> tuple[Cell, ...]:
 
 
 def _priors(*names: str) -> Callable[[StudyOptions], tuple[Cell, ...]]:
-    """RES-TCN and PI-TCN trained anew with each wrong prior (Figure 4); NOM needs no training."""
+    """RES-TCN and PI-TCN trained with each wrong prior (Figure 4); NOM needs no training."""
 
     def cells(options: StudyOptions) -> tuple[Cell, ...]:
-        found: list[Cell] = []
+        trained: list[Cell] = []
         for first, second in itertools.product(FACTORS, FACTORS):
             prior = dict(zip(names, (first, second), strict=True))
             words = "_".join(f"{name}_{factor:g}" for name, factor in prior.items())
             for model in ("res_tcn", "pi_tcn"):
-                found += repeated(options, f"{model}_{words}", {"model": model, **prior}, model, prior=prior)
-        return tuple(found)
+                trained += repeated(options, f"{model}_{words}", {"model": model, **prior}, model, prior=prior)
+        return tuple(trained)
 
     return cells
 
 
 def _weight(options: StudyOptions) -> tuple[Cell, ...]:
-    """lambda, on plausible histories and on the whole space."""
+    """lambda, with collocation points on plausible histories and in the whole space."""
     return tuple(
         cell
         for points in ("plausible", "space")
@@ -87,7 +91,7 @@ def _weight(options: StudyOptions) -> tuple[Cell, ...]:
 
 
 def _motors(options: StudyOptions) -> tuple[Cell, ...]:
-    """The control: a network that never sees the motors, on logged inputs and on the paper's filtered ones."""
+    """The control: a network without the motors, on logged inputs and on the paper's filtered ones."""
     cells: list[Cell] = []
     filtered = {"filtered_inputs": True, "label": "instantaneous", "motors": "measured"}
     for (inputs, config), hidden in itertools.product((("logged", {}), ("filtered", filtered)), (False, True)):
@@ -100,7 +104,7 @@ def _motors(options: StudyOptions) -> tuple[Cell, ...]:
 
 
 def _regimes(options: StudyOptions) -> tuple[Cell, ...]:
-    """Trained on slow flights alone, or on all; judged on the fast test flights."""
+    """Trained on slow flights alone, or on all; tested on the fast flights."""
     return tuple(
         cell
         for words, flights in (("slow", SLOW), ("all", "*"))
@@ -110,7 +114,7 @@ def _regimes(options: StudyOptions) -> tuple[Cell, ...]:
 
 
 def _starred(options: StudyOptions) -> tuple[Cell, ...]:
-    """PI-TCN and PI-MLP of Table I, and with a star those that have seen nothing but a simulation without effects."""
+    """PI-TCN and PI-MLP of Table I, and with a star those trained in a simulation without effects alone."""
     return tuple(
         cell
         for model in ("pi_mlp", "pi_tcn")
@@ -140,7 +144,7 @@ STUDIES: Mapping[str, Study] = {
 def grid_cells(
     options: StudyOptions, model: str, config: Mapping[str, Sequence[Any]], recipe: Mapping[str, Sequence[Any]]
 ) -> tuple[Cell, ...]:
-    """Every combination of values of a definition's and a recipe's fields."""
+    """Every combination of values of a model's and a recipe's fields."""
     names = [*config, *recipe]
     cells: list[Cell] = []
     for values in itertools.product(*config.values(), *recipe.values()):

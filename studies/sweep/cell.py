@@ -1,4 +1,4 @@
-"""One training of a study: what it is, and what became of it."""
+"""One training of a study, a cell, and its outcome."""
 
 from __future__ import annotations
 
@@ -15,11 +15,16 @@ At = dict[str, float | str]
 
 
 class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """name: of its files. at: its place in the study. model: a kind. config, recipe: what differs from the kind's own.
+    """One training of a study.
 
-    prior: factors on the vehicle file's constants (`with_factors`). flights: pattern of the training flights that are
-    used. simulated: learns from the flights of a simulation without effects instead. hide_motors: rotor speeds are kept
-    from the network.
+    name: of its files.
+    at: its place along the study's quantities.
+    model: kind of network.
+    config, recipe: overrides of the kind's own.
+    prior: factors on the vehicle file's constants (`with_factors`).
+    flights: pattern of the training flights.
+    simulated: whether it is trained on the flights of a simulation without effects instead.
+    hide_motors: whether rotor speeds are removed from the network's inputs.
     """
 
     name: str
@@ -35,11 +40,16 @@ class Cell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """fingerprint: of everything that decided it. label, true: errors on the test flights.
+    """The result of a cell.
 
-    validation: mean squared standardised error on the validation flights. seconds: of training. inference: s, of one
-    prediction by torch. worker: process that made it. processor: s of processor time of all of the cell, which other
-    work on the machine does not lengthen.
+    fingerprint: of everything that decides it.
+    label, true: errors on the test flights, against labels and against ground truth.
+    validation: mean squared standardised error on the validation flights.
+    steps: of the optimiser.
+    seconds: of training.
+    inference: s of one prediction by torch.
+    worker: machine and process.
+    processor: s of processor time of the whole cell, which other work on the machine does not lengthen.
     """
 
     cell: Cell
@@ -55,12 +65,16 @@ class CellResult(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def best_known(self) -> tuple[FlightError, ...]:
-        """Errors against the truth, or against labels where that is all there is."""
+        """Errors against ground truth, or against labels without any."""
         return self.true or self.label
 
 
 class FailedCell(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A training that came to nothing. message: why. traceback: where, of an error that no user can cause."""
+    """A cell whose training failed.
+
+    message: for people.
+    traceback: of an error that no user can cause.
+    """
 
     cell: Cell
     message: str
@@ -73,19 +87,23 @@ Placed = TypeVar("Placed", CellResult, Outcome)
 
 
 class StudyOptions(msgspec.Struct, frozen=True):
-    """What is common to the cells of a study. recipe: changes to the recipe, such as steps and batch."""
+    """What all cells of a study share.
+
+    seeds: of the trainings of each cell.
+    recipe: overrides, such as steps and batch.
+    """
 
     seeds: tuple[int, ...]
     recipe: dict[str, Any] = {}
 
 
 def repeated(
-    options: StudyOptions, name: str, at: Mapping[str, float | str], model: str, **changes: Any
+    options: StudyOptions, name: str, at: Mapping[str, float | str], model: str, **fields: Any
 ) -> tuple[Cell, ...]:
-    """A cell for each seed. changes: fields of `Cell`; its recipe's stand over those of the options."""
-    recipe = {**options.recipe, **changes.pop("recipe", {})}
+    """A cell for each seed. fields: of `Cell`; its recipe overrides that of the options."""
+    recipe = {**options.recipe, **fields.pop("recipe", {})}
     return tuple(
-        Cell(f"{name}_seed{seed}", {**at, "seed": float(seed)}, model, seed, recipe=recipe, **changes)
+        Cell(f"{name}_seed{seed}", {**at, "seed": float(seed)}, model, seed, recipe=recipe, **fields)
         for seed in options.seeds
     )
 
@@ -116,13 +134,13 @@ INERTIA = ("Jxx", "Jyy", "Jzz")
 
 
 def trained(outcomes: Sequence[Outcome]) -> tuple[CellResult, ...]:
-    """Those of which there is a model."""
+    """The cells that were trained."""
     return tuple(outcome for outcome in outcomes if isinstance(outcome, CellResult))
 
 
 def grouped(results: Sequence[Placed], *keys: str) -> dict[tuple[float | str, ...], list[Placed]]:
-    """Results by their places along some of the study's quantities, in the order in which they come."""
-    found: dict[tuple[float | str, ...], list[Placed]] = {}
+    """Results by their places along some of the study's quantities, in the order of their first appearance."""
+    groups: dict[tuple[float | str, ...], list[Placed]] = {}
     for result in results:
-        found.setdefault(tuple(result.cell.at[key] for key in keys), []).append(result)
-    return found
+        groups.setdefault(tuple(result.cell.at[key] for key in keys), []).append(result)
+    return groups

@@ -1,4 +1,4 @@
-"""Pictures of studies along a number: lambda, the history's length, what a search tried."""
+"""Pictures of studies along a number: lambda, the history's length, the values of a search."""
 
 from __future__ import annotations
 
@@ -15,15 +15,20 @@ PAPERS = {"color": "#666666", "linestyle": "--", "linewidth": 1.0, "marker": "s"
 
 
 @dataclass(frozen=True)
-class Curve:
-    """Values over places; deviation: of the seeds, one a value, 0 where there is one seed only."""
+class ErrorCurve:
+    """Errors along a number.
+
+    places: the number's values.
+    values: errors there.
+    deviation: standard deviation over the seeds; 0 with one seed.
+    """
 
     places: Sequence[float]
     values: Sequence[float]
     deviation: Sequence[float]
 
 
-def lambda_figure(curves: Mapping[str, Curve], without: tuple[float, float]) -> Figure:
+def lambda_figure(curves: Mapping[str, ErrorCurve], without: tuple[float, float]) -> Figure:
     """RMSE over lambda, a curve for each kind of points. without: RMSE and its deviation at lambda = 0, a band."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 3.8), layout="constrained")
@@ -41,7 +46,7 @@ def lambda_figure(curves: Mapping[str, Curve], without: tuple[float, float]) -> 
 
 
 def history_figure(
-    rmse: Curve, milliseconds: Sequence[float], paper: Mapping[float, tuple[float, float, float]]
+    rmse: ErrorCurve, milliseconds: Sequence[float], paper: Mapping[float, tuple[float, float, float]]
 ) -> Figure:
     """RMSE and time of one prediction over the history's length, each beside the paper's.
 
@@ -49,7 +54,7 @@ def history_figure(
     """
     shown = [length for length in rmse.places if length in paper]
     at = {length: place for place, length in enumerate(rmse.places)}
-    placed = Curve(list(at.values()), rmse.values, rmse.deviation)
+    placed = ErrorCurve(list(at.values()), rmse.values, rmse.deviation)
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(8.4, 3.6), layout="constrained")
         left, right = figure.subplots(1, 2)
@@ -68,7 +73,7 @@ def history_figure(
 
 
 def search_figure(name: str, tried: Sequence[float], validation: Sequence[float]) -> Figure:
-    """What a search tried, and the validation error that it found there."""
+    """Validation error over the values that a search tried."""
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=(5.6, 3.8), layout="constrained")
         axes = figure.subplots()
@@ -78,7 +83,7 @@ def search_figure(name: str, tried: Sequence[float], validation: Sequence[float]
     return figure
 
 
-def _draw(axes: Axes, curve: Curve, colour: str, label: str) -> None:
+def _draw(axes: Axes, curve: ErrorCurve, colour: str, label: str) -> None:
     axes.errorbar(
         curve.places, curve.values, yerr=curve.deviation, color=colour, marker="o", markersize=4, capsize=3, label=label
     )  # fmt: skip

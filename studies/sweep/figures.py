@@ -1,4 +1,4 @@
-"""What a study found as pictures: heatmaps of defective priors, curves, bars by flight."""
+"""Pictures of a study: heatmaps of defective priors, curves, bars by flight."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from dynamics.arrays import Floats
 from studies import figures, paper
 from studies.sweep.cell import CellResult, grouped
-from studies.sweep.curves import Curve, history_figure, lambda_figure, search_figure
+from studies.sweep.curves import ErrorCurve, history_figure, lambda_figure, search_figure
 from training.prediction import pooled
 
 HEATMAPS = {"inertia": ("Jxx", "Jzz"), "rotors": ("k_f", "k_tau")}
@@ -19,18 +19,18 @@ MODELS = {"res_tcn": "RES-TCN", "pi_tcn": "PI-TCN"}
 
 
 def study_figures(study: str, along: Sequence[str], results: Sequence[CellResult]) -> list[tuple[str, Figure, str]]:
-    """Name, picture and what it shows, of a study that has at least one result; none for one without."""
+    """Name, picture and caption of each picture of a study; none without a result."""
     if not results:
         return []
     if study in HEATMAPS:
-        says = "RMSE of each model for each wrong prior, as the paper's heatmaps: factors on the file's constants"
-        return [(study, _heatmap(study, results), says)]
+        caption = "RMSE of each model for each wrong prior, as the paper's heatmaps: factors on the file's constants"
+        return [(study, _heatmap(study, results), caption)]
     if study == "search":
         return [(f"search_{name}", _searched(name, results), f"Validation error over {name}") for name in along]
     bars = (f"{study}_flights", _bars(study, along, results), "RMSE over NOM's by test flight, mean of the seeds")
     if study == "lambda" and any(float(result.cell.at["lambda"]) == 0 for result in results):
-        says = "RMSE over lambda; the band is lambda = 0, plus and minus its seeds' deviation"
-        return [(study, _lambda(results), says), bars]
+        caption = "RMSE over lambda; the band is lambda = 0, plus and minus its seeds' deviation"
+        return [(study, _lambda(results), caption), bars]
     if study == "history":
         return [(study, _history(results), "RMSE and inference time over the history's length"), bars]
     return [(study, *bars[1:])]
@@ -50,7 +50,7 @@ def heatmaps(study: str, results: Sequence[CellResult]) -> dict[str, Floats]:
 
 
 def factors_of(name: str, results: Sequence[CellResult]) -> list[float]:
-    """The factors on a quantity that there are results for, ascending."""
+    """The factors on a quantity that have results, ascending."""
     return sorted({float(result.cell.at[name]) for result in results})
 
 
@@ -78,7 +78,7 @@ def _words(along: Sequence[str], place: Sequence[float | str]) -> str:
 
 
 def _lambda(results: Sequence[CellResult]) -> Figure:
-    curves: dict[str, Curve] = {}
+    curves: dict[str, ErrorCurve] = {}
     without = (np.nan, np.nan)
     for (points,), members in grouped(results, "points").items():
         by_weight = {float(weight): cells for (weight,), cells in grouped(members, "lambda").items()}
@@ -96,10 +96,10 @@ def _history(results: Sequence[CellResult]) -> Figure:
     return history_figure(_curve(lengths), milliseconds, {float(key): value for key, value in paper.HISTORY.items()})
 
 
-def _curve(places: Mapping[float, Sequence[CellResult]]) -> Curve:
+def _curve(places: Mapping[float, Sequence[CellResult]]) -> ErrorCurve:
     errors = [[pooled(result.best_known).combined for result in members] for members in places.values()]
     deviation = [float(np.std(values, ddof=1)) if len(values) > 1 else 0.0 for values in errors]
-    return Curve(list(places), [float(np.mean(values)) for values in errors], deviation)
+    return ErrorCurve(list(places), [float(np.mean(values)) for values in errors], deviation)
 
 
 def _searched(name: str, results: Sequence[CellResult]) -> Figure:

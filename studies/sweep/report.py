@@ -1,4 +1,4 @@
-"""What a sweep leaves behind: its answer in words, tables, pictures, a page."""
+"""Outputs of a sweep: summary, tables, pictures, a page."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Answer(msgspec.Struct, frozen=True):
 
     @classmethod
     def of(cls, study: str, outcomes: Sequence[Outcome]) -> Answer:
-        """What was trained, and what could not be."""
+        """The answer of these outcomes."""
         return cls(study, trained(outcomes), _failures(outcomes))
 
 
@@ -43,7 +43,7 @@ def tables_of(sweep: Sweep, outcomes: Sequence[Outcome]) -> tuple[Table, ...]:
 
 
 def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
-    """The answer in sentences: what was trained, the best of it, what failed and why."""
+    """The summary in sentences: how many were trained, the best cell, the failures."""
     results, failures = trained(outcomes), _failures(outcomes)
     lines = [f"{len(results)} of {len(outcomes)} trainings are done."]
     if results:
@@ -71,9 +71,10 @@ def show(
     sweep: Sweep, outcomes: Sequence[Outcome], console: Console, *, json_file: Path | None, csv: Path | None,
     pictures: Path | None, html: Path | None,
 ) -> None:  # fmt: skip
-    """Tables and answer to the console, and each file that is wanted. Raises RequestError for one that it cannot write.
+    """Print tables and summary, and write the requested files. Raises RequestError for one that cannot be written.
 
-    json_file: - for standard output. csv, pictures: folders.
+    json_file: - for standard output.
+    csv, pictures: folders.
     """
     tables = tables_of(sweep, outcomes)
     for table in tables:
@@ -93,7 +94,7 @@ def show(
 
 
 def draw(sweep: Sweep, outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
-    """The study's pictures, PNG and PDF; none where nothing was trained."""
+    """Write the study's pictures, PNG and PDF; none without a trained cell."""
     written = []
     for name, figure, _ in _figures(sweep, outcomes):
         written += figures.save(figure, folder, name)
@@ -102,7 +103,7 @@ def draw(sweep: Sweep, outcomes: Sequence[Outcome], folder: Path) -> list[Path]:
 
 def write_html(sweep: Sweep, outcomes: Sequence[Outcome], path: Path) -> None:
     """Tables and pictures in one file. Raises RequestError when it cannot be written."""
-    pictures = [(figure, says) for _, figure, says in _figures(sweep, outcomes)]
+    pictures = [(figure, caption) for _, figure, caption in _figures(sweep, outcomes)]
     title = f"Sweep: {sweep.study}"
     write_tables_page(path, title, summary_lines(outcomes), tables_of(sweep, outcomes), pictures, inputs=sweep.flights)
 

@@ -1,4 +1,4 @@
-"""A sweep from what was asked for: its cells and the map that runs them."""
+"""A sweep from its options: the cells and their execution."""
 
 from __future__ import annotations
 
@@ -13,18 +13,30 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
-from studies.sweep.catalogue import GRID, SEARCH, SEARCHED, STARRED, STUDIES, grid_cells
+from studies.sweep.catalogue import GRID, SEARCH, STARRED, STUDIES, grid_cells
 from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
-from studies.sweep.cells import run_cells
+from studies.sweep.cell_work import CellWork, file_hash, finished_cells
+from studies.sweep.execution import run_cells
 from studies.sweep.search import Range, Search
-from studies.sweep.work import CellWork, file_hash, finished_cells
 from training.config import ModelConfig
 from training.data.recordings import CAMPAIGN, find_logs
 from training.recipe import Recipe, named_recipe
 
 
 class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `alula sweep` was asked for. simulated: logs or folders of a simulation without effects."""
+    """Options of `alula sweep`.
+
+    study: its name, grid or search.
+    logs: to train on, or folders of them.
+    tests: to test on; empty for a campaign's test flights.
+    simulated: logs or folders of a simulation without effects.
+    seeds: trainings of each cell.
+    steps, batch: None for the recipe's own.
+    grid, over: values and ranges of the fields that are varied.
+    trials: of a search, in all.
+    jobs: processes, None for one a core.
+    scheduler: address of a Dask scheduler.
+    """
 
     study: str
     logs: tuple[Path, ...]
@@ -47,10 +59,14 @@ class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class Sweep:
-    """A sweep that may begin. along: the quantities that cells differ in. count: of the cells.
+    """A sweep that is ready to run.
 
-    outcomes: trains what is missing. finished: what is there already. flights: sha256 of what is learned from and
-    judged on, by path. works: of the cells, where they are known beforehand.
+    along: the quantities in which its cells differ.
+    count: of the cells.
+    outcomes: trains the missing cells and gives all.
+    finished: gives the finished cells.
+    flights: sha256 of all flights, by path.
+    works: of the cells; empty for a search, whose cells follow from its results.
     """
 
     study: str
@@ -63,13 +79,14 @@ class Sweep:
 
 
 def make_sweep(options: SweepOptions) -> Sweep:
-    """Settle the cells and make the folder. Raises RequestError for whatever makes no sense."""
+    """Define the cells and make the folder. Raises RequestError for invalid options."""
     named_recipe(options.recipe)
-    changes = {name: value for name, value in (("steps", options.steps), ("batch", options.batch)) if value is not None}
-    common = StudyOptions(tuple(range(options.seeds)), changes)
+    numbers = {"steps": options.steps, "batch": options.batch}
+    overrides = {name: value for name, value in numbers.items() if value is not None}
+    common = StudyOptions(tuple(range(options.seeds)), overrides)
     work = _works(options)
     if options.study == SEARCH:
-        return _search(options, work, changes)
+        return _search(options, work, overrides)
     if options.study == GRID:
         config, recipe = _grid_values(options.grid)
         cells, along = grid_cells(common, options.model, config, recipe), (*config, *recipe)
@@ -79,7 +96,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
         raise RequestError(f"unknown study {options.study!r}. Known: {', '.join((*STUDIES, GRID, SEARCH))}.")
     works = tuple(work(cell) for cell in cells)
     for one in works:
-        one.settled()  # a value that makes no sense ends the sweep before it begins
+        one.settled()  # an invalid value ends the sweep before its first training
     return Sweep(
         options.study, along, len(works),
         outcomes=lambda: run_cells(works, jobs=options.jobs, scheduler=options.scheduler),
@@ -89,7 +106,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
 
 
 def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
-    """What makes a cell's work. Raises RequestError for logs, a vehicle or a folder that cannot be used."""
+    """The function from a cell to its work. Raises RequestError for logs, a vehicle or a folder that cannot be used."""
     logs = find_logs(options.logs)
     tests = options.tests or tuple(path for path in options.logs if path.is_dir() and (path / CAMPAIGN).exists())
     if not tests:
@@ -112,7 +129,7 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
 
 
 def _simulated(options: SweepOptions) -> tuple[Path, ...]:
-    """Flights of a simulation without effects. Raises RequestError when they are wanted and missing, or not wanted."""
+    """Flights of a simulation without effects. Raises RequestError when they are missing or do not belong here."""
     if (options.study == STARRED) != bool(options.simulated):
         raise RequestError(
             f"--simulated is for the study {STARRED!r}, and it needs it: give the folder of `alula campaign "
@@ -126,28 +143,28 @@ def _hashes(work: CellWork) -> dict[str, str]:
     return {"/".join(path.parts[-3:]): file_hash(path) for path in (*work.logs, *work.simulated, *work.tests)}
 
 
-def _search(options: SweepOptions, work: Callable[[Cell], CellWork], changes: dict[str, Any]) -> Sweep:
-    ranges = [Range.parse(text) for text in options.over or (SEARCHED,)]
+def _search(options: SweepOptions, work: Callable[[Cell], CellWork], overrides: dict[str, Any]) -> Sweep:
+    ranges = [Range.parse(text) for text in options.over or (DEFAULT_RANGE,)]
     for item in ranges:
         _require_field(item.name, Recipe)
     jobs = options.jobs if options.jobs is not None else len(os.sched_getaffinity(0))
-    search = Search(work, options.model, ranges, options.trials, changes)
-    example = work(Cell(SEARCH, {}, options.model, 0, recipe=changes))
+    search = Search(work, options.model, ranges, options.trials, overrides)
+    example = work(Cell(SEARCH, {}, options.model, 0, recipe=overrides))
     example.settled()
     return Sweep(
         SEARCH, tuple(item.name for item in ranges), options.trials,
         outcomes=lambda: search.run(jobs=jobs, scheduler=options.scheduler),
-        finished=search.tried, flights=_hashes(example),
+        finished=search.finished, flights=_hashes(example),
     )  # fmt: skip
 
 
-def _grid_values(given: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
-    """Values by field, of the model's definition and of the recipe. Raises RequestError for what is neither."""
-    if not given:
+def _grid_values(texts: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:
+    """Values by field, of the model's configuration and of the recipe. Raises RequestError for other fields."""
+    if not texts:
         raise RequestError("a grid needs something to vary: --grid physics_weight=0,0.01,0.1 --grid history=4,20.")
     config: dict[str, list[Any]] = {}
     recipe: dict[str, list[Any]] = {}
-    for text in given:
+    for text in texts:
         name, _, values = text.partition("=")
         into = config if name in ModelConfig.__struct_fields__ else recipe
         if into is recipe:

@@ -1,28 +1,41 @@
-"""Bayesian search over a recipe's numbers (lambda is the paper's future work): Optuna proposes, cells answer."""
+"""Bayesian search over a recipe's numbers (lambda is the paper's future work) on Optuna's own storage.
+
+`search.journal` in the sweep's folder holds the trials. A trial's training is a cell with files like any other, so that
+a killed search resumes its open trainings. Several processes may work on one folder at the same time: each trains
+trials that no other one holds.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 
 import msgspec
 import optuna
-from optuna.distributions import FloatDistribution
+from optuna.distributions import BaseDistribution, FloatDistribution
+from optuna.storages import JournalStorage
+from optuna.storages.journal import JournalFileBackend
 from optuna.trial import TrialState, create_trial
 
 from dynamics.errors import RequestError
-from studies.sweep.cell import Cell, CellResult, Outcome, trained
-from studies.sweep.cells import run_cells
-from studies.sweep.work import CellWork, failure, finished
+from studies.sweep.cell import Cell, CellResult, Outcome
+from studies.sweep.cell_work import CellWork, failure, finished
+from studies.sweep.execution import run_cells
 
-STARTUP = 5  # trials at random before proposals follow what was found
+JOURNAL = "search.journal"
+CLAIMS = "search.claims"  # locked while trials are opened and claimed; the journal has a lock of its own
+STARTUP = 5  # trials at random before proposals follow earlier results
 RANDOM_SEED = 0
 
 
 @dataclass(frozen=True)
 class Range:
-    """A recipe's number and where it is looked for, on a logarithmic scale."""
+    """Limits of a recipe's number, searched on a logarithmic scale."""
 
     name: str
     low: float
@@ -43,10 +56,13 @@ class Range:
 
 @dataclass(frozen=True, eq=False)
 class Search:
-    """What is searched. make: the work of a cell. recipe: changes that all trials share. trials: in all.
+    """A search in a folder, judged on the validation flights, never on test flights.
 
-    Judged on the validation flights, never on test flights. Its cells are its memory: a search that was stopped goes
-    on, and proposals follow from them alone.
+    make: the work of a cell.
+    model: kind of the networks.
+    ranges: of the numbers that are searched.
+    trials: in all.
+    recipe: overrides that all trials share.
     """
 
     make: Callable[[Cell], CellWork]
@@ -57,24 +73,33 @@ class Search:
     seed: int = 0
 
     def run(self, *, jobs: int, scheduler: str | None) -> Iterator[tuple[int, Outcome]]:
-        """(trial, outcome) of every trial, finished ones first; what failed before is tried once more as it was.
+        """(trial, outcome) of every trial, finished ones first; failed ones of earlier runs are repeated as they were.
 
-        jobs: trials that are proposed and trained at once. Raises RequestError for a folder of another search.
+        A trial that another process holds is left to it and does not appear.
+
+        jobs: trials that are proposed and trained at once.
+
+        Raises RequestError for a folder of another search.
         """
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-        known: dict[int, Outcome] = dict(self.tried())
-        yield from known.items()
-        while missing := [number for number in range(self.trials) if number not in known]:
-            again = {number: cell for number in missing if (cell := self._failed_before(number)) is not None}
-            cells = again or self._proposed(known, missing[:jobs])
-            numbers = list(cells)
-            works = [self.make(cell) for cell in cells.values()]
-            for place, outcome in run_cells(works, jobs=jobs, scheduler=scheduler):
-                known[numbers[place]] = outcome
-                yield numbers[place], outcome
+        finished_before = dict(self.finished())
+        yield from finished_before.items()
+        study = self._open(finished_before)
+        attempted = set(finished_before)
+        while True:
+            with ExitStack() as claims:
+                cells = self._claim(study, attempted, jobs, claims)
+                if not cells:
+                    return
+                attempted |= cells.keys()
+                numbers = list(cells)
+                works = [self.make(cell) for cell in cells.values()]
+                for place, outcome in run_cells(works, jobs=jobs, scheduler=scheduler):
+                    if isinstance(outcome, CellResult):  # a failed trial stays open: Optuna runs no trial twice
+                        study.tell(numbers[place], outcome.validation, skip_if_finished=True)
+                    yield numbers[place], outcome
 
-    def tried(self) -> Iterator[tuple[int, CellResult]]:
-        """(trial, result) of those that are finished. Raises RequestError for another search's files."""
+    def finished(self) -> Iterator[tuple[int, CellResult]]:
+        """(trial, result) of the finished trials. Raises RequestError for another search's files."""
         for number in range(self.trials):
             path = self._work(number).result_file
             if not path.exists():
@@ -90,33 +115,77 @@ class Search:
                     f"{path} is of another search: its model, ranges or recipe differ. Give the same command as "
                     "before, or another --out."
                 )
-            result = finished(self.make(cell))  # what a trial tried stands in its own file
+            result = finished(self.make(cell))  # a trial's values are in its own file
             if result is not None:
                 yield number, result
 
-    def _failed_before(self, number: int) -> Cell | None:
-        """What a trial tried that could not be trained, None if it was not tried by this search."""
-        found = failure(self._work(number))
-        return found.cell if found is not None and self._is_ours(found.cell) else None
+    @property
+    def _space(self) -> dict[str, BaseDistribution]:
+        return {item.name: FloatDistribution(item.low, item.high, log=True) for item in self.ranges}
 
-    def _proposed(self, known: Mapping[int, Outcome], numbers: Sequence[int]) -> dict[int, Cell]:
-        """What to try next; those proposed together keep away from each other."""
-        space = {item.name: FloatDistribution(item.low, item.high, log=True) for item in self.ranges}
-        sampler = optuna.samplers.TPESampler(
-            seed=RANDOM_SEED + len(known), n_startup_trials=STARTUP, constant_liar=len(numbers) > 1
-        )
-        study = optuna.create_study(sampler=sampler)
-        for result in trained([known[number] for number in sorted(known)]):
-            params = {name: float(result.cell.at[name]) for name in space}
-            state = TrialState.COMPLETE
-            study.add_trial(
-                create_trial(params=params, distributions=dict(space), value=result.validation, state=state)
+    @property
+    def _folder(self) -> Path:
+        return self._work(0).folder
+
+    def _open(self, results: Mapping[int, CellResult]) -> optuna.Study:
+        """The study of this search in the folder's journal, with these results in it."""
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        described = msgspec.json.encode([self._work(0).fingerprint, [(r.name, r.low, r.high) for r in self.ranges]])
+        with _locked(self._folder / CLAIMS):
+            study = optuna.create_study(
+                storage=JournalStorage(JournalFileBackend(str(self._folder / JOURNAL))),
+                study_name=hashlib.sha256(described).hexdigest()[:16],
+                load_if_exists=True,
             )
-        asked = [study.ask(dict(space)) for _ in numbers]
-        return {
-            number: self._cell(number, {name: float(trial.params[name]) for name in space})
-            for number, trial in zip(numbers, asked, strict=True)
-        }
+            trials = study.get_trials(deepcopy=False)
+            if not trials:
+                self._import_cells(study, results)
+            for trial in trials:
+                if trial.number in results and not trial.state.is_finished():  # killed before its result was told
+                    study.tell(trial.number, results[trial.number].validation)
+        return study
+
+    def _import_cells(self, study: optuna.Study, results: Mapping[int, CellResult]) -> None:
+        """Fill a new study with cells that lie in the folder: of a search from before there was a journal."""
+        failures = {number: cell for number in range(self.trials) if (cell := self._failed_cell(number)) is not None}
+        for number in range(max([*results, *failures], default=-1) + 1):
+            if number in results:
+                params = {name: float(results[number].cell.at[name]) for name in self._space}
+                value = results[number].validation
+                study.add_trial(create_trial(params=params, distributions=self._space, value=value))
+            elif number in failures:
+                study.enqueue_trial({name: float(failures[number].at[name]) for name in self._space})
+            else:
+                study.enqueue_trial({})
+
+    def _claim(self, study: optuna.Study, attempted: set[int], count: int, claims: ExitStack) -> dict[int, Cell]:
+        """Up to `count` trials to train, held by `claims` against other processes: open ones first, then new ones."""
+        cells: dict[int, Cell] = {}
+
+        def claim(number: int, values: Mapping[str, float]) -> None:
+            lock = _locked(self._folder / f"{self._cell(number, {}).name}.lock", wait=False)
+            if claims.enter_context(lock):
+                cells[number] = self._cell(number, {name: float(values[name]) for name in self._space})
+
+        with _locked(self._folder / CLAIMS):
+            trials = study.get_trials(deepcopy=False)
+            for trial in trials[: self.trials]:
+                if len(cells) < count and trial.state is TrialState.RUNNING and trial.number not in attempted:
+                    claim(trial.number, trial.params)
+            waiting = sum(trial.state is TrialState.WAITING for trial in trials[: self.trials])
+            unproposed = waiting + max(0, self.trials - len(trials))
+            study.sampler = optuna.samplers.TPESampler(
+                seed=RANDOM_SEED + len(trials) - waiting, n_startup_trials=STARTUP, constant_liar=True
+            )
+            for _ in range(min(count - len(cells), unproposed)):
+                proposed = study.ask(self._space)
+                claim(proposed.number, proposed.params)
+        return cells
+
+    def _failed_cell(self, number: int) -> Cell | None:
+        """The cell of a trial that failed, None if it did not or belongs to another search."""
+        failed = failure(self._work(number))
+        return failed.cell if failed is not None and self._is_ours(failed.cell) else None
 
     def _cell(self, number: int, values: Mapping[str, float]) -> Cell:
         recipe = {**self.recipe, **values}
@@ -128,6 +197,20 @@ class Search:
     def _is_ours(self, cell: Cell) -> bool:
         """Whether a cell could be a trial of this search."""
         values = {item.name: float(cell.at.get(item.name, math.nan)) for item in self.ranges}
-        wanted = self._cell(0, values)
+        expected = self._cell(0, values)
         inside = all(item.low <= values[item.name] <= item.high for item in self.ranges)
-        return inside and msgspec.structs.replace(cell, name=wanted.name) == wanted
+        return inside and msgspec.structs.replace(cell, name=expected.name) == expected
+
+
+@contextmanager
+def _locked(path: Path, *, wait: bool = True) -> Iterator[bool]:
+    """Hold a file's lock; it ends with the process at the latest. Gives whether it is held. wait: until it is free."""
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX if wait else fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            yield False
+        else:
+            yield True
+            if not wait:
+                path.unlink(missing_ok=True)

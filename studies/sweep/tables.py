@@ -1,4 +1,4 @@
-"""What a study found as tables, beside the paper's own figures where it has them."""
+"""Tables of a study, with the paper's own figures where it has them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 from studies import paper
 from studies.sweep.cell import CellResult, Outcome, grouped, trained
-from studies.tables import Cell, Table
+from studies.tables import Table, TableCell
 from training.prediction import pooled
 
 BY_FLIGHT = ("kinds", "starred")  # studies that are columns of the paper's Table I
@@ -31,9 +31,9 @@ def study_table(study: str, along: Sequence[str], outcomes: Sequence[Outcome]) -
     results, failed = trained(outcomes), len(outcomes) - len(trained(outcomes))
     rows = []
     for place, members in grouped(outcomes, *along).items():
-        known = trained(members)
-        counts = (len(known), len(members) - len(known)) if failed else (len(known),)
-        rows.append((*place, *_numbers(known), *counts, *_papers(study, place)))
+        trained_members = trained(members)
+        counts = (len(trained_members), len(members) - len(trained_members)) if failed else (len(trained_members),)
+        rows.append((*place, *_numbers(trained_members), *counts, *_papers(study, place)))
     truth = "the truth" if results and results[0].true else "labels"
     headings = (
         *along, "RMSE", "± seeds", "m/s²", "rad/s²", "against labels", "/ NOM", "± flights", "inference ms",
@@ -45,8 +45,8 @@ def study_table(study: str, along: Sequence[str], outcomes: Sequence[Outcome]) -
     return Table(study, f"Study: {study}", headings, tuple(rows), note)
 
 
-def _numbers(results: Sequence[CellResult]) -> tuple[Cell, ...]:
-    """What the seeds of a place have in common, from RMSE to seconds."""
+def _numbers(results: Sequence[CellResult]) -> tuple[TableCell, ...]:
+    """Means over the seeds of a place, from RMSE to seconds."""
     if not results:
         return (None,) * 10
     best = [pooled(result.best_known) for result in results]
@@ -62,7 +62,7 @@ def _numbers(results: Sequence[CellResult]) -> tuple[Cell, ...]:
     )  # fmt: skip
 
 
-def _papers(study: str, place: tuple[float | str, ...]) -> tuple[Cell, ...]:
+def _papers(study: str, place: tuple[float | str, ...]) -> tuple[TableCell, ...]:
     if study == "ablation":
         return paper.ABLATION[place[0] == "yes", place[1] == "yes"]
     if study == "history":
@@ -72,19 +72,19 @@ def _papers(study: str, place: tuple[float | str, ...]) -> tuple[Cell, ...]:
 
 
 def _flights_table(study: str, results: Sequence[CellResult]) -> Table:
-    """RMSE over NOM's by test flight and model, against labels as the paper's are, each beside the paper's."""
+    """RMSE over NOM's by test flight and model, against labels like the paper's, each with the paper's."""
     models = grouped(results, "model")
-    known = {kind for row in paper.PREDICTION.values() for kind in row}
+    published = {kind for row in paper.PREDICTION.values() for kind in row}
     headings = ["flight"]
     for (model,) in models:
-        headings += [f"{model} / NOM"] + (["paper's"] if model in known else [])
+        headings += [f"{model} / NOM"] + (["paper's"] if model in published else [])
     rows = []
     for place, error in enumerate(results[0].label):
-        cells: list[Cell] = [error.flight.split(".")[0]]
+        cells: list[TableCell] = [error.flight.split(".")[0]]
         for (model,), members in models.items():
             errors = [result.label[place] for result in members]
             cells.append(float(np.mean([e.combined / e.nominal for e in errors])))
-            if model in known:
+            if model in published:
                 cells.append(paper.prediction_ratio(error.flight, str(model)))
         rows.append(tuple(cells))
     note = "Against labels, mean of the seeds. A star: trained in a simulation without effects alone."
@@ -94,7 +94,7 @@ def _flights_table(study: str, results: Sequence[CellResult]) -> Table:
 def search_table(names: Sequence[str], outcomes: Sequence[Outcome]) -> Table:
     """Trials, the best on the validation flights first, those that failed last."""
     ordered = sorted(trained(outcomes), key=lambda result: result.validation)
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[TableCell, ...]] = [
         (result.cell.name, *(result.cell.at[name] for name in names), result.validation,
          pooled(result.best_known).combined)
         for result in ordered
@@ -103,5 +103,5 @@ def search_table(names: Sequence[str], outcomes: Sequence[Outcome]) -> Table:
         (outcome.cell.name, *(outcome.cell.at[name] for name in names), None, None)
         for outcome in outcomes if outcome not in ordered
     ]  # fmt: skip
-    note = "Chosen by the validation flights; what the test flights say of it stands beside it."
+    note = "Ordered by the error on the validation flights, by which the best is chosen."
     return Table("search", "Search", ("trial", *names, "validation", "test RMSE"), tuple(rows), note)

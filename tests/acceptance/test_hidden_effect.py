@@ -30,31 +30,31 @@ def outcome(tmp_path_factory):
 
 
 @pytest.fixture
-def told(outcome, capsys):
+def printed_outcome(outcome, capsys):
     """The same, told even when the test passes."""
 
     def worked_out(number: int) -> Outcome:
-        found = outcome(number)
+        result = outcome(number)
         with capsys.disabled():
-            print(f"\nALULA_ACCEPTANCE_SEED={SEED} {found}")
-        return found
+            print(f"\nALULA_ACCEPTANCE_SEED={SEED} {result}")
+        return result
 
     return worked_out
 
 
-def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_flights(told):
-    found = told(-1)
-    assert found.faults == ()
-    assert found.misses == ()
-    assert found.added is None
+def test_with_nothing_hidden_the_command_line_says_that_the_model_explains_the_flights(printed_outcome):
+    result = printed_outcome(-1)
+    assert result.faults == ()
+    assert result.misses == ()
+    assert result.added is None
 
 
 @pytest.mark.parametrize("number", range(DRAWS))
-def test_no_draw_ends_in_an_error_or_a_worse_model(told, number):
-    assert told(number).faults == ()
+def test_no_draw_ends_in_an_error_or_a_worse_model(printed_outcome, number):
+    assert printed_outcome(number).faults == ()
 
 
 def test_most_hidden_effects_are_located_named_and_added_until_only_noise_is_left(outcome):
-    found = [outcome(number) for number in range(DRAWS)]
-    held = [not (o.faults or o.misses) for o in found]
-    assert sum(held) >= MUST_HOLD, "\n".join(map(str, found))
+    result = [outcome(number) for number in range(DRAWS)]
+    held = [not (o.faults or o.misses) for o in result]
+    assert sum(held) >= MUST_HOLD, "\n".join(map(str, result))

@@ -17,7 +17,7 @@ from dynamics.references import PAPER, named_reference
 from dynamics.references.campaign import PAPER_DURATION, CampaignFlight, chosen_flights, paper_campaign
 from dynamics.vehicle_file import read_vehicle
 from flights import Flight
-from simulation.campaign import Campaign, CampaignOptions, Manifest
+from simulation.campaign import Campaign, CampaignManifest, CampaignOptions
 from simulation.campaign_flight import FlightSummary
 
 SHORT = (
@@ -27,14 +27,14 @@ SHORT = (
 )
 
 
-def fly(folder: Path, **options: object) -> tuple[Manifest, list[FlightSummary]]:
-    told: list[FlightSummary] = []
-    manifest = Campaign(CampaignOptions(folder, jobs=1, **options), SHORT).run(told.append)  # type: ignore[arg-type]
-    return manifest, told
+def fly(folder: Path, **options: object) -> tuple[CampaignManifest, list[FlightSummary]]:
+    summaries: list[FlightSummary] = []
+    manifest = Campaign(CampaignOptions(folder, jobs=1, **options), SHORT).run(summaries.append)  # type: ignore[arg-type]
+    return manifest, summaries
 
 
 @pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Manifest]:
+def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CampaignManifest]:
     folder = tmp_path_factory.mktemp("campaign")
     manifest, _ = fly(folder, seed=5)
     return folder, manifest
@@ -49,25 +49,27 @@ def test_the_papers_campaign_is_68_flights_of_58_minutes_8_of_them_for_the_test(
     assert duration == pytest.approx(PAPER_DURATION, abs=30.0)
 
 
-def test_a_flight_holds_what_was_measured_and_its_truth_row_by_row(flown: tuple[Path, Manifest]) -> None:
+def test_a_flight_holds_what_was_measured_and_its_truth_row_by_row(flown: tuple[Path, CampaignManifest]) -> None:
     folder, manifest = flown
     flight = Flight.read(folder / "test" / "quick_lap.parquet")
     truth = Flight.read(folder / "truth" / "quick_lap.parquet")
     assert flight.rate == pytest.approx(100.0)
     assert np.array_equal(flight.time, truth.time)
-    wanted = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed", "position_setpoint")
-    assert flight.has(*wanted, "rotor_command", "battery_voltage")
-    assert not any(np.isnan(flight[name]).any() for name in wanted)
-    for name, most in (("position", 0.02), ("velocity", 0.05), ("rate", 0.05), ("rotor_speed", 6.0)):
+    expected = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed", "position_setpoint")
+    assert flight.has(*expected, "rotor_command", "battery_voltage")
+    assert not any(np.isnan(flight[name]).any() for name in expected)
+    for name, maximum in (("position", 0.02), ("velocity", 0.05), ("rate", 0.05), ("rotor_speed", 6.0)):
         error = flight[name] - truth[name]
-        assert 0 < np.sqrt(np.mean(error**2)) < most, name
+        assert 0 < np.sqrt(np.mean(error**2)) < maximum, name
     summary = next(item for item in manifest.flights if item.name == "quick_lap")
     assert summary.position_rmse < 0.1
     assert summary.duration == pytest.approx(len(flight) * 0.01)
     assert set(manifest.sha256) == {f"{place}/{item.name}.parquet" for item in SHORT for place in (item.split, "truth")}
 
 
-def test_one_seed_gives_the_same_bits_and_another_seed_others(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
+def test_one_seed_gives_the_same_bits_and_another_seed_others(
+    flown: tuple[Path, CampaignManifest], tmp_path: Path
+) -> None:
     _, manifest = flown
     again, _ = fly(tmp_path / "again", seed=5, flights=("test",))
     other, _ = fly(tmp_path / "other", seed=6, flights=("test",))
@@ -76,13 +78,15 @@ def test_one_seed_gives_the_same_bits_and_another_seed_others(flown: tuple[Path,
         assert other.sha256[file] != digest
 
 
-def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
+def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(
+    flown: tuple[Path, CampaignManifest], tmp_path: Path
+) -> None:
     options = CampaignOptions(tmp_path, seed=5, jobs=2)
     assert Campaign(options, SHORT).run(lambda _: None).sha256 == flown[1].sha256
 
 
 @pytest.mark.realtime
-def test_it_goes_on_after_it_was_killed(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
+def test_it_goes_on_after_it_was_killed(flown: tuple[Path, CampaignManifest], tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from simulation.campaign import Campaign, CampaignOptions;"
         "from tests.simulation.test_campaign import SHORT;"
@@ -97,13 +101,13 @@ def test_it_goes_on_after_it_was_killed(flown: tuple[Path, Manifest], tmp_path: 
     assert first.exists()
     assert not (tmp_path / "manifest.json").exists()
     before = first.stat().st_mtime_ns
-    manifest, told = fly(tmp_path, seed=5)
-    assert [item.name for item in told] == [flight.name for flight in SHORT]
+    manifest, summaries = fly(tmp_path, seed=5)
+    assert [item.name for item in summaries] == [flight.name for flight in SHORT]
     assert first.stat().st_mtime_ns == before
     assert manifest.sha256 == flown[1].sha256
 
 
-def test_another_request_for_the_same_folder_is_refused_by_what_differs(flown: tuple[Path, Manifest]) -> None:
+def test_another_request_for_the_same_folder_is_refused_by_what_differs(flown: tuple[Path, CampaignManifest]) -> None:
     folder, _ = flown
     with pytest.raises(RequestError, match="another campaign: its effects, seed differ"):
         fly(folder, seed=1, effects=("rotor_drag:coefficient=1e-5",))
@@ -114,7 +118,7 @@ def test_without_effects_the_nominal_model_is_what_flies(tmp_path: Path) -> None
     assert manifest.recipe.effects == ()
 
 
-def test_csv_instead_of_parquet_reads_as_the_same_flight(flown: tuple[Path, Manifest], tmp_path: Path) -> None:
+def test_csv_instead_of_parquet_reads_as_the_same_flight(flown: tuple[Path, CampaignManifest], tmp_path: Path) -> None:
     fly(tmp_path, seed=5, flights=("quick_lap",), csv=True)
     text = Flight.read(tmp_path / "test" / "quick_lap.csv")
     table = Flight.read(flown[0] / "test" / "quick_lap.parquet")
@@ -161,6 +165,6 @@ def test_sensors_and_effects_come_from_a_scenario(tmp_path: Path) -> None:
     assert np.abs(flight["velocity"] - truth["velocity"]).max() < 1e-9
 
 
-def test_the_manifest_lies_in_the_folder(flown: tuple[Path, Manifest]) -> None:
+def test_the_manifest_lies_in_the_folder(flown: tuple[Path, CampaignManifest]) -> None:
     folder, manifest = flown
-    assert msgspec.json.decode((folder / "manifest.json").read_bytes(), type=Manifest) == manifest
+    assert msgspec.json.decode((folder / "manifest.json").read_bytes(), type=CampaignManifest) == manifest

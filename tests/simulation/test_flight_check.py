@@ -23,7 +23,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def checkpoint(vehicle: Vehicle, folder: Path, gain: float) -> Path:
-    """A small residual on the textbook model. gain: 0.002 says almost nothing, 1 answers rotors out of thin air."""
+    """A small residual on the nominal model. gain: 0.002 is almost nothing, 1 is an effect of the rotors that does not exist."""
     config = replaced(KINDS["res_tcn"].config, channels=8, hidden=(16,))
     save(untrained_model(config, vehicle, gain=gain), folder / "model.pt")
     return folder / "model.pt"
@@ -49,12 +49,12 @@ def test_a_network_that_does_not_is_written_all_the_same_with_a_warning_that_fly
     model, out = checkpoint(arpl_250g, tmp_path, 1.0), tmp_path / "bundle"
     code, shown, wrong = run("export", model, "--out", out, "--windows", "20", "--json")
     assert code == 0, wrong
-    told = json.loads(shown)
-    assert told["comparisons"]
-    assert not told["flight_check"]["held"]
-    assert told["flight_check"]["away"] > 0.5
-    assert "--input-noise" in told["flight_check"]["warning"]
-    assert json.loads((out / FILE).read_text()) == told["flight_check"]
+    answer = json.loads(shown)
+    assert answer["comparisons"]
+    assert not answer["flight_check"]["held"]
+    assert answer["flight_check"]["away"] > 0.5
+    assert "--input-noise" in answer["flight_check"]["warning"]
+    assert json.loads((out / FILE).read_text()) == answer["flight_check"]
     code, shown, _ = run(
         "fly", "--bundle", out, "--reference", "hover", "--link", "udpin:127.0.0.1:14997", "--timeout", 0.1
     )

@@ -30,10 +30,10 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoRe
     """The first half over a real link."""
     folder = tmp_path_factory.mktemp("demo")
     options = DemoOptions(folder, manoeuvres=("WarpedEllipse_1",), duration=8.0, learn=False)
-    news: list[str] = []
-    report, learning = run_demo(options, news.append, news.append)
+    announcements: list[str] = []
+    report, learning = run_demo(options, announcements.append, announcements.append)
     assert learning is None
-    return options, write_report(report, folder), news
+    return options, write_report(report, folder), announcements
 
 
 @pytest.fixture(scope="module")
@@ -48,13 +48,13 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, Demo
 
 @pytest.mark.realtime
 def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> None:
-    options, report, news = flown
+    options, report, announcements = flown
     (manoeuvre,) = report.nominal
     assert manoeuvre.name == "WarpedEllipse_1"
     assert 0 < manoeuvre.position_rmse < 0.3
     assert manoeuvre.position_max >= manoeuvre.position_rmse
     assert report.hidden_effects == options.effects
-    assert any("ENGAGED" in line for line in news)
+    assert any("ENGAGED" in line for line in announcements)
 
 
 @pytest.mark.realtime
@@ -73,9 +73,9 @@ def test_the_report_says_the_same_in_every_form(flown) -> None:
 @pytest.mark.realtime
 def test_the_recording_holds_reference_and_flight_while_tracking(flown) -> None:
     _, report, _ = flown
-    times, position, asked = tracked(read_recording(Path(report.nominal[0].recording)))
+    times, position, setpoint = tracked(read_recording(Path(report.nominal[0].recording)))
     assert 6 < times[-1] - times[0] < 9
-    error = ((position - asked) ** 2).sum(axis=1).mean() ** 0.5
+    error = ((position - setpoint) ** 2).sum(axis=1).mean() ** 0.5
     assert error == pytest.approx(report.nominal[0].position_rmse, rel=0.15)
 
 
@@ -101,8 +101,8 @@ def test_the_next_vehicle_file_knows_the_effects_and_where_they_come_from(learne
     path = Path(report.learned.vehicle_file)
     assert path.parent == options.folder
     vehicle = read_vehicle(path)
-    found = {use.name: use.parameters["coefficient"] for use in vehicle.effects}
-    assert found == pytest.approx({"rotor_drag": 2.2e-5, "parasitic_drag": 0.01}, rel=0.1)
+    rows = {use.name: use.parameters["coefficient"] for use in vehicle.effects}
+    assert rows == pytest.approx({"rotor_drag": 2.2e-5, "parasitic_drag": 0.01}, rel=0.1)
     (entry,) = vehicle.history
     assert "rotor_drag" in entry.action
     assert entry.command == "alula demo --lockstep"
@@ -158,7 +158,7 @@ def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_inf
 
 
 @pytest.mark.parametrize(
-    ("change", "told"),
+    ("change", "message"),
     [
         ({"manoeuvres": ("Lemniskate",)}, "did you mean 'Lemniscate'"),
         ({"manoeuvres": ()}, "no manoeuvre"),
@@ -166,8 +166,8 @@ def test_what_was_flown_once_is_flown_again_though_the_better_model_calls_it_inf
         ({"vehicle": "absent.toml"}, "cannot read"),
     ],
 )
-def test_what_cannot_be_flown_is_refused_before_anything_starts(tmp_path: Path, change: dict, told: str) -> None:
-    with pytest.raises(RequestError, match=told):
+def test_what_cannot_be_flown_is_refused_before_anything_starts(tmp_path: Path, change: dict, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
         check_options(DemoOptions(tmp_path, **change))
 
 

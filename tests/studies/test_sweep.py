@@ -19,22 +19,15 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
 from studies.sweep.catalogue import FACTORS, STUDIES
 from studies.sweep.cell import Cell, CellResult, FailedCell, Outcome, StudyOptions, with_factors
-from studies.sweep.cells import run_cell, run_cells
+from studies.sweep.cell_work import CellWork, failure, finished
+from studies.sweep.execution import run_cell, run_cells
 from studies.sweep.figures import heatmaps
 from studies.sweep.report import draw, tables_of
 from studies.sweep.run import Sweep, SweepOptions, make_sweep
 from studies.sweep.search import Range
-from studies.sweep.work import CellWork, failure, finished
 from tests.support.command_line import Run, command_line
-from tests.support.small_campaign import fly_campaign
 from training.card import FlightError
 
-EFFECTS = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
-FLIGHTS = {
-    "test/Lemniscate": "Lemniscate:laps=1,ramp=1",
-    "train/Parabola_xy_60": "Parabola:laps=2,ramp=1",
-    "train/circle_xy_60": "circle:laps=1,ramp=1",
-}
 MakeWork = Callable[..., CellWork]
 
 
@@ -43,18 +36,13 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     return command_line(monkeypatch, capsys)
 
 
-@pytest.fixture(scope="module")
-def campaign(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Path:
-    return fly_campaign(tmp_path_factory.mktemp("small") / "campaign", arpl_250g, EFFECTS, FLIGHTS)
-
-
 @pytest.fixture
 def work(campaign: Path, arpl_250g: Vehicle, tmp_path: Path) -> MakeWork:
     """A small cell's work in this test's folder."""
 
-    def make(name: str, *, steps: int = 20, **changes: object) -> CellWork:
+    def make(name: str, *, steps: int = 20, **fields: object) -> CellWork:
         cell = Cell(name, {"name": name}, "pi_mlp", 0, recipe={"steps": steps, "batch": 32, "physics_weight": 0.0})
-        cell = msgspec.structs.replace(cell, **changes)
+        cell = msgspec.structs.replace(cell, **fields)
         logs, tests = (tuple(sorted((campaign / split).iterdir())) for split in ("train", "test"))
         return CellWork(cell, tmp_path, logs, tests, vehicle_toml(arpl_250g))
 
@@ -69,12 +57,12 @@ def test_a_finished_cell_is_never_trained_again(work: MakeWork, tmp_path: Path) 
     assert place == 0
     assert finished(works[1]) is None
     stamp = works[0].result_file.stat().st_mtime_ns
-    found = dict(run_cells(works, jobs=1, scheduler=None))
-    assert found[0] == first
+    outcomes = dict(run_cells(works, jobs=1, scheduler=None))
+    assert outcomes[0] == first
     assert works[0].result_file.stat().st_mtime_ns == stamp
-    assert found[1].cell.seed == 1
-    assert found[1].best_known[0].flight == "Lemniscate.parquet"
-    assert found[1].validation > 0
+    assert outcomes[1].cell.seed == 1
+    assert outcomes[1].best_known[0].flight == "Lemniscate.parquet"
+    assert outcomes[1].validation > 0
     assert {path.suffix for path in tmp_path.iterdir()} == {".json", ".pt"}
 
 
@@ -92,9 +80,9 @@ def test_one_training_under_two_names_is_one(work: MakeWork) -> None:
     assert first.fingerprint == second.fingerprint
     run_cell(first)
     second.result_file.write_bytes(first.result_file.read_bytes())
-    found = finished(second)
-    assert found is not None
-    assert found.cell == second.cell
+    outcomes = finished(second)
+    assert outcomes is not None
+    assert outcomes.cell == second.cell
     for other in (work("a", seed=1), work("a", steps=21), work("a", hide_motors=True), work("a", prior={"Jxx": 1.2})):
         assert other.fingerprint != first.fingerprint
 
@@ -114,8 +102,8 @@ def test_flights_that_were_flown_anew_are_another_sweep(work: MakeWork, tmp_path
 def test_a_cell_that_cannot_be_trained_says_why_and_the_others_go_on(work: MakeWork) -> None:
     recipe = {"steps": 20, "batch": 32, "physics_weight": 0.0}
     works = [work("diverges", recipe={**recipe, "learning_rate": 1e30}), work("other"), work("none", flights="none*")]
-    found = dict(run_cells(works, jobs=1, scheduler=None))
-    diverged, other, none = (found[place] for place in range(3))
+    outcomes = dict(run_cells(works, jobs=1, scheduler=None))
+    diverged, other, none = (outcomes[place] for place in range(3))
     assert isinstance(diverged, FailedCell)
     assert "is no number" in diverged.message
     assert isinstance(other, CellResult)
@@ -123,11 +111,11 @@ def test_a_cell_that_cannot_be_trained_says_why_and_the_others_go_on(work: MakeW
     assert "no training flight is called 'none*'" in none.message
     assert failure(works[0]) == diverged
     assert not works[0].state_file.exists()
-    told = [outcome for outcome in found.values() if isinstance(outcome, FailedCell)]
+    failures = [outcome for outcome in outcomes.values() if isinstance(outcome, FailedCell)]
     (table,) = tables_of(bare_sweep("grid", ("name",)), [diverged, other, none])
     assert [row[table.headings.index("failed")] for row in table.rows] == [1, 0, 1]
     assert "2 of 3 trainings failed" in table.note
-    assert all(not failed.traceback for failed in told)
+    assert all(not failed.traceback for failed in failures)
 
 
 def test_a_failed_cell_is_tried_again(work: MakeWork, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -135,7 +123,7 @@ def test_a_failed_cell_is_tried_again(work: MakeWork, monkeypatch: pytest.Monkey
         raise RuntimeError("not enough memory")
 
     with monkeypatch.context() as patched:
-        patched.setattr("studies.sweep.cells.train_cell", out_of_memory)
+        patched.setattr("studies.sweep.execution.train_cell", out_of_memory)
         first = dict(run_cells([work("a")], jobs=1, scheduler=None))[0]
     assert isinstance(first, FailedCell)
     assert first.message == "RuntimeError: not enough memory"
@@ -184,17 +172,17 @@ def dask_process(*arguments: str) -> subprocess.Popen[bytes]:
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
     """Address of a scheduler, and two workers in processes of their own."""
-    told = tmp_path / "scheduler.told"
+    address_file = tmp_path / "scheduler.json"
     scheduler = dask_process(
-        "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(told)
+        "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(address_file)
     )
-    options = ("--scheduler-file", str(told), "--no-nanny", "--nthreads", "1", "--no-dashboard")
+    options = ("--scheduler-file", str(address_file), "--no-nanny", "--nthreads", "1", "--no-dashboard")
     workers = [dask_process("dask_worker", *options, "--local-directory", str(tmp_path / str(i))) for i in range(2)]
     try:
-        client = distributed.Client(scheduler_file=str(told), timeout=60, set_as_default=False)
+        client = distributed.Client(scheduler_file=str(address_file), timeout=60, set_as_default=False)
         client.wait_for_workers(2, timeout=60)
         client.close()
-        yield json.loads(told.read_text())["address"], workers
+        yield json.loads(address_file.read_text())["address"], workers
     finally:
         for process in (*workers, scheduler):
             process.kill()
@@ -212,66 +200,27 @@ def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(
     stamp = works[place].result_file.stat().st_mtime_ns
     killed = next(worker for worker in workers if worker.pid == int(first.worker.split()[-1]))
     os.kill(killed.pid, signal.SIGKILL)
-    found = {place: first} | dict(results)
-    assert sorted(found) == list(range(4))
-    assert [found[i].cell.name for i in range(4)] == [f"cell_{i}" for i in range(4)]
+    outcomes = {place: first} | dict(results)
+    assert sorted(outcomes) == list(range(4))
+    assert [outcomes[i].cell.name for i in range(4)] == [f"cell_{i}" for i in range(4)]
     written = {work.cell.name: work.result_file.stat().st_mtime_ns for work in works}
     assert written[works[place].cell.name] == stamp
-    assert dict(run_cells(works, jobs=None, scheduler=address)) == found
+    assert dict(run_cells(works, jobs=None, scheduler=address)) == outcomes
     assert {work.cell.name: work.result_file.stat().st_mtime_ns for work in works} == written
     alone = run_cell(msgspec.structs.replace(works[3], folder=works[3].folder / "0"))
-    assert alone.label == found[3].label  # whichever process trains it
-
-
-def test_a_search_goes_on_with_what_it_has_tried(campaign: Path, tmp_path: Path) -> None:
-    def options(trials: int) -> SweepOptions:
-        return SweepOptions(
-            study="search", logs=(campaign,), vehicle="arpl_250g", out=tmp_path / "out", steps=20, batch=32,
-            model="mse_tcn", over=("learning_rate=1e-4:1e-2",), trials=trials, jobs=1,
-        )  # fmt: skip
-
-    early = dict(make_sweep(options(2)).outcomes())
-    sweep = make_sweep(options(4))
-    late = dict(sweep.outcomes())
-    assert {place: late[place] for place in early} == early
-    rates = [late[place].cell.recipe["learning_rate"] for place in range(4)]
-    assert len(set(rates)) == 4
-    assert all(1e-4 <= rate <= 1e-2 for rate in rates)
-    (table,) = tables_of(sweep, [late[place] for place in range(4)])
-    assert [row[2] for row in table.rows] == sorted(result.validation for result in late.values())
-
-
-def test_a_search_tries_failed_trials_again_as_they_were(campaign: Path, tmp_path: Path) -> None:
-    options = SweepOptions(
-        study="search", logs=(campaign,), vehicle="arpl_250g", out=tmp_path, steps=5, batch=32, model="mse_tcn",
-        over=("learning_rate=1e29:1e30",), trials=2, jobs=1,
-    )  # fmt: skip
-    first = dict(make_sweep(options).outcomes())
-    assert all(isinstance(outcome, FailedCell) for outcome in first.values())
-    sweep = make_sweep(options)
-    again = dict(sweep.outcomes())
-    assert {place: outcome.cell for place, outcome in again.items()} == {
-        place: outcome.cell for place, outcome in first.items()
-    }
-    (table,) = tables_of(sweep, list(again.values()))
-    assert [row[-2:] for row in table.rows] == [(None, None)] * 2
-    ours = make_sweep(msgspec.structs.replace(options, over=("learning_rate=1e-4:1e-2",), trials=1))
-    assert isinstance(dict(ours.outcomes())[0], CellResult)
-    other = make_sweep(msgspec.structs.replace(options, over=("learning_rate=1e-4:1e-2",), trials=1, steps=6))
-    with pytest.raises(RequestError, match="is of another search"):
-        dict(other.outcomes())
+    assert alone.label == outcomes[3].label  # whichever process trains it
 
 
 def test_studies_vary_what_they_say() -> None:
     cells = {name: study.cells(StudyOptions((0, 1), {"steps": 10})) for name, study in STUDIES.items()}
-    assert {name: len(found) for name, found in cells.items()} == {
+    assert {name: len(outcomes) for name, outcomes in cells.items()} == {
         "kinds": 10, "ablation": 8, "history": 10, "inertia": 100, "rotors": 100, "lambda": 18, "motors": 8,
         "regimes": 12, "starred": 8,
     }  # fmt: skip
-    for name, found in cells.items():
-        assert len({cell.name for cell in found}) == len(found)
-        assert all(cell.recipe["steps"] == 10 for cell in found)
-        assert all(set(STUDIES[name].along) <= set(cell.at) for cell in found)
+    for name, outcomes in cells.items():
+        assert len({cell.name for cell in outcomes}) == len(outcomes)
+        assert all(cell.recipe["steps"] == 10 for cell in outcomes)
+        assert all(set(STUDIES[name].along) <= set(cell.at) for cell in outcomes)
 
 
 def planted(cell: Cell, value: float) -> CellResult:
@@ -345,15 +294,15 @@ def test_a_failed_training_shows_in_table_page_and_exit_code(run: Run, campaign:
     assert "1 of 2 trainings failed" in wrong
     assert "1 of 2 trainings are done." in out
     assert "failed: window_mlp_learning_rate_1e+30_seed0: the loss of batch" in out
-    told = json.loads(answer.read_text())
-    assert [len(told["cells"]), len(told["failed"])] == [1, 1]
+    written = json.loads(answer.read_text())
+    assert [len(written["cells"]), len(written["failed"])] == [1, 1]
     text = page.read_text()
     assert "1 of 2 trainings failed" in text
     assert "data:image/png;base64," in text
     assert "train/circle_xy_60.parquet" in text
 
 
-def test_what_cannot_be_swept_is_told(run: Run, campaign: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_swept_is_refused(run: Run, campaign: Path, tmp_path: Path) -> None:
     common = ("--vehicle", "arpl_250g", "--out", tmp_path / "out")
     test, train = campaign / "test" / "Lemniscate.parquet", campaign / "train"
     for arguments, words in (

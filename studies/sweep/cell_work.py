@@ -1,4 +1,4 @@
-"""Trainings of a study as files: what decides a cell, and what lies in the sweep's folder of it."""
+"""A cell with its inputs and its files in the sweep's folder."""
 
 from __future__ import annotations
 
@@ -18,10 +18,14 @@ from training.run import TrainOptions, settled
 
 
 class CellWork(msgspec.Struct, frozen=True):
-    """A cell, the flights it may learn from and is judged on, and the folder that its files go to.
+    """A cell with everything that a worker needs for it.
 
-    folder: one that every worker sees. simulated: flights of a simulation without effects, for cells that learn from
-    those. recipe: its name.
+    folder: of its files, on a disk that every worker shares.
+    logs, tests: flights to train on and to test on.
+    vehicle_text: the vehicle file.
+    recipe: its name.
+    mapping: column mapping of foreign CSV files.
+    simulated: flights of a simulation without effects, for the cells that are trained on those.
     """
 
     cell: Cell
@@ -35,17 +39,17 @@ class CellWork(msgspec.Struct, frozen=True):
 
     @property
     def result_file(self) -> Path:
-        """That it is there says that the cell is finished."""
+        """The result; it exists when the cell is finished."""
         return self.folder / f"{self.cell.name}.json"
 
     @property
     def failure_file(self) -> Path:
-        """Why the cell could not be trained when it was last tried."""
+        """The failure of the last attempt."""
         return self.folder / f"{self.cell.name}.failed"
 
     @property
     def state_file(self) -> Path:
-        """What the training goes on from after it was killed."""
+        """Progress from which a killed training resumes."""
         return self.folder / f"{self.cell.name}.state"
 
     @property
@@ -55,11 +59,11 @@ class CellWork(msgspec.Struct, frozen=True):
 
     @property
     def learned(self) -> tuple[Path, ...]:
-        """The flights that this cell learns from, but for its pattern."""
+        """The flights that this cell is trained on, before its pattern."""
         return self.simulated if self.cell.simulated else self.logs
 
     def settled(self) -> tuple[ModelConfig, Recipe]:
-        """What is trained, and how. Raises RequestError for values that make no sense."""
+        """Configuration and recipe of the training. Raises RequestError for invalid values."""
         cell = self.cell
         return settled(
             TrainOptions(
@@ -70,9 +74,9 @@ class CellWork(msgspec.Struct, frozen=True):
 
     @property
     def fingerprint(self) -> str:
-        """Of everything that decides the result: of files their content; names and the study are not among it.
+        """Hash of everything that decides the result, of files their content; without names and the study.
 
-        Raises RequestError for a file that is gone.
+        Raises RequestError for a missing file.
         """
         cell, mapping = self.cell, () if self.mapping is None else (self.mapping,)
         files = [[file_hash(path) for path in paths] for paths in (self.learned, self.tests, mapping)]
@@ -91,12 +95,12 @@ def file_hash(path: Path) -> str:
 
 @lru_cache(maxsize=4096)
 def _hash_of(path: Path, _changed: int, _size: int) -> str:
-    """A hundred cells share their files: each is read once while it stays as it is."""
+    """Hash of a file, read once while its time stamp and size stay the same; a hundred cells share their files."""
     return sha256(path)
 
 
 def finished(work: CellWork) -> CellResult | None:
-    """What a cell has become, None while it is not finished. Raises RequestError for a file of another sweep."""
+    """The result of a cell, None while it is not finished. Raises RequestError for a file of another sweep."""
     try:
         result = msgspec.json.decode(work.result_file.read_bytes(), type=CellResult)
     except FileNotFoundError:
@@ -122,7 +126,7 @@ def finished_cells(works: Sequence[CellWork]) -> Iterator[tuple[int, CellResult]
 
 
 def failure(work: CellWork) -> FailedCell | None:
-    """Why a cell could not be trained when it was last tried, None if it was not or nothing can be read of it."""
+    """The failure of a cell's last attempt, None without one or with a damaged file."""
     try:
         return msgspec.json.decode(work.failure_file.read_bytes(), type=FailedCell)
     except (OSError, msgspec.MsgspecError):

@@ -1,4 +1,4 @@
-"""What training a cell is: its plan, its network, its errors on the test flights."""
+"""Training of one cell: its plan, its network, its errors on the test flights."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from dynamics.errors import RequestError
 from dynamics.vehicle_file import parse_vehicle
 from studies.evaluation.inference import time_network
 from studies.sweep.cell import CellResult, with_factors
-from studies.sweep.work import CellWork
+from studies.sweep.cell_work import CellWork
 from training import checkpoint
 from training.data.dataset import Dataset
 from training.data.recordings import Recording, read_recordings, split_recordings
@@ -32,9 +32,9 @@ CPU = torch.device("cpu")
 
 
 def train_cell(work: CellWork) -> CellResult:
-    """Train a cell, from where it was left if its state file is there, write its model, judge it.
+    """Train a cell, from its state file if there is one, write its model, and test it.
 
-    Raises DataError and RequestError for what cannot be trained.
+    Raises DataError and RequestError for a cell that cannot be trained.
     """
     began = time.process_time()
     cell, plan = work.cell, _plan(work)
@@ -42,7 +42,7 @@ def train_cell(work: CellWork) -> CellResult:
         plan = _without_motors(plan)
     member = train(plan.task(0, cell.seed, device=CPU, state_file=work.state_file), lambda _: None)
     model = plan.assemble([member], [cell.seed], command=f"alula sweep, cell {cell.name}")
-    if not cell.prior:  # a wrong prior's model is for its figures alone, and its vehicle file may be refused
+    if not cell.prior:  # the model of a wrong prior serves its errors alone, and its vehicle file may be invalid
         checkpoint.save(model, work.model_file)
     data = seen_by(model, _recordings(work.tests, plan.config.dt, work.mapping, True))
     campaign = campaign_of(work.tests)
@@ -58,12 +58,12 @@ def train_cell(work: CellWork) -> CellResult:
 
 
 def this_worker() -> str:
-    """Machine and process, for whoever asks where something was trained."""
+    """Machine and process."""
     return f"{socket.gethostname()} {os.getpid()}"
 
 
 def _plan(work: CellWork) -> Plan:
-    """What `alula train` would learn, from a prior that may be wrong. Raises RequestError when no flight is left."""
+    """The plan that `alula train` would make, with a prior that may be wrong. Raises RequestError without a flight."""
     cell = work.cell
     logs = tuple(log for log in work.learned if fnmatchcase(log.name, cell.flights))
     if not logs:
@@ -81,7 +81,7 @@ def _recordings(logs: tuple[Path, ...], dt: float, mapping: Path | None, may_be_
 
 
 def _without_motors(plan: Plan) -> Plan:
-    """The plan of a network that is shown standing motors. Raises RequestError with the physics-inspired loss."""
+    """The plan of a network whose motor inputs are zero. Raises RequestError with the physics-inspired loss."""
     if plan.points is not None:
         raise RequestError("a network without motors has no physics-inspired loss: give --physics-weight 0.")
     training, validation = (_blind(data, plan.config.rotors) for data in (plan.training, plan.validation))

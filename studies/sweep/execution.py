@@ -1,4 +1,4 @@
-"""The cells of a sweep, run: a finished one is never trained again, a killed one goes on, a failed one says why."""
+"""Execution of a sweep's cells: finished ones are never trained again, killed ones resume, failed ones are retried."""
 
 from __future__ import annotations
 
@@ -13,17 +13,16 @@ import msgspec
 from dynamics.errors import AlulaError, RequestError
 from flights.parallel import parallel_map
 from studies.sweep.cell import FailedCell, Outcome
-from studies.sweep.training import CPU, this_worker, train_cell
-from studies.sweep.work import CellWork, finished, finished_cells
+from studies.sweep.cell_training import CPU, this_worker, train_cell
+from studies.sweep.cell_work import CellWork, finished, finished_cells
 from training.run import one_thread
 
-_ONE_AT_A_TIME = (
-    threading.Lock()
-)  # torch's seed is one for all threads of a process, and a Dask worker may have several
+# torch's seed is one for all threads of a process, and a Dask worker may have several
+_ONE_AT_A_TIME = threading.Lock()
 
 
 def run_cells(works: Sequence[CellWork], *, jobs: int | None, scheduler: str | None) -> Iterator[tuple[int, Outcome]]:
-    """(place, outcome) of every cell, finished ones first, the others as they finish; failed ones are tried again.
+    """(place, outcome) of every cell, finished ones first, the others as they finish; failed ones are retried.
 
     Raises what `parallel_map` raises and RequestError for a folder of another sweep.
     """
@@ -35,7 +34,7 @@ def run_cells(works: Sequence[CellWork], *, jobs: int | None, scheduler: str | N
 
 
 def run_cell(work: CellWork) -> Outcome:
-    """Train and judge one cell and write its files, or read them if another process was faster.
+    """Train and evaluate one cell and write its files, or read them if another process was faster.
 
     Raises RequestError for a folder of another sweep, or one that cannot be written to.
     """
@@ -45,7 +44,7 @@ def run_cell(work: CellWork) -> Outcome:
             return result
         try:
             result = train_cell(work)
-        except Exception as error:  # whatever it is: a night's other trainings go on
+        except Exception as error:  # of any kind: a night's other trainings go on
             return _failed(work, error)
         _write(work.result_file, result)
         for path in (work.state_file, work.failure_file):
@@ -54,13 +53,13 @@ def run_cell(work: CellWork) -> Outcome:
 
 
 def _failed(work: CellWork, error: Exception) -> FailedCell:
-    """Write why a cell could not be trained. Its progress goes: tried again, it begins anew."""
+    """Write why a cell could not be trained, and delete its progress, so that a retry starts from the beginning."""
     expected = isinstance(error, AlulaError)
     message = str(error) if expected else f"{type(error).__name__}: {error}"
-    found = FailedCell(work.cell, message, this_worker(), "" if expected else traceback.format_exc())
-    _write(work.failure_file, found)
+    failed = FailedCell(work.cell, message, this_worker(), "" if expected else traceback.format_exc())
+    _write(work.failure_file, failed)
     work.state_file.unlink(missing_ok=True)
-    return found
+    return failed
 
 
 def _write(path: Path, value: msgspec.Struct) -> None:
