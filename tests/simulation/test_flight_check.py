@@ -23,7 +23,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 
 def checkpoint(vehicle: Vehicle, folder: Path, gain: float) -> Path:
-    """A small residual on the nominal model. gain: 0.002 is almost nothing, 1 is an effect of the rotors that does not exist."""
+    """A small residual on the nominal model. gain: 0.002 is almost nothing, 1 a large force that does not exist."""
     config = replaced(KINDS["res_tcn"].config, channels=8, hidden=(16,))
     save(untrained_model(config, vehicle, gain=gain), folder / "model.pt")
     return folder / "model.pt"
