@@ -13,7 +13,7 @@ import msgspec
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
-from studies.sweep.catalogue import GRID, SEARCH, STARRED, STUDIES, grid_cells
+from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES, grid_cells
 from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
 from studies.sweep.cell_work import CellWork, file_hash, finished_cells
 from studies.sweep.execution import run_cells
