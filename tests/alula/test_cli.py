@@ -59,7 +59,7 @@ except SystemExit:
 
 
 def test_help_imports_no_commands_room():
-    done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", HELP], capture_output=True, text=True, timeout=250, check=True)
     assert done.stdout.splitlines()[-1] == "[]"
 
 
@@ -124,7 +124,7 @@ def test_starting_imports_nothing_of_the_workbench():
         "import sys; from alula.cli import app; [app.load(name) for name in app.COMMANDS]; "
         "print([m for m in ('torch', 'scipy', 'matplotlib') if m in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=250, check=True)
     assert done.stdout.strip() == "[]"
 
 

@@ -20,7 +20,7 @@ RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     command = [sys.executable, "-m", "alula", *arguments]
-    return subprocess.run(command, capture_output=True, text=True, timeout=110, check=False)
+    return subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
 
 
 def fly(url: str, *arguments: str) -> list[str]:
@@ -36,7 +36,7 @@ def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
         assert flight.stderr is not None
         assert any("in_air" in line for line in flight.stderr)
         flight.send_signal(signal.SIGINT)
-        output, news = flight.communicate(timeout=60)
+        output, news = flight.communicate(timeout=250)
     assert flight.returncode == 0, news
     report = json.loads(output)
     assert report["landed"]

@@ -22,7 +22,7 @@ def run(folder: Path, *arguments: str, path: tuple[str, ...] = ()) -> subprocess
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([*path, ROOT])}
     command = [sys.executable, *arguments]
     return subprocess.run(
-        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=100, check=False
+        command, cwd=folder, env=environment, capture_output=True, text=True, timeout=250, check=False
     )
 
 

@@ -142,7 +142,7 @@ def test_a_port_in_use_is_named_with_what_to_do() -> None:
             "--link",
             f"udpin:0.0.0.0:{port}",
         ]
-        ended = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        ended = subprocess.run(command, capture_output=True, text=True, timeout=250, check=False)
     assert ended.returncode == 2
     assert f"port {port} is in use" in ended.stderr
     assert "--instance" in ended.stderr

@@ -179,8 +179,8 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
     options = ("--scheduler-file", str(address_file), "--no-nanny", "--nthreads", "1", "--no-dashboard")
     workers = [dask_process("dask_worker", *options, "--local-directory", str(tmp_path / str(i))) for i in range(2)]
     try:
-        client = distributed.Client(scheduler_file=str(address_file), timeout=60, set_as_default=False)
-        client.wait_for_workers(2, timeout=60)
+        client = distributed.Client(scheduler_file=str(address_file), timeout=250, set_as_default=False)
+        client.wait_for_workers(2, timeout=250)
         client.close()
         yield json.loads(address_file.read_text())["address"], workers
     finally:

@@ -167,7 +167,7 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
             "--dump-dom",
             (tmp_path / "phone.html").as_uri(),
         ]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=True)
+        done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=True)
         title = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
         if title is not None:
             break

@@ -176,7 +176,7 @@ def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_
     train(*command[4:], "--out", tmp_path / "whole.pt")
     state = tmp_path / "m.pt.run" / "member_0.state"
     with subprocess.Popen([*command, "--out", str(tmp_path / "m.pt")], env=environment) as killed:
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + 250
         while not state.exists():
             assert time.monotonic() < deadline
             assert killed.poll() is None
