@@ -16,8 +16,8 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments
-from diagnosis.selection.errors_in_variables import perturbed
-from diagnosis.selection.regression import SEED, Biases, Regression, marginal
+from diagnosis.selection.errors_in_variables import SEED, perturbed
+from diagnosis.selection.regression import Biases, Regression, marginal
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle

@@ -52,6 +52,12 @@ class NoiseModel:
         mixed = self.mixing @ white if rows.ndim == 3 else white @ self.mixing.T
         return np.asarray(mixed)
 
+    def normal_equations(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
+        """(k, k) and (k,) X'X and X'y of whitened columns (m, 12, k) and rows (m, 12)."""
+        white = self.whiten(columns)
+        flat = white.reshape(-1, white.shape[2])
+        return flat.T @ flat, flat.T @ self.whiten(rows).ravel()
+
     def whiten_one(self, place: int, values: Floats) -> Floats:
         """Values (m, ...) of the active channel at a place, by its own filter alone: (m - order, ...)."""
         order, count = self.order, len(values) - self.order

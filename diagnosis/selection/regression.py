@@ -16,14 +16,12 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.errors_in_variables import perturbed
+from diagnosis.selection.errors_in_variables import normal_equation_biases
 from diagnosis.selection.noise import NoiseModel, estimate_noise
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
-
-SEED = 1  # of the noise that is added for the errors-in-variables correction
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,8 +153,8 @@ def make_regression(
     mixed = segments[0].rotor_source != "command"
     rate = segments[0].decimated_rate
     noise = estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise)
-    plain = [_normal(noise.whiten(x), noise.whiten(y)) for x, y in zip(columns, rows, strict=True)]
-    errors = _errors_in_variables(segments, design, noise, rows, columns)
+    plain = [noise.normal_equations(x, y) for x, y in zip(columns, rows, strict=True)]
+    errors = normal_equation_biases(segments, design, noise, rows, columns)
     corrected = [(a - da, b - db) for (a, b), (da, db) in zip(plain, errors, strict=True)]
     plain_gram, plain_product = _by_flight(plain, flight_of)
     joint_gram, joint_product = _by_flight(corrected, flight_of)
@@ -188,22 +186,6 @@ def make_regression(
         everything=everything,
         thresholds=thresholds,
     )
-
-
-def _errors_in_variables(
-    segments: Sequence[Segment],
-    design: DesignMatrix,
-    noise: NoiseModel,
-    rows: Sequence[Floats],
-    columns: Sequence[Floats],
-) -> list[tuple[Floats, Floats]]:
-    """Bias of each segment's normal equations by noise in the columns, estimated by adding as much again."""
-    random = np.random.default_rng(SEED)
-    biases = []
-    for segment, y, x in zip(segments, rows, columns, strict=True):
-        noisier_y, noisier_x = design.evaluate(perturbed(segment, random))
-        biases.append(_normal(noise.whiten(noisier_x - x), noise.whiten(noisier_y - y)))
-    return biases
 
 
 def _by_flight(
@@ -242,11 +224,6 @@ def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Seque
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
     x = x / size
     return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
-
-
-def _normal(columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
-    flat = columns.reshape(-1, columns.shape[2])
-    return flat.T @ flat, flat.T @ rows.ravel()
 
 
 def _biases(candidates: Sequence[Candidate]) -> Biases:
