@@ -7,7 +7,6 @@ from diagnosis.data.segment import segments
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import make_candidates
-from diagnosis.selection.noise import estimate_noise
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
 from dynamics.vehicle import EffectUse
@@ -86,15 +85,3 @@ def test_channels_of_a_flight_that_hides_nothing_are_small(segment, arpl_250g):
     assert errors["imu"] < 0.2
     assert errors["mocap"] < 0.3
     assert errors["attitude_rate"] < 0.05
-
-
-def test_whitening_makes_coloured_noise_white_and_of_unit_size():
-    from scipy.signal import lfilter
-
-    random = np.random.default_rng(0)
-    rows = [lfilter([1.0], [1.0, -0.7, 0.2], random.standard_normal((4000, 12)), axis=0) for _ in range(2)]
-    noise = estimate_noise(rows, 25.0, range(12))
-    white = noise.whiten(rows[0])
-    assert np.std(white) == pytest.approx(1.0, rel=0.05)
-    assert abs(np.mean(white[1:] * white[:-1])) < 0.1
-    np.testing.assert_allclose(noise.floor, [r.std() for r in rows[0].T], rtol=0.15)

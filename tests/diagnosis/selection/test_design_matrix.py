@@ -1,4 +1,4 @@
-"""Columns of all candidates at once are those of each alone; floors and intervals are what residuals show."""
+"""Columns of all candidates at once are those of each alone."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,6 @@ from diagnosis.data.segment import segments
 from diagnosis.models import channels
 from diagnosis.selection.candidates import make_candidates, make_instruments, make_predictor
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.noise import noise_floor
 from dynamics.effects import CATALOGUE
 
 
@@ -28,14 +27,3 @@ def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(segment, arpl_
         )
         alone = channels.predicted(segment, slopes)
         np.testing.assert_allclose(together[:, :, list(candidate.columns)], alone, atol=1e-9 * np.abs(alone).max())
-
-
-def test_the_floor_counts_noise_and_not_slow_physics():
-    random = np.random.default_rng(0)
-    noise = [random.standard_normal((600, 12)) for _ in range(3)]
-    time = np.arange(600) / 25.0
-    swinging = [n + 3 * np.sin(2 * np.pi * 0.3 * time)[:, None] for n in noise]
-    plain, hidden = (noise_floor(rows, 25.0, range(12)) for rows in (noise, swinging))
-    np.testing.assert_allclose(plain, 1.0, rtol=0.05)
-    np.testing.assert_allclose(hidden, 1.0, rtol=0.12)
-    assert noise_floor(noise, 25.0, range(6))[6:].max() == 0.0

@@ -1,0 +1,57 @@
+"""Noise in the columns shrinks coefficients; the correction takes most of that back."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from diagnosis.selection.errors_in_variables import normal_equation_biases, perturbed, white_level
+from tests.diagnosis.synthetic import CHANNELS, hovering, white
+
+
+class OneColumn:
+    """A design with the measured force along z as its column, and half of the true one as its residual."""
+
+    def __init__(self, truth):
+        self.truth = truth
+
+    def evaluate(self, segment):
+        rows = np.zeros((len(segment), CHANNELS))
+        columns = np.zeros((len(segment), CHANNELS, 1))
+        rows[:, 0] = 0.5 * self.truth
+        columns[:, 0, 0] = segment.specific_force[:, 2] - segment.specific_force[:, 2].mean()
+        return rows, columns
+
+
+def test_the_level_of_white_noise_is_estimated_from_smooth_signals():
+    random = np.random.default_rng(0)
+    time = np.arange(5000) / 100
+    smooth = np.column_stack([np.sin(time), np.cos(0.7 * time), time])
+    assert white_level(smooth + 0.03 * random.standard_normal(smooth.shape)) == pytest.approx(0.03, rel=0.05)
+
+
+def test_the_bias_of_a_noisy_column_is_estimated_and_removed(arpl_250g):
+    (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=1, duration=200.0)
+    smooth = 0.6 * np.sin(2 * np.pi * 0.3 * np.arange(len(segment)) / segment.rate)
+    random = np.random.default_rng(2)
+    force = np.column_stack([smooth, smooth, smooth]) + 0.3 * random.standard_normal((len(segment), 3))
+    noisy = dataclasses.replace(segment, specific_force=force)
+    design = OneColumn(smooth)
+    rows, columns = design.evaluate(noisy)
+    noise = white()
+    gram, product = noise.normal_equations(columns, rows)
+    ((gram_bias, product_bias),) = normal_equation_biases([noisy], design, noise, [rows], [columns])
+    plain, corrected = product[0] / gram[0, 0], (product - product_bias)[0] / (gram - gram_bias)[0, 0]
+    assert plain < 0.37
+    assert corrected == pytest.approx(0.5, rel=0.03)
+
+
+def test_perturbing_adds_the_sensors_noise_and_nothing_else(arpl_250g):
+    (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=1)
+    noisier = perturbed(segment, np.random.default_rng(0))
+    added = noisier.specific_force - segment.specific_force
+    assert np.std(added) == pytest.approx(0.1, rel=0.2)
+    np.testing.assert_allclose(np.linalg.norm(noisier.attitude, axis=1), 1.0)
+    assert noisier.flight == segment.flight
+    commanded = dataclasses.replace(segment, rotor_source="command")
+    np.testing.assert_array_equal(perturbed(commanded, np.random.default_rng(0)).rotor_speed, segment.rotor_speed)

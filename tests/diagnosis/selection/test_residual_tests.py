@@ -1,0 +1,119 @@
+"""Each test of the residuals fires on what it is for, and stays silent on white noise."""
+
+import dataclasses
+
+import msgspec
+import numpy as np
+import pytest
+
+from diagnosis.selection.residual_tests import low_frequency_agreement, run_residual_tests, spectral_line
+from diagnosis.thresholds import DEFAULT
+from dynamics.state import VELOCITY
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
+
+FLIGHTS = 3
+LIMITS = DEFAULT.verdict
+# fewer features and ridges than usual, for speed
+FEW = msgspec.structs.replace(
+    DEFAULT, residual_tests=msgspec.structs.replace(DEFAULT.residual_tests, features=30, ridges=(1e2, 1e3))
+)
+
+
+@pytest.fixture(scope="module")
+def segments(arpl_250g):
+    """Segments that visit a loop of places twice, the second time with another velocity."""
+    moving = []
+    for i, still in enumerate(hovering(arpl_250g, mass_ratio=1.0, seed=0, count=FLIGHTS, duration=24.0)):
+        time = np.arange(len(still)) / still.rate
+        phase = 2 * np.pi * np.where(time < 12, time / 12, (time - 12) / 6) + i
+        position = np.column_stack([np.sin(phase), np.cos(phase), 1 + 0.3 * np.sin(2 * phase)])
+        velocity = np.gradient(position, 1 / still.rate, axis=0)
+        moving.append(dataclasses.replace(still, position=position, velocity=velocity))
+    return tuple(moving)
+
+
+@pytest.fixture(scope="module")
+def of_noise(arpl_250g, segments):
+    """Makes the regression of these segments and white residuals for it."""
+
+    def make(seed):
+        random = np.random.default_rng(seed)
+        rows = [random.standard_normal((len(s.smooth[s.decimated]), CHANNELS)) for s in segments]
+        columns = [np.ones((len(y), CHANNELS, 1)) for y in rows]
+        return regression(
+            arpl_250g, [candidate(effect("a"), 0)], columns, rows, segments=segments, thresholds=FEW
+        ), rows
+
+    return make
+
+
+def fires(tests, *, share=0.0):
+    """Names of the tests that reject beyond the limits of the verdict. share: gust's gain, for the last one."""
+    return {
+        name
+        for name, limit in (
+            ("low_frequency_agreement", LIMITS.max_agreement),
+            ("predictable_from_state", LIMITS.max_predictable),
+            ("spectral_line", LIMITS.max_line),
+            ("position_dependent", max(LIMITS.max_predictable, share)),
+        )
+        if getattr(tests, name) > limit
+    }
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_white_noise_fires_none(of_noise, seed):
+    of_all, rows = of_noise(seed)
+    assert fires(run_residual_tests(of_all, rows, by_position=True)) == set()
+
+
+def test_lines_and_agreement_in_white_noise_stay_below_their_limits_in_39_of_40_draws(of_noise):
+    thresholds = DEFAULT.residual_tests
+    lines, agreements = 0, 0
+    for seed in range(40):
+        random = np.random.default_rng(1000 + seed)
+        rows = [random.standard_normal((500, CHANNELS)) for _ in range(3)]
+        lines += spectral_line(rows, 25.0, thresholds) > LIMITS.max_line
+        agreements += low_frequency_agreement(rows, 25.0, thresholds) > LIMITS.max_agreement
+    assert lines <= 1
+    assert agreements <= 1
+
+
+def test_a_planted_sine_is_a_line(of_noise):
+    of_all, rows = of_noise(0)
+    for y in rows:
+        y[:, 4] += 0.8 * np.sin(2 * np.pi * 3.0 * np.arange(len(y)) / 25.0)
+    assert "spectral_line" in fires(run_residual_tests(of_all, rows))
+
+
+def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise):
+    of_all, rows = of_noise(0)
+    for i, y in enumerate(rows):
+        slow = np.sin(2 * np.pi * 0.4 * np.arange(len(y)) / 25.0 + i)
+        y[:, 1] += slow
+        y[:, 4] += slow
+    assert "low_frequency_agreement" in fires(run_residual_tests(of_all, rows))
+    for y in rows:  # the same in the accelerometer alone is a sensor's
+        y[:, 4] = np.random.default_rng(1).standard_normal(len(y))
+    assert "low_frequency_agreement" not in fires(run_residual_tests(of_all, rows))
+
+
+def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
+    of_all, rows = of_noise(0)
+    for y, segment in zip(rows, segments, strict=True):
+        velocity = segment.smooth[segment.decimated, VELOCITY]
+        y[:, 0] += velocity[:, 0] * np.abs(velocity[:, 0])
+    tests = run_residual_tests(of_all, rows)
+    assert "predictable_from_state" in fires(tests)
+    assert tests.position_dependent == 0.0
+
+
+def test_a_force_that_depends_on_the_place_repeats_there(of_noise, segments):
+    of_all, rows = of_noise(0)
+    for y, segment in zip(rows, segments, strict=True):
+        y[:, 0] += np.cos(3 * segment.position[segment.decimated, 0])
+    assert "position_dependent" in fires(run_residual_tests(of_all, rows, by_position=True))
+    of_all, rows = of_noise(0)
+    for y in rows:  # a slow force that does not come back at its place
+        y[:, 0] += np.sin(2 * np.pi * 0.11 * np.arange(len(y)) / 25.0)
+    assert "position_dependent" not in fires(run_residual_tests(of_all, rows, by_position=True))

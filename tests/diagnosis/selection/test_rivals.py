@@ -1,0 +1,42 @@
+"""Effects whose signals are nearly the same are rivals, others are not."""
+
+import numpy as np
+
+from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.search import Search
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
+
+
+def searched(vehicle, *, difference: float, seed: int = 0) -> Search:
+    """a is planted; b has the same column but for a difference; c is another one."""
+    random = np.random.default_rng(seed)
+    columns = [random.standard_normal((80, CHANNELS, 3)) for _ in range(6)]
+    for x in columns:
+        x[:, :, 1] = x[:, :, 0] + difference * x[:, :, 1]
+    rows = [0.3 * x[:, :, 0] + random.standard_normal((80, CHANNELS)) for x in columns]
+    candidates = [candidate(effect(name), i) for i, name in enumerate("abc")]
+    segments = hovering(vehicle, mass_ratio=1.0, seed=0)
+    return Search(regression(vehicle, candidates, columns, rows, segments=segments))
+
+
+def names(rivals) -> list[str]:
+    return [s.candidates[-1].key for s in rivals]
+
+
+def test_an_effect_with_nearly_the_same_signal_cannot_be_told_apart(arpl_250g):
+    search = searched(arpl_250g, difference=0.05)
+    rivals = rivals_of(search, [], search.regression.candidates[0])
+    assert names(rivals)[:2] == ["a", "b"]
+    assert names(near_rivals(search, [], rivals)) == ["b"]
+
+
+def test_an_effect_with_another_signal_can(arpl_250g):
+    search = searched(arpl_250g, difference=1.0)
+    rivals = rivals_of(search, [], search.regression.candidates[0])
+    assert names(near_rivals(search, [], rivals)) == []
+
+
+def test_an_effect_that_is_chosen_already_is_no_rival(arpl_250g):
+    search = searched(arpl_250g, difference=0.05)
+    a, _, c = search.regression.candidates
+    assert "c" not in names(rivals_of(search, [c], a)[1:])

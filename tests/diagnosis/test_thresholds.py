@@ -1,0 +1,152 @@
+"""Every threshold has an origin, is read from TOML within its bounds, and is the one that decides."""
+
+import ast
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+
+import diagnosis
+from diagnosis.data.dataset import Dataset
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.thresholds_file import read_thresholds
+from dynamics.effects import CATALOGUE
+from dynamics.errors import DataError, RequestError
+from tests.diagnosis.synthetic import hovering
+
+ROOM = Path(diagnosis.__file__).parent
+SOME = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias", "gyro_bias")}
+# Sizes and places of arrays, units, a seed, and how many rows fit the cache: nothing that a fleet would retune.
+NO_THRESHOLDS = {
+    "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
+    "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
+    "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
+}  # fmt: skip
+
+
+def groups():
+    return [(field.name, field.type) for field in msgspec.structs.fields(Thresholds)]
+
+
+@pytest.mark.parametrize(("name", "group"), groups(), ids=[name for name, _ in groups()])
+def test_every_threshold_has_a_line_with_its_origin(name, group):
+    lines = re.sub(r"\n {8,}|(?<=[^\]\n])\n {4}(?=\S)", " ", group.__doc__)
+    for field in msgspec.structs.fields(group):
+        assert re.search(rf"(?m)^ *{field.name}: .*\[[^\]]+\]$", lines), f"{name}.{field.name}"
+
+
+def test_no_number_stands_outside():
+    outside = set()
+    for path in ROOM.rglob("*.py"):
+        if path.name == "thresholds.py":
+            continue
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.Assign) and any(
+                isinstance(part, ast.Constant) and type(part.value) in (int, float) for part in ast.walk(node.value)
+            ):
+                targets = [part for target in node.targets for part in ast.walk(target)]
+                outside |= {part.id for part in targets if isinstance(part, ast.Name) and part.id.isupper()}
+    assert outside <= NO_THRESHOLDS, outside - NO_THRESHOLDS
+
+
+def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
+    file = tmp_path / "fleet.toml"
+    file.write_text("[search]\nmin_gain = 60\n[data_checks]\nthrust_ratio = [0.5, 2.0]\n")
+    read = read_thresholds(file)
+    assert read.search.min_gain == 60.0
+    assert read.data_checks.thrust_ratio == (0.5, 2.0)
+    assert read.noise == DEFAULT.noise
+    file.write_text("")
+    assert read_thresholds(file) == DEFAULT
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[search]\nmin_gian = 60", "unknown field `min_gian`"),
+        ("[serach]\nmin_gain = 60", "unknown field `serach`"),
+        ("[search]\nparsimony = 1.5", "<= 1.0 - at `\\$.search.parsimony`"),
+        ("[filters]\ncutoff = 0", "> 0.0 - at `\\$.filters.cutoff`"),
+        ("[regimes]\nbins = 1", ">= 2 - at `\\$.regimes.bins`"),
+        ("[search]\namplitude = [1.9, 0.4]", "the first must be below the second"),
+        ("[search]\nmin_gain = 'high'", "Expected `float`"),
+        ("[search", "cannot use the thresholds"),
+    ],
+)
+def test_a_file_that_is_wrong_is_refused_with_the_bound(tmp_path, text, reason):
+    file = tmp_path / "fleet.toml"
+    file.write_text(text)
+    with pytest.raises(RequestError, match=reason):
+        read_thresholds(file)
+
+
+def test_a_file_that_is_not_there_is_refused(tmp_path):
+    with pytest.raises(RequestError, match="cannot use the thresholds"):
+        read_thresholds(tmp_path / "none.toml")
+
+
+@pytest.fixture(scope="module")
+def heavy(arpl_250g):
+    fitted = hovering(arpl_250g, mass_ratio=1.05, seed=4, count=4)
+    return Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
+
+
+@pytest.fixture(scope="module")
+def answer(heavy, arpl_250g):
+    """The diagnosis with some thresholds replaced, by group."""
+
+    def make(**changed):
+        groups = {name: msgspec.structs.replace(getattr(DEFAULT, name), **fields) for name, fields in changed.items()}
+        return diagnose_dataset(heavy, arpl_250g, SOME, msgspec.structs.replace(DEFAULT, **groups)).diagnosis
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def usual(answer):
+    return answer()
+
+
+def test_by_default_the_mass_is_named(usual):
+    assert {usual.effects[0].name, *usual.effects[0].ambiguous_with} == {"mass", "thrust_constant"}
+    assert usual.verdict == "ambiguous"
+
+
+def test_a_higher_least_score_claims_nothing(answer):
+    assert answer(search={"min_gain": 1e9}).effects == ()
+
+
+def test_a_narrower_margin_tells_rivals_apart(answer):
+    narrow = answer(rivals={"score": 0.0, "share": 0.0})
+    assert narrow.effects[0].ambiguous_with == ()
+    assert narrow.verdict == "effect"
+
+
+def test_a_smaller_set_of_ambiguous_effects_names_fewer(answer):
+    assert answer(verdict={"max_ambiguous": 1}).effects[0].ambiguous_with == ()
+
+
+def test_a_lower_limit_on_lines_makes_it_unknown(answer):
+    assert answer(verdict={"max_line": 1.0}).verdict == "unknown"
+
+
+def test_a_stricter_ratio_on_held_out_flights_accepts_nothing(answer):
+    assert answer(acceptance={"max_ratio": 0.0}).effects == ()
+
+
+def test_a_higher_limit_on_cells_names_no_failing_regime(answer, usual):
+    assert usual.fails_where
+    assert answer(regimes={"min_failing": 1e6}).fails_where == ()
+
+
+def test_a_longer_least_duration_refuses_the_flights(answer):
+    with pytest.raises(DataError, match="too short"):
+        answer(data_checks={"min_duration": 1e4})
+
+
+def test_redder_torques_raise_the_floor_of_angular_acceleration(answer, usual):
+    stricter = answer(noise={"torque_redness": 1.0})
+    assert stricter.channels["angular"].floor <= usual.channels["angular"].floor
+    assert stricter.channels["imu"].floor == pytest.approx(usual.channels["imu"].floor, rel=0.1)
