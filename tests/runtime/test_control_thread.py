@@ -15,7 +15,7 @@ from runtime.flight.flyer import Decision
 from runtime.flight.mission import Phase
 from runtime.link.estimate import StateEstimate
 from runtime.link.telemetry import LinkEvent, VehicleStatus
-from runtime.record.records import ObservationRecord
+from runtime.record.records import ObservationRecord, Record, SetpointRecord, TextRecord, TickRecord
 from runtime.telemetry_buffer import TelemetryBuffer
 from tests.support.deadline import wait_until
 
@@ -52,6 +52,7 @@ class ScriptedFlyer:
         self.observations: list[ObservationRecord] = []
         self.engagement: Any = type("Engagement", (), {"state": State.STANDBY})
         self.mission: Any = type("Mission", (), {"phase": Phase.GROUND})
+        self.effectiveness: Any = type("Effectiveness", (), {"value": 1.0})
 
     @property
     def over(self) -> bool:
@@ -71,10 +72,23 @@ class ScriptedFlyer:
         return None
 
 
-def control_thread(flyer: ScriptedFlyer, link: SilentLink, requests: Requests | None = None) -> ControlThread:
+class ListRecorder:
+    """A recorder into a list."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+
+    def put(self, record: Record, time_monotonic: float) -> None:
+        self.records.append(record)
+
+
+def control_thread(
+    flyer: ScriptedFlyer, link: SilentLink, requests: Requests | None = None, recorder: ListRecorder | None = None
+) -> ControlThread:
     buffer = TelemetryBuffer()
     buffer.event(LinkEvent(1.0, "estimate_jump", "warning", "by 3 m"))
-    return ControlThread(link, buffer, flyer, requests or Requests(), period=PERIOD)  # type: ignore[arg-type]
+    requests = requests or Requests()
+    return ControlThread(link, buffer, flyer, requests, period=PERIOD, recorder=recorder)  # type: ignore[arg-type]
 
 
 def hovering() -> Decision:
@@ -138,3 +152,24 @@ def test_only_setpoints_that_were_sent_are_late(decision: Decision) -> None:
     control.start()
     assert control.join(10.0)
     assert control.deadlines.ticks == (5 if decision.rate_body is not None else 0)
+
+
+def test_every_tick_is_recorded_with_its_setpoint() -> None:
+    flyer, recorder = ScriptedFlyer(hovering(), ticks=10), ListRecorder()
+    control = control_thread(flyer, SilentLink(), recorder=recorder)
+    control.start()
+    assert control.join(10.0)
+    ticks = [record for record in recorder.records if isinstance(record, TickRecord)]
+    assert [tick.tick for tick in ticks] == list(range(10))
+    assert {tick.trigger for tick in ticks} == {"clock"}
+    setpoints = [record for record in recorder.records if isinstance(record, SetpointRecord)]
+    assert [record.thrust for record in setpoints] == [0.5] * 10
+
+
+@pytest.mark.xfail(strict=True, reason="the text of a defect is recorded at every tick after it")
+def test_a_defect_is_recorded_once() -> None:
+    flyer, recorder = ScriptedFlyer(hovering(), ticks=10, defects=1), ListRecorder()
+    control = control_thread(flyer, SilentLink(), recorder=recorder)
+    control.start()
+    assert control.join(10.0)
+    assert len([record for record in recorder.records if isinstance(record, TextRecord)]) == 1
