@@ -7,13 +7,14 @@ labels that the network on top of them learns from, so that it is left with noth
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE, motor_lag
 from dynamics.errors import DataError, RequestError
 from dynamics.state import ATTITUDE
@@ -43,7 +44,9 @@ class _Problem:
     scale: Floats
 
 
-def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle:
+def fit_effects(
+    config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Vehicle:
     """The vehicle with its effects at the values that fit the labels best, least squares weighted by what is left.
 
     Raises RequestError when the vehicle has no effect, DataError when no value of theirs shows in these flights.
@@ -53,7 +56,7 @@ def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle
             f"{vehicle.name} names no effect, so a grey box would be the textbook model. Let `alula diagnose` and "
             "`alula add` find some, or give --effect NAME; res_tcn is the residual on the textbook model."
         )
-    problem = _problem(msgspec.structs.replace(config, base="grey_box"), vehicle, data)
+    problem = _problem(msgspec.structs.replace(config, base="grey_box"), vehicle, data, catalogue)
     model = problem.model.model
     values = np.array([model.parameter_values[model.parameter_index(name)] for name in problem.names])
     for _ in range(ROUNDS):
@@ -72,16 +75,20 @@ def fit_effects(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle
     return _with_values(vehicle, dict(zip(problem.names, values.tolist(), strict=True)))
 
 
-def with_rotor_lag(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> Vehicle:
+def with_rotor_lag(
+    config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Vehicle:
     """The vehicle as it answers commands: where its file names no lag of the rotors, with one fitted to the flights."""
-    named = any(CATALOGUE[use.name].rotor_speed is not None for use in vehicle.effects)
+    named = any(catalogue[use.name].rotor_speed is not None for use in vehicle.effects)
     if named or config.motors == "measured":
         return vehicle
-    return fit_effects(config, named_effects(vehicle, [EffectUse(motor_lag.EFFECT.name)]), data)
+    return fit_effects(config, named_effects(vehicle, [EffectUse(motor_lag.EFFECT.name)], catalogue), data, catalogue)
 
 
-def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset) -> _Problem:
-    model = RowModel(vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors)
+def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect]) -> _Problem:
+    model = RowModel(
+        vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors, catalogue=catalogue
+    )
     found = [
         (f"{item.key}.{parameter.name}", parameter, item)
         for item in model.model.effects
@@ -145,9 +152,9 @@ def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
     return msgspec.structs.replace(vehicle, effects=tuple(settled(use) for use in vehicle.effects))
 
 
-def named_effects(vehicle: Vehicle, uses: Sequence[EffectUse]) -> Vehicle:
+def named_effects(vehicle: Vehicle, uses: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
     """The vehicle with further effects, at their usual values where none are given."""
     return vehicle.with_effects(*[
-        msgspec.structs.replace(use, parameters={**CATALOGUE[use.name].defaults(vehicle), **use.parameters})
+        msgspec.structs.replace(use, parameters={**catalogue[use.name].defaults(vehicle), **use.parameters})
         for use in uses
     ])  # fmt: skip

@@ -5,7 +5,7 @@ The formulas are those of `dynamics`; a network never sees them but as numbers.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -14,6 +14,7 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.codegen import compile_functions
+from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
@@ -40,9 +41,10 @@ class RowModel:
     """
 
     def __init__(
-        self, vehicle: Vehicle, effects: Sequence[EffectUse], *, dt: float, label: Label, motors: Motors
-    ) -> None:
-        self.model = build_model(vehicle, effects=_driven(effects, motors))
+        self, vehicle: Vehicle, effects: Sequence[EffectUse], *, dt: float, label: Label, motors: Motors,
+        catalogue: Mapping[str, Effect] = CATALOGUE,
+    ) -> None:  # fmt: skip
+        self.model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         function = row_function(self.model, dt, label)
         # the carried state is only handed from row to row within one call
         self._code = compile_functions([function.mapaccum("rows", BLOCK)])["rows"]
@@ -73,10 +75,10 @@ class BatchModel:
 
     def __init__(
         self, vehicle: Vehicle, effects: Sequence[EffectUse], rotor_speed: Floats, *, dt: float, label: Label,
-        motors: Motors,
+        motors: Motors, catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> None:  # fmt: skip
         """rotor_speed: (m, rotors) rad/s at the first row, which the rotors turn at."""
-        model = build_model(vehicle, effects=_driven(effects, motors))
+        model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         batched = row_function(model, dt, label).map(BLOCK)
         self._code = compile_functions([batched])[batched.name()]
         self._parameters = np.tile(model.parameter_values, BLOCK)
@@ -99,9 +101,9 @@ class BatchModel:
         return Rows(body, following)
 
 
-def _driven(effects: Sequence[EffectUse], motors: Motors) -> list[EffectUse]:
+def _driven(effects: Sequence[EffectUse], motors: Motors, catalogue: Mapping[str, Effect]) -> list[EffectUse]:
     """The effects that there are between these motors and the motion: measured rotor speeds have no lag any more."""
-    return [use for use in effects if motors == "command" or CATALOGUE[use.name].rotor_speed is None]
+    return [use for use in effects if motors == "command" or catalogue[use.name].rotor_speed is None]
 
 
 def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:

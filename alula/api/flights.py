@@ -69,11 +69,14 @@ def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path
     return tuple(read(log_paths(logs), mapping=mapping))
 
 
-def inspect(log: Log | str | Path, *, mapping: str | Path | None = None) -> Inspection:
+def inspect(
+    log: Log | str | Path, *, mapping: str | Path | None = None, effects: Sequence[str | Path] = ()
+) -> Inspection:
     """Whether a log is good enough, and for what: rates, gaps, clocks, frozen or impossible channels, excitation.
 
     log: a file, or what `alula.read_log` returned.
     mapping: column mapping (TOML) for a CSV file of another tool.
+    effects: Python files with effects of your own, which might be identified from the log.
 
     Returns an Inspection: `verdict` is "good", "limited" or "unusable", `sentence` the reason, `effects` what can be
         identified, `advice` what would make a better log.
@@ -86,4 +89,4 @@ def inspect(log: Log | str | Path, *, mapping: str | Path | None = None) -> Insp
     with workbench("alula.inspect"):
         from flights import read_log
         from flights.quality.inspection import judge
-    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log)
+    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log, catalogue_with(effects))

@@ -14,6 +14,7 @@ from rich.table import Table
 
 import alula
 from alula.api.inputs import log_paths
+from alula.cli.options import Effects
 from dynamics.errors import AlulaError, DataError
 from studio.provenance import origin
 
@@ -31,6 +32,7 @@ COLOURS = {"good": "green", "limited": "yellow", "unusable": "red", "yes": "gree
 def inspect(
     log: Annotated[list[Path], typer.Argument(help="Logs of any known format, or folders of them.", metavar="LOG...")],
     mapping: Annotated[Path | None, typer.Option(help="Column-mapping TOML for a foreign CSV.")] = None,
+    effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
@@ -43,7 +45,7 @@ def inspect(
     for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping)
-            inspections.append(alula.inspect(streams))
+            inspections.append(alula.inspect(streams, effects=effects or ()))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
         except AlulaError as error:

@@ -158,7 +158,7 @@ def make_regression(
     corrected = [(a - da, b - db) for (a, b), (da, db) in zip(plain, errors, strict=True)]
     plain_gram, plain_product = _by_flight(plain, flight_of)
     joint_gram, joint_product = _by_flight(corrected, flight_of)
-    biases = _biases(candidates)
+    biases = sensor_biases(candidates)
     gram, product = _marginals(joint_gram, joint_product, biases)
     plain_gram, plain_product = _marginals(plain_gram, plain_product, biases)
     observations = [0] * len(gram)
@@ -226,7 +226,7 @@ def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Seque
     return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
 
 
-def _biases(candidates: Sequence[Candidate]) -> Biases:
+def sensor_biases(candidates: Sequence[Candidate]) -> Biases:
     """Columns of the errors that sensors are specified to have: of effects with a sensor prior, one candidate each."""
     columns: list[int] = []
     information: list[float] = []

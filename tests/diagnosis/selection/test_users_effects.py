@@ -1,0 +1,76 @@
+"""Effects of a user's own file are candidates, are judged by their own metadata and named in the next flight."""
+
+from pathlib import Path
+
+import pytest
+
+from diagnosis.data.segment import segments
+from diagnosis.next_flight import next_flight
+from diagnosis.selection.candidates import make_candidates
+from diagnosis.selection.regression import sensor_biases
+from diagnosis.selection.visibility import needs_battery
+from dynamics.effect_file import with_effects_of
+from dynamics.effects import battery_sag, gust, imu_bias, time_delay
+from flights.quality.identifiable import answers
+
+EXAMPLE = Path(__file__).parents[3] / "examples" / "my_effects.py"
+
+
+@pytest.fixture(scope="module")
+def catalogue(tmp_path_factory, arpl_250g):
+    folder = tmp_path_factory.mktemp("effects")
+    files = [EXAMPLE]
+    for module in (battery_sag, gust, imu_bias, time_delay):  # copies of ours under other names
+        name = module.EFFECT.name
+        path = folder / f"{name}.py"
+        path.write_text(Path(module.__file__).read_text().replace(f'name="{name}"', f'name="my_{name}"'))
+        files.append(path)
+    return with_effects_of(files, arpl_250g)
+
+
+@pytest.fixture(scope="module")
+def segment(plain_flights, arpl_250g):
+    return segments(plain_flights[4], arpl_250g)[0]
+
+
+@pytest.fixture(scope="module")
+def candidates(catalogue, segment, arpl_250g):
+    return make_candidates(arpl_250g, catalogue, [segment])
+
+
+def test_they_are_candidates_on_their_own_grid(candidates):
+    assert [c.free for c in candidates if c.effect.name == "tether"] == [("stiffness",)]
+    late_drag = [c for c in candidates if c.effect.name == "late_drag"]
+    assert [c.at["tau"] for c in late_drag] == [0.1, 0.2, 0.4]
+    assert late_drag[0].free == ("coefficient",)
+
+
+def test_stochastic_ones_are_no_candidates(candidates):
+    assert "my_gust" not in {c.effect.name for c in candidates}
+
+
+def test_a_sensors_usual_bias_is_marginalised(candidates):
+    biases = sensor_biases(candidates)
+    for ours, theirs in (("imu_bias", "my_imu_bias"), ("time_delay", "my_time_delay")):
+        columns = [[i for c in candidates if c.effect.name == name for i in c.columns] for name in (ours, theirs)]
+        marginalised = [[i for i in places if i in biases.columns] for places in columns]
+        assert len(marginalised[0]) == len(marginalised[1]) > 0
+
+
+def test_they_need_what_their_formula_needs(catalogue, arpl_250g):
+    assert needs_battery(catalogue["my_battery_sag"], arpl_250g, catalogue)
+    assert not needs_battery(catalogue["tether"], arpl_250g, catalogue)
+
+
+def test_the_next_flight_is_theirs(catalogue):
+    assert "starts and stops, against steady circles" in next_flight(["late_drag", "linear_drag"], (), catalogue)
+    assert next_flight([], ["tether"], catalogue) == "to see tether: more aggressive flight"
+
+
+def test_inspection_answers_for_them_where_they_name_their_excitation(catalogue):
+    have = {"specific_force", "velocity", "attitude", "rotor_speed"}
+    named = {answer.name: answer for answer in answers(have, {"lateral_speed": 0.5}, catalogue)}
+    assert named["late_drag"].answer == "weakly"
+    assert "fly starts and stops along a line" in named["late_drag"].why
+    assert named["late_drag"].ambiguous_with == "linear_drag"
+    assert "tether" not in named
