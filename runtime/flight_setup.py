@@ -1,4 +1,4 @@
-"""What a flight is made of, from what a user writes: vehicle, reference, request, and their return from a recording."""
+"""A flight put together from the user's options: vehicle, reference, request; and the same from a recording."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from pathlib import Path
 
 import msgspec
 
-from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import DataError, RequestError
 from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_toml
+from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_toml, with_settings
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
 from runtime.daemon import FlightRequest
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.flyer import FlyerSettings
+from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
@@ -32,7 +32,24 @@ VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
 
 
 class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A flight as it is asked for; see the options of `alula fly`."""
+    """A flight as it is requested; see the options of `alula fly`.
+
+    link: endpoint of the vehicle.
+    reference: name or CSV file.
+    vehicle: file, name of a bundled one, or the vehicle itself.
+    bundle: folder of an exported model, instead of the vehicle.
+    duration: s of the reference; its own where left out.
+    height: of take-off, m.
+    rate: control rate, Hz; that of the vehicle's [controller] where left out.
+    settings: of the controller, in place of the vehicle file's, such as "controller.horizon=0.8".
+    record: folder of the recording.
+    arm: whether to request arming, or leave it to the pilot.
+    resume: whether to take control of a vehicle that is armed already.
+    priority: of SCHED_FIFO, None for none.
+    processor: that the control thread stays on.
+    system: the vehicle's system id, None for the first heard.
+    timeout: s to wait for the vehicle.
+    """
 
     link: str
     reference: str
@@ -40,7 +57,8 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bundle: Path | None = None
     duration: float | None = None
     height: float = 1.5
-    rate: float = CONTROL_RATE
+    rate: float | None = None
+    settings: tuple[str, ...] = ()
     record: Path | None = None
     arm: bool = True
     resume: bool = False
@@ -51,7 +69,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class PreparedFlight(msgspec.Struct, frozen=True):
-    """Everything that the daemon needs; the reference is one that the vehicle can fly."""
+    """The daemon's arguments; the vehicle can fly the reference."""
 
     request: FlightRequest
     vehicle: Vehicle
@@ -60,14 +78,19 @@ class PreparedFlight(msgspec.Struct, frozen=True):
 
 
 def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> PreparedFlight:
-    """Read, check and put together. Raises RequestError for whatever makes no sense or cannot be flown.
+    """Read and check everything that a flight needs. Raises RequestError for what is invalid or cannot be flown.
 
-    flown_before: the vehicle has flown this already, whatever its file says of what it can.
+    flown_before: the vehicle has flown this already, whatever the limits in its file.
     """
     endpoint = parse_endpoint(setup.link)
     text = vehicle_text(setup.vehicle, setup.bundle)
     bundle = exported_bundle(setup.bundle)
     vehicle = parse_vehicle(text)
+    if setup.settings:
+        vehicle = with_settings(vehicle, setup.settings)
+        text = vehicle_toml(vehicle)
+    rate = setup.rate or vehicle.controller.rate
+    _check_controller(setup, vehicle, bundle, rate)
     trim = find_trim(build_model(vehicle)).vehicle
     reference = named_reference(setup.reference, trim, duration=setup.duration)
     if not flown_before:
@@ -79,9 +102,11 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
     request = FlightRequest(
         endpoint=endpoint,
-        rate=setup.rate,
+        rate=rate,
         plan=Plan(height=setup.height, duration=setup.duration),
-        settings=FlyerSettings(engagement=EngagementSettings(arm=setup.arm, resume=setup.resume)),
+        settings=FlyerSettings(
+            engagement=EngagementSettings(arm=setup.arm, resume=setup.resume), health=HealthLimits.for_vehicle(vehicle)
+        ),
         record=setup.record,
         system=setup.system,
         timeout=setup.timeout,
@@ -91,6 +116,20 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments=attachments,
     )
     return PreparedFlight(request, vehicle, reference, bundle)
+
+
+def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None, rate: float) -> None:
+    """Raises RequestError for a rate that the controller cannot fly, or a horizon that is not the bundle's kernel's."""
+    msgspec.structs.replace(vehicle.controller, rate=rate)
+    if bundle is None:
+        return
+    for name in ("nodes", "horizon"):
+        value, compiled = getattr(vehicle.controller, name), getattr(bundle.manifest.problem, name)
+        if value != compiled and any(text.startswith(f"controller.{name}") for text in setup.settings):
+            raise RequestError(
+                f"controller.{name} = {value:g}, but the kernel in {bundle.folder} was compiled for {compiled:g}: "
+                "leave it out, or export the model again with it."
+            )
 
 
 def exported_bundle(folder: Path | None) -> Bundle | None:

@@ -20,11 +20,12 @@ from dynamics.references import Reference
 from dynamics.state import POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
-from runtime.control.controller import Controller
+from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers, build_flyer
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.events import Fallback
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
@@ -104,8 +105,11 @@ def fly_reference(
     options = options or VehicleOptions(yaw=yaw)
     plant = SimulatedVehicle(vehicle, effects=effects, options=options, seed=seed, catalogue=catalogue)
     _climb(plant, start[POSITION], yaw)
-    controller = controller or Controller.build(vehicle, catalogue=catalogue)
-    settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True))
+    if controller is None:
+        choice = ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD, catalogue=catalogue)
+        controller = Controller.build(vehicle, choice, catalogue)
+    health = HealthLimits.for_vehicle(vehicle, catalogue)
+    settings = FlyerSettings(period=CONTROL_PERIOD, engagement=EngagementSettings(resume=True), health=health)
     flyer = build_flyer(
         Controllers(controller, nominal), reference, Plan(), settings, thrust_curve=plant.tuning.thrust_model_factor
     )

@@ -71,7 +71,8 @@ def fly(
     link: str = "udpin:0.0.0.0:14540",
     duration: float | None = None,
     height: float = 1.5,
-    rate: float = 100.0,
+    rate: float | None = None,
+    settings: Sequence[str] = (),
     record: str | Path | None = None,
     arm: bool = True,
     resume: bool = False,
@@ -91,7 +92,8 @@ def fly(
     link: where the vehicle is: "udpin:", "udpout:", "tcp:", "tcpin:" or "serial:".
     duration: length of the reference, s; by default its own.
     height: of take-off, m.
-    rate: of control, Hz.
+    rate: of control, Hz; by default that of the vehicle's [controller].
+    settings: of the controller, in place of the vehicle file's: "controller.horizon=0.8".
     record: folder for the recording (MCAP and tlog).
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
@@ -114,7 +116,7 @@ def fly(
 
     setup = FlightSetup(
         link=link, vehicle=_path_or_vehicle(vehicle), bundle=None if bundle is None else Path(bundle),
-        reference=reference, duration=duration, height=height, rate=rate,
+        reference=reference, duration=duration, height=height, rate=rate, settings=tuple(settings),
         record=None if record is None else Path(record), arm=arm, resume=resume, priority=priority,
         processor=processor, system=system, timeout=timeout,
     )  # fmt: skip

@@ -6,6 +6,8 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
+
 from alula.api.results import EvaluationResult, ExportResult, TrainingResult
 from alula.workbench import workbench
 from dynamics.command import command_line
@@ -122,8 +124,8 @@ def export(
     member: int = 0,
     processor: str = "native",
     integrator: Integrator | None = None,
-    nodes: int = 20,
-    horizon: float = 1.0,
+    nodes: int | None = None,
+    horizon: float | None = None,
     windows: int = 1000,
     seed: int = 0,
     overwrite: bool = False,
@@ -137,8 +139,8 @@ def export(
     member: member of an ensemble that flies.
     processor: instruction set of the kernel: "native", "avx512", "avx2", "sse2" or "neon".
     integrator: "hold", "adams_bashforth" or "rk4"; by default what fits the model's labels.
-    nodes: nodes of the horizon.
-    horizon: its length, s.
+    nodes: nodes of the horizon; by default those of the vehicle's [controller], 20.
+    horizon: its length, s; by default the vehicle's, 1.
     windows: windows of each kind to compare on.
     seed: seed of the random windows.
     overwrite: replace an existing bundle.
@@ -158,12 +160,14 @@ def export(
         from runtime.control.rti.problem import Problem
         from runtime.control.rti.processor import named_processor
         from simulation.flight_check import check_bundle
-    options = ExportOptions(
-        Problem(nodes=nodes, horizon=horizon), named_processor(processor), _paths(logs), windows, seed, overwrite,
-        command_line(),
-    )  # fmt: skip
     path = Path(model) if Path(model).suffix == ".pt" else find_vehicle(model)
-    exported = export_bundle(read_model(path, member=member, integrator=integrator), Path(out), options)
+    trained = read_model(path, member=member, integrator=integrator)
+    problem = Problem.from_settings(trained.vehicle.controller)
+    problem = msgspec.structs.replace(problem, nodes=nodes or problem.nodes, horizon=horizon or problem.horizon)
+    options = ExportOptions(
+        problem, named_processor(processor), _paths(logs), windows, seed, overwrite, command_line(),
+    )  # fmt: skip
+    exported = export_bundle(trained, Path(out), options)
     check = check_bundle(exported.folder, exported.manifest) if flight_check else None
     return ExportResult(exported.folder, exported.manifest, exported.parity, check)
 

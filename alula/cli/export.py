@@ -26,8 +26,12 @@ def export(
         Integrator | None,
         typer.Option(help="How the kernel makes motion of accelerations; what fits the model's labels if left out."),
     ] = None,
-    nodes: Annotated[int, typer.Option(min=2, help="Nodes of the horizon.")] = 20,
-    horizon: Annotated[float, typer.Option(min=0.1, help="Length of the horizon, s.")] = 1.0,
+    nodes: Annotated[
+        int | None, typer.Option(min=2, help="Nodes of the horizon; the vehicle file's, 20, if left out.")
+    ] = None,
+    horizon: Annotated[
+        float | None, typer.Option(min=0.1, help="Length of the horizon, s; the vehicle file's, 1, if left out.")
+    ] = None,
     windows: Annotated[int, typer.Option(min=10, help="Windows of each kind to compare on.")] = 1000,
     seed: Annotated[int, typer.Option(help="Seed of the random windows.")] = 0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace an existing bundle.")] = False,

@@ -36,7 +36,15 @@ def fly(
         float | None, typer.Option(min=1.0, help="Seconds of the reference; its own length if left out.")
     ] = None,
     height: Annotated[float, typer.Option(min=0.3, help="Height of take-off, m.")] = 1.5,
-    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate, Hz.")] = 100.0,
+    rate: Annotated[
+        float | None, typer.Option(min=20.0, max=500.0, help="Control rate, Hz; the vehicle file's, 100, if left out.")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", help="A setting of the vehicle file's [controller], as controller.horizon=0.8; repeatable."
+        ),
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
     arm: Annotated[
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to do it.")
@@ -54,8 +62,8 @@ def fly(
     console = Console(stderr=as_json)
     report = alula.fly(
         reference, vehicle=vehicle, bundle=bundle, link=link, duration=duration, height=height, rate=rate,
-        record=record, arm=arm, resume=resume, priority=REALTIME_PRIORITY if realtime else None, processor=processor,
-        system=system, timeout=timeout, announce=partial(_announce, console),
+        settings=settings or (), record=record, arm=arm, resume=resume, processor=processor, system=system,
+        priority=REALTIME_PRIORITY if realtime else None, timeout=timeout, announce=partial(_announce, console),
     )  # fmt: skip
     if as_json:
         sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")

@@ -19,7 +19,6 @@ from dynamics.controller_defaults import lookaheads
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
-from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
@@ -70,21 +69,9 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         )
 
     def for_kernel(self, compiled: Problem) -> ControllerOptions:
-        """The same with nodes and horizon that a kernel was compiled for; a default problem gives way to the kernel's.
-
-        Raises RequestError for other nodes or another horizon than the kernel's, where they are not the defaults.
-        """
-        if self.problem == Problem():
-            return msgspec.structs.replace(self, problem=compiled)
-        for name, unit in (("nodes", ""), ("horizon", " s")):
-            value, built, default = (getattr(problem, name) for problem in (self.problem, compiled, Problem()))
-            if value not in (built, default):
-                raise RequestError(
-                    f"controller.{name} = {value:g}{unit}, but the bundle's kernel was compiled for {built:g}{unit}: "
-                    "leave it out, or export the model again with it."
-                )
+        """The same with the nodes and horizon of a compiled kernel; in place of a default problem the kernel's own."""
         problem = msgspec.structs.replace(self.problem, nodes=compiled.nodes, horizon=compiled.horizon)
-        return msgspec.structs.replace(self, problem=problem)
+        return msgspec.structs.replace(self, problem=compiled if self.problem == Problem() else problem)
 
 
 @dataclass(frozen=True)

@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Mapping
 
 import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
+from dynamics.rate_loop import rate_loop
 from dynamics.state import POSITION, RATE
 from dynamics.vehicle import Vehicle
 from runtime.flight.events import Event
 from runtime.link.estimate import StateEstimate
 from runtime.running_mean import RunningMean
+
+# of the vehicle's largest body rate; measured on a vehicle of 12 rad/s (benchmarks/results/oscillation.md)
+UNFOLLOWED, SWING, CHATTER = 1 / 4, 1 / 6, 1 / 8
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,6 +45,17 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     swing: float = 2.0
     chatter: float = 1.5
     swing_time: float = 0.5
+
+    @classmethod
+    def for_vehicle(cls, vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> HealthLimits:
+        """Limits relative to the vehicle's largest body rate, and the delay of its rate loop."""
+        rate = max(vehicle.limits.rate)
+        return cls(
+            unfollowed=UNFOLLOWED * rate,
+            rate_delay=vehicle.controller.delay + rate_loop(vehicle, catalogue=catalogue).tilt_time,
+            swing=SWING * rate,
+            chatter=CHATTER * rate,
+        )
 
 
 class FlightHealth:

@@ -29,6 +29,7 @@ def fly(url: str, *arguments: str) -> list[str]:
 
 def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
     options = ["--reference", "hover", "--height", "0.8", "--record", str(tmp_path), "--json"]
+    options += ["--set", "controller.horizon=0.8"]
     with (
         mock_process(vehicle=FOLDER / "px4_sih.toml") as mock,
         subprocess.Popen(fly(mock.url, *options), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as flight,
@@ -58,6 +59,8 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
     ("arguments", "wanted"),
     [
         (["--reference", "hover"], "--vehicle"),
+        (["--reference", "hover", "--vehicle", "px4_sih", "--set", "controller.horizn=1"], "did you mean 'horizon'"),
+        (["--reference", "hover", "--vehicle", "px4_sih", "--set", "controller.horizon=0.2"], "Give at least 0.25 s"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--bundle", "b"], "its own vehicle file"),
         (["--reference", "lemniskate", "--vehicle", "px4_sih"], "lemniscate"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--link", "carrier_pigeon:1"], "udpin"),

@@ -7,7 +7,9 @@ import pytest
 from dynamics.model import build_model
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import with_settings
 from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rti.problem import Problem
 
 HOVER = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
 
@@ -180,3 +182,19 @@ def test_a_broken_state_keeps_the_previous_solution(arpl_250g: Vehicle) -> None:
 def test_unknown_options_are_refused() -> None:
     with pytest.raises(msgspec.ValidationError):
         msgspec.convert({"problem": {"nodez": 10}, "rate_lookahead": 0.1, "yaw_lookahead": 0.1}, ControllerOptions)
+
+
+def test_options_are_those_of_the_vehicles_file(arpl_250g: Vehicle) -> None:
+    settings = ["controller.horizon=0.8", "controller.terminal_weight=5", "controller.max_position_error=1.0"]
+    options = ControllerOptions.for_vehicle(with_settings(arpl_250g, [*settings, "controller.rate=200"]))
+    assert (options.problem.horizon, options.problem.weights.terminal, options.period) == (0.8, 5.0, 0.005)
+    assert msgspec.json.decode(msgspec.json.encode(options), type=ControllerOptions) == options
+    assert b'"largest_error":1.0' in msgspec.json.encode(options)  # as older recordings have it
+
+
+def test_a_kernel_keeps_its_horizon_and_takes_the_files_weights(arpl_250g: Vehicle) -> None:
+    compiled = Problem(nodes=10, horizon=0.5)
+    assert ControllerOptions.for_vehicle(arpl_250g).for_kernel(compiled).problem == compiled
+    heavier = with_settings(arpl_250g, ["controller.attitude_weight=16"])
+    problem = ControllerOptions.for_vehicle(heavier).for_kernel(compiled).problem
+    assert (problem.nodes, problem.horizon, problem.weights.attitude) == (10, 0.5, 16.0)
