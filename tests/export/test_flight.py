@@ -44,7 +44,7 @@ def flight_of(bundle: Bundle) -> Flight:
 def test_it_takes_off_on_physics_until_its_history_is_filled_and_tracks_on_its_own(bundle: Bundle) -> None:
     flight = flight_of(bundle)
     story = flight.run(40.0)
-    waited = [change for change in story.changes if change.event is Event.MODEL_WAITING]
+    waited = [change for change in story.event_changes if change.event is Event.MODEL_WAITING]
     assert [change.active for change in waited[:2]] == [True, False]
     assert 0.15 < waited[1].time - waited[0].time < 0.4  # 18 columns of 10 ms
     assert story.phases[-1] is Phase.SHUTDOWN
@@ -112,7 +112,7 @@ def test_estimates_that_are_missing_leave_its_history_on_the_grid_and_the_flight
     assert known.sum() > 10
     np.testing.assert_allclose(controller.solver.history[known, :3], truth[:, :3], atol=0.005)  # 20 mm are a column
     np.testing.assert_allclose(controller.solver.history[known, 3:6], truth[:, 3:6], atol=0.05)
-    assert Event.MODEL_WAITING not in {change.event for change in flight.story.changes if change.time > 110.0}
+    assert Event.MODEL_WAITING not in {change.event for change in flight.story.event_changes if change.time > 110.0}
     again = flight_of(bundle).flyer
     for (seen, estimate), before in zip(flight.story.observations, flight.story.decisions, strict=True):
         decision = again.step(seen, estimate)

@@ -1,4 +1,4 @@
-"""A vehicle of a few lines on a real UDP or TCP socket, for tests of the link: says what a test tells it to."""
+"""A vehicle of a few lines on a real UDP or TCP socket, for tests of the link: steered by a test."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ class FakeVehicle:
         self.mav = mavlink.MAVLink(None, system, 1)
         self.parser = mavlink.MAVLink(None)
         self.parser.robust_parsing = True
-        self.custom_mode, self.armed, self.speaks = HOLD, False, True
+        self.custom_mode, self.armed, self.sends = HOLD, False, True
         self.acknowledgements: dict[int, list[int]] = {}  # results per command, in turn; the last one stays
         self.obeys = True
         self.parameters: dict[str, tuple[float, int]] = {}
         self.received: list[Any] = []
-        self.lose_next = 0  # requests to leave unanswered
+        self.lose_next = 0  # requests that stay unanswered
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -60,8 +60,8 @@ class FakeVehicle:
         kind = mavlink.MAV_TYPE_QUADROTOR
         self.send(mavlink.MAVLink_heartbeat_message(kind, mavlink.MAV_AUTOPILOT_PX4, mode, self.custom_mode, 3, 3))
 
-    def send_odometry(self, **changes: Any) -> None:
-        self.send(odometry(time_usec=int(self.clock() * 1e6), **changes))
+    def send_odometry(self, **overrides: Any) -> None:
+        self.send(odometry(time_usec=int(self.clock() * 1e6), **overrides))
 
     def count(self, name: str) -> int:
         return sum(message.get_type() == name for message in list(self.received))
@@ -69,7 +69,7 @@ class FakeVehicle:
     def _run(self) -> None:
         next_heartbeat = 0.0
         while not self._stop.is_set():
-            if self.speaks and time.monotonic() >= next_heartbeat:
+            if self.sends and time.monotonic() >= next_heartbeat:
                 next_heartbeat = time.monotonic() + 0.05
                 self.send_heartbeat()
             try:
@@ -78,7 +78,7 @@ class FakeVehicle:
                 continue
             for message in self.parser.parse_buffer(data) or []:
                 self.received.append(message)
-                if self.speaks:
+                if self.sends:
                     self._answer(message)
 
     def _answer(self, message: Any) -> None:
@@ -116,11 +116,11 @@ class FakeVehicle:
             self.send(mavlink.MAVLink_command_ack_message(message.command, result, 0, 0, *sender))
 
 
-def odometry(**changes: Any) -> Any:
+def odometry(**overrides: Any) -> Any:
     """An ODOMETRY message of a vehicle at rest at the origin facing north, with some fields changed."""
     fields: dict[str, Any] = {
         "time_usec": 0, "frame_id": 1, "child_frame_id": 1, "x": 0.0, "y": 0.0, "z": 0.0, "q": [1.0, 0.0, 0.0, 0.0],
         "vx": 0.0, "vy": 0.0, "vz": 0.0, "rollspeed": 0.0, "pitchspeed": 0.0, "yawspeed": 0.0,
         "pose_covariance": [0.0] * 21, "velocity_covariance": [0.0] * 21, "reset_counter": 0,
     }  # fmt: skip
-    return mavlink.MAVLink_odometry_message(**{**fields, **changes})
+    return mavlink.MAVLink_odometry_message(**{**fields, **overrides})

@@ -62,10 +62,10 @@ class RateControlledVehicle:
 
 @dataclass
 class Story:
-    """What happened in a flight, tick by tick."""
+    """A flight, tick by tick."""
 
     transitions: list[Transition] = field(default_factory=list)
-    changes: list[EventChange] = field(default_factory=list)
+    event_changes: list[EventChange] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     states: list[Floats] = field(default_factory=list)
@@ -81,7 +81,7 @@ class Story:
     @property
     def raised(self) -> set[Event]:
         """Events raised."""
-        return {change.event for change in self.changes if change.active}
+        return {change.event for change in self.event_changes if change.active}
 
 
 class Flight:
@@ -169,7 +169,7 @@ class Flight:
         story.observations.append((observation, self._estimate))
         story.decisions.append(decision)
         story.transitions += decision.transitions
-        story.changes += decision.event_changes
+        story.event_changes += decision.event_changes
         story.times.append(self.time)
         story.states.append(self.plant.state.copy())
         if not story.phases or story.phases[-1] is not mission.phase:

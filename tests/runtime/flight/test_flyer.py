@@ -341,7 +341,7 @@ def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_to_physics_for
     flight = swinging(vehicle, 0.6)
     story = flight.run(60.0)
     assert story.phases == FULL
-    oscillations = [change for change in story.changes if change.event is Event.MODEL_OSCILLATES]
+    oscillations = [change for change in story.event_changes if change.event is Event.MODEL_OSCILLATES]
     assert [change.active for change in oscillations] == [True]
     assert "from tick to tick" in oscillations[0].text
     first = story.times.index(oscillations[0].time)

@@ -162,7 +162,7 @@ def test_other_systems_are_heard_but_never_answered(link: Link, vehicle: FakeVeh
 
 
 def test_a_vehicle_that_changes_its_port_is_followed(link: Link, vehicle: FakeVehicle) -> None:
-    vehicle.speaks = False
+    vehicle.sends = False
     with FakeVehicle((LOCAL, port_of(link))) as moved:
         wait_until(lambda: moved.count("HEARTBEAT"))
 
@@ -191,10 +191,10 @@ def test_bytes_that_are_no_mavlink_are_distinguished_from_silence(link: Link) ->
 def test_a_vehicle_s_silence_and_its_return_are_reported(
     link: Link, vehicle: FakeVehicle, events: list[LinkEvent]
 ) -> None:
-    vehicle.speaks = False
+    vehicle.sends = False
     wait_until(lambda: "vehicle_silent" in {event.name for event in events})
     assert not link.is_connected(time.monotonic())
-    vehicle.speaks = True
+    vehicle.sends = True
     wait_until(lambda: "vehicle_heard_again" in {event.name for event in events})
 
 
