@@ -227,7 +227,7 @@ def with_history(
 
 
 def write_next_version(vehicle: Vehicle, path: Path) -> Path:
-    """Write a vehicle beside its file under the next free version: vehicle.toml, vehicle.v2.toml, vehicle.v3.toml.
+    """Write a vehicle next to its file under the next free version: vehicle.toml, vehicle.v2.toml, vehicle.v3.toml.
 
     Raises RequestError when it cannot be written.
     """

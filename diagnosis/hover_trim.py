@@ -116,12 +116,12 @@ def compare_trim(
 ) -> TrimComparison:
     """Whether a rotor works harder in flights than in normal flights of the same vehicle.
 
-    Raises RequestError for a flight that is given as both, DataError for flights that do not hover.
+    Raises RequestError for a flight that is in both groups, DataError for flights that do not hover.
     """
     hashes = {f.provenance.sha256 for f in normal if f.provenance.sha256}
     both = [f.provenance.path for f in flights if f.provenance.sha256 in hashes]
     if both:
-        raise RequestError(f"{', '.join(both)} is given as a normal flight too. Give other flights as normal ones.")
+        raise RequestError(f"{', '.join(both)} is among the normal flights too. Give other flights as normal ones.")
     now, usual = ([hover_shares(f, vehicle, thresholds) for f in group] for group in (flights, normal))
     if len({s.quantity for s in (*now, *usual)}) > 1:
         raise DataError(

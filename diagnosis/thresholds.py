@@ -94,7 +94,7 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
     max_lag: of the rotors behind commands that is tried, s. [not derived yet]
     lag_step: between the lags that are tried, s. [not derived yet]
-    noise: specific force that other effects leave, m/s^2. [not derived yet]
+    noise: specific force of other effects, m/s^2. [not derived yet]
     independent_share: of rows that count as independent observations. [not derived yet]
     term_std: prior standard deviations of constant, linear and quadratic term. [not derived yet]
     air_std: prior standard deviation of the drag of climbing, 1/s, and the lift of travelling, 1/m. [not derived yet]
@@ -203,7 +203,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
     where nothing is hidden]
     min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
-    min_share: of the first effect's gain that a further one must bring. [not derived yet]
+    min_share: of the first effect's gain that a further one must add. [not derived yet]
     parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
     min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
     max_effects: in one search. [not derived yet]
@@ -213,7 +213,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_contender_share: of the best score that a contender must have. [not derived yet]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [not derived yet]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
-    min_gust_share: of the effects' gain that a gust beside them must bring. [not derived yet]
+    min_gust_share: of the effects' gain that a gust beside them must add. [not derived yet]
     min_share_beside_gust: of a gust's score below which no effect is named beside it. [not derived yet]
     """
 
@@ -238,7 +238,7 @@ class RivalThresholds(ThresholdGroup, frozen=True):
 
     score: difference within which they cannot. [not derived yet]
     share: of the gain, the same. [not derived yet]
-    command_share: of what an effect brings, where rotor speeds come from commands. [not derived yet]
+    command_share: of an effect's gain, where rotor speeds come from commands. [not derived yet]
     max_rivals: that are compared with an effect. [not derived yet]
     """
 
@@ -262,7 +262,7 @@ class GustThresholds(ThresholdGroup, frozen=True):
 
 
 class ResidualTestThresholds(ThresholdGroup, frozen=True):
-    """Tests of what an identified model leaves; `VerdictThresholds` says from where on they reject.
+    """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
 
     features: random Fourier features of state or position. [not derived yet]
     state_fineness: of a feature of the state, over the standard deviation of the state. [not derived yet]

@@ -12,7 +12,7 @@ from dynamics.errors import RequestError
 
 
 def read_thresholds(path: str | Path) -> Thresholds:
-    """The thresholds of a file; what it leaves out keeps its default.
+    """The thresholds of a file; what is not in it keeps its default.
 
     Raises RequestError for a file that cannot be read, an unknown name, or a value out of range, with the range.
     """

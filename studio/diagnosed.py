@@ -18,16 +18,16 @@ from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Ch
 from studio.numbers import unit_shown
 
 NAMES = {
-    "imu": "force felt (accelerometer)",
-    "mocap": "force seen (acceleration of the pose)",
+    "imu": "specific force (accelerometer)",
+    "mocap": "specific force (acceleration of the pose)",
     "angular": "angular acceleration",
-    "attitude_rate": "turning of the attitude less the gyro",
+    "attitude_rate": "rate of the attitude less the gyro",
 }
 BROKEN = {
-    "imu": "force felt<br>(accelerometer)",
-    "mocap": "force seen<br>(by the pose)",
+    "imu": "specific force<br>(accelerometer)",
+    "mocap": "specific force<br>(pose)",
     "angular": "angular<br>acceleration",
-    "attitude_rate": "turning less<br>the gyro",
+    "attitude_rate": "attitude's rate<br>less the gyro",
 }
 AXIS = "xyz"
 ROOM = 1.15  # of the longest bar, for the number behind it
@@ -127,7 +127,7 @@ def overlay_lines(view: Overlay, *, improved: bool) -> Picture:
     figure.update_layout(meta=meta, hovermode="x unified")
     figure.update_xaxes(title_text="time, s (one flight behind the other)", range=[low - 1, high + 1])
     figure.update_yaxes(title_text=choices[0].layout["yaxis.title.text"])
-    return picture(figure, 420, "Lines: what was measured and what the models say, over time.")
+    return picture(figure, 420, "Lines: measurement and models over time.")
 
 
 def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, min_score: float, max_count: int = 14) -> Picture:
@@ -148,7 +148,7 @@ def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, min_score: float,
         )
     )
     figure.add_vline(x=min_score, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text="score (least that counts: dashed)", type="log", dtick=1, exponentformat="power")
+    figure.update_xaxes(title_text="score (least that is claimed: dashed)", type="log", dtick=1, exponentformat="power")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect alone.")
 
@@ -209,12 +209,12 @@ def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
         figure.update_yaxes(title_text=unit, type="log", exponentformat="power", row=row, col=1)
     figure.update_annotations(font_size=12)
     figure.update_xaxes(title_text="frequency, Hz", row=len(there), col=1)
-    says = "Lines: power of what the models leave, against the noise model."
-    return picture(figure, 120 + 175 * len(there), says, titles=True)
+    description = "Lines: power of the models' residuals and of the noise model."
+    return picture(figure, 120 + 175 * len(there), description, titles=True)
 
 
 def agreement_points(agreement: Agreement) -> Picture:
-    """What the accelerometer misses against what the pose misses: a force lies on the diagonal."""
+    """Residuals of the accelerometer against those of the pose: a force lies on the diagonal."""
     titles = [f"{AXIS[axis]}: {agreement.correlation[axis]:.2f}" for axis in range(3)]
     figure = make_subplots(cols=3, subplot_titles=titles, horizontal_spacing=0.09)
     reach = float(np.quantile(np.abs(np.hstack([agreement.specific_force, agreement.pose_acceleration])), 0.999))
@@ -227,7 +227,7 @@ def agreement_points(agreement: Agreement) -> Picture:
                 marker={"size": 4, "color": colour, "opacity": 0.4},
                 showlegend=False,
                 name=AXIS[axis],
-                hovertemplate="felt %{x:.3g}, seen %{y:.3g} m/s²<extra></extra>",
+                hovertemplate="accelerometer %{x:.3g}, pose %{y:.3g} m/s²<extra></extra>",
             ),
             row=1,
             col=axis + 1,
@@ -244,11 +244,11 @@ def agreement_points(agreement: Agreement) -> Picture:
         figure.add_trace(diagonal, row=1, col=axis + 1)
         figure.update_xaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
         figure.update_yaxes(range=[-reach, reach], nticks=5, row=1, col=axis + 1)
-    figure.update_xaxes(title_text="missed, as felt, m/s²", row=1, col=2)
-    figure.update_yaxes(title_text="as seen, m/s²", row=1, col=1)
+    figure.update_xaxes(title_text="residual of the accelerometer, m/s²", row=1, col=2)
+    figure.update_yaxes(title_text="residual of the pose, m/s²", row=1, col=1)
     figure.update_annotations(font_size=12)
-    says = "Points: what accelerometer and pose say that the model misses, axis by axis."
-    return picture(figure, 340, says, titles=True)
+    description = "Points: residuals of accelerometer and pose, axis by axis."
+    return picture(figure, 340, description, titles=True)
 
 
 def likeness_map(likeness: Likeness) -> Picture:

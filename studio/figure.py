@@ -1,4 +1,4 @@
-"""What all pictures share: colours that the colour-blind tell apart, axes with units, lines thinned for the screen."""
+"""What all pictures share: colours for the colour-blind, axes with units, lines thinned for the screen."""
 
 from __future__ import annotations
 
@@ -32,11 +32,16 @@ MAX_POINTS = 3000  # of a line
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure as JSON that a page draws. height: px. says: what it shows, for those who cannot see it."""
+    """A figure as JSON that a page draws.
+
+    data: the JSON.
+    height: px.
+    description: what it shows, for screen readers.
+    """
 
     data: str
     height: int
-    says: str
+    description: str
 
 
 @dataclass(frozen=True)
@@ -48,7 +53,7 @@ class Choice:
     layout: Mapping[str, Any] = field(default_factory=dict)
 
 
-def picture(figure: go.Figure, height: int, says: str, *, titles: bool = False) -> Picture:
+def picture(figure: go.Figure, height: int, description: str, *, titles: bool = False) -> Picture:
     """A figure in the style of all pages. titles: whether its parts have titles, above which the legend stands."""
     head, foot = (74 if titles else 34), 48
     above = 1 + (26 / (height - head - foot) if titles else 0)
@@ -63,7 +68,7 @@ def picture(figure: go.Figure, height: int, says: str, *, titles: bool = False) 
     )
     figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
     figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
-    return Picture(embedded(figure.to_json(engine="json")), height, says)
+    return Picture(embedded(figure.to_json(engine="json")), height, description)
 
 
 def line(x: Floats, y: Floats, *, name: str, colour: str, unit: str, **more: Any) -> go.Scatter:

@@ -19,9 +19,12 @@ REFERENCE = "#9ca3af"
 
 @dataclass(frozen=True, eq=False)
 class FlownTrack:
-    """One flight while it tracked its reference. time: (n,) s. position, reference: (n, 3) world, m.
+    """One flight while it tracked its reference.
 
-    position_rmse, position_max: distance to the reference, m. speed_max: m/s.
+    time: (n,) s.
+    position, reference: (n, 3) world, m.
+    position_rmse, position_max: distance to the reference, m.
+    speed_max: m/s.
     """
 
     time: Floats
@@ -34,7 +37,11 @@ class FlownTrack:
 
 @dataclass(frozen=True, eq=False)
 class FlownComparison:
-    """The same manoeuvre flown with the model before and after effects were added to it. name: of the manoeuvre."""
+    """The same manoeuvre flown with the model before and after effects were added to it.
+
+    name: of the manoeuvre.
+    before, after: the two flights.
+    """
 
     name: str
     before: FlownTrack
@@ -42,7 +49,7 @@ class FlownComparison:
 
 
 def tracking_bars(flown: Sequence[FlownComparison]) -> Picture:
-    """Position RMSE of each manoeuvre, before beside after."""
+    """Position RMSE of each manoeuvre, before and after."""
     figure = go.Figure()
     for name, colour, tracks in _sides(flown):
         rmse = [100 * track.position_rmse for track in tracks]

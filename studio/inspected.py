@@ -85,7 +85,7 @@ def _flight_lines(inspection: Inspection, flight: Flight) -> Picture | None:
     for item in inspection.exclusions:
         figure.add_vrect(x0=item.start, x1=item.stop, fillcolor="#718096", opacity=0.25, line_width=0)
     figure.update_xaxes(title_text="time, s", row=len(panels), col=1)
-    return picture(figure, 150 * len(panels) + 60, "Lines: what the log holds, over time.")
+    return picture(figure, 150 * len(panels) + 60, "Lines: the log's quantities over time.")
 
 
 def _delay_points(inspection: Inspection) -> Picture | None:
@@ -98,7 +98,7 @@ def _delay_points(inspection: Inspection) -> Picture | None:
         figure.add_trace(
             go.Scatter(
                 x=[1e3 * delay.seconds],
-                y=[f"{delay.stream}<br>against {delay.against}"],
+                y=[f"{delay.stream}<br>to {delay.against}"],
                 mode="markers",
                 name=kind,
                 error_x={"type": "data", "array": [reach]},

@@ -24,10 +24,14 @@ class PageTable:
 
 @dataclass(frozen=True)
 class Image:
-    """A picture as PNG. says: what it shows."""
+    """A picture as PNG.
+
+    png: its bytes.
+    description: what it shows.
+    """
 
     png: bytes
-    says: str
+    description: str
 
     @property
     def base64(self) -> str:

@@ -28,7 +28,7 @@ from dynamics.vehicle import GRAVITY, Vehicle
 class FlightGain:
     """Gains of one flight.
 
-    mean: thrust over what the file makes of the commands.
+    mean: thrust over that which the vehicle file gives for the commands.
     motors: each rotor's over that mean.
     """
 
@@ -75,7 +75,7 @@ class CommandCurve:
         each = ", ".join(f"{motor:.2f}" for motor in motors)
         return (
             f"no measured rotor speed: by these flights the rotors give {gain} times the thrust that the vehicle file "
-            f"makes of their commands, rotor by rotor {each} of that, followed with a lag of about "
+            f"gives for their commands, rotor by rotor {each} of that, followed with a lag of about "
             f"{1e3 * self.lag:.0f} ms ({100 * self.without_lag:.0f} % of the vertical force explained without lag, "
             f"{100 * self.explained:.0f} % with it). Mass and thrust_constant cannot be told from such a gain, nor a "
             "weak rotor from a motor's own"
@@ -120,7 +120,7 @@ def _gain(segments: Sequence[Segment], vehicle: Vehicle, thresholds: CommandCurv
     low, high = thresholds.gain
     if not low <= mean <= high:
         raise DataError(
-            f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file makes of their "
+            f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file gives for their "
             f"commands; wanted {low:g} to {high:g}. Check mass, thrust_constant, speed_max and thrust_curve "
             "of the file, and that it is this vehicle's."
         )

@@ -64,7 +64,7 @@ class Segment:
 
     @property
     def has_pose(self) -> bool:
-        """Whether the acceleration of the pose is known in body axes."""
+        """Whether the log holds the acceleration of the pose in body axes."""
         return not self.lacks & {"velocity", "attitude"}
 
     @property

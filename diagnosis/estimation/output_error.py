@@ -1,6 +1,6 @@
 """Output error: parameters for which simulated windows of flight end where the vehicle did.
 
-The equation-error fit looks at accelerations, one row at a time. Here windows are simulated open loop from measured
+The equation-error fit compares accelerations, one row at a time. Here windows are simulated open loop from measured
 states with all hidden states, and the parameters move until velocity, attitude and body rate agree (Jategaonkar, Flight
 Vehicle System Identification, 2006, ch. 4). Each window's start, gyro's bias and clock are unknowns of its own, which
 are integrated out; errors are whitened by their own covariance along the window, so that accumulated turbulence has

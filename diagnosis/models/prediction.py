@@ -117,7 +117,7 @@ class Predictor:
         rotor_speed: Floats | None = None,
         rotor_acceleration: Floats | None = None,
     ) -> list[Prediction]:
-        """Derivatives of the prediction in each free parameter, at other rotor speeds than measured if given."""
+        """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones."""
         assert self._slopes is not None
         p = self.values(changed)
         arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
