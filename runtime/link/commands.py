@@ -19,6 +19,7 @@ from runtime.link.link import Link
 from runtime.link.telemetry import VehicleStatus, enum_name
 
 _FORCE = 21196.0  # param2 of MAV_CMD_COMPONENT_ARM_DISARM: regardless of checks, and of being in the air
+_RESEND_PERIOD = 0.5  # s without an answer
 _HANDLING_TIME = 0.3  # s that a refusal waits for a heartbeat that contradicts it
 
 
@@ -136,7 +137,7 @@ def _confirm(
 
     with link.listening(read) as answers:
         link.send(command_message(link, command, 0, *parameters))
-        attempt, resend = 0, started + 0.5
+        attempt, resend = 0, started + _RESEND_PERIOD
         while (now := time.monotonic()) < min(deadline, refused_until):
             try:
                 answer = answers.get(timeout=max(0.0, min(deadline, refused_until, resend) - now))
@@ -144,7 +145,7 @@ def _confirm(
                 if time.monotonic() >= resend and not acknowledgements:
                     attempt += 1
                     link.send(command_message(link, command, attempt, *parameters))
-                resend = time.monotonic() + 0.5
+                resend = time.monotonic() + _RESEND_PERIOD
                 continue
             if answer:
                 acknowledgements.append(answer)

@@ -319,7 +319,7 @@ class Link:
         if reaction.estimate is not None:
             self._publish_estimate(reaction.estimate)
         if (frame.system, frame.component) == self.peer.address:
-            self._transport.answer(source)
+            self._transport.set_peer(source)
             if not self._vehicle_found.is_set():
                 self._vehicle_found.set()
                 self._next_heartbeat = float("-inf")  # nobody could receive one before

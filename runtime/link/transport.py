@@ -52,7 +52,7 @@ class Transport(Protocol):
     def send(self, data: bytes) -> bool:
         """Pass bytes to the kernel without waiting. Returns whether it took them all."""
 
-    def answer(self, source: Address | None) -> None:
+    def set_peer(self, source: Address | None) -> None:
         """Send from now on to the address that a packet came from."""
 
     def close(self) -> None:
@@ -123,7 +123,7 @@ class UdpTransport:
         except OSError:
             return False
 
-    def answer(self, source: Address | None) -> None:
+    def set_peer(self, source: Address | None) -> None:
         """Send from now on to this address."""
         if source is not None:
             self._peer = source
@@ -197,7 +197,7 @@ class TcpTransport:
         except OSError:
             return False
 
-    def answer(self, source: Address | None) -> None:
+    def set_peer(self, source: Address | None) -> None:
         """Nothing to do: a stream has one peer."""
 
     def close(self) -> None:
@@ -243,7 +243,7 @@ class SerialTransport:
         except OSError:
             return False
 
-    def answer(self, source: Address | None) -> None:
+    def set_peer(self, source: Address | None) -> None:
         """Nothing to do: a line has one peer."""
 
     def close(self) -> None:

@@ -112,7 +112,7 @@ def test_datagrams_carry_the_kernel_s_time_of_arrival(listener: UdpTransport, se
 def test_udpin_stays_silent_until_it_has_a_peer(listener: UdpTransport, sender: socket.socket) -> None:
     assert not listener.send(b"nobody")
     sender.sendto(b"hello", (LOCAL, listener.port))
-    listener.answer(receive(listener).source)
+    listener.set_peer(receive(listener).source)
     assert listener.send(b"answer")
     assert sender.recv(100) == b"answer"
 
