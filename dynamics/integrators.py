@@ -9,6 +9,7 @@ import casadi as ca
 
 from dynamics.effect import Expression
 from dynamics.model import Model
+from dynamics.state import ATTITUDE
 
 Field = Callable[[Expression], Expression]
 DrivenField = Callable[[Expression, float], Expression]
@@ -38,7 +39,7 @@ def required_steps(model: Model, duration: float) -> int:
 
 def with_unit_attitude(x: Expression) -> Expression:
     """The same state with its quaternion at unit length."""
-    return ca.vertcat(x[0:6], x[6:10] / ca.norm_2(x[6:10]), x[10:])
+    return ca.vertcat(x[: ATTITUDE.start], x[ATTITUDE] / ca.norm_2(x[ATTITUDE]), x[ATTITUDE.stop :])
 
 
 def step_function(model: Model, *, substeps: int = 1, name: str = "step") -> ca.Function:
