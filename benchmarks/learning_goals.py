@@ -25,8 +25,8 @@ from training import checkpoint
 from training.calibration import calibration
 from training.card import FlightError
 from training.checkpoint import TrainedModel
-from training.data.dataset import Dataset, make_dataset
-from training.data.recordings import find_logs, read_recordings
+from training.data.labelled_rows import LabelledRows, label_rows
+from training.data.logged_flights import find_logs, read_logged_flights
 from training.ground_truth import true_label
 from training.prediction import flight_errors, pooled, predict
 
@@ -55,10 +55,10 @@ def trained(name: str, logs: list[Path], *arguments: str, jobs: int = 2) -> Trai
     return checkpoint.load(file)
 
 
-def judged(model: TrainedModel) -> Dataset:
+def judged(model: TrainedModel) -> LabelledRows:
     """The eight test flights as the model takes them."""
-    recordings = read_recordings(find_logs([CAMPAIGN / "test"]), dt=model.config.dt, may_be_tests=True)
-    return make_dataset(model.config, model.vehicle, recordings)
+    recordings = read_logged_flights(find_logs([CAMPAIGN / "test"]), dt=model.config.dt, may_be_tests=True)
+    return label_rows(model.config, model.vehicle, recordings)
 
 
 def paper_pipeline() -> Table:

@@ -17,7 +17,7 @@ from dynamics.integrators import step_function
 from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from export.kinematics import roll_out
-from export.trained import ExportedModel, said_by_torch
+from export.trained import ExportedModel, torch_forward
 from runtime.control.rti.problem import fill_options
 from runtime.control.rti.solver import RtiSolver
 from training.data.features import accelerations_from, columns, world_accelerations
@@ -206,7 +206,7 @@ def _torch(backends: Backends, *, double: bool) -> Backend:
     def run(windows: Floats, hidden: Floats) -> Floats:
         rows = _newest(backends, windows).transpose(0, 2, 1)
         inputs = columns(config, rows[..., :RIGID_BODY_STATES], rows[..., RIGID_BODY_STATES:])
-        said = said_by_torch(model, inputs, double=double)
+        said = torch_forward(model, inputs, double=double)
         attitude = windows[:, ATTITUDE, -1]
         base = None if model.physics is None else to_body(_physics(model, windows, hidden), attitude)
         return world_accelerations(accelerations_from(config, vehicle, said, base, attitude), attitude)

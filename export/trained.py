@@ -168,7 +168,7 @@ def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...
     return tuple(layers)
 
 
-def said_by_torch(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
+def torch_forward(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
     """What the member itself says, untouched by export, of windows (m, T, inputs): (m, 6).
 
     double: evaluated in doubles.

@@ -14,8 +14,8 @@ from dynamics.references import named_reference
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from export.trained import ExportedModel
-from training.data.dataset import make_dataset, settled_motors
-from training.data.recordings import find_logs, read_recordings
+from training.data.labelled_rows import label_rows, with_logged_motors
+from training.data.logged_flights import find_logs, read_logged_flights
 
 REFERENCES = ("Lemniscate", "TransposedParabola", "WarpedEllipse_1")
 SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than any controller
@@ -24,9 +24,9 @@ SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than an
 def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, seed: int) -> Floats:
     """(count or fewer, 13 + rotors, `model.window`) windows of logs. Raises DataError without any."""
     vehicle = model.vehicle
-    recordings = read_recordings(find_logs(logs), dt=model.config.dt, may_be_tests=True)
-    config = msgspec.structs.replace(settled_motors(model.config, recordings, vehicle), history=model.window)
-    data = make_dataset(config, vehicle, recordings, fewest=1)
+    recordings = read_logged_flights(find_logs(logs), dt=model.config.dt, may_be_tests=True)
+    config = msgspec.structs.replace(with_logged_motors(model.config, recordings, vehicle), history=model.window)
+    data = label_rows(config, vehicle, recordings, min_windows=1)
     columns = np.hstack([data.state, data.rotor_speed])
     chosen = np.random.default_rng(seed).permutation(data.ends)[:count]
     return np.asarray(columns[chosen[:, None] + np.arange(1 - model.window, 1)].transpose(0, 2, 1))

@@ -45,7 +45,7 @@ def _in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], count: int
 ) -> Iterator[tuple[int, Result]]:
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
-    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent)
     try:
         places = {pool.submit(function, item): index for index, item in enumerate(items)}
         for done in as_completed(places):
@@ -54,7 +54,7 @@ def _in_processes(
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _end_with_parent() -> None:
+def end_with_parent() -> None:
     """End this process with its parent: it would otherwise go on writing files that a resumed run takes over."""
     parent = multiprocessing.parent_process()
     assert parent is not None

@@ -17,7 +17,7 @@ from dynamics.errors import RequestError
 from dynamics.files import write_whole
 from dynamics.state import ATTITUDE
 from training.data.features import world_accelerations
-from training.evaluation import BASE, NOMINAL, PLANT, Judged
+from training.evaluation import BASE, NOMINAL, PLANT, EvaluatedModel
 
 COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#666666")  # Okabe and Ito
 LETTERS, LEGEND_MARK = 16.0, 8  # of a legend: letters to an inch, and what an entry needs besides its name
@@ -30,7 +30,7 @@ STYLE = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "
 FORMATS = ("png", "pdf")
 
 
-def prediction_figure(judged: Sequence[Judged], flight: str) -> Figure:
+def prediction_figure(judged: Sequence[EvaluatedModel], flight: str) -> Figure:
     """A flight like the paper's Figure 5: left, the slice of NOM's largest error; right, RMSE of each axis, stacked."""
     shown = [one for one in judged if one.evaluation.name != PLANT and one.evaluation.kind != BASE]
     times, label, predictions = _common_rows(shown, flight)
@@ -114,7 +114,7 @@ def save(figure: Figure, folder: Path, name: str) -> list[Path]:
     ]
 
 
-def nominal_ratios(judged: Sequence[Judged]) -> tuple[dict[str, list[float | None]], list[str]]:
+def nominal_ratios(judged: Sequence[EvaluatedModel]) -> tuple[dict[str, list[float | None]], list[str]]:
     """RMSE over NOM's by learned model and flight, against ground truth or else labels; and the flights' names."""
     flights = [error.flight for error in judged[0].evaluation.best_known]
     ratios: dict[str, list[float | None]] = {}
@@ -126,7 +126,7 @@ def nominal_ratios(judged: Sequence[Judged]) -> tuple[dict[str, list[float | Non
     return ratios, [flight.split(".")[0] for flight in flights]
 
 
-def _common_rows(judged: Sequence[Judged], flight: str) -> tuple[Floats, Floats, list[Floats]]:
+def _common_rows(judged: Sequence[EvaluatedModel], flight: str) -> tuple[Floats, Floats, list[Floats]]:
     """Times, labels (n, 6) and predictions in world axes of the rows of a flight that every model has."""
     times, parts = [], []
     for one in judged:

@@ -1,4 +1,4 @@
-"""Whether an ensemble knows where it errs: does its disagreement find the worst rows, do its error bars cover."""
+"""How well an ensemble's disagreement predicts its error: rank of the worst rows, coverage of the intervals."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE
 from training.checkpoint import TrainedModel
-from training.data.dataset import Dataset
 from training.data.features import outputs_from
+from training.data.labelled_rows import LabelledRows
 from training.prediction import member_outputs, predict
 
 WORST = 0.1  # share of the rows that disagreement should find
 
 
 class Calibration(msgspec.Struct, frozen=True):
-    """auroc: of the disagreement as a sign of the worst tenth of the rows, 0.5 for no sign at all.
+    """Calibration of an ensemble on flights that it was not trained on.
 
-    coverage: share of the outputs within their 90 % interval. faded: share of the rows whose residual is not fully
-    believed.
+    auroc: of the disagreement as a predictor of the worst tenth of the rows, 0.5 for chance.
+    coverage: share of the outputs within their 90 % interval.
+    faded: share of the rows whose residual is not added in full.
     """
 
     auroc: float
@@ -28,21 +29,23 @@ class Calibration(msgspec.Struct, frozen=True):
     faded: float
 
 
-def calibration(model: TrainedModel, data: Dataset, label: Floats) -> Calibration | None:
-    """From flights that the model has not seen; None for a single network. label: (n, 6), NaN where unknown."""
-    said = predict(model, data)
-    if said.disagreement is None or said.half_width is None or said.gate is None:
+def calibration(model: TrainedModel, data: LabelledRows, label: Floats) -> Calibration | None:
+    """On flights that the model was not trained on; None for a single network. label: (n, 6), NaN where unknown."""
+    prediction = predict(model, data)
+    if prediction.disagreement is None or prediction.half_width is None or prediction.gate is None:
         return None
     ends = data.ends
     base = None if data.base is None else data.base[ends]
-    wanted = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, ATTITUDE])
-    error = member_outputs(model, data).mean(axis=0) - wanted
-    known = np.isfinite(error).all(axis=1)
-    size = np.sqrt(np.mean((error[known] / model.scaling.output_std) ** 2, axis=1))
+    required = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, ATTITUDE])
+    error = member_outputs(model, data).mean(axis=0) - required
+    labelled = np.isfinite(error).all(axis=1)
+    size = np.sqrt(np.mean((error[labelled] / model.scaling.output_std) ** 2, axis=1))
     worst = size > np.quantile(size, 1 - WORST)
-    covered = np.abs(error[known]) <= said.half_width[known]
+    covered = np.abs(error[labelled]) <= prediction.half_width[labelled]
     return Calibration(
-        auroc(said.disagreement[known], worst), float(covered.mean()), float(np.mean(said.gate[known] < 1))
+        auroc(prediction.disagreement[labelled], worst),
+        float(covered.mean()),
+        float(np.mean(prediction.gate[labelled] < 1)),
     )
 
 

@@ -94,11 +94,11 @@ class TrainedModel:
         """
         scaling = self.scaling
         chosen = self.networks if member is None else (self.networks[member],)
-        given = torch.as_tensor(windows, dtype=torch.float64)
-        standardised = ((given - torch.from_numpy(scaling.input_mean)) / torch.from_numpy(scaling.input_std)).float()
+        raw = torch.as_tensor(windows, dtype=torch.float64)
+        standardised = ((raw - torch.from_numpy(scaling.input_mean)) / torch.from_numpy(scaling.input_std)).float()
         with torch.no_grad():
-            found = torch.stack([network(standardised) for network in chosen]).double().numpy()
-        return np.asarray(found * scaling.output_std + scaling.output_mean)
+            outputs = torch.stack([network(standardised) for network in chosen]).double().numpy()
+        return np.asarray(outputs * scaling.output_std + scaling.output_mean)
 
 
 def save(model: TrainedModel, path: Path) -> None:
@@ -190,9 +190,9 @@ def _model(content: dict[str, Any]) -> TrainedModel:
     card = msgspec.json.decode(content["card"], type=Card)
     scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})
     ranges = Ranges(**{name: value.double().numpy() for name, value in content["ranges"].items()})
-    told = content["reliability"]
-    reliability = told and Reliability(
-        told["disagreement"], told["error_floor"].double().numpy(), told["error_scale"].double().numpy()
+    limits = content["reliability"]
+    reliability = limits and Reliability(
+        limits["disagreement"], limits["error_floor"].double().numpy(), limits["error_scale"].double().numpy()
     )
     vehicle = parse_vehicle(content["vehicle"])
     _require_widths(config, scaling, ranges, reliability)
@@ -221,13 +221,14 @@ def _in_si(model: TrainedModel) -> TrainedModel:
 
 def _require_widths(config: ModelConfig, scaling: Scaling, ranges: Ranges, reliability: Reliability | None) -> None:
     inputs = len(config.input_names)
-    found = [len(scaling.input_mean), len(scaling.input_std), len(ranges.lowest), len(ranges.highest)]
-    said = [len(scaling.output_mean), len(scaling.output_std)]
+    input_widths = [len(scaling.input_mean), len(scaling.input_std), len(ranges.lowest), len(ranges.highest)]
+    output_widths = [len(scaling.output_mean), len(scaling.output_std)]
     if reliability is not None:
-        said += [len(reliability.error_floor), len(reliability.error_scale)]
-    if found != [inputs] * 4 or said != [6] * len(said):
+        output_widths += [len(reliability.error_floor), len(reliability.error_scale)]
+    if input_widths != [inputs] * 4 or output_widths != [6] * len(output_widths):
         raise RequestError(
-            f"scaling and ranges are for {found[0]} inputs and {said[0]} outputs, its config has {inputs} and 6."
+            f"scaling and ranges are for {input_widths[0]} inputs and {output_widths[0]} outputs, its config has "
+            f"{inputs} and 6."
         )
 
 

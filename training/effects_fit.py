@@ -1,7 +1,7 @@
 """Named effects fitted to a network's own labels: Gauss-Newton on the model's mean increments over whole flights.
 
-`alula diagnose` says which effects a vehicle has; here only their values are settled, on the same rows, motors and
-labels that the network on top of them learns from, so that it is left with nothing that they could have said.
+`alula diagnose` finds which effects a vehicle has; here only their values are estimated, on the same rows, rotor speeds
+and labels that the network on top of them learns from, so that the network's residual holds nothing of theirs.
 """
 
 from __future__ import annotations
@@ -20,24 +20,28 @@ from dynamics.errors import DataError, RequestError
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
-from training.data.dataset import Dataset, labelled
+from training.data.labelled_rows import LabelledRows, labelled
 from training.physics import RowModel
 
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences
 SETTLED = 1e-3  # relative change that ends the rounds
 ROWS = 400_000  # at most, whole flights spread over all; a few brisk flights settle inertia, and none may be missed
-NEGLIGIBLE = 1e-8  # singular values below this share of the largest say nothing
+NEGLIGIBLE = 1e-8  # singular values below this share of the largest are noise
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """bounds, neutral: of each parameter. flights: (first row, end) of every piece that is used."""
+    """A least-squares problem.
+
+    segments: (first row, end) of every segment that is used.
+    names: of the parameters, with their bounds (lower, upper) and usual size (scale).
+    """
 
     config: ModelConfig
     model: RowModel
-    data: Dataset
-    pieces: tuple[tuple[int, int], ...]
+    data: LabelledRows
+    segments: tuple[tuple[int, int], ...]
     names: tuple[str, ...]
     lower: Floats
     upper: Floats
@@ -45,30 +49,30 @@ class _Problem:
 
 
 def fit_effects(
-    config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect] = CATALOGUE
+    config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> Vehicle:
-    """The vehicle with its effects at the values that fit the labels best, least squares weighted by what is left.
+    """The vehicle with its effects at the values that fit the labels best, least squares weighted by the residual.
 
     Raises RequestError when the vehicle has no effect, DataError when no value of theirs shows in these flights.
     """
     if not vehicle.effects:
         raise RequestError(
-            f"{vehicle.name} names no effect, so a grey box would be the textbook model. Let `alula diagnose` and "
-            "`alula add` find some, or give --effect NAME; res_tcn is the residual on the textbook model."
+            f"{vehicle.name} names no effect, so a grey box would be the nominal model. Let `alula diagnose` and "
+            "`alula add` find some, or give --effect NAME; res_tcn is the residual on the nominal model."
         )
     problem = _problem(msgspec.structs.replace(config, base="grey_box"), vehicle, data, catalogue)
     model = problem.model.model
     values = np.array([model.parameter_values[model.parameter_index(name)] for name in problem.names])
     for _ in range(ROUNDS):
-        left = _residual(problem, values)
-        weight = 1 / left.std(axis=0)
-        slopes = np.stack([_slope(problem, values, left, place) for place in range(len(values))], axis=2)
+        residual = _residual(problem, values)
+        weight = 1 / residual.std(axis=0)
+        slopes = np.stack([_slope(problem, values, residual, place) for place in range(len(values))], axis=2)
         matrix = (slopes * weight[None, :, None]).reshape(-1, len(values))
         size = np.linalg.norm(matrix, axis=0)
         if not np.any(size > 0):
             raise DataError(f"none of {', '.join(problem.names)} shows in these flights. Leave the effects out.")
         matrix = matrix / np.where(size > 0, size, 1.0)
-        step = np.linalg.lstsq(matrix, (left * weight).ravel(), rcond=NEGLIGIBLE)[0] / np.where(size > 0, size, 1.0)
+        step = np.linalg.lstsq(matrix, (residual * weight).ravel(), rcond=NEGLIGIBLE)[0] / np.where(size > 0, size, 1.0)
         before, values = values, np.clip(values + step, problem.lower, problem.upper)
         if np.all(np.abs(values - before) <= SETTLED * problem.scale):
             break
@@ -76,7 +80,7 @@ def fit_effects(
 
 
 def with_rotor_lag(
-    config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect] = CATALOGUE
+    config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> Vehicle:
     """The vehicle as it answers commands: where its file names no lag of the rotors, with one fitted to the flights."""
     named = any(catalogue[use.name].rotor_speed is not None for use in vehicle.effects)
@@ -85,58 +89,58 @@ def with_rotor_lag(
     return fit_effects(config, named_effects(vehicle, [EffectUse(motor_lag.EFFECT.name)], catalogue), data, catalogue)
 
 
-def _problem(config: ModelConfig, vehicle: Vehicle, data: Dataset, catalogue: Mapping[str, Effect]) -> _Problem:
+def _problem(config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogue: Mapping[str, Effect]) -> _Problem:
     model = RowModel(
         vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors, catalogue=catalogue
     )
-    found = [
+    free = [
         (f"{item.key}.{parameter.name}", parameter, item)
         for item in model.model.effects
         for parameter in item.effect.parameters
         if not item.effect.measurement and not item.effect.stochastic
     ]
-    scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in found]
+    scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in free]
     return _Problem(
-        config, model, data, _pieces(data), tuple(name for name, _, _ in found),
-        np.array([p.lower for _, p, _ in found]), np.array([p.upper for _, p, _ in found]), np.array(scale),
+        config, model, data, _whole_segments(data), tuple(name for name, _, _ in free),
+        np.array([p.lower for _, p, _ in free]), np.array([p.upper for _, p, _ in free]), np.array(scale),
     )  # fmt: skip
 
 
-def _pieces(data: Dataset) -> tuple[tuple[int, int], ...]:
+def _whole_segments(data: LabelledRows) -> tuple[tuple[int, int], ...]:
     """Whole segments, every n-th so that there are about ROWS rows."""
     gap = (np.diff(data.time) < 0) | (np.diff(data.flight_of) != 0) | (np.diff(data.time) > 1.5 * _period(data))
     edges = [0, *(np.flatnonzero(gap) + 1).tolist(), len(data.time)]
-    whole = list(itertools.pairwise(edges))
+    segments = list(itertools.pairwise(edges))
     every = max(1, round(len(data.time) / ROWS))
-    return tuple(whole[::every])
+    return tuple(segments[::every])
 
 
-def _period(data: Dataset) -> float:
+def _period(data: LabelledRows) -> float:
     return float(np.median(np.diff(data.time)))
 
 
 def _residual(problem: _Problem, values: Floats) -> Floats:
-    """(m, 6) label less model, over all pieces, rows without a label left out."""
+    """(m, 6) label less model, over all segments, rows without a label left out."""
     p = problem.model.model.parameter_values.copy()
     for name, value in zip(problem.names, values, strict=True):
         p[problem.model.model.parameter_index(name)] = value
-    data, left = problem.data, []
-    for start, stop in problem.pieces:
+    data, residuals = problem.data, []
+    for start, stop in problem.segments:
         state = data.state[start:stop]
-        said = problem.model(state, data.rotor_speed[start:stop], parameters=p).body
-        left.append(data.label[start:stop] - labelled(problem.config, said, state[:, ATTITUDE]))
-    rows = np.vstack(left)
+        predicted = problem.model(state, data.rotor_speed[start:stop], parameters=p).body
+        residuals.append(data.label[start:stop] - labelled(problem.config, predicted, state[:, ATTITUDE]))
+    rows = np.vstack(residuals)
     return rows[np.isfinite(rows).all(axis=1)]
 
 
-def _slope(problem: _Problem, values: Floats, left: Floats, place: int) -> Floats:
+def _slope(problem: _Problem, values: Floats, residual: Floats, place: int) -> Floats:
     """(m, 6) change of the model by one parameter."""
     step = NUDGE * problem.scale[place]
     if values[place] + step > problem.upper[place]:
         step = -step
     moved = values.copy()
     moved[place] += step
-    return np.asarray((left - _residual(problem, moved)) / step)
+    return np.asarray((residual - _residual(problem, moved)) / step)
 
 
 def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:

@@ -1,4 +1,4 @@
-"""Where a training writes: a model that is not overwritten by mistake, and a folder that its members go on from."""
+"""The files of a training: a model that is not overwritten by mistake, and the folder of its members' states."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from dynamics.errors import RequestError
 
-STATE, PROGRESS = "member_{}.state", "member_{}.json"
+STATE = "member_{}.state"
 SUFFIX, CARD_SUFFIX = ".pt", ".json"
 LOCK = "lock"
 
@@ -22,7 +22,7 @@ def run_folder(out: Path) -> Path:
 
 @contextmanager
 def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterator[None]:
-    """The model's path and the members' folder for this process alone; the folder stays if they can go on from it.
+    """The model's path and the members' folder for this process alone; the folder stays if they can continue from it.
 
     Raises RequestError for a model that exists, a training that did not end or still runs, and a folder that cannot be
     written to.
@@ -30,7 +30,7 @@ def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterat
     require_free(out, overwrite=overwrite)
     if not resume and _began(folder):
         raise RequestError(
-            f"{folder} holds a training that did not end. Go on with --resume and otherwise the same command, or "
+            f"{folder} holds a training that did not end. Continue with --resume and otherwise the same command, or "
             "delete the folder."
         )
     try:
@@ -55,7 +55,7 @@ def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterat
 def require_free(out: Path, *, overwrite: bool) -> None:
     """Raises RequestError for a name that is not a model's, and for a model or a card that is there."""
     if out.suffix != SUFFIX:
-        raise RequestError(f"--out {out}: wanted a name that ends in {SUFFIX}, by which other commands know models.")
+        raise RequestError(f"--out {out}: required is a name in {SUFFIX}, by which other commands know models.")
     for path in (out, out.with_suffix(CARD_SUFFIX)):
         if path.exists() and not overwrite:
             raise RequestError(f"{path} exists. Give another --out, or --overwrite.")

@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
-from dynamics.state import ATTITUDE
+from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from flights.flight import Flight
-from training.data.dataset import Dataset
 from training.data.features import body_accelerations
+from training.data.labelled_rows import LabelledRows
 from training.data.labels import mean_increment
-from training.data.recordings import CAMPAIGN
+from training.data.logged_flights import CAMPAIGN
 
 FOLDER = "truth"  # of a campaign
 
@@ -38,54 +38,58 @@ def campaign_of(logs: tuple[Path, ...]) -> Path | None:
 def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
     """The vehicle that really flew: body and rotors of the file with what the campaign hid, noise left out.
 
-    Raises DataError when the campaign does not say what it hid.
+    Raises DataError when the campaign does not name what it hid.
     """
     path = campaign / CAMPAIGN
     try:
-        told: dict[str, Any] = msgspec.json.decode(path.read_bytes())
-        texts = [str(text) for text in told["effects"]]
+        manifest: dict[str, Any] = msgspec.json.decode(path.read_bytes())
+        texts = [str(text) for text in manifest["effects"]]
     except (OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
-        raise DataError(f"{path} does not say what the campaign hid: {error}. Fly it again.") from error
+        raise DataError(f"{path} does not name what the campaign hid: {error}. Fly it again.") from error
     uses = [parse_effect(text, vehicle.rotors.count) for text in texts]
     bare = msgspec.structs.replace(vehicle, effects=())
     return bare.with_effects(*[use for use in uses if not CATALOGUE[use.name].stochastic])
 
 
-def true_label(data: Dataset, campaign: Path, *, dt: float) -> Floats:
+def true_label(data: LabelledRows, campaign: Path, *, dt: float) -> Floats:
     """(n, 6) true mean body accelerations over the next dt at the rows of a campaign's flights; NaN at their ends.
 
     Raises DataError when the campaign kept no truth of one of the flights.
     """
-    found = np.full((len(data.time), 6), np.nan)
+    label = np.full((len(data.time), 6), np.nan)
     for part in _true_flights(data, campaign, dt):
         increments = mean_increment(np.hstack([part.flight["velocity"], part.flight["rate"]]), 1 / dt, dt)
         inside = part.at < len(increments)
         rows = part.rows[inside]
-        found[rows] = body_accelerations(increments[part.at[inside]], data.state[rows, ATTITUDE])
-    return found
+        label[rows] = body_accelerations(increments[part.at[inside]], data.state[rows, ATTITUDE])
+    return label
 
 
-def true_states(data: Dataset, campaign: Path, *, dt: float) -> Floats:
+def true_states(data: LabelledRows, campaign: Path, *, dt: float) -> Floats:
     """(n, 13) true states at the rows of a campaign's flights; NaN where there is none. Raises DataError likewise."""
-    found = np.full((len(data.time), 13), np.nan)
+    states = np.full((len(data.time), RIGID_BODY_STATES), np.nan)
     for part in _true_flights(data, campaign, dt):
         inside = part.at < len(part.flight)
         names = ("position", "velocity", "attitude", "rate")
-        states = np.hstack([part.flight[name][part.at[inside]] for name in names])
-        found[part.rows[inside]] = states
-    return found
+        states[part.rows[inside]] = np.hstack([part.flight[name][part.at[inside]] for name in names])
+    return states
 
 
 @dataclass(frozen=True, eq=False)
 class _TrueFlight:
-    """flight: what was true. rows: (m,) of the data set. at: (m,) the same instants in the flight."""
+    """The ground truth of one flight.
+
+    flight: the true motion.
+    rows: (m,) rows of the data set.
+    at: (m,) the same instants in the flight.
+    """
 
     flight: Flight
     rows: NDArray[np.intp]
     at: NDArray[np.intp]
 
 
-def _true_flights(data: Dataset, campaign: Path, dt: float) -> Iterator[_TrueFlight]:
+def _true_flights(data: LabelledRows, campaign: Path, dt: float) -> Iterator[_TrueFlight]:
     for place, name in enumerate(data.flights):
         path = campaign / FOLDER / name
         if not path.exists():

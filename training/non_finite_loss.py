@@ -1,4 +1,4 @@
-"""Which flight made a loss that is no number."""
+"""The error for a loss that is not finite, with the flight that it comes from."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import torch
 from torch import Tensor
 
 from dynamics.errors import DataError
-from training.data.dataset import RowNames
+from training.data.labelled_rows import RowNames
 from training.data.tensors import Tensors
 
 
-def blame(rows: RowNames, tensors: Tensors, chosen: Tensor, *, step: int, batch: int) -> DataError:
-    """The error that says in which batch and at which flight's row learning broke down.
+def non_finite_loss(rows: RowNames, tensors: Tensors, chosen: Tensor, *, step: int, batch: int) -> DataError:
+    """The error that names batch, flight and time.
 
-    A window or a label whose square is no number in 32 bits is named; without one the weights have diverged, and
-    the window with the largest standardised value in the batch is.
+    The row is that of a window or label whose square is not finite in 32 bits; without one the weights have diverged,
+    and it is that of the window with the largest standardised value in the batch.
     """
     ends = tensors.ends[chosen.to(tensors.ends.device)]
     sizes = torch.cat([tensors.windows(ends).flatten(1), tensors.targets[ends]], dim=1).abs()
@@ -22,10 +22,11 @@ def blame(rows: RowNames, tensors: Tensors, chosen: Tensor, *, step: int, batch:
     worst = int(largest.argmax())
     row = int(ends[worst])
     where = f"{rows.flight_at(row)} at {rows.time[row]:.2f} s"
-    head = f"the loss of batch {step} ({batch} windows) is no number"
+    head = f"the loss of batch {step} ({batch} windows) is not finite"
     if not torch.isfinite(largest[worst].square()):
         return DataError(
-            f"{head}: {where} has a value that is none, or far too large. Leave the flight out, or repair its log."
+            f"{head}: {where} has a value that is not finite, or far too large. Leave the flight out, or "
+            "repair its log."
         )
     return DataError(
         f"{head}: the weights diverged; the most extreme window of the batch, {float(largest[worst]):.3g} standard "

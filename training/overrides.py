@@ -1,4 +1,4 @@
-"""A definition or a recipe with other values, and what is wrong with those that it does not allow."""
+"""Overrides of a definition's or a recipe's values, and the errors for those that it does not allow."""
 
 from __future__ import annotations
 
@@ -14,25 +14,28 @@ from dynamics.errors import RequestError
 Definition = TypeVar("Definition", bound=msgspec.Struct)
 
 
-def changed(struct: Definition, changes: Mapping[str, Any]) -> Definition:
-    """The struct with other values. Raises RequestError for one that its type does not allow, or that is not finite."""
+def overridden(struct: Definition, overrides: Mapping[str, Any]) -> Definition:
+    """The struct with some values replaced.
+
+    Raises RequestError for a value that its type does not allow, or that is not finite.
+    """
     kind = type(struct)
-    unknown = [name for name in changes if name not in kind.__struct_fields__]
+    unknown = [name for name in overrides if name not in kind.__struct_fields__]
     if unknown:
         raise RequestError(
             f"there is no {unknown[0]} in a {kind.__name__}. Known: {', '.join(kind.__struct_fields__)}."
         )
-    for name, value in changes.items():
+    for name, value in overrides.items():
         if isinstance(value, float) and not math.isfinite(value):
-            raise RequestError(f"{name} = {value}: wanted a finite number.")
+            raise RequestError(f"{name} = {value}: required is a finite number.")
     try:
-        return msgspec.convert({**msgspec.to_builtins(struct), **changes}, kind)
+        return msgspec.convert({**msgspec.to_builtins(struct), **overrides}, kind)
     except msgspec.ValidationError as error:
         what, _, where = str(error).partition(" - at `$.")
         name = where.rstrip("`").split("[")[0]
         choices = choices_of(kind, name)
-        wanted = f"wanted one of {choices}" if choices else what[:1].lower() + what[1:]
-        raise RequestError(f"{name} = {changes.get(name)}: {wanted}.") from error
+        required = f"required is one of {choices}" if choices else what[:1].lower() + what[1:]
+        raise RequestError(f"{name} = {overrides.get(name)}: {required}.") from error
 
 
 def choices_of(kind: type[msgspec.Struct], name: str) -> str:

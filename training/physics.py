@@ -25,7 +25,7 @@ from training.config import Label, Motors
 BLOCK = 128  # rows a call
 
 
-class Rows(NamedTuple):
+class ModelRows(NamedTuple):
     """body: (n, 6) body accelerations. following: (n, 13) the rigid body's state one step later."""
 
     body: Floats
@@ -49,10 +49,10 @@ class RowModel:
         # the carried state is only handed from row to row within one call
         self._code = compile_functions([function.mapaccum("rows", BLOCK)])["rows"]
 
-    def __call__(self, state: Floats, rotor_speed: Floats, *, parameters: Floats | None = None) -> Rows:
+    def __call__(self, state: Floats, rotor_speed: Floats, *, parameters: Floats | None = None) -> ModelRows:
         """Consecutive rows of one flight. state: (n, 13). rotor_speed: (n, rotors) rad/s, held until the next row.
 
-        parameters: instead of the vehicle's own, in the model's order. Rows with NaN give NaN from there on.
+        parameters: instead of the vehicle's own, in the model's order. ModelRows with NaN give NaN from there on.
         """
         p = self.model.parameter_values if parameters is None else parameters
         inputs, outputs = self._code.inputs, self._code.outputs
@@ -67,7 +67,7 @@ class RowModel:
             body[start:stop] = outputs["body"].reshape(BLOCK, 6)[: stop - start]
             following[start:stop] = outputs["following"].reshape(BLOCK, -1)[: stop - start]
             inputs["carried"][:] = outputs["carried_on"].reshape(BLOCK, -1)[-1]
-        return Rows(body, following)
+        return ModelRows(body, following)
 
 
 class BatchModel:
@@ -84,7 +84,7 @@ class BatchModel:
         self._parameters = np.tile(model.parameter_values, BLOCK)
         self._carried = initial_hidden(model, rotor_speed)
 
-    def __call__(self, state: Floats, rotor_speed: Floats) -> Rows:
+    def __call__(self, state: Floats, rotor_speed: Floats) -> ModelRows:
         """state: (m, 13). rotor_speed: (m, rotors) rad/s, held until the next row."""
         inputs, outputs = self._code.inputs, self._code.outputs
         inputs["p"][:] = self._parameters
@@ -98,7 +98,7 @@ class BatchModel:
             body[rows] = outputs["body"].reshape(BLOCK, 6)[:count]
             following[rows] = outputs["following"].reshape(BLOCK, -1)[:count]
             self._carried[rows] = outputs["carried_on"].reshape(BLOCK, -1)[:count]
-        return Rows(body, following)
+        return ModelRows(body, following)
 
 
 def _driven(effects: Sequence[EffectUse], motors: Motors, catalogue: Mapping[str, Effect]) -> list[EffectUse]:
@@ -115,7 +115,7 @@ def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:
     return carried
 
 
-def textbook(vehicle: Vehicle, *, dt: float, label: Label) -> RowModel:
+def nominal_model(vehicle: Vehicle, *, dt: float, label: Label) -> RowModel:
     """The nominal model h_nom of the vehicle file's body and rotors (PI-TCN eq. 1, 2)."""
     return RowModel(vehicle, (), dt=dt, label=label, motors="command")
 
@@ -125,14 +125,14 @@ def row_function(model: Model, dt: float, label: Label) -> ca.Function:
     hidden, spare = ca.SX.sym("hidden", model.hidden_count), ca.SX.sym("spare")
     x, u = ca.SX.sym("x", RIGID_BODY_STATES), ca.SX.sym("u", model.input_count)
     p, e, still = ca.SX.sym("p", len(model.parameter_names)), ENVIRONMENT_DEFAULT, ca.SX.zeros(model.hidden_count)
-    whole = ca.vertcat(x, hidden)
+    state = ca.vertcat(x, hidden)
     steps = required_steps(model, dt)
-    after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), whole, dt, steps=steps))
+    after = with_unit_attitude(rk4(lambda state: model.derivative(state, u, p, e, still), state, dt, steps=steps))
     if label == "mean_increment":
         acceleration = (after[VELOCITY] - x[VELOCITY]) / dt + ca.vertcat(0, 0, GRAVITY)
         body = ca.vertcat(quaternion.rotate_inverse(x[ATTITUDE], acceleration), (after[RATE] - x[RATE]) / dt)
     else:
-        force, angular, _ = model.observe(whole, u, p, e)
+        force, angular, _ = model.observe(state, u, p, e)
         body = ca.vertcat(force, angular)
     carried = ca.vertcat(hidden, spare)
     on = ca.vertcat(after[RIGID_BODY_STATES:], spare)

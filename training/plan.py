@@ -20,15 +20,15 @@ from dynamics.vehicle_file import vehicle_toml
 from training.card import Card
 from training.checkpoint import Ranges, Scaling, TrainedModel
 from training.config import ModelConfig
-from training.data.collocation import Points, physics_points
-from training.data.dataset import Dataset, make_dataset, settled_motors
-from training.data.recordings import Split
-from training.data.tensors import PointTensors, Tensors, make_scaling
+from training.data.collocation import CollocationPoints, collocation_points
+from training.data.labelled_rows import LabelledRows, label_rows, with_logged_motors
+from training.data.logged_flights import Split
+from training.data.tensors import CollocationTensors, Tensors, make_scaling
 from training.effects_fit import fit_effects, with_rotor_lag
 from training.networks import build_network
 from training.prediction import flight_errors, judge_reliability, member_outputs, predict
 from training.recipe import Recipe
-from training.rollout import Rollout
+from training.rollout_loss import RolloutLoss
 from training.trainer import Member, Task
 
 MIN_VALIDATION = 50  # windows
@@ -43,25 +43,27 @@ class Plan:
     recipe: Recipe
     vehicle: Vehicle
     split: Split
-    training: Dataset
-    validation: Dataset
+    training: LabelledRows
+    validation: LabelledRows
     scaling: Scaling
-    points: Points | None
+    collocation: CollocationPoints | None
     fingerprint: str
 
     def task(self, member: int, seed: int, *, device: torch.device, state_file: Path | None) -> Task:
         """What one member learns from. Raises DataError when no segment is long enough for its roll-outs."""
         training = Tensors.of(self.training, self.scaling, self.config.history, device)
-        points = None if self.points is None else PointTensors.of(self.points, self.scaling, device)
+        collocation = (
+            None if self.collocation is None else CollocationTensors.of(self.collocation, self.scaling, device)
+        )
         rollout = None
         if self.recipe.rollout > 1:
-            rollout = Rollout.of(
+            rollout = RolloutLoss.of(
                 self.config, self.vehicle, self.training, training, self.scaling, self.recipe.rollout,
                 self.recipe.input_noise,
             )  # fmt: skip
         return Task(
             config=self.config, recipe=self.recipe, training=training,
-            validation=Tensors.of(self.validation, self.scaling, self.config.history, device), points=points,
+            validation=Tensors.of(self.validation, self.scaling, self.config.history, device), collocation=collocation,
             rollout=rollout, rows=self.training.names, fingerprint=self.fingerprint, member=member, seed=seed,
             state_file=state_file,
         )  # fmt: skip
@@ -123,24 +125,24 @@ def make_plan(
     """
     _require_sense(config, recipe)
     everything = (*split.training, *split.validation)
-    config = settled_motors(msgspec.structs.replace(config, rotors=vehicle.rotors.count), everything, vehicle)
-    training = make_dataset(config, vehicle, split.training)
+    config = with_logged_motors(msgspec.structs.replace(config, rotors=vehicle.rotors.count), everything, vehicle)
+    training = label_rows(config, vehicle, split.training)
     pulses = recipe.physics_weight > 0 and recipe.physics_points == "pulses"
     if fit and (config.base == "grey_box" or (pulses and vehicle.effects)):
         vehicle = fit_effects(config, vehicle, training)
         if config.base == "grey_box":
-            training = make_dataset(config, vehicle, split.training)
-    validation = make_dataset(config, vehicle, split.validation, fewest=MIN_VALIDATION)
+            training = label_rows(config, vehicle, split.training)
+    validation = label_rows(config, vehicle, split.validation, min_windows=MIN_VALIDATION)
     scaling = make_scaling(config, recipe, vehicle, training)
-    points = None
+    collocation = None
     if recipe.physics_weight > 0:
         answering = with_rotor_lag(config, vehicle, training) if pulses and config.base != "grey_box" else vehicle
-        points = physics_points(config, recipe, answering, training, seed=seed)
+        collocation = collocation_points(config, recipe, answering, training, seed=seed)
     digest = hashlib.sha256(msgspec.json.encode([config, recipe, str(torch.__version__)]))
-    taught = () if points is None else (points.windows, points.targets)
+    taught = () if collocation is None else (collocation.windows, collocation.targets)
     for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends, *taught):
         digest.update(np.ascontiguousarray(values).tobytes())
-    return Plan(config, recipe, vehicle, split, training, validation, scaling, points, digest.hexdigest())
+    return Plan(config, recipe, vehicle, split, training, validation, scaling, collocation, digest.hexdigest())
 
 
 def _require_sense(config: ModelConfig, recipe: Recipe) -> None:

@@ -11,8 +11,8 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE
 from training.card import FlightError
 from training.checkpoint import Reliability, TrainedModel
-from training.data.dataset import Dataset
 from training.data.features import accelerations_from
+from training.data.labelled_rows import LabelledRows
 
 EVALUATED = 8192  # windows at once
 FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
@@ -35,7 +35,7 @@ class Prediction:
     gate: Floats | None = None
 
 
-def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, gated: bool = True) -> Prediction:
+def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = None, gated: bool = True) -> Prediction:
     """The ensemble's mean, or what one member says. data: made with the model's config and vehicle.
 
     gated: whether a grey box's residual fades where the members disagree more than on their own flights; on the
@@ -56,17 +56,17 @@ def predict(model: TrainedModel, data: Dataset, *, member: int | None = None, ga
     if gated and model.config.base == "grey_box":
         gate = gate_of(disagreement, model.reliability.disagreement)
     body = accelerations_from(model.config, model.vehicle, gate[:, None] * mean, base, attitude)
-    told = model.reliability
-    return Prediction(body, disagreement, np.hypot(told.error_floor, told.error_scale * deviation), gate)
+    reliability = model.reliability
+    return Prediction(body, disagreement, np.hypot(reliability.error_floor, reliability.error_scale * deviation), gate)
 
 
 def gate_of(disagreement: Floats, threshold: float) -> Floats:
     """Share of a residual that is believed: all of it up to the threshold, then falling with the square."""
-    least = max(threshold, 1e-12)  # members that all kept no residual agree exactly
-    return np.asarray((least / np.maximum(disagreement, least)) ** 2)
+    limit = max(threshold, 1e-12)  # members that all kept no residual agree exactly
+    return np.asarray((limit / np.maximum(disagreement, limit)) ** 2)
 
 
-def member_outputs(model: TrainedModel, data: Dataset, *, member: int | None = None) -> Floats:
+def member_outputs(model: TrainedModel, data: LabelledRows, *, member: int | None = None) -> Floats:
     """(members, m, 6) what the networks say at the data set's ends, in the outputs' units."""
     offsets = np.arange(1 - model.config.history, 1)
     parts = [
@@ -93,28 +93,28 @@ def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> R
     return Reliability(float(np.quantile(disagreement, FLAGGED)), floor, scale)
 
 
-def flight_errors(data: Dataset, body: Floats, label: Floats | None = None) -> tuple[FlightError, ...]:
+def flight_errors(data: LabelledRows, body: Floats, label: Floats | None = None) -> tuple[FlightError, ...]:
     """Errors of body accelerations (m, 6) at the data set's ends, flight by flight.
 
     label: (n, 6) what they are compared with, by default the flights' own labels; rows of NaN are left out.
     """
-    wanted = (data.label if label is None else label)[data.ends]
-    known = np.isfinite(wanted).all(axis=1)
+    reference = (data.label if label is None else label)[data.ends]
+    labelled = np.isfinite(reference).all(axis=1)
     flight, nominal = data.flight_of[data.ends], data.nominal[data.ends]
     base = None if data.base is None else data.base[data.ends]
-    found = []
+    errors = []
     for place, name in enumerate(data.flights):
-        rows = known & (flight == place)
+        rows = labelled & (flight == place)
         if not rows.any():
             continue
-        linear, angular, combined = rmse(body[rows] - wanted[rows])
-        found.append(
+        linear, angular, combined = rmse(body[rows] - reference[rows])
+        errors.append(
             FlightError(
-                name, int(rows.sum()), linear, angular, combined, rmse(nominal[rows] - wanted[rows])[2],
-                None if base is None else rmse(base[rows] - wanted[rows])[2],
+                name, int(rows.sum()), linear, angular, combined, rmse(nominal[rows] - reference[rows])[2],
+                None if base is None else rmse(base[rows] - reference[rows])[2],
             )
         )  # fmt: skip
-    return tuple(found)
+    return tuple(errors)
 
 
 def rmse(error: Floats) -> tuple[float, float, float]:

@@ -1,9 +1,14 @@
-"""What a running member shows of itself, and the file that it goes on from after it was killed."""
+"""Progress of a member: its reports, and the state file from which it continues after it was killed."""
 
 from __future__ import annotations
 
 import copy
+import multiprocessing
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from multiprocessing.managers import SyncManager
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +17,21 @@ import torch
 from torch import nn
 
 from dynamics.errors import RequestError
+from flights.parallel import end_with_parent
 from training.checkpoint import read_content, write_atomically
 from training.optimiser import StepRule
 
 
 class Report(msgspec.Struct, frozen=True):
-    """Where a member stands. loss, physics_loss: of the last batch. validation: mean squared standardised error."""
+    """Progress of a member at an evaluation.
+
+    member: its number in the ensemble.
+    step: of `steps` in all.
+    loss, physics_loss: of the last batch, physics_loss None without one.
+    validation: mean squared standardised error.
+    best: the lowest validation error up to now.
+    learning_rate: at this step.
+    """
 
     member: int
     step: int
@@ -29,9 +43,41 @@ class Report(msgspec.Struct, frozen=True):
     learning_rate: float
 
 
+Progress = Callable[[Report], None]
+
+
+@contextmanager
+def progress_channel(progress: Progress) -> Iterator[Progress]:
+    """A function that other processes call with their reports: each one reaches `progress` in this process."""
+    manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
+    manager.start(end_with_parent)
+    reports = manager.Queue()
+
+    def forward() -> None:
+        while (report := reports.get()) is not None:
+            progress(report)
+
+    thread = threading.Thread(target=forward, name="training progress", daemon=True)
+    thread.start()
+    try:
+        yield reports.put
+    finally:
+        reports.put(None)
+        thread.join()
+        manager.shutdown()
+
+
 @dataclass(eq=False)
 class Run:
-    """Everything that decides how training goes on. generator: draws batches and noise; dropout takes torch's own."""
+    """All state of a training in progress.
+
+    rule: the optimisers.
+    generator: of batches and noise; dropout takes torch's own.
+    fingerprint: of everything that determines the result.
+    best, best_step, best_weights: of the lowest validation error.
+    without_better: evaluations since then.
+    seconds: of training.
+    """
 
     network: nn.Module
     rule: StepRule
@@ -53,7 +99,7 @@ class Run:
             self.without_better += 1
 
     def is_exhausted(self, patience: int) -> bool:
-        """Whether so many evaluations in a row brought nothing better. patience: 0 for never."""
+        """Whether `patience` evaluations in a row were no better than the best one. patience: 0 for never."""
         return 0 < patience <= self.without_better
 
     def save(self, path: Path) -> None:
@@ -70,7 +116,7 @@ class Run:
         write_atomically(content, path)
 
     def resume(self, path: Path) -> None:
-        """Take over what was saved. Raises RequestError for a damaged file or one of another training."""
+        """Continue from a saved state. Raises RequestError for a damaged file or one of another training."""
         content = read_content(path)
         if content.get("fingerprint") != self.fingerprint:
             raise RequestError(

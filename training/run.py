@@ -1,16 +1,15 @@
-"""A training from logs to a checkpoint: what was asked for, the members in their processes, what they leave behind.
+"""A training from logs to a checkpoint: options, the members in their processes, model and card.
 
-While it runs, `MODEL.pt.run` holds what every member goes on from after it was killed.
+While it runs, `MODEL.pt.run` holds the state from which each member continues after it was killed.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import os
-import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -26,26 +25,39 @@ from flights.parallel import parallel_map
 from training import checkpoint, process_group
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig, convolutions_for
-from training.data.recordings import find_logs, left_out, read_recordings, split_recordings
+from training.data.logged_flights import find_logs, left_out, read_logged_flights, split_flights
 from training.effects_fit import named_effects
-from training.folder import CARD_SUFFIX, PROGRESS, STATE, claimed, require_free, run_folder
+from training.folder import CARD_SUFFIX, STATE, claimed, require_free, run_folder
 from training.models import named_kind
-from training.overrides import changed
+from training.overrides import overridden
 from training.plan import Plan, make_plan
-from training.progress import Report
+from training.progress import Progress, progress_channel
 from training.recipe import Recipe, named_recipe
 from training.trainer import Member, Task, train
 
-POLL = 0.5  # s
 MAX_SEED = 2**31
-Progress = Callable[[Report], None]
 
 
 class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What `alula train` was asked for. config, recipe_changes: fields that differ from the model's and the recipe's.
+    """The options of `alula train`.
 
-    effects: added to the vehicle file's, as on the command line. ensemble: members. jobs: processes, None for one a
-    core.
+    logs: logs, folders of logs, a campaign's folder.
+    vehicle: a shipped vehicle or a vehicle file.
+    model: kind of model (`training.models`).
+    out: the checkpoint to write.
+    recipe: name of the recipe.
+    config: overrides of the model's definition.
+    recipe_overrides: overrides of the recipe.
+    effects: added to the vehicle file's, as on the command line.
+    keep_effects: whether effects keep the vehicle file's values instead of being fitted.
+    validation, hold_out: patterns of file names.
+    mapping: columns of tables that are not recognised.
+    seed: of the first member; each further member has the next one.
+    ensemble: number of members.
+    jobs: processes, None for one a core.
+    device: of torch.
+    resume: whether to continue a training that was killed.
+    overwrite: whether a model that exists may be replaced.
     """
 
     logs: tuple[Path, ...]
@@ -54,7 +66,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     out: Path
     recipe: str = "fast"
     config: dict[str, Any] = {}
-    recipe_changes: dict[str, Any] = {}
+    recipe_overrides: dict[str, Any] = {}
     effects: tuple[str, ...] = ()
     keep_effects: bool = False
     validation: str | None = None
@@ -69,7 +81,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def folder(self) -> Path:
-        """Where members keep what they go on from."""
+        """Folder of the members' saved states."""
         return run_folder(self.out)
 
     @property
@@ -79,7 +91,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def run(options: TrainOptions, progress: Progress) -> TrainedModel:
-    """Train every member, write the model and its card beside it. progress: told of each member's evaluations.
+    """Train every member, write the model and its card beside it. progress: called at each member's evaluations.
 
     Raises RequestError, DataError for what a user can cause.
     """
@@ -112,33 +124,33 @@ def _train(options: TrainOptions, device: torch.device, size: int, progress: Pro
 
 
 def plan_of(options: TrainOptions) -> Plan:
-    """Read vehicle and flights, and settle what is learned. Raises RequestError, DataError."""
+    """Read vehicle and flights and make the plan of the training. Raises RequestError, DataError."""
     vehicle = _vehicle(options)
     config, recipe = settled(options)
     logs = find_logs(options.logs)
-    recordings = read_recordings(logs, dt=config.dt, mapping=options.mapping)
-    split = split_recordings(recordings, validation=options.validation, hold_out=options.hold_out)
+    recordings = read_logged_flights(logs, dt=config.dt, mapping=options.mapping)
+    split = split_flights(recordings, validation=options.validation, hold_out=options.hold_out)
     split = dataclasses.replace(split, notes=(*left_out(logs, recordings), *split.notes))
     return make_plan(config, recipe, vehicle, split, seed=options.seed, fit=not options.keep_effects)
 
 
 def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
-    """Definition and recipe with the options' changes. Raises RequestError for values that make no sense."""
+    """Definition and recipe with the options' overrides. Raises RequestError for values that are not allowed."""
     if options.ensemble < 1:
-        raise RequestError(f"an ensemble of {options.ensemble} members: wanted 1 or more.")
+        raise RequestError(f"an ensemble of {options.ensemble} members: required is 1 or more.")
     if not 0 <= options.seed <= MAX_SEED:
-        raise RequestError(f"seed {options.seed}: wanted 0 to {MAX_SEED}.")
+        raise RequestError(f"seed {options.seed}: required is 0 to {MAX_SEED}.")
     kind, recipe = named_kind(options.model), named_recipe(options.recipe)
     config = kind.config_for(recipe)
-    changes = dict(options.config)
-    if "inputs" in changes and config.outputs != "wrench":
-        changes.setdefault("outputs", changes["inputs"])
-    if "history" in changes and config.network == "tcn":
-        changes["kernel"], changes["dilations"] = convolutions_for(changes["history"])
+    overrides = dict(options.config)
+    if "inputs" in overrides and config.outputs != "wrench":
+        overrides.setdefault("outputs", overrides["inputs"])
+    if "history" in overrides and config.network == "tcn":
+        overrides["kernel"], overrides["dilations"] = convolutions_for(overrides["history"])
     recipe = kind.recipe_for(recipe)
-    if "steps" in options.recipe_changes:
+    if "steps" in options.recipe_overrides:
         recipe = msgspec.structs.replace(recipe, epochs=None)
-    return changed(config, changes), changed(recipe, options.recipe_changes)
+    return overridden(config, overrides), overridden(recipe, options.recipe_overrides)
 
 
 def write_card(model: TrainedModel, out: Path) -> Path:
@@ -154,12 +166,6 @@ def _vehicle(options: TrainOptions) -> Vehicle:
     return named_effects(vehicle, uses)
 
 
-@dataclass(frozen=True, eq=False)
-class _Job:
-    task: Task
-    progress_file: Path
-
-
 def _train_members(
     options: TrainOptions, plan: Plan, device: torch.device, size: int, progress: Progress
 ) -> Sequence[Member]:
@@ -171,22 +177,15 @@ def _train_members(
     if device.type != "cpu" or size > 1 or jobs == 1 or len(tasks) == 1:
         with one_thread(device):
             return [train(task, progress) for task in tasks]
-    work = [_Job(task, options.folder / PROGRESS.format(task.member)) for task in tasks]
-    with _watched([job.progress_file for job in work], progress):
-        found = dict(parallel_map(_work, work, jobs=jobs))
-    return [found[place] for place in range(len(work))]
+    with progress_channel(progress) as report:
+        members = dict(parallel_map(partial(_train_alone, report=report), tasks, jobs=jobs))
+    return [members[place] for place in range(len(tasks))]
 
 
-def _work(job: _Job) -> Member:
-    """One member in a process of its own, which tells where it stands through a file."""
-
-    def tell(report: Report) -> None:
-        part = job.progress_file.with_suffix(".part")
-        part.write_bytes(msgspec.json.encode(report))
-        part.replace(job.progress_file)
-
-    with one_thread(job.task.training.inputs.device):
-        return train(job.task, tell)
+def _train_alone(task: Task, *, report: Progress) -> Member:
+    """One member in a process of its own."""
+    with one_thread(task.training.inputs.device):
+        return train(task, report)
 
 
 @contextmanager
@@ -199,31 +198,3 @@ def one_thread(device: torch.device) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(before)
-
-
-@contextmanager
-def _watched(files: Sequence[Path], progress: Progress) -> Iterator[None]:
-    """Hand on what the members tell through their files while something else waits for them."""
-    over = threading.Event()
-    told: dict[Path, bytes] = {}
-
-    def look() -> None:
-        for file in files:
-            if file.exists() and told.get(file) != (text := file.read_bytes()):
-                told[file] = text
-                progress(msgspec.json.decode(text, type=Report))
-
-    def watch() -> None:
-        while not over.wait(POLL):
-            look()
-
-    for file in files:
-        file.unlink(missing_ok=True)
-    thread = threading.Thread(target=watch, name="training progress", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        over.set()
-        thread.join()
-        look()

@@ -45,10 +45,10 @@ class Stream:
         kernel = self._config.kernel
         for place, (layer, dilation) in enumerate(zip(network.layers, self._config.dilations, strict=True)):
             assert isinstance(layer, CausalConvolution)
-            seen = self._remember(place, column, (kernel - 1) * dilation + 1)
-            if len(seen) <= (kernel - 1) * dilation:
+            inputs = self._remember(place, column, (kernel - 1) * dilation + 1)
+            if len(inputs) <= (kernel - 1) * dilation:
                 return None
-            sums = layer.linear(torch.cat(seen[::dilation], dim=1))
+            sums = layer.linear(torch.cat(inputs[::dilation], dim=1))
             column = layer.activate(sums[:, None])[:, 0]
         outputs: Tensor = network.decoder(column)
         return outputs

@@ -1,7 +1,7 @@
 """The trainer that all models share: composite loss of PI-TCN eq. 4 in two stages, Adam, best step by validation.
 
-A member of an ensemble is one call of `train` with its own seed. Every `evaluate_every` steps the validation flights
-are judged and everything is saved; a run that was killed goes on from there, bit for bit.
+A member of an ensemble is one call of `train` with its own seed. Every `evaluate_every` steps the network is evaluated
+on the validation flights and everything is saved; a run that was killed continues from there, bit for bit.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ import torch
 from torch import Tensor, nn
 
 from training.config import ModelConfig
-from training.data.dataset import RowNames
-from training.data.tensors import PointTensors, Tensors, with_noise
+from training.data.labelled_rows import RowNames
+from training.data.tensors import CollocationTensors, Tensors, with_noise
 from training.networks import build_network
-from training.non_finite_loss import blame
+from training.non_finite_loss import non_finite_loss
 from training.optimiser import StepRule
 from training.process_group import join_group, shared, wait_for_all
 from training.progress import Report, Run
 from training.recipe import Recipe
-from training.rollout import Rollout
+from training.rollout_loss import RolloutLoss
 from training.schedule import Schedule
 
 EVALUATED = 8192  # windows at once
@@ -32,18 +32,25 @@ EVALUATED = 8192  # windows at once
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What one member learns from. rows: names the flight of a row in an error.
+    """What one member learns from.
 
-    fingerprint: of everything that decides the result but the seed. state_file: where progress is kept, None for
-    nowhere.
+    config, recipe: the model's and the training's definition.
+    training, validation: standardised flights.
+    collocation: points of the physics-inspired loss, None without it.
+    rollout: the loss over several steps, None for one step.
+    rows: flight and time of a row, for errors.
+    fingerprint: of everything but the seed that determines the result.
+    member: its number in the ensemble.
+    seed: of weights and batches.
+    state_file: where progress is saved, None for nowhere.
     """
 
     config: ModelConfig
     recipe: Recipe
     training: Tensors
     validation: Tensors
-    points: PointTensors | None
-    rollout: Rollout | None
+    collocation: CollocationTensors | None
+    rollout: RolloutLoss | None
     rows: RowNames
     fingerprint: str
     member: int
@@ -53,7 +60,14 @@ class Task:
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """A trained network's best weights. validation: mean squared standardised error that they have."""
+    """A trained member.
+
+    weights: the best ones.
+    validation: their mean squared standardised error.
+    best_step: at which they were reached.
+    steps: trained in all.
+    seconds: of training.
+    """
 
     weights: dict[str, Any]
     validation: float
@@ -63,9 +77,9 @@ class Member:
 
 
 def train(task: Task, report: Callable[[Report], None]) -> Member:
-    """Train one member, from where it was left if its state file is there. report: told at every evaluation.
+    """Train one member, from its state file if there is one. report: called at every evaluation.
 
-    Raises DataError when the loss is no number, RequestError when progress cannot be written or read.
+    Raises DataError when the loss is not finite, RequestError when progress cannot be written or read.
     """
     recipe, device = task.recipe, task.training.inputs.device
     rank, size = join_group(device)
@@ -89,7 +103,7 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
         chosen = torch.randint(len(task.training.ends), (recipe.batch,), generator=generator)[rank::size]
         loss, physics = _losses(task, learner, chosen.to(device), run, schedule.physics_weight(run.step), (rank, size))
         if not torch.isfinite(loss):
-            raise blame(task.rows, task.training, chosen, step=run.step, batch=recipe.batch)
+            raise non_finite_loss(task.rows, task.training, chosen, step=run.step, batch=recipe.batch)
         run.rule.clear_gradients()
         loss.backward()  # type: ignore[no-untyped-call]
         rate = schedule.learning_rate(run.step)
@@ -103,10 +117,8 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
         if rank == 0:
             if task.state_file is not None:
                 run.save(task.state_file)
-            told = None if physics is None else physics.item()
-            report(
-                Report(task.member, run.step, schedule.steps, loss.item(), told, validation, run.best, rate)
-            )  # fmt: skip
+            losses = loss.item(), None if physics is None else physics.item()
+            report(Report(task.member, run.step, schedule.steps, *losses, validation, run.best, rate))
         stopped = run.is_exhausted(recipe.patience) and not run.step < schedule.restart < schedule.steps
     wait_for_all()
     return Member(run.best_weights, run.best, run.best_step, run.step, run.seconds)
@@ -132,9 +144,9 @@ def _losses(
     ends = data.ends[chosen]
     windows, targets = data.windows(ends), data.targets[ends]
     windows = with_noise(windows, task.config.state_inputs, recipe.input_noise, run.generator)
-    if task.points is None or weight == 0:
+    if task.collocation is None or weight == 0:
         return (learner(windows) - targets).square().mean(), None
-    count, pool = recipe.physics_batch, len(task.points.windows)
+    count, pool = recipe.physics_batch, len(task.collocation.windows)
     rows = (torch.arange(count) + run.step * count)[share[0] :: share[1]] % pool
-    outputs, physics = task.points.loss(learner, windows, rows)
+    outputs, physics = task.collocation.loss(learner, windows, rows)
     return (outputs - targets).square().mean() + weight * physics, physics

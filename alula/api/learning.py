@@ -74,9 +74,9 @@ def train(
         from training.run import TrainOptions, run
     options = TrainOptions(
         logs=_paths(logs), vehicle=str(vehicle), model=model, out=Path(out), recipe=recipe, config=dict(config or {}),
-        recipe_changes=dict(overrides or {}), effects=tuple(effects), keep_effects=keep_effects, validation=validation,
-        hold_out=hold_out, mapping=None if mapping is None else Path(mapping), seed=seed, ensemble=ensemble, jobs=jobs,
-        device=device, resume=resume, overwrite=overwrite,
+        recipe_overrides=dict(overrides or {}), effects=tuple(effects), keep_effects=keep_effects,
+        validation=validation, hold_out=hold_out, mapping=None if mapping is None else Path(mapping), seed=seed,
+        ensemble=ensemble, jobs=jobs, device=device, resume=resume, overwrite=overwrite,
     )  # fmt: skip
     trained = run(options, progress or _ignore)
     return TrainingResult(trained.card, trained, options.out)

@@ -51,11 +51,11 @@ def open_loop_errors(
         windows = simulator.run(segment, starts.tolist(), last, predictor.values())
         for horizon, parts in errors.items():
             step = round(horizon * rate)
-            parts.append(_difference(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
-    return tuple(_summary(horizon, np.vstack(parts)) for horizon, parts in errors.items())
+            parts.append(state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
+    return tuple(horizon_error(horizon, np.vstack(parts)) for horizon, parts in errors.items())
 
 
-def _difference(predicted: Floats, measured: Floats) -> Floats:
+def state_error(predicted: Floats, measured: Floats) -> Floats:
     """(n, 12) errors of position, velocity, attitude as a rotation vector, and rate, from states (n, 13 or more)."""
     rotation = quaternion.multiply(quaternion.conjugate(measured[:, ATTITUDE]), predicted[:, ATTITUDE])
     rotation = np.where(rotation[:, :1] < 0, -rotation, rotation)
@@ -63,6 +63,7 @@ def _difference(predicted: Floats, measured: Floats) -> Floats:
     return np.hstack([position, velocity, quaternion.logarithm(rotation), rate])
 
 
-def _summary(horizon: float, errors: Floats) -> HorizonError:
+def horizon_error(horizon: float, errors: Floats) -> HorizonError:
+    """RMS over the rows of `state_error`."""
     norms = [float(np.sqrt(np.mean(np.sum(errors[:, 3 * i : 3 * i + 3] ** 2, axis=1)))) for i in range(4)]
     return HorizonError(horizon, *norms)

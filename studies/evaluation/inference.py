@@ -17,8 +17,8 @@ from dynamics.errors import RequestError
 from export.onnx_file import onnx_model
 from export.trained import exported
 from training.checkpoint import TrainedModel
-from training.data.dataset import Dataset
-from training.evaluation import PLANT, Judged
+from training.data.labelled_rows import LabelledRows
+from training.evaluation import PLANT, EvaluatedModel
 from training.physics import BLOCK, RowModel
 from training.run import one_thread
 from training.streaming import Stream
@@ -36,7 +36,7 @@ class Inference(msgspec.Struct, frozen=True):
     slowest: float
 
 
-def time_inference(judged: Sequence[Judged]) -> tuple[tuple[Inference, ...], tuple[str, ...]]:
+def time_inference(judged: Sequence[EvaluatedModel]) -> tuple[tuple[Inference, ...], tuple[str, ...]]:
     """Timings of every model but the plant with each of its engines, and notes on missing ones."""
     timings, notes = [], []
     with one_thread(torch.device("cpu")):
@@ -52,13 +52,13 @@ def time_inference(judged: Sequence[Judged]) -> tuple[tuple[Inference, ...], tup
     return tuple(timings), tuple(notes)
 
 
-def time_network(model: TrainedModel, data: Dataset) -> float:
+def time_network(model: TrainedModel, data: LabelledRows) -> float:
     """Median seconds of one prediction by torch, a whole window at a time; in the threads that are set."""
     network, window = model.networks[0], _window(model, data)
     return _timed("", "", lambda: network(window), 1).median
 
 
-def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[], object], int]]:
+def _engines(model: TrainedModel, data: LabelledRows) -> dict[str, tuple[Callable[[], object], int]]:
     """A function to call for each engine, and the number of predictions of a call."""
     if not model.networks:
         return {"C, 128 rows a call": (_physics_call(model, data), BLOCK)}
@@ -73,13 +73,13 @@ def _engines(model: TrainedModel, data: Dataset) -> dict[str, tuple[Callable[[],
     }
 
 
-def _window(model: TrainedModel, data: Dataset) -> torch.Tensor:
+def _window(model: TrainedModel, data: LabelledRows) -> torch.Tensor:
     """The first window of the flights, (1, T, inputs), standardised."""
     columns = data.inputs[data.ends[0] + np.arange(1 - model.config.history, 1)]
     return torch.from_numpy((columns - model.scaling.input_mean) / model.scaling.input_std).float()[None]
 
 
-def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
+def _onnx_call(model: TrainedModel, data: LabelledRows) -> Callable[[], object]:
     """A prediction by a bundle's model.onnx: network and base model from a window in SI units."""
     proto = onnx_model(exported(model), {})
     options = onnxruntime.SessionOptions()
@@ -94,7 +94,7 @@ def _onnx_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
     return lambda: session.run(None, feed)
 
 
-def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], object], int]:
+def _kernel_call(model: TrainedModel, data: LabelledRows) -> tuple[Callable[[], object], int]:
     """The compiled kernel along a flight's columns. Raises RequestError without a compiler or for other models."""
     from export.kernel import kernel_solver  # with HPIPM and the runtime, which nothing else here needs
     from runtime.control.rti.problem import Problem
@@ -110,7 +110,7 @@ def _kernel_call(model: TrainedModel, data: Dataset) -> tuple[Callable[[], objec
     return lambda: solver.stream(rows), COLUMNS
 
 
-def _physics_call(model: TrainedModel, data: Dataset) -> Callable[[], object]:
+def _physics_call(model: TrainedModel, data: LabelledRows) -> Callable[[], object]:
     rows = RowModel(
         model.vehicle, model.vehicle.effects, dt=model.config.dt, label=model.config.label, motors=model.config.motors
     )

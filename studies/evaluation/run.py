@@ -19,8 +19,8 @@ from studies.tables import Table
 from studies.tables_page import write_tables_page
 from training import checkpoint
 from training.config import ModelConfig
-from training.data.recordings import CAMPAIGN, find_logs, read_recordings
-from training.evaluation import PLANT, Evaluated, Judged, Named, evaluate, physical_model
+from training.data.logged_flights import CAMPAIGN, find_logs, read_logged_flights
+from training.evaluation import PLANT, EvaluatedModel, EvaluationReport, NamedModel, evaluate, physical_model
 from training.ground_truth import campaign_of
 
 MODEL_SUFFIX = ".pt"
@@ -32,16 +32,16 @@ MAX_PICTURES = 8  # flights
 class Results:
     """Results of an evaluation: numbers, tables, and what the pictures need."""
 
-    evaluated: Evaluated
+    evaluated: EvaluationReport
     timings: tuple[Inference, ...]
     tables: tuple[Table, ...]
-    judged: tuple[Judged, ...]
+    judged: tuple[EvaluatedModel, ...]
 
 
 class Answer(msgspec.Struct, frozen=True):
     """`alula evaluate --json`."""
 
-    evaluated: Evaluated
+    evaluated: EvaluationReport
     inference: tuple[Inference, ...]
 
 
@@ -58,16 +58,16 @@ def run(
     Raises RequestError and DataError for what a user can cause.
     """
     paths = [path for path in arguments if path.suffix == MODEL_SUFFIX]
-    models = [Named(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
+    models = [NamedModel(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
     logs = find_flights([path for path in arguments if path.suffix != MODEL_SUFFIX])
     dt = models[0].model.config.dt if models else ModelConfig("", "none", base="nominal").dt
     if vehicle is not None:
         file = read_vehicle(find_vehicle(vehicle))
         like = models[0].model.config if models else ModelConfig("", "none", base="nominal", rotors=file.rotors.count)
-        models.insert(0, Named(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
+        models.insert(0, NamedModel(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
     if any(named.model.config.dt != dt for named in models):
         raise RequestError("the models predict over different times dt: evaluate them one at a time.")
-    recordings = read_recordings(logs, dt=dt, mapping=mapping, may_be_tests=True)
+    recordings = read_logged_flights(logs, dt=dt, mapping=mapping, may_be_tests=True)
     evaluated, judged = evaluate(models, recordings, campaign=campaign_of(logs), done=done)
     timings, missing = time_inference(judged) if timed else ((), ())
     evaluated = msgspec.structs.replace(evaluated, notes=(*evaluated.notes, *missing))

@@ -8,11 +8,11 @@ from studies import paper
 from studies.evaluation.inference import Inference
 from studies.tables import Table, TableCell
 from training.card import FlightError
-from training.evaluation import BASE, NOMINAL, PLANT, Evaluated, Evaluation
+from training.evaluation import BASE, NOMINAL, PLANT, Evaluation, EvaluationReport
 from training.prediction import pooled
 
 
-def evaluation_tables(evaluated: Evaluated, timings: Sequence[Inference]) -> tuple[Table, ...]:
+def evaluation_tables(evaluated: EvaluationReport, timings: Sequence[Inference]) -> tuple[Table, ...]:
     """Every table that has rows."""
     further = (
         _timing_table(timings, evaluated), _open_loop_table(evaluated), _pulse_table(evaluated),
@@ -21,13 +21,13 @@ def evaluation_tables(evaluated: Evaluated, timings: Sequence[Inference]) -> tup
     return (*_table_one(evaluated), *_parts_tables(evaluated), *(table for table in further if table.rows))
 
 
-def _table_one(evaluated: Evaluated) -> list[Table]:
+def _table_one(evaluated: EvaluationReport) -> list[Table]:
     """RMSE by flight against labels and, where there is one, ground truth; and the ratio to NOM with the paper's."""
     against = [("label", "labels")] + ([("true", "the truth")] if evaluated.models[0].true else [])
     return [_flights_table(evaluated, kind, words) for kind, words in against] + [_ratio_table(evaluated)]
 
 
-def _flights_table(evaluated: Evaluated, against: str, words: str) -> Table:
+def _flights_table(evaluated: EvaluationReport, against: str, words: str) -> Table:
     rows: list[tuple[TableCell, ...]] = []
     for peak in evaluated.peaks:
         errors = [_of_flight(getattr(model, against), peak.flight) for model in evaluated.models]
@@ -40,7 +40,7 @@ def _flights_table(evaluated: Evaluated, against: str, words: str) -> Table:
     return Table(f"rmse_{against}", f"RMSE against {words}", headings, tuple(rows), note)
 
 
-def _ratio_table(evaluated: Evaluated) -> Table:
+def _ratio_table(evaluated: EvaluationReport) -> Table:
     models = [model for model in evaluated.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
     published = {kind for row in paper.PREDICTION.values() for kind in row}
     headings = ["flight"]
@@ -60,7 +60,7 @@ def _ratio_table(evaluated: Evaluated) -> Table:
     return Table("ratio_to_nominal", "RMSE over NOM's, beside the paper's Table I", tuple(headings), tuple(rows), note)
 
 
-def _parts_tables(evaluated: Evaluated) -> list[Table]:
+def _parts_tables(evaluated: EvaluationReport) -> list[Table]:
     """All flights as one, linear and angular apart: against labels, and against ground truth where there is one."""
     label = tuple(
         (model.name, model.motors, "filtered" if model.filtered_inputs else "logged", *_parts(model.label))
@@ -87,7 +87,7 @@ def _parts(errors: Sequence[FlightError]) -> tuple[float, float, float, float]:
     return together.linear, together.angular, together.combined, together.combined / together.nominal
 
 
-def _timing_table(timings: Sequence[Inference], evaluated: Evaluated) -> Table:
+def _timing_table(timings: Sequence[Inference], evaluated: EvaluationReport) -> Table:
     kinds = {model.name: model.kind for model in evaluated.models}
     rows = tuple(
         (t.model, t.engine, 1000 * t.median, 1000 * t.slowest, paper.INFERENCE.get(kinds.get(t.model, "")))
@@ -98,7 +98,7 @@ def _timing_table(timings: Sequence[Inference], evaluated: Evaluated) -> Table:
     return Table("inference", "Time of one prediction", headings, rows, note)
 
 
-def _open_loop_table(evaluated: Evaluated) -> Table:
+def _open_loop_table(evaluated: EvaluationReport) -> Table:
     plant = {e.horizon: e for model in evaluated.models if model.name == PLANT for e in model.open_loop}
     rows = tuple(
         (model.name, e.horizon, e.position, e.velocity, e.attitude, e.rate,
@@ -111,7 +111,7 @@ def _open_loop_table(evaluated: Evaluated) -> Table:
     return Table("open_loop", "Open-loop prediction", headings, rows, note)
 
 
-def _pulse_table(evaluated: Evaluated) -> Table:
+def _pulse_table(evaluated: EvaluationReport) -> Table:
     rows = tuple(
         (model.name, pulse.name, None if pulse.rate is None else 100 * pulse.rate, 100 * pulse.velocity,
          100 * pulse.thrust)
@@ -122,7 +122,7 @@ def _pulse_table(evaluated: Evaluated) -> Table:
     return Table("pulses", "Pulse responses against the true plant", headings, rows, note)
 
 
-def _calibration_table(evaluated: Evaluated) -> Table:
+def _calibration_table(evaluated: EvaluationReport) -> Table:
     rows = tuple(
         (model.name, len(model.members), c.auroc, 100 * c.coverage, 100 * c.faded)
         for model in evaluated.models
@@ -142,7 +142,7 @@ def _short(flight: str) -> str:
     return flight.split(".")[0]
 
 
-def summary_lines(evaluated: Evaluated) -> list[str]:
+def summary_lines(evaluated: EvaluationReport) -> list[str]:
     """A sentence for each learned model, and the notes."""
     learned = [model for model in evaluated.models if model.name not in (NOMINAL, PLANT) and model.kind != BASE]
     return [*map(_sentence, learned), *(f"note: {note}" for note in evaluated.notes)]

@@ -19,10 +19,10 @@ from studies.evaluation.inference import time_network
 from studies.sweep.cell import CellResult, with_factors
 from studies.sweep.cell_work import CellWork
 from training import checkpoint
-from training.data.dataset import Dataset
-from training.data.recordings import Recording, read_recordings, split_recordings
+from training.data.labelled_rows import LabelledRows
+from training.data.logged_flights import LoggedFlight, read_logged_flights, split_flights
 from training.data.tensors import make_scaling
-from training.evaluation import seen_by
+from training.evaluation import rows_for
 from training.ground_truth import campaign_of, true_label
 from training.plan import Plan, make_plan
 from training.prediction import flight_errors, predict
@@ -44,7 +44,7 @@ def train_cell(work: CellWork) -> CellResult:
     model = plan.assemble([member], [cell.seed], command=f"alula sweep, cell {cell.name}")
     if not cell.prior:  # the model of a wrong prior serves its errors alone, and its vehicle file may be invalid
         checkpoint.save(model, work.model_file)
-    data = seen_by(model, _recordings(work.tests, plan.config.dt, work.mapping, True))
+    data = rows_for(model, _logged_flights(work.tests, plan.config.dt, work.mapping, True))
     campaign = campaign_of(work.tests)
     truth = None if campaign is None else true_label(data, campaign, dt=plan.config.dt)
     shown = _blind(data, plan.config.rotors) if cell.hide_motors else data
@@ -70,19 +70,21 @@ def _plan(work: CellWork) -> Plan:
         raise RequestError(f"no training flight is called {cell.flights!r}, which {cell.name} learns from.")
     config, recipe = work.settled()
     vehicle = with_factors(parse_vehicle(work.vehicle_text), cell.prior)
-    split = split_recordings(_recordings(logs, config.dt, work.mapping, False))
+    split = split_flights(_logged_flights(logs, config.dt, work.mapping, False))
     return make_plan(config, recipe, vehicle, split, seed=cell.seed)
 
 
 @lru_cache(maxsize=4)
-def _recordings(logs: tuple[Path, ...], dt: float, mapping: Path | None, may_be_tests: bool) -> tuple[Recording, ...]:
+def _logged_flights(
+    logs: tuple[Path, ...], dt: float, mapping: Path | None, may_be_tests: bool
+) -> tuple[LoggedFlight, ...]:
     """Flights, which the cells of a sweep share: reading sixty takes as long as a thousand steps of training."""
-    return read_recordings(logs, dt=dt, mapping=mapping, may_be_tests=may_be_tests)
+    return read_logged_flights(logs, dt=dt, mapping=mapping, may_be_tests=may_be_tests)
 
 
 def _without_motors(plan: Plan) -> Plan:
     """The plan of a network whose motor inputs are zero. Raises RequestError with the physics-inspired loss."""
-    if plan.points is not None:
+    if plan.collocation is not None:
         raise RequestError("a network without motors has no physics-inspired loss: give --physics-weight 0.")
     training, validation = (_blind(data, plan.config.rotors) for data in (plan.training, plan.validation))
     scaling = make_scaling(plan.config, plan.recipe, plan.vehicle, training)
@@ -91,7 +93,7 @@ def _without_motors(plan: Plan) -> Plan:
     )
 
 
-def _blind(data: Dataset, rotors: int) -> Dataset:
+def _blind(data: LabelledRows, rotors: int) -> LabelledRows:
     inputs = np.array(data.inputs)
     inputs[:, -rotors:] = 0.0
     return dataclasses.replace(data, inputs=inputs)

@@ -68,7 +68,7 @@ class CellWork(msgspec.Struct, frozen=True):
         return settled(
             TrainOptions(
                 logs=self.learned, vehicle="", model=cell.model, out=self.model_file, recipe=self.recipe,
-                config=cell.config, recipe_changes=cell.recipe, ensemble=1,
+                config=cell.config, recipe_overrides=cell.recipe, ensemble=1,
             )
         )  # fmt: skip
 

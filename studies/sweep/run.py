@@ -19,7 +19,7 @@ from studies.sweep.cell_work import CellWork, file_hash, finished_cells
 from studies.sweep.execution import run_cells
 from studies.sweep.search import Range, Search
 from training.config import ModelConfig
-from training.data.recordings import CAMPAIGN, find_logs
+from training.data.logged_flights import CAMPAIGN, find_logs
 from training.recipe import Recipe, named_recipe
 
 

@@ -15,7 +15,7 @@ from dynamics.vehicle_file import parse_effect
 from fixtures.planted import noisy, planted_flights
 from flights import Flight
 from training.config import ModelConfig
-from training.data.recordings import Recording, Split, read_recordings, split_recordings
+from training.data.logged_flights import LoggedFlight, Split, read_logged_flights, split_flights
 from training.models import named_kind
 from training.plan import Plan, make_plan
 from training.recipe import FAST
@@ -49,15 +49,15 @@ def folder(flights: Sequence[Flight], tmp_path_factory: pytest.TempPathFactory) 
 
 
 @pytest.fixture(scope="session")
-def recordings(folder: Path) -> tuple[Recording, ...]:
+def recordings(folder: Path) -> tuple[LoggedFlight, ...]:
     """The same as training reads them."""
-    return read_recordings(sorted(folder.iterdir()), dt=0.01)
+    return read_logged_flights(sorted(folder.iterdir()), dt=0.01)
 
 
 @pytest.fixture(scope="session")
-def split(recordings: Sequence[Recording]) -> Split:
+def split(recordings: Sequence[LoggedFlight]) -> Split:
     """The circle validates."""
-    return split_recordings(recordings, validation="flight_3*")
+    return split_flights(recordings, validation="flight_3*")
 
 
 @pytest.fixture(scope="session")

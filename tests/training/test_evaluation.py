@@ -17,12 +17,12 @@ from tests.support.trained import untrained_model
 from training.calibration import auroc, calibration
 from training.checkpoint import Reliability, TrainedModel
 from training.data.features import outputs_from
-from training.data.recordings import Recording, read_recordings
-from training.evaluation import NOMINAL, PLANT, Named, evaluate, physical_model, seen_by
-from training.free_run import Simulation, warm_up
+from training.data.logged_flights import LoggedFlight, read_logged_flights
+from training.evaluation import NOMINAL, PLANT, NamedModel, evaluate, physical_model, rows_for
 from training.ground_truth import campaign_of, hidden_plant, true_label
 from training.models import named_kind
-from training.open_loop import open_loop, pulse_responses, starts
+from training.open_loop import OpenLoopSimulation, warm_up
+from training.open_loop_errors import open_loop_errors, pulse_responses, start_rows
 from training.prediction import pooled, predict
 
 EFFECTS = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
@@ -35,8 +35,8 @@ def campaign(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Pa
 
 
 @pytest.fixture(scope="module")
-def recordings(campaign: Path) -> tuple[Recording, ...]:
-    return read_recordings(sorted((campaign / "test").iterdir()), dt=0.01, may_be_tests=True)
+def recordings(campaign: Path) -> tuple[LoggedFlight, ...]:
+    return read_logged_flights(sorted((campaign / "test").iterdir()), dt=0.01, may_be_tests=True)
 
 
 def model_of(kind: str, vehicle: Vehicle, *, members: int = 2) -> TrainedModel:
@@ -54,11 +54,11 @@ def test_the_plant_is_known_from_what_the_campaign_hid(campaign: Path, arpl_250g
 
 
 def test_against_the_truth_the_plant_errs_by_sensor_noise_alone(
-    campaign: Path, recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    campaign: Path, recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     told: list[str] = []
     found, judged = evaluate(
-        [Named("ours", model_of("res_tcn", arpl_250g))], recordings, campaign=campaign, done=told.append
+        [NamedModel("ours", model_of("res_tcn", arpl_250g))], recordings, campaign=campaign, done=told.append
     )
     assert told == [NOMINAL, "ours", PLANT] == [model.name for model in found.models]
     nominal, ours, plant = found.models
@@ -74,15 +74,15 @@ def test_against_the_truth_the_plant_errs_by_sensor_noise_alone(
 
 @pytest.mark.parametrize("kind", ["pi_tcn", "res_tcn", "grey_box", "pi_mlp"])
 def test_a_simulation_begins_with_what_the_model_predicts(
-    recordings: tuple[Recording, ...], arpl_250g: Vehicle, kind: str
+    recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle, kind: str
 ) -> None:
     """Streams, batches and hidden states against whole windows and row after row."""
     model = model_of(kind, arpl_250g.with_effects(EffectUse("motor_lag"), EffectUse("rotor_drag")))
-    data = seen_by(model, recordings)
-    rows = np.intersect1d(starts(model, data, ahead=1), data.ends)[::7]
+    data = rows_for(model, recordings)
+    rows = np.intersect1d(start_rows(model, data, steps=1), data.ends)[::7]
     window = rows[:, None] + np.arange(1 - warm_up(model.config), 1)
     states = data.state[window]
-    simulation = Simulation(model, states, data.rotor_speed[window[:, :-1]])
+    simulation = OpenLoopSimulation(model, states, data.rotor_speed[window[:, :-1]])
     before = simulation.state.copy()
     simulation.step(data.rotor_speed[rows])
     said = predict(model, data).body[np.searchsorted(data.ends, rows)]
@@ -93,10 +93,12 @@ def test_a_simulation_begins_with_what_the_model_predicts(
 
 
 def test_what_a_network_adds_to_named_effects_stands_beside_them(
-    recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     known = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.035}), EffectUse("rotor_drag"))
-    found, _ = evaluate([Named("ours", model_of("grey_box", known))], recordings, campaign=None, done=lambda _: None)
+    found, _ = evaluate(
+        [NamedModel("ours", model_of("grey_box", known))], recordings, campaign=None, done=lambda _: None
+    )
     assert [model.name for model in found.models] == [NOMINAL, "ours base", "ours"]
     base, ours = (pooled(model.label) for model in found.models[1:])
     assert base.combined == pytest.approx(ours.base, rel=0.05)  # which has a row or two more, without a history
@@ -104,12 +106,12 @@ def test_what_a_network_adds_to_named_effects_stands_beside_them(
 
 
 def test_pulse_responses_of_the_plant_itself_are_right_and_weaker_rotors_show(
-    campaign: Path, recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    campaign: Path, recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     truth = hidden_plant(campaign, arpl_250g)
     plant = physical_model(PLANT, truth, named_kind("pi_tcn").config)
     weak = physical_model(PLANT, truth.with_effects(EffectUse("thrust_constant", {"ratio": 0.9})), plant.config)
-    data = seen_by(plant, recordings)
+    data = rows_for(plant, recordings)
     assert all((p.velocity, p.thrust) == (0, 0) for p in pulse_responses(plant, plant, data))
     one, together = pulse_responses(weak, plant, data)
     assert one.rate == pytest.approx(0.1, abs=0.01)
@@ -118,27 +120,30 @@ def test_pulse_responses_of_the_plant_itself_are_right_and_weaker_rotors_show(
 
 
 def test_no_segment_is_long_enough_for_open_loop_predictions(
-    recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     model = physical_model(NOMINAL, arpl_250g, named_kind("pi_tcn").config)
     short = dataclasses.replace(recordings[0], segments=(recordings[0].segments[0].rows(0, 130),))
-    data = seen_by(model, [short])
-    assert open_loop(model, data, data.state) == ()
+    data = rows_for(model, [short])
+    assert open_loop_errors(model, data, data.state) == ()
 
 
 def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_are_told(
-    recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     model = model_of("pi_mlp", arpl_250g)
     first, second = recordings
     learned = msgspec.structs.replace(model.card, flights={"elsewhere.csv": first.sha256})
     with pytest.raises(RequestError, match=r"ours was trained on Lemniscate.parquet"):
         evaluate(
-            [Named("ours", dataclasses.replace(model, card=learned))], recordings, campaign=None, done=lambda _: None
+            [NamedModel("ours", dataclasses.replace(model, card=learned))],
+            recordings,
+            campaign=None,
+            done=lambda _: None,
         )
     chosen = msgspec.structs.replace(model.card, flights={}, validation={"a.csv": second.sha256})
     found, _ = evaluate(
-        [Named("ours", dataclasses.replace(model, card=chosen))], recordings, campaign=None, done=lambda _: None
+        [NamedModel("ours", dataclasses.replace(model, card=chosen))], recordings, campaign=None, done=lambda _: None
     )
     assert found.notes == ("the best step of ours was chosen on Parabola.parquet",)
     assert found.models[-1].name == "ours"
@@ -147,9 +152,9 @@ def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_a
 
 
 def test_flights_without_the_motors_that_a_model_takes_are_refused(
-    recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
-    def without_commands(recording: Recording) -> Recording:
+    def without_commands(recording: LoggedFlight) -> LoggedFlight:
         segments = tuple(
             dataclasses.replace(s, columns={n: c for n, c in s.columns.items() if not n.startswith("rotor_command")})
             for s in recording.segments
@@ -157,7 +162,7 @@ def test_flights_without_the_motors_that_a_model_takes_are_refused(
         return dataclasses.replace(recording, segments=segments)
 
     with pytest.raises(DataError, match=r"the model takes command rotor speeds"):
-        seen_by(model_of("pi_mlp", arpl_250g), [without_commands(r) for r in recordings])
+        rows_for(model_of("pi_mlp", arpl_250g), [without_commands(r) for r in recordings])
 
 
 def test_the_area_under_the_curve_is_the_chance_of_the_right_order() -> None:
@@ -170,11 +175,11 @@ def test_the_area_under_the_curve_is_the_chance_of_the_right_order() -> None:
 
 
 def test_error_bars_that_are_known_cover_what_they_should(
-    campaign: Path, recordings: tuple[Recording, ...], arpl_250g: Vehicle
+    campaign: Path, recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     """Labels planted so that errors are normal with a known deviation: 1.645 of it covers 90 %."""
     model = model_of("pi_mlp", arpl_250g)
-    data = seen_by(model, recordings)
+    data = rows_for(model, recordings)
     width = np.array([0.5] * 3 + [2.0] * 3)
     sure = dataclasses.replace(model, reliability=Reliability(1e6, 1.645 * width, np.zeros(6)))
     label = np.full_like(data.label, np.nan)

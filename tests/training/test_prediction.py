@@ -15,15 +15,15 @@ from dynamics.vehicle_file import parse_effect
 from flights import Flight
 from tests.training.conftest import EFFECTS, MakePlan
 from training.checkpoint import TrainedModel
-from training.data.dataset import Dataset, make_dataset
-from training.data.recordings import read_recordings
+from training.data.labelled_rows import LabelledRows, label_rows
+from training.data.logged_flights import read_logged_flights
 from training.ground_truth import true_label
 from training.networks import build_network
 from training.prediction import flight_errors, gate_of, judge_reliability, pooled, predict, rmse
 from training.trainer import Member
 
 
-def with_random_members(plan_for: MakePlan, vehicle: Vehicle, members: int) -> tuple[TrainedModel, Dataset]:
+def with_random_members(plan_for: MakePlan, vehicle: Vehicle, members: int) -> tuple[TrainedModel, LabelledRows]:
     plan = plan_for("grey_box", vehicle=vehicle.with_effects(*[parse_effect(text, 4) for text in EFFECTS]))
     trained = []
     for seed in range(members):
@@ -109,8 +109,8 @@ def test_a_model_is_judged_on_other_flights_through_its_own_definition(
     plan_for: MakePlan, arpl_250g: Vehicle, folder: Path
 ) -> None:
     model, _ = with_random_members(plan_for, arpl_250g, 2)
-    (other,) = read_recordings([folder / "flight_1.parquet"], dt=model.config.dt)
-    data = make_dataset(model.config, model.vehicle, [other])
+    (other,) = read_logged_flights([folder / "flight_1.parquet"], dt=model.config.dt)
+    data = label_rows(model.config, model.vehicle, [other])
     said = predict(model, data)
     assert said.body.shape == (len(data.ends), 6)
     assert said.half_width is not None

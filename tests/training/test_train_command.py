@@ -96,11 +96,19 @@ def test_the_frame_of_the_inputs_is_that_of_the_outputs_unless_they_are_a_wrench
     [
         (("--model", "lstm"), RequestError, "unknown model 'lstm'. Known: nominal, pi_tcn"),
         (("--model", "pi_tcn", "--recipe", "slow"), RequestError, "unknown recipe 'slow'. Known: paper, fast"),
-        (("--model", "pi_tcn", "--label", "guess"), RequestError, "label = guess: wanted one of instantaneous, mean"),
+        (
+            ("--model", "pi_tcn", "--label", "guess"),
+            RequestError,
+            "label = guess: required is one of instantaneous",
+        ),
         (("--model", "pi_tcn", "--learning-rate", "-1"), RequestError, "learning_rate = -1.0: expected `float` > 0"),
-        (("--model", "pi_tcn", "--learning-rate", "inf"), RequestError, "learning_rate = inf: wanted a finite number"),
-        (("--model", "pi_tcn", "--physics-weight", "inf"), RequestError, "physics_weight = inf: wanted a finite"),
-        (("--model", "pi_tcn", "--seed", "99999999999999"), RequestError, "seed 99999999999999: wanted 0 to"),
+        (
+            ("--model", "pi_tcn", "--learning-rate", "inf"),
+            RequestError,
+            "learning_rate = inf: required is a finite",
+        ),
+        (("--model", "pi_tcn", "--physics-weight", "inf"), RequestError, "physics_weight = inf: required is a finite"),
+        (("--model", "pi_tcn", "--seed", "99999999999999"), RequestError, "seed 99999999999999: required is 0 to"),
         (("--model", "grey_box", "--effect", "warp_drive"), RequestError, "unknown effect 'warp_drive'"),
         (("--model", "pi_tcn", "--tensorboard", "/proc/no"), RequestError, "cannot write to /proc/no"),
         (("--model", "pi_tcn", "--device", "mps"), RequestError, "networks train on a CPU or a CUDA GPU"),
@@ -130,7 +138,7 @@ def test_nothing_is_overwritten_and_no_model_gets_a_name_that_other_commands_do_
     folder: Path, tmp_path: Path
 ) -> None:
     given = (folder, "--vehicle", "arpl_250g", "--model", "nominal")
-    with pytest.raises(RequestError, match=r"m.json: wanted a name that ends in .pt"):
+    with pytest.raises(RequestError, match=r"m.json: required is a name in .pt"):
         train(*given, "--out", tmp_path / "m.json")  # where its own card would have overwritten it
     (tmp_path / "m.json").write_text("mine")
     with pytest.raises(RequestError, match=r"m.json exists. Give another --out, or --overwrite"):
@@ -158,7 +166,7 @@ def test_what_members_can_go_on_from_outlives_a_failure_and_nothing_else_does(tm
         with claimed(out, run, overwrite=True, resume=False):
             for file in files:
                 file.touch()
-            raise DataError("the loss of batch 3 is no number")
+            raise DataError("the loss of batch 3 is not finite")
 
     with pytest.raises(DataError):
         fail()
@@ -183,7 +191,7 @@ def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_
             time.sleep(0.01)
         killed.send_signal(signal.SIGKILL)
     assert not (tmp_path / "m.pt").exists()
-    with pytest.raises(RequestError, match=r"holds a training that did not end. Go on with --resume"):
+    with pytest.raises(RequestError, match=r"holds a training that did not end. Continue with --resume"):
         train(*command[4:], "--out", tmp_path / "m.pt")
     train(*command[4:], "--out", tmp_path / "m.pt", "--resume")
     one, other = (checkpoint.load(tmp_path / name).networks[0].state_dict() for name in ("whole.pt", "m.pt"))

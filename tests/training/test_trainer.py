@@ -20,8 +20,8 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from fixtures.planted import noisy, planted_flights
 from tests.training.conftest import EFFECTS, MakePlan
-from training.data.dataset import Dataset, make_dataset
-from training.data.recordings import Split, read_recordings
+from training.data.labelled_rows import LabelledRows, label_rows
+from training.data.logged_flights import Split, read_logged_flights
 from training.data.tensors import with_noise
 from training.effects_fit import named_effects
 from training.models import named_kind
@@ -119,7 +119,7 @@ def test_a_loss_that_is_no_number_names_the_flight(plan_for: MakePlan) -> None:
     targets[rows, 4] = 1e39  # more than 32 bits hold
     broken = dataclasses.replace(plan, training=dataclasses.replace(plan.training, targets=targets))
     with pytest.raises(
-        DataError, match=r"batch 0 \(64 windows\) is no number: flight_1.parquet at \d+.\d\d s has a va"
+        DataError, match=r"batch 0 \(64 windows\) is not finite: flight_1.parquet at \d+.\d\d s has a va"
     ):
         train(task_of(broken), quietly)
 
@@ -151,7 +151,7 @@ def test_planted_effects_of_a_grey_box_are_fitted_to_their_floor(plan_for: MakeP
     fitted = plan_for("grey_box", vehicle=named_effects(arpl_250g, [parse_effect(t.split(":")[0], 4) for t in EFFECTS]))
     for use, true in zip(fitted.vehicle.effects, truth.effects, strict=True):
         assert use.parameters == pytest.approx(true.parameters, rel=0.05)
-    floor = make_dataset(fitted.config, truth, fitted.split.validation)
+    floor = label_rows(fitted.config, truth, fitted.split.validation)
     least, found = (pooled(flight_errors(data, base_of(data))) for data in (floor, fitted.validation))
     assert found.combined < 1.02 * least.combined
     assert least.combined < least.nominal / 5
@@ -163,7 +163,7 @@ def test_a_planted_drag_is_learned_by_a_network(arpl_250g: Vehicle, tmp_path: Pa
     (flight,) = planted_flights(
         arpl_250g, [drag], seed=2, options=noisy(0.2), manoeuvres=["WarpedEllipse_2:laps=8,ramp=1,speed=0.8"]
     )
-    (laps,) = read_recordings([flight.to_parquet(tmp_path / "laps.parquet")], dt=0.01)
+    (laps,) = read_logged_flights([flight.to_parquet(tmp_path / "laps.parquet")], dt=0.01)
     (whole,) = laps.segments
     first, last = round(0.65 * len(whole)), round(0.9 * len(whole))
     learned_from, judged = (
@@ -173,8 +173,8 @@ def test_a_planted_drag_is_learned_by_a_network(arpl_250g: Vehicle, tmp_path: Pa
     recipe = msgspec.structs.replace(FAST, steps=800, evaluate_every=100)
     plan = make_plan(config, recipe, arpl_250g, Split((learned_from,), (judged,), ()), seed=0)
     model = plan.assemble([train(task_of(plan), quietly)], [0], command="")
-    truth = make_dataset(
-        msgspec.structs.replace(plan.config, base="grey_box"), arpl_250g.with_effects(drag), [judged], fewest=50
+    truth = label_rows(
+        msgspec.structs.replace(plan.config, base="grey_box"), arpl_250g.with_effects(drag), [judged], min_windows=50
     )
     floor = pooled(flight_errors(truth, base_of(truth))).linear
     learned = pooled(flight_errors(plan.validation, predict(model, plan.validation).body)).linear
@@ -183,7 +183,7 @@ def test_a_planted_drag_is_learned_by_a_network(arpl_250g: Vehicle, tmp_path: Pa
     assert learned < 0.04 * untaught
 
 
-def base_of(data: Dataset) -> Floats:
+def base_of(data: LabelledRows) -> Floats:
     assert data.base is not None
     return data.base[data.ends]
 
@@ -203,14 +203,14 @@ from pathlib import Path
 from training.plan import make_plan
 from training.models import named_kind
 from training.recipe import FAST
-from training.data.recordings import read_recordings, split_recordings
+from training.data.logged_flights import read_logged_flights, split_flights
 from training.trainer import train
 from training.process_group import leave_group
 from dynamics.vehicle_file import read_vehicle
 from dynamics.vehicle_file import find_vehicle
 import msgspec
 torch.set_num_threads(1)
-split = split_recordings(read_recordings(sorted(Path(sys.argv[1]).iterdir()), dt=0.01), validation="flight_3*")
+split = split_flights(read_logged_flights(sorted(Path(sys.argv[1]).iterdir()), dt=0.01), validation="flight_3*")
 recipe = msgspec.structs.replace(FAST, steps=60, batch=64, evaluate_every=10, optimiser="adam")
 plan = make_plan(named_kind("pi_mlp").config, recipe, read_vehicle(find_vehicle("arpl_250g")), split, seed=0)
 member = train(plan.task(0, 0, device=torch.device("cpu"), state_file=None), lambda _: None)

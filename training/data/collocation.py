@@ -15,9 +15,9 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
 from training.config import ModelConfig
-from training.data.dataset import Dataset
 from training.data.features import columns, outputs_from
-from training.physics import BatchModel, textbook
+from training.data.labelled_rows import LabelledRows
+from training.physics import BatchModel, nominal_model
 from training.recipe import Recipe
 
 PULSE = 60.0  # rad/s, deviation of pulses on the rotors, of 10 ms and more
@@ -26,31 +26,33 @@ MAX_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
 
 @dataclass(frozen=True, eq=False)
-class Points:
+class CollocationPoints:
     """windows: (p, T, inputs), oldest column first. targets: (p, 6) what a network should say of them.
 
-    beside: (p, T, inputs) windows, of which a network may say anything: targets are then what it should say more.
+    unperturbed: (p, T, inputs) windows, of which a network may say anything: targets are then what it should say more.
     """
 
     windows: Floats
     targets: Floats
-    beside: Floats | None = None
+    unperturbed: Floats | None = None
 
 
-def physics_points(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset, *, seed: int) -> Points:
+def collocation_points(
+    config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: LabelledRows, *, seed: int
+) -> CollocationPoints:
     """The recipe's pool of points, drawn once before training."""
     random = np.random.default_rng([seed, 4])
     if recipe.physics_points == "pulses":
         return _pulsed(config, recipe.physics_pool, vehicle, data, random)
     draw = _of_space if recipe.physics_points == "space" else _plausible
     states, speeds = draw(config, recipe.physics_pool, vehicle, data, random)
-    last = textbook(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
+    last = nominal_model(vehicle, dt=config.dt, label=config.label)(states[-1], speeds[-1])
     windows = columns(config, np.swapaxes(states, 0, 1), np.swapaxes(speeds, 0, 1))
-    return Points(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, ATTITUDE]))
+    return CollocationPoints(windows, outputs_from(config, vehicle, last.body, None, states[-1][:, ATTITUDE]))
 
 
 def _of_space(
-    config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator
+    config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """States (T, count, 13) and rotor speeds (T, count, rotors) that end anywhere in the state-input space.
 
@@ -64,14 +66,16 @@ def _of_space(
     velocity = random.uniform(-fastest, fastest, (count, 3))
     state = np.hstack([np.zeros((count, 3)), velocity, attitude, random.uniform(-rate, rate, (count, 3))])
     speed = random.uniform(vehicle.rotors.speed_min, vehicle.rotors.speed_max, (count, vehicle.rotors.count))
-    back = textbook(vehicle, dt=-config.dt, label="instantaneous")
+    back = nominal_model(vehicle, dt=-config.dt, label="instantaneous")
     states = [state]
     for _ in range(config.history - 1):
         states.append(back(states[-1], speed).following)
     return np.stack(states[::-1]), np.stack([speed] * config.history)
 
 
-def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator) -> Points:
+def _pulsed(
+    config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
+) -> CollocationPoints:
     """Recorded histories with a pulse on the rotors and with what the vehicle file's model answers to it, and without.
 
     What else moved the vehicle, air above all, knows nothing of the pulse.
@@ -99,7 +103,7 @@ def _pulsed(config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, ra
         for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
     ]
     windows = columns(config, state, pulsed)
-    return Points(windows, answers[0] - answers[1], columns(config, recorded, speed))
+    return CollocationPoints(windows, answers[0] - answers[1], columns(config, recorded, speed))
 
 
 def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -119,12 +123,12 @@ def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats)
 def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, speed: Floats) -> Floats | None:
     """What a network's outputs are added to: nothing, the textbook model's accelerations, or all that is named."""
     if config.base == "nominal":
-        return textbook(vehicle, dt=config.dt, label=config.label)(state, speed).body
+        return nominal_model(vehicle, dt=config.dt, label=config.label)(state, speed).body
     return None if config.base == "none" else body
 
 
 def _plausible(
-    config: ModelConfig, count: int, vehicle: Vehicle, data: Dataset, random: np.random.Generator
+    config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
 ) -> tuple[Floats, Floats]:
     """The same from recorded motion: velocity and rates times 1 to 1.6, then the recorded motors on the textbook model.
 
@@ -135,7 +139,7 @@ def _plausible(
     faster = random.uniform(1.0, MAX_SCALING, (count, 1))
     state[:, VELOCITY] *= faster
     state[:, RATE] *= faster
-    forward = textbook(vehicle, dt=config.dt, label=config.label)
+    forward = nominal_model(vehicle, dt=config.dt, label=config.label)
     driven = [data.rotor_speed[first + step] for step in range(config.history)]
     states = [state]
     for speed in driven[:-1]:

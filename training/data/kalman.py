@@ -84,9 +84,9 @@ def _smooth(model: KinematicModel, states: Floats, covariances: Floats) -> Float
     smoothed = states.copy()
     predicted = model.transition @ covariances @ model.transition.T + model.process
     gains = covariances @ model.transition.T @ np.linalg.inv(predicted)
-    ahead = model.transition @ states
+    extrapolated = model.transition @ states
     for row in range(len(states) - 2, -1, -1):
-        smoothed[row] += gains[row] @ (smoothed[row + 1] - ahead[row])
+        smoothed[row] += gains[row] @ (smoothed[row + 1] - extrapolated[row])
     return smoothed
 
 
@@ -103,9 +103,9 @@ def _unscented(model: KinematicModel, velocity: Floats) -> Floats:
             mean = np.tensordot(weights, points, axes=1)
             covariance = _scatter(points, mean, weights) + model.process
         points = _sigma_points(mean, covariance, spread)
-        seen = points[:, 0]
-        expected = weights @ seen
-        gap = seen - expected
+        readings = points[:, 0]
+        expected = weights @ readings
+        gap = readings - expected
         variance = weights @ gap[:, 0] ** 2 + model.measurement
         gain = weights @ ((points - mean)[:, :, 0] * gap[:, :1]) / variance
         mean = mean + np.outer(gain, measured - expected)

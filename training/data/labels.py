@@ -78,16 +78,16 @@ def as_labelled(world: Floats, rate: float, *, paper: bool = False) -> Floats:
 
 def mean_increment(values: Floats, rate: float, horizon: float = HORIZON) -> Floats:
     """(x(t + horizon) - x(t)) / horizon, linear between samples; NaN at the end. values: (n, k). rate: Hz."""
-    ahead = horizon * rate
-    whole = int(np.floor(ahead + 1e-9))
-    part = max(ahead - whole, 0.0)
+    rows = horizon * rate
+    full = int(np.floor(rows + 1e-9))
+    fraction = max(rows - full, 0.0)
     result = np.full_like(values, np.nan)
-    count = len(values) - whole - (1 if part > 1e-9 else 0)
+    count = len(values) - full - (1 if fraction > 1e-9 else 0)
     if count <= 0:
         return result
-    later = values[whole : whole + count]
-    if part > 1e-9:
-        later = later + part * (values[whole + 1 : whole + 1 + count] - later)
+    later = values[full : full + count]
+    if fraction > 1e-9:
+        later = later + fraction * (values[full + 1 : full + 1 + count] - later)
     result[:count] = (later - values[:count]) / horizon
     return result
 

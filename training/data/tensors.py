@@ -13,9 +13,9 @@ from dynamics.units import RPM
 from dynamics.vehicle import Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
-from training.data.collocation import Points
-from training.data.dataset import Dataset
+from training.data.collocation import CollocationPoints
 from training.data.features import body_inertia
+from training.data.labelled_rows import LabelledRows
 from training.recipe import Recipe
 
 PAPER_ROTOR_UNIT = 1000 * RPM  # of the paper's raw inputs (supplementary material), rad/s
@@ -31,7 +31,7 @@ class Tensors:
     history: int
 
     @classmethod
-    def of(cls, data: Dataset, scaling: Scaling, history: int, device: torch.device) -> Tensors:
+    def of(cls, data: LabelledRows, scaling: Scaling, history: int, device: torch.device) -> Tensors:
         """A data set, standardised."""
         inputs = torch.from_numpy((data.inputs - scaling.input_mean) / scaling.input_std).float()
         targets = torch.from_numpy((data.targets - scaling.output_mean) / scaling.output_std).float()
@@ -44,32 +44,34 @@ class Tensors:
 
 
 @dataclass(frozen=True, eq=False)
-class PointTensors:
+class CollocationTensors:
     """The points of the physics-inspired loss, standardised. windows, beside: (p, T, k). targets: (p, 6)."""
 
     windows: Tensor
     targets: Tensor
-    beside: Tensor | None
+    unperturbed: Tensor | None
 
     @classmethod
-    def of(cls, points: Points, scaling: Scaling, device: torch.device) -> PointTensors:
-        """Points, standardised as the flights are."""
+    def of(cls, points: CollocationPoints, scaling: Scaling, device: torch.device) -> CollocationTensors:
+        """CollocationPoints, standardised as the flights are."""
 
         def columns(values: Floats) -> Tensor:
             return torch.from_numpy((values - scaling.input_mean) / scaling.input_std).float().to(device)
 
-        mean = scaling.output_mean if points.beside is None else 0  # of differences none is left
+        mean = scaling.output_mean if points.unperturbed is None else 0  # of differences none is left
         targets = torch.from_numpy((points.targets - mean) / scaling.output_std).float().to(device)
-        return cls(columns(points.windows), targets, None if points.beside is None else columns(points.beside))
+        return cls(
+            columns(points.windows), targets, None if points.unperturbed is None else columns(points.unperturbed)
+        )
 
     def loss(self, learner: nn.Module, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
         """(what the learner says of windows, mean squared standardised error on these points), in one call."""
-        parts = [windows, self.windows[rows]] + ([] if self.beside is None else [self.beside[rows]])
+        parts = [windows, self.windows[rows]] + ([] if self.unperturbed is None else [self.unperturbed[rows]])
         outputs = learner(torch.cat(parts))
-        said = outputs[len(windows) : len(windows) + len(rows)]
-        if self.beside is not None:
-            said = said - outputs[len(windows) + len(rows) :]
-        return outputs[: len(windows)], (said - self.targets[rows]).square().mean()
+        predicted = outputs[len(windows) : len(windows) + len(rows)]
+        if self.unperturbed is not None:
+            predicted = predicted - outputs[len(windows) + len(rows) :]
+        return outputs[: len(windows)], (predicted - self.targets[rows]).square().mean()
 
 
 def with_noise(windows: Tensor, measured: int, deviation: float, generator: torch.Generator) -> Tensor:
@@ -84,7 +86,7 @@ def with_noise(windows: Tensor, measured: int, deviation: float, generator: torc
     return windows + deviation * torch.nn.functional.pad(noise, (0, windows.shape[2] - measured))
 
 
-def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: Dataset) -> Scaling:
+def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: LabelledRows) -> Scaling:
     """Mean and deviation of inputs and targets over the training windows.
 
     Without standardising, numbers are raw as the paper's: mean 0 and deviation 1, rotor speeds in thousands of rpm.

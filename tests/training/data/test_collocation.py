@@ -11,10 +11,10 @@ from dynamics import quaternion
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
 from tests.training.conftest import MakePlan
-from training.data.collocation import physics_points
+from training.data.collocation import collocation_points
 from training.data.features import columns, outputs_from
 from training.effects_fit import named_effects
-from training.physics import textbook
+from training.physics import nominal_model
 from training.plan import Plan
 from training.recipe import PAPER
 
@@ -45,42 +45,42 @@ def test_the_physics_inspired_loss_of_the_nominal_model_is_zero(
         "pi_tcn", config={"inputs": frame, "outputs": frame}, physics_weight=0.01, physics_points=points,
         physics_pool=64,
     )  # fmt: skip
-    assert plan.points is not None
-    state, speed = states_of(plan, plan.points.windows[:, -1])
-    nominal = textbook(arpl_250g, dt=0.01, label="mean_increment")(state, speed).body
+    assert plan.collocation is not None
+    state, speed = states_of(plan, plan.collocation.windows[:, -1])
+    nominal = nominal_model(arpl_250g, dt=0.01, label="mean_increment")(state, speed).body
     said = outputs_from(plan.config, arpl_250g, nominal, None, state[:, 6:10])
-    np.testing.assert_allclose(said, plan.points.targets, atol=1e-6)
+    np.testing.assert_allclose(said, plan.collocation.targets, atol=1e-6)
 
 
 def test_histories_of_points_are_motion_of_the_nominal_model(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
     plan = plan_for("pi_tcn", physics_weight=0.01, physics_pool=32)
-    assert plan.points is not None
-    for points, tolerance in ((plan.points.windows, 1e-9), (space_points(plan, arpl_250g), 2e-3)):
+    assert plan.collocation is not None
+    for points, tolerance in ((plan.collocation.windows, 1e-9), (space_points(plan, arpl_250g), 2e-3)):
         state, speed = states_of(plan, points[:, 7])
-        after = textbook(arpl_250g, dt=0.01, label="mean_increment")(state, speed).following
+        after = nominal_model(arpl_250g, dt=0.01, label="mean_increment")(state, speed).following
         again = columns(plan.config, after, points[:, 8, -4:])
         np.testing.assert_allclose(again, points[:, 8], atol=tolerance)
 
 
 def space_points(plan: Plan, vehicle: Vehicle) -> NDArray[np.float64]:
     recipe = msgspec.structs.replace(PAPER, physics_pool=32)
-    return physics_points(plan.config, recipe, vehicle, plan.training, seed=0).windows
+    return collocation_points(plan.config, recipe, vehicle, plan.training, seed=0).windows
 
 
 def test_points_of_the_whole_space_lie_far_from_the_flights_and_plausible_ones_near(
     plan_for: MakePlan, arpl_250g: Vehicle
 ) -> None:
     plan = plan_for("pi_tcn", physics_weight=0.01, physics_pool=256)
-    assert plan.points is not None
+    assert plan.collocation is not None
     recorded = plan.training.nominal[:, 3:].std()
-    paper = physics_points(plan.config, PAPER, arpl_250g, plan.training, seed=0)
+    paper = collocation_points(plan.config, PAPER, arpl_250g, plan.training, seed=0)
     assert paper.targets[:, 3:].std() > 5 * recorded
-    assert 0.7 * recorded < plan.points.targets[:, 3:].std() < 2 * recorded
+    assert 0.7 * recorded < plan.collocation.targets[:, 3:].std() < 2 * recorded
 
 
 def test_the_same_seed_draws_the_same_points(plan_for: MakePlan) -> None:
     one, same, other = (
-        plan_for("pi_mlp", physics_weight=0.01, physics_pool=16, seed=seed).points for seed in (1, 1, 2)
+        plan_for("pi_mlp", physics_weight=0.01, physics_pool=16, seed=seed).collocation for seed in (1, 1, 2)
     )  # fmt: skip
     assert one is not None
     assert same is not None
@@ -101,10 +101,10 @@ def test_a_pulse_changes_motors_while_it_lasts_and_motion_from_then_on(plan_for:
         physics_points="pulses",
         physics_pool=64,
     )
-    assert plan.points is not None
-    assert plan.points.beside is not None
-    np.testing.assert_allclose(plan.points.targets, 0, atol=1e-9)  # of a residual on what has answered
-    changed = plan.points.windows - plan.points.beside
+    assert plan.collocation is not None
+    assert plan.collocation.unperturbed is not None
+    np.testing.assert_allclose(plan.collocation.targets, 0, atol=1e-9)  # of a residual on what has answered
+    changed = plan.collocation.windows - plan.collocation.unperturbed
     pulsed = np.abs(changed[:, :, -4:]).max(axis=2) > 1e-9
     begin = pulsed.argmax(axis=1)
     for window, first in zip(changed, begin, strict=True):
@@ -119,25 +119,25 @@ def test_a_pulse_turns_the_vehicle_as_its_rotors_stand(plan_for: MakePlan, arpl_
         "grey_box", vehicle=with_effect(arpl_250g, "rotor_drag"), physics_weight=1.0, physics_points="pulses",
         physics_pool=256,
     )  # fmt: skip
-    assert plan.points is not None
-    assert plan.points.beside is not None
-    changed, beside = plan.points.windows - plan.points.beside, plan.points.beside
+    assert plan.collocation is not None
+    assert plan.collocation.unperturbed is not None
+    changed, unperturbed = plan.collocation.windows - plan.collocation.unperturbed, plan.collocation.unperturbed
     late = np.abs(changed[:, :16, -4:]).max(axis=(1, 2)) < 1e-9  # no time for anything else to follow
-    thrust = ((2 * beside + changed) * changed)[late, :-1, -4:].sum(axis=1)
+    thrust = ((2 * unperturbed + changed) * changed)[late, :-1, -4:].sum(axis=1)
     leverage = np.array(arpl_250g.rotors.position)[:, 1]
     assert np.corrcoef(thrust @ leverage, changed[late, -1, 6])[0, 1] > 0.98
 
 
 def test_a_network_by_itself_is_taught_what_physics_answers_to_a_pulse(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
     plan = plan_for("pi_tcn", vehicle=arpl_250g, physics_weight=1.0, physics_points="pulses", physics_pool=256)
-    textbook_points = physics_points(plan.config, plan.recipe, arpl_250g, plan.training, seed=0)
-    assert plan.points is not None
-    for points in (textbook_points, plan.points):
-        assert points.beside is not None
-        changed, beside = points.windows - points.beside, points.beside
-        squares = ((2 * beside + changed) * changed)[:, :, -4:]
+    without_lag = collocation_points(plan.config, plan.recipe, arpl_250g, plan.training, seed=0)
+    assert plan.collocation is not None
+    for points in (without_lag, plan.collocation):
+        assert points.unperturbed is not None
+        changed, unperturbed = points.windows - points.unperturbed, points.unperturbed
+        squares = ((2 * unperturbed + changed) * changed)[:, :, -4:]
         lift = arpl_250g.rotors.thrust_constant * squares.sum(axis=2) / arpl_250g.body.mass
-        if points is textbook_points:  # at once, and what is past is past
+        if points is without_lag:  # at once, and what is past is past
             np.testing.assert_allclose(points.targets[:, 2], lift[:, -1], atol=0.02 * np.abs(lift).max())
         else:  # with the lag that these flights show
             late = np.abs(lift[:, -2:]).max(axis=1) > 0.5 * np.abs(lift).max(axis=1)

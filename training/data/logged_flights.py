@@ -1,4 +1,4 @@
-"""Which flights are learned from and which only judge: reading logs, and setting some aside."""
+"""Flights to learn from: reading logs, and setting some aside for validation."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ from flights.tables import decode_notes
 CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
 VALIDATION_SHARE = 0.1
 VALIDATION_TIME_SHARE = 0.2  # of the only flight
-SHORTEST = 1.0  # s of a segment worth learning from
+MIN_SEGMENT = 1.0  # s of a segment worth learning from
 SIMULATED = "alula.lockstep"  # what wrote a campaign's flights, as they say themselves
 TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class LoggedFlight:
     """One flight's segments of free flight without a gap, all at one rate. name: of its file (`names_of`)."""
 
     name: str
@@ -43,56 +43,61 @@ class Recording:
 
 @dataclass(frozen=True, eq=False)
 class Split:
-    """training, validation: flights to learn from, and to choose the best step by. notes: what the user should know."""
+    """Flights by their use.
 
-    training: tuple[Recording, ...]
-    validation: tuple[Recording, ...]
+    training: to learn from.
+    validation: to choose the best step by.
+    notes: what the user should know.
+    """
+
+    training: tuple[LoggedFlight, ...]
+    validation: tuple[LoggedFlight, ...]
     notes: tuple[str, ...]
 
 
-def find_logs(given: Sequence[str | Path]) -> tuple[Path, ...]:
-    """The logs meant: files as they are, of a campaign's folder its training flights, of any other all files in it.
+def find_logs(paths: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Files as they are, the training flights of a campaign's folder, all files of any other folder.
 
     Raises RequestError for what is not there.
     """
-    found: list[Path] = []
-    for path in map(Path, given):
+    logs: list[Path] = []
+    for path in map(Path, paths):
         if not path.is_dir():
-            found.append(path)
+            logs.append(path)
             continue
         folder = path / "train" if (path / CAMPAIGN).exists() else path
         inside = sorted(file for file in folder.glob("*") if file.is_file() and not file.name.startswith("."))
         if not inside:
             raise RequestError(f"{folder} holds no files. Give logs, a folder of logs, or a campaign's folder.")
-        found += inside
-    if not found:
+        logs += inside
+    if not logs:
         raise RequestError("no log was given. Give logs, a folder of logs, or a campaign's folder.")
-    return tuple(found)
+    return tuple(logs)
 
 
-def read_recordings(
+def read_logged_flights(
     paths: Sequence[Path], *, dt: float, mapping: Path | None = None, may_be_tests: bool = False
-) -> tuple[Recording, ...]:
+) -> tuple[LoggedFlight, ...]:
     """Flights with a row every dt seconds. Stamps of streams are put right, but for campaigns', which are exact.
 
-    may_be_tests: whether the campaign's test flights may be among them, which no training may see. Raises
+    may_be_tests: whether the campaign's test flights may be among them, which no training may use. Raises
     RequestError for test flights and for what cannot be found, DataError for logs without free flight.
     """
     if not may_be_tests:
         _require_no_tests(paths)
-    found = zip(names_of(paths), paths, strict=True)
-    recordings = [_read(name, path, 1 / dt, mapping) for name, path in found]
-    flown = [recording for recording in recordings if recording.segments]
+    named_paths = zip(names_of(paths), paths, strict=True)
+    flights = [_read(name, path, 1 / dt, mapping) for name, path in named_paths]
+    flown = [flight for flight in flights if flight.segments]
     if not flown:
         raise DataError(
-            f"{', '.join(path.name for path in paths[:3])}: nowhere {SHORTEST:g} s of free flight without a gap. "
+            f"{', '.join(path.name for path in paths[:3])}: nowhere {MIN_SEGMENT:g} s of free flight without a gap. "
             "`alula inspect` says what each log lacks."
         )
     same: dict[str, str] = {}
-    for recording in flown:
-        if recording.sha256 in same:
-            raise RequestError(f"{recording.name} and {same[recording.sha256]} are the same flight. Give it once.")
-        same[recording.sha256] = recording.name
+    for flight in flown:
+        if flight.sha256 in same:
+            raise RequestError(f"{flight.name} and {same[flight.sha256]} are the same flight. Give it once.")
+        same[flight.sha256] = flight.name
     return tuple(flown)
 
 
@@ -102,17 +107,17 @@ def names_of(paths: Sequence[Path]) -> tuple[str, ...]:
     return tuple(name if names.count(name) == 1 else str(path) for name, path in zip(names, paths, strict=True))
 
 
-def left_out(paths: Sequence[Path], recordings: Sequence[Recording]) -> tuple[str, ...]:
-    """What to tell of the logs that `read_recordings` could learn nothing from."""
-    kept = {recording.name for recording in recordings}
-    missing = [name for name in names_of(paths) if name not in kept]
+def left_out(paths: Sequence[Path], flights: Sequence[LoggedFlight]) -> tuple[str, ...]:
+    """A note on the logs from which `read_logged_flights` took nothing."""
+    read = {flight.name for flight in flights}
+    missing = [name for name in names_of(paths) if name not in read]
     if not missing:
         return ()
-    return (f"left out, nowhere {SHORTEST:g} s of free flight without a gap: {', '.join(missing)}",)
+    return (f"left out, nowhere {MIN_SEGMENT:g} s of free flight without a gap: {', '.join(missing)}",)
 
 
 def _require_no_tests(paths: Sequence[Path]) -> None:
-    """Refuse the campaign's test flights by name, and copies of them by what they say of themselves or hold."""
+    """Refuse the campaign's test flights by name, and copies of them by the name in their notes or their content."""
     tests = [path.name for path in paths if path.stem in TEST_FLIGHTS]
     if tests:
         raise RequestError(
@@ -120,11 +125,12 @@ def _require_no_tests(paths: Sequence[Path]) -> None:
             "training (give the campaign's folder or its train/); a flight of yours with such a name: rename it."
         )
     campaigns = {folder for path in paths if (folder := path.resolve().parent.parent / CAMPAIGN).exists()}
-    known = {sha256(test): test for file in campaigns for test in sorted((file.parent / "test").glob("*.*"))}
+    tests_by_hash = {sha256(test): test for file in campaigns for test in sorted((file.parent / "test").glob("*.*"))}
     for path in paths:
         original = _recorded_as(path)
-        if original is None and known and path.is_file() and (same := known.get(sha256(path))) is not None:
-            original = same.stem
+        if original is None and tests_by_hash and path.is_file():
+            same = tests_by_hash.get(sha256(path))
+            original = None if same is None else same.stem
         if original in TEST_FLIGHTS:
             raise RequestError(
                 f"{path} is a copy of the campaign's test flight {original}, on which models are compared. Leave it "
@@ -141,8 +147,8 @@ def _recorded_as(path: Path) -> str | None:
     return Path(notes.provenance.path).name if notes is not None and notes.provenance.reader == SIMULATED else None
 
 
-def split_recordings(
-    recordings: Sequence[Recording], *, validation: str | None = None, hold_out: str | None = None
+def split_flights(
+    flights: Sequence[LoggedFlight], *, validation: str | None = None, hold_out: str | None = None
 ) -> Split:
     """Flights to learn from and to validate on. validation, hold_out: patterns of file names; hold_out is not used.
 
@@ -150,47 +156,47 @@ def split_recordings(
     RequestError for a pattern that matches none or leaves none.
     """
     notes: list[str] = []
-    kept = list(recordings)
+    remaining = list(flights)
     if hold_out is not None:
-        places = matching([r.name for r in kept], hold_out, option="--hold-out")
-        out = [r for i, r in enumerate(kept) if i in places]
-        kept = [r for i, r in enumerate(kept) if i not in places]
+        places = matching([r.name for r in remaining], hold_out, option="--hold-out")
+        out = [r for i, r in enumerate(remaining) if i in places]
+        remaining = [r for i, r in enumerate(remaining) if i not in places]
         notes.append(f"held out, not looked at: {', '.join(r.name for r in out)}")
     if validation is not None:
-        places = matching([r.name for r in kept], validation, option="--validation")
-        judges = [r for i, r in enumerate(kept) if i in places]
-        learned = [r for i, r in enumerate(kept) if i not in places]
+        places = matching([r.name for r in remaining], validation, option="--validation")
+        judges = [r for i, r in enumerate(remaining) if i in places]
+        learned = [r for i, r in enumerate(remaining) if i not in places]
         return Split(tuple(learned), tuple(judges), tuple(notes))
-    if len(kept) == 1:
+    if len(remaining) == 1:
         notes.append(
             "one flight only: its last fifth validates, so errors on other flights are not known. Fly more, and other "
             "manoeuvres."
         )
-        learned_part, judging_part = _cut(kept[0])
+        learned_part, judging_part = _cut(remaining[0])
         return Split((learned_part,), (judging_part,), tuple(notes))
-    count = max(1, round(VALIDATION_SHARE * len(kept)))
-    places = frozenset(round((i + 0.5) * len(kept) / count) for i in range(count))
-    judges = [r for i, r in enumerate(kept) if i in places]
-    return Split(tuple(r for r in kept if r not in judges), tuple(judges), tuple(notes))
+    count = max(1, round(VALIDATION_SHARE * len(remaining)))
+    places = frozenset(round((i + 0.5) * len(remaining) / count) for i in range(count))
+    judges = [r for i, r in enumerate(remaining) if i in places]
+    return Split(tuple(r for r in remaining if r not in judges), tuple(judges), tuple(notes))
 
 
-def _read(name: str, path: Path, rate: float, mapping: Path | None) -> Recording:
+def _read(name: str, path: Path, rate: float, mapping: Path | None) -> LoggedFlight:
     if (path.parent.parent / CAMPAIGN).exists():
         flight = Flight.read(path, mapping=mapping, rate=rate)
-        segments = free_flight(flight, shortest=SHORTEST)
+        segments = free_flight(flight, shortest=MIN_SEGMENT)
     else:
         aligned = read_aligned(path, mapping=mapping, rate=rate)
         flight = aligned.flight
-        segments = tuple(part for part in aligned.segments() if part.duration >= SHORTEST)
-    return Recording(name, flight.provenance.sha256, segments)
+        segments = tuple(part for part in aligned.segments() if part.duration >= MIN_SEGMENT)
+    return LoggedFlight(name, flight.provenance.sha256, segments)
 
 
-def _cut(recording: Recording) -> tuple[Recording, Recording]:
+def _cut(flight: LoggedFlight) -> tuple[LoggedFlight, LoggedFlight]:
     """The first four fifths of a flight's rows, and the rest."""
-    cuts = cuts_in_time([len(segment) for segment in recording.segments], VALIDATION_TIME_SHARE)
+    cuts = cuts_in_time([len(segment) for segment in flight.segments], VALIDATION_TIME_SHARE)
     before: list[Flight] = []
     after: list[Flight] = []
-    for segment, cut in zip(recording.segments, cuts, strict=True):
+    for segment, cut in zip(flight.segments, cuts, strict=True):
         before += [segment.rows(0, cut)] if cut else []
         after += [segment.rows(cut, len(segment))] if cut < len(segment) else []
-    return tuple(dataclasses.replace(recording, segments=tuple(part)) for part in (before, after))  # type: ignore[return-value]
+    return tuple(dataclasses.replace(flight, segments=tuple(part)) for part in (before, after))  # type: ignore[return-value]

@@ -12,7 +12,7 @@ import pytest
 
 from dynamics.errors import DataError, RequestError
 from flights import Flight
-from training.data.recordings import Recording, find_logs, left_out, read_recordings, split_recordings
+from training.data.logged_flights import LoggedFlight, find_logs, left_out, read_logged_flights, split_flights
 
 
 def test_a_campaigns_folder_stands_for_its_training_flights(tmp_path: Path) -> None:
@@ -29,8 +29,8 @@ def test_a_campaigns_folder_stands_for_its_training_flights(tmp_path: Path) -> N
 def test_test_flights_among_the_training_files_are_refused(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "flight_0.parquet", tmp_path / "TransposedParabola.parquet")
     with pytest.raises(RequestError, match=r"TransposedParabola.parquet: test flights of the campaign"):
-        read_recordings([folder / "flight_1.parquet", tmp_path / "TransposedParabola.parquet"], dt=0.01)
-    (again,) = read_recordings([tmp_path / "TransposedParabola.parquet"], dt=0.01, may_be_tests=True)
+        read_logged_flights([folder / "flight_1.parquet", tmp_path / "TransposedParabola.parquet"], dt=0.01)
+    (again,) = read_logged_flights([tmp_path / "TransposedParabola.parquet"], dt=0.01, may_be_tests=True)
     assert again.rows > 500
 
 
@@ -41,7 +41,7 @@ def test_a_renamed_copy_of_a_test_flight_is_refused_as_it_says_itself_what_it_is
     flown = dataclasses.replace(flight.provenance, path="test/Lemniscate", reader="alula.lockstep")
     Flight(flight.time, flight.columns, flown).to_parquet(tmp_path / "flight_7.parquet")
     with pytest.raises(RequestError, match=r"flight_7.parquet is a copy of the campaign's test flight Lemniscate"):
-        read_recordings([folder / "flight_1.parquet", tmp_path / "flight_7.parquet"], dt=0.01)
+        read_logged_flights([folder / "flight_1.parquet", tmp_path / "flight_7.parquet"], dt=0.01)
 
 
 def test_a_renamed_copy_of_a_test_flight_is_refused_by_what_it_holds(flights: Sequence[Flight], tmp_path: Path) -> None:
@@ -52,7 +52,7 @@ def test_a_renamed_copy_of_a_test_flight_is_refused_by_what_it_holds(flights: Se
     flights[1].to_csv(tmp_path / "train" / "circle_xy_60.csv")
     shutil.copy(tmp_path / "test" / "Lemniscate.csv", tmp_path / "train" / "extra.csv")
     with pytest.raises(RequestError, match=r"extra.csv is a copy of the campaign's test flight Lemniscate"):
-        read_recordings(find_logs([tmp_path]), dt=0.01)
+        read_logged_flights(find_logs([tmp_path]), dt=0.01)
 
 
 def test_flights_of_the_same_name_in_two_folders_stay_two_flights(folder: Path, tmp_path: Path) -> None:
@@ -61,39 +61,39 @@ def test_flights_of_the_same_name_in_two_folders_stay_two_flights(folder: Path, 
     for place, name in enumerate(("one", "two")):
         (tmp_path / name).mkdir()
         paths.append(Path(shutil.copy(folder / f"flight_{place}.parquet", tmp_path / name / "log.parquet")))
-    found = read_recordings([*paths, folder / "flight_3.parquet"], dt=0.01)
+    found = read_logged_flights([*paths, folder / "flight_3.parquet"], dt=0.01)
     assert [r.name for r in found] == [str(paths[0]), str(paths[1]), "flight_3.parquet"]
-    assert [r.name for r in split_recordings(found, validation="*two/*").validation] == [str(paths[1])]
-    assert len(split_recordings(found, validation="log*").validation) == 2
+    assert [r.name for r in split_flights(found, validation="*two/*").validation] == [str(paths[1])]
+    assert len(split_flights(found, validation="log*").validation) == 2
 
 
 def test_a_flight_given_twice_is_refused(folder: Path, tmp_path: Path) -> None:
     shutil.copy(folder / "flight_0.parquet", tmp_path / "again.parquet")
     with pytest.raises(RequestError, match=r"again.parquet and flight_0.parquet are the same flight"):
-        read_recordings([folder / "flight_0.parquet", tmp_path / "again.parquet"], dt=0.01)
+        read_logged_flights([folder / "flight_0.parquet", tmp_path / "again.parquet"], dt=0.01)
 
 
-def test_every_tenth_flight_validates_and_at_least_one(recordings: Sequence[Recording]) -> None:
-    split = split_recordings(recordings)
+def test_every_tenth_flight_validates_and_at_least_one(recordings: Sequence[LoggedFlight]) -> None:
+    split = split_flights(recordings)
     assert [r.name for r in split.validation] == ["flight_2.parquet"]
     assert [r.name for r in split.training] == ["flight_0.parquet", "flight_1.parquet", "flight_3.parquet"]
-    many = [Recording(f"{place}.csv", str(place), recordings[0].segments) for place in range(40)]
-    assert [r.name for r in split_recordings(many).validation] == ["5.csv", "15.csv", "25.csv", "35.csv"]
+    many = [LoggedFlight(f"{place}.csv", str(place), recordings[0].segments) for place in range(40)]
+    assert [r.name for r in split_flights(many).validation] == ["5.csv", "15.csv", "25.csv", "35.csv"]
 
 
-def test_patterns_choose_what_validates_and_what_is_not_looked_at(recordings: Sequence[Recording]) -> None:
-    split = split_recordings(recordings, validation="flight_0*", hold_out="flight_3*")
+def test_patterns_choose_what_validates_and_what_is_not_looked_at(recordings: Sequence[LoggedFlight]) -> None:
+    split = split_flights(recordings, validation="flight_0*", hold_out="flight_3*")
     assert [r.name for r in split.training] == ["flight_1.parquet", "flight_2.parquet"]
     assert [r.name for r in split.validation] == ["flight_0.parquet"]
     assert split.notes == ("held out, not looked at: flight_3.parquet",)
     with pytest.raises(RequestError, match=r"--validation 'x\*' matches none of flight_0.parquet"):
-        split_recordings(recordings, validation="x*")
+        split_flights(recordings, validation="x*")
     with pytest.raises(RequestError, match=r"--hold-out 'flight\*' matches all"):
-        split_recordings(recordings, hold_out="flight*")
+        split_flights(recordings, hold_out="flight*")
 
 
-def test_of_one_flight_the_last_fifth_validates_and_it_is_said(recordings: Sequence[Recording]) -> None:
-    split = split_recordings(recordings[:1])
+def test_of_one_flight_the_last_fifth_validates_and_it_is_said(recordings: Sequence[LoggedFlight]) -> None:
+    split = split_flights(recordings[:1])
     (learned,), (judged,) = split.training, split.validation
     assert judged.rows == pytest.approx(0.2 * recordings[0].rows, abs=1)
     assert learned.segments[-1].time[-1] < judged.segments[0].time[0]
@@ -105,7 +105,7 @@ def test_a_log_without_free_flight_is_named(flights: Sequence[Flight], tmp_path:
     disarmed = {**flight.columns, "armed": np.zeros(len(flight))}
     path = Flight(flight.time, disarmed, flight.provenance).to_parquet(tmp_path / "still.parquet")
     with pytest.raises(DataError, match=r"still.parquet: nowhere 1 s of free flight"):
-        read_recordings([path], dt=0.01)
+        read_logged_flights([path], dt=0.01)
 
 
 def test_a_log_that_nothing_is_learned_from_is_told(flights: Sequence[Flight], folder: Path, tmp_path: Path) -> None:
@@ -114,6 +114,6 @@ def test_a_log_that_nothing_is_learned_from_is_told(flights: Sequence[Flight], f
     holes[::15] = np.nan
     torn = Flight(flight.time, {**flight.columns, "rate_x": holes}, flight.provenance)
     paths = [torn.to_parquet(tmp_path / "torn.parquet"), folder / "flight_1.parquet"]
-    found = read_recordings(paths, dt=0.01)
+    found = read_logged_flights(paths, dt=0.01)
     assert left_out(paths, found) == ("left out, nowhere 1 s of free flight without a gap: torn.parquet",)
     assert left_out(paths[1:], found) == ()

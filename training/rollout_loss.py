@@ -21,14 +21,14 @@ from dynamics.state import ATTITUDE
 from dynamics.vehicle import GRAVITY, Vehicle
 from training.checkpoint import Scaling
 from training.config import ModelConfig
-from training.data.dataset import Dataset
 from training.data.features import body_inertia, world_accelerations
+from training.data.labelled_rows import LabelledRows
 from training.data.tensors import Tensors, with_noise
 from training.streaming import Stream
 
 
 @dataclass(frozen=True, eq=False)
-class Rollout:
+class RolloutLoss:
     """Recorded flights as roll-outs need them. state: (n, 13). base, label: (n, 6), world accelerations the latter.
 
     starts: (m,) rows at which a roll-out of `steps` steps may begin. spoken: (6,) outputs over
@@ -49,13 +49,13 @@ class Rollout:
 
     @classmethod
     def of(
-        cls, config: ModelConfig, vehicle: Vehicle, data: Dataset, tensors: Tensors, scaling: Scaling, steps: int,
+        cls, config: ModelConfig, vehicle: Vehicle, data: LabelledRows, tensors: Tensors, scaling: Scaling, steps: int,
         noise: float,
-    ) -> Rollout:  # fmt: skip
+    ) -> RolloutLoss:  # fmt: skip
         """Raises DataError when no segment of the flights is as long as a roll-out."""
         device = tensors.inputs.device
-        ahead = data.ends + (steps - 1)
-        starts = data.ends[np.isin(ahead, data.ends) & (_run_length(data.ends) >= steps)]
+        last_rows = data.ends + (steps - 1)
+        starts = data.ends[np.isin(last_rows, data.ends) & (_run_length(data.ends) >= steps)]
         if not len(starts):
             raise DataError(f"no segment of the flights has {steps} rows with labels after a whole history.")
         world = world_accelerations(data.label, data.state[:, ATTITUDE])

@@ -19,9 +19,9 @@ from flights.rotors import rotor_speeds
 from training.config import ModelConfig, Motors
 from training.data.features import body_accelerations, columns, outputs_from, world_accelerations
 from training.data.labels import Samples, as_labelled, paper_table, samples
-from training.data.recordings import Recording
-from training.data.windows import windows
-from training.physics import RowModel, textbook
+from training.data.logged_flights import LoggedFlight
+from training.data.windows import window_ends
+from training.physics import RowModel, nominal_model
 from training.vehicle_fit import require_fit
 
 MIN_WINDOWS = 500
@@ -41,7 +41,7 @@ class RowNames:
 
 
 @dataclass(frozen=True, eq=False)
-class Dataset:
+class LabelledRows:
     """All rows of some flights, one after the other; accelerations are body accelerations (`training.data.features`).
 
     flights: names of the flights.
@@ -77,32 +77,34 @@ class Dataset:
         return RowNames(self.flights, self.flight_of, self.time)
 
 
-def settled_motors(config: ModelConfig, recordings: Sequence[Recording], vehicle: Vehicle) -> ModelConfig:
-    """The definition with the motors that these flights have: as wanted, unless none of them logged such.
+def with_logged_motors(config: ModelConfig, recordings: Sequence[LoggedFlight], vehicle: Vehicle) -> ModelConfig:
+    """The definition with the rotor speeds that these flights log: as the definition has it, unless none logs such.
 
     Raises DataError when the flights differ, or one has no motor data.
     """
-    found: dict[Motors, str] = {}
+    names: dict[Motors, str] = {}
     for recording in recordings:
         _, source = rotor_speeds(recording.segments[0], vehicle, prefer=config.motors)
-        found["measured" if source == "measured" else "command"] = recording.name
-    if len(found) > 1:
+        names["measured" if source == "measured" else "command"] = recording.name
+    if len(names) > 1:
         raise DataError(
-            f"{found['command']} has motor commands, {found['measured']} measured rotor speeds only: a network cannot "
+            f"{names['command']} has motor commands, {names['measured']} measured rotor speeds only: a network cannot "
             f"learn from both. Give --motors {'measured' if config.motors == 'command' else 'command'}, or flights of "
             "one kind."
         )
-    return msgspec.structs.replace(config, motors=next(iter(found)))
+    return msgspec.structs.replace(config, motors=next(iter(names)))
 
 
-def make_dataset(
-    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[Recording], *, fewest: int = MIN_WINDOWS
-) -> Dataset:
-    """Inputs, labels and models over all flights. fewest: windows that there must be.
+def label_rows(
+    config: ModelConfig, vehicle: Vehicle, recordings: Sequence[LoggedFlight], *, min_windows: int = MIN_WINDOWS
+) -> LabelledRows:
+    """Inputs, labels and models over all flights.
+
+    min_windows: the fewest windows to learn from or to evaluate on.
 
     Raises DataError when motors or motion are missing, too few windows are left, or the vehicle file does not fit.
     """
-    nominal = textbook(vehicle, dt=config.dt, label=config.label)
+    nominal = nominal_model(vehicle, dt=config.dt, label=config.label)
     grey_box = config.base == "grey_box"
     model = RowModel(vehicle, vehicle.effects, dt=config.dt, label=config.label, motors=config.motors)
     parts = [
@@ -111,15 +113,15 @@ def make_dataset(
         for segment in recording.segments
     ]
     table = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    found = windows([part["inputs"] for part in parts], config.history)
-    ends = found.ends[np.isfinite(table["targets"][found.ends]).all(axis=1)]
+    ends = window_ends([part["inputs"] for part in parts], config.history)
+    ends = ends[np.isfinite(table["targets"][ends]).all(axis=1)]
     names = tuple(recording.name for recording in recordings)
-    if len(ends) < fewest:
+    if len(ends) < min_windows:
         raise DataError(
             f"{', '.join(names[:4])}: {len(ends)} windows of {config.history} rows without a gap in inputs and label. "
-            f"Wanted at least {fewest}, {fewest * config.dt:g} s of flight; `alula inspect` lists gaps."
+            f"Required: at least {min_windows}, {min_windows * config.dt:g} s of flight; `alula inspect` lists gaps."
         )
-    dataset = Dataset(
+    dataset = LabelledRows(
         flights=names, time=table["time"], flight_of=table["flight_of"].astype(np.intp),
         state=table["state"], rotor_speed=table["rotor_speed"], label=table["label"], nominal=table["nominal"],
         base=None if config.base == "none" else table["base"],
@@ -138,18 +140,18 @@ def _segment(
 ) -> dict[str, Floats]:
     speeds, _ = rotor_speeds(segment, vehicle, prefer=config.motors)
     rotors = {f"rotor_speed_{rotor}": speeds[:, rotor] for rotor in range(vehicle.rotors.count)}
-    given = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
-    seen = _samples(config, given)
-    attitude = seen.state[:, ATTITUDE]
-    textbook_says = nominal(seen.state, seen.rotor_speed).body
-    base_says = textbook_says if base is nominal else base(seen.state, seen.rotor_speed).body
-    base_labelled = labelled(config, base_says, attitude)
-    label = body_accelerations(seen.label, attitude)
+    with_speeds = Flight(segment.time, {**segment.columns, **rotors}, segment.provenance)
+    rows = _samples(config, with_speeds)
+    attitude = rows.state[:, ATTITUDE]
+    nominal_body = nominal(rows.state, rows.rotor_speed).body
+    base_body = nominal_body if base is nominal else base(rows.state, rows.rotor_speed).body
+    base_labelled = labelled(config, base_body, attitude)
+    label = body_accelerations(rows.label, attitude)
     targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
     return {
-        "time": seen.time, "flight_of": np.full(len(segment), float(place)), "state": seen.state,
-        "rotor_speed": seen.rotor_speed, "label": label, "nominal": textbook_says, "base": base_says,
-        "base_labelled": base_labelled, "inputs": columns(config, seen.state, seen.rotor_speed), "targets": targets,
+        "time": rows.time, "flight_of": np.full(len(segment), float(place)), "state": rows.state,
+        "rotor_speed": rows.rotor_speed, "label": label, "nominal": nominal_body, "base": base_body,
+        "base_labelled": base_labelled, "inputs": columns(config, rows.state, rows.rotor_speed), "targets": targets,
     }  # fmt: skip
 
 

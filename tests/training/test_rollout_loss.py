@@ -12,15 +12,15 @@ from training.data.features import columns
 from training.data.tensors import Tensors
 from training.networks import build_network
 from training.plan import Plan
-from training.rollout import Rollout
+from training.rollout_loss import RolloutLoss
 
 CPU = torch.device("cpu")
 FRAMES = [{"inputs": "body", "outputs": "body"}, {"inputs": "world", "outputs": "world"}]
 
 
-def rollout_of(plan: Plan, steps: int) -> Rollout:
+def rollout_loss_of(plan: Plan, steps: int) -> RolloutLoss:
     tensors = Tensors.of(plan.training, plan.scaling, plan.config.history, CPU)
-    return Rollout.of(plan.config, plan.vehicle, plan.training, tensors, plan.scaling, steps, 0.0)
+    return RolloutLoss.of(plan.config, plan.vehicle, plan.training, tensors, plan.scaling, steps, 0.0)
 
 
 @pytest.mark.parametrize("kind", ["mse_tcn", "window_mlp", "res_tcn"])
@@ -28,7 +28,7 @@ def rollout_of(plan: Plan, steps: int) -> Rollout:
 def test_a_roll_out_of_one_step_is_the_one_step_loss(plan_for: MakePlan, kind: str, frame: dict[str, str]) -> None:
     config = frame if kind != "res_tcn" else {"inputs": frame["inputs"]}
     plan = plan_for(kind, config=config)
-    rollout = rollout_of(plan, 1)
+    rollout = rollout_loss_of(plan, 1)
     torch.manual_seed(0)
     network = build_network(plan.config)
     for weight in network.parameters():
@@ -44,7 +44,7 @@ def test_a_roll_out_of_one_step_is_the_one_step_loss(plan_for: MakePlan, kind: s
 @pytest.mark.parametrize("frame", FRAMES)
 def test_columns_of_predicted_states_are_those_of_recorded_ones(plan_for: MakePlan, frame: dict[str, str]) -> None:
     plan = plan_for("mse_tcn", config=frame)
-    rollout, data = rollout_of(plan, 2), plan.training
+    rollout, data = rollout_loss_of(plan, 2), plan.training
     found = rollout._column(rollout.state[:40], rollout.tensors.inputs[:40])
     wanted = (columns(plan.config, data.state[:40], data.rotor_speed[:40]) - plan.scaling.input_mean) / (
         plan.scaling.input_std
@@ -54,7 +54,7 @@ def test_columns_of_predicted_states_are_those_of_recorded_ones(plan_for: MakePl
 
 def test_roll_outs_begin_only_where_all_their_steps_have_labels(plan_for: MakePlan) -> None:
     plan = plan_for("mse_tcn")
-    starts, ends = rollout_of(plan, 30).starts.numpy(), plan.training.ends
+    starts, ends = rollout_loss_of(plan, 30).starts.numpy(), plan.training.ends
     assert len(starts) == len(ends) - 29 * len(plan.training.flights)
     for step in range(30):
         assert np.isin(starts + step, ends).all()
