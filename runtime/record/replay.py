@@ -127,5 +127,5 @@ def _compare(recording: FlightRecording, decisions: list[tuple[float, Decision]]
 
 
 def _transitions(recording: FlightRecording) -> list[tuple[float, str, str]]:
-    """Time, before and after of each recorded transition; its reason is prose, which another version may word anew."""
+    """Time, before and after of each recorded transition; its reason is left out, as prose."""
     return [(row.time, row.before, row.after) for row in recording.records(StateRecord)]

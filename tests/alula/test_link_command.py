@@ -34,7 +34,7 @@ def test_a_bad_connection_string_ends_with_2(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "--link", "ttyACM0") == 2
-    assert "Wanted one of: udpin:0.0.0.0:14540" in capsys.readouterr().err
+    assert "Give one of: udpin:0.0.0.0:14540" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("as_json", [True, False])
