@@ -36,8 +36,9 @@ def test_a_users_lag_is_integrated_in_steps_that_it_can_bear(arpl_250g: Vehicle,
     controller = Controller.build(vehicle, catalogue=catalogue)
     node = controller.solver.problem.node
     assert node / required_steps(controller.model, node) <= TAU
-    # the simulated autopilot's own gains do not suit rotors as quick as these: its vehicle has the usual lag
-    flown = fly_reference(arpl_250g, named_reference("line:size=1", arpl_250g), controller=controller, seed=1)
+    flown = fly_reference(
+        vehicle, named_reference("line:size=1", vehicle), controller=controller, catalogue=catalogue, seed=1
+    )
     assert not flown.aborted
     assert flown.position_rmse < 0.05
 
