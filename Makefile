@@ -11,7 +11,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 RECIPE := pyproject.toml constraints.txt
-STUDIES := $(filter-out %/provenance.py %_worker.py,$(wildcard benchmarks/*.py))
+STUDIES := $(filter-out %_worker.py,$(shell grep -l __main__ benchmarks/*.py))
 
 .PHONY: demo test lint study conformance clean $(STUDIES)
 .NOTPARALLEL:
@@ -35,7 +35,7 @@ conformance: .venv/development.stamp
 	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance
 
 $(STUDIES): .venv/workbench.stamp
-	$(BIN)/python $@
+	$(BIN)/python -m $(subst /,.,$(basename $@))
 
 .venv/python.stamp:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "Alula needs Python 3.11 or newer: make PYTHON=python3.12")'

@@ -3,7 +3,7 @@
 Flights of the campaign on the mock, whose truth is known. Each method's cutoff is the best of a list on four training
 flights; the table is of the eight test flights.
 
-    python benchmarks/acceleration_labels.py [--seed S] [--jobs J]
+    python -m benchmarks.acceleration_labels [--seed S] [--jobs J]
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.arrays import Floats
 from flights import Flight, filters
 from simulation.campaign import Campaign, CampaignOptions

@@ -1,6 +1,6 @@
 """What the flight computer's install takes on disk, and which packages take it.
 
-python benchmarks/base_install_size.py
+python -m benchmarks.base_install_size
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import tempfile
 from importlib.metadata import distributions
 from pathlib import Path
 
-from provenance import write_result
+from benchmarks.provenance import write_result
 
 ROOT = Path(__file__).resolve().parent.parent
 

@@ -4,22 +4,19 @@ PI-TCN follows a lemniscate whose reference leaps every 0.3 s by up to 0.6 m, in
 lies on bounds is kept, and solved by both with the tolerance that flies, in turns on one core; each time is the least
 of three. HPIPM's time depends on its BLASFEO: CasADi's generic one is what a default install has.
 
-    python benchmarks/box_qp.py [--networks build/rti_network]      a minute
+    python -m benchmarks.box_qp [--networks build/rti_network]      a minute
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
 import numpy as np
-from provenance import write_result
-from rti_flight import NETWORKS, PERIODS, fly, networks, solver_for, undisturbed, with_each_blasfeo
 
+from benchmarks.provenance import write_result
+from benchmarks.rti_flight import NETWORKS, PERIODS, fly, networks, solver_for, undisturbed, with_each_blasfeo
 from export.trained import read_model
 from fixtures.box_programs import BoxProgram, BoxSolvers
 from runtime.control.rti.problem import Problem, fill_options
@@ -91,7 +88,7 @@ def main() -> None:
     if arguments.measure is not None:
         print(json.dumps(measure(arguments.measure)))
         return
-    boxes = with_each_blasfeo(__file__, networks(arguments.networks))
+    boxes = with_each_blasfeo("benchmarks.box_qp", networks(arguments.networks))
     write_result("box_qp", "Quadratic programs of saturated flight, one core", table(boxes))
 
 

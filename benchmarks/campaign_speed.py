@@ -1,6 +1,6 @@
 """How long the paper's 58 minutes take to fly again, and how much memory: the whole campaign, as a user runs it.
 
-python benchmarks/campaign_speed.py [--flights PATTERN] [--jobs J]
+python -m benchmarks.campaign_speed [--flights PATTERN] [--jobs J]
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from flights import Flight
 from simulation.campaign import MANIFEST, CampaignManifest
 from training.data.labels import paper_label

@@ -4,7 +4,7 @@ Each flight is flown by the runtime's logic on the mock's vehicle with the hidde
 then every stream gets stamps of its own: planted delay, jitter of 0.5 ms, motors at half the rate. Seeds for the
 calibration of the interval are thrown away; the table is of fresh ones.
 
-    python benchmarks/delay_estimation.py [--flights N] [--first-seed S] [--jobs J]
+    python -m benchmarks.delay_estimation [--flights N] [--first-seed S] [--jobs J]
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ import argparse
 from dataclasses import dataclass, replace
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle_file import parse_effect, read_vehicle

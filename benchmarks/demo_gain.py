@@ -4,7 +4,7 @@ In lockstep, with the mock's estimates, sensor noise, delays, motor lag and inne
 one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
 flown is kept in a folder, so that a run which was cut short goes on.
 
-    python benchmarks/demo_gain.py [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]
+    python -m benchmarks.demo_gain [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.errors import AlulaError
 from studies.demo.flights import DemoOptions
 from studies.demo.result import DemoReport

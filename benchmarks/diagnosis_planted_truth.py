@@ -6,20 +6,17 @@ the runtime). An effect's size is such that at its best channel it makes 0.1, 0.
 seeds are for calibrating thresholds, odd seeds for the table. Flights and finished cases are kept in build/, so that a
 run that was stopped goes on where it was.
 
-    python benchmarks/diagnosis_planted_truth.py --first 1 --seeds 1 --noise 1 3 --nothing 200 --pairs 24
+    python -m benchmarks.diagnosis_planted_truth --first 1 --seeds 1 --noise 1 3 --nothing 200 --pairs 24
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from rich.progress import track
 

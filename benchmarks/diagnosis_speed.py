@@ -2,7 +2,7 @@
 
 Each size is diagnosed three times in a process that has done so once before; reading files is not counted.
 
-    python benchmarks/diagnosis_speed.py
+    python -m benchmarks.diagnosis_speed
 """
 
 from __future__ import annotations
@@ -10,13 +10,9 @@ from __future__ import annotations
 import os
 import sys
 import time
-from pathlib import Path
 from statistics import median
 
-from provenance import write_result
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
+from benchmarks.provenance import write_result
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
@@ -35,7 +31,7 @@ def main() -> None:
     if os.environ.get("OPENBLAS_NUM_THREADS") != "1":  # as the command has it; read when the library is loaded
         limit_library_threads()
         os.environ["OPENBLAS_NUM_THREADS"] = "1"
-        os.execv(sys.executable, [sys.executable, *sys.argv])
+        os.execv(sys.executable, sys.orig_argv)
     vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
     lines = ["| flight | hidden | seconds of flight | processor seconds, median | by the clock | goal |",
              "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip

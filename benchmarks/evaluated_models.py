@@ -7,8 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from provenance import write_result
-
+from benchmarks.provenance import write_result
 from studies.evaluation.run import draw, run
 from studies.tables import markdown
 

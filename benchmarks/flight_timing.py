@@ -1,6 +1,6 @@
 """From an estimate's arrival to the setpoint's departure, late setpoints and their causes, start-up: over real UDP.
 
-    python benchmarks/flight_timing.py [--minutes-100 10] [--minutes-200 2] [--plain]
+    python -m benchmarks.flight_timing [--minutes-100 10] [--minutes-200 2] [--plain]
 
 Each row is one flight of `alula fly` (hover) against the mock in a process of its own on this machine. With --plain
 the flights run without SCHED_FIFO as well.
@@ -20,7 +20,7 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
-from provenance import write_result
+from benchmarks.provenance import write_result
 
 ALULA = [sys.executable, "-m", "alula"]
 

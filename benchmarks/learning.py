@@ -16,8 +16,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from studies.sweep.catalogue import STARRED
 from studies.sweep.cell import CellResult, Outcome, trained
 from studies.sweep.cell_work import finished_cells

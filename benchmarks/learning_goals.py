@@ -16,11 +16,10 @@ import subprocess
 import sys
 from pathlib import Path
 
-from provenance import write_result
-
+from benchmarks.provenance import write_result
 from studies.paper import prediction_ratio
 from studies.sweep.catalogue import SLOW
-from studies.tables import Cell, Table, markdown
+from studies.tables import Table, TableCell, markdown
 from training import checkpoint
 from training.calibration import calibration
 from training.card import FlightError
@@ -102,7 +101,7 @@ def trained_slow() -> list[Table]:
         assert reliability is not None
         signs.append((name, reliability.auroc, reliability.coverage, reliability.faded, sum(model.card.seconds)))
     flights = [error.flight for error in errors["PI-TCN"]]
-    rows: list[tuple[Cell, ...]] = [
+    rows: list[tuple[TableCell, ...]] = [
         (Path(flight).stem, errors["PI-TCN"][place].nominal, *(each[place].combined for each in errors.values()))
         for place, flight in enumerate(flights)
     ]

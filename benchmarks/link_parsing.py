@@ -3,7 +3,7 @@
 The recorded link to real PX4 (tests/data/px4_sih_offboard) is fed frame by frame, as datagrams arrive: every message,
 and ODOMETRY alone, which is what a setpoint waits for.
 
-    python benchmarks/link_parsing.py [--repeats N]
+    python -m benchmarks.link_parsing [--repeats N]
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from runtime.link.dialect import mavlink
 from runtime.link.framing import Frame, FrameParser
 from runtime.link.peer import Peer

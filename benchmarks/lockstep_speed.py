@@ -4,7 +4,7 @@
 vehicle (1 ms steps, inner loops, sensors, battery), without MAVLink. The climb to the start is in the time spent but
 not in the time simulated.
 
-    python benchmarks/lockstep_speed.py [--repeats 5]
+    python -m benchmarks.lockstep_speed [--repeats 5]
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import os
 import time
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.references import named_reference
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Controller

@@ -5,7 +5,7 @@ nominal column of the paper's Table II, which was flown by a real vehicle with a
 
 Draws three flights of the last run into docs/pictures/tracking.png.
 
-    python benchmarks/manoeuvres.py [--runs 3]
+    python -m benchmarks.manoeuvres [--runs 3]
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from studies.demo.flights import DemoOptions
 from studies.demo.report import draw_tracking
 from studies.demo.run import run_demo

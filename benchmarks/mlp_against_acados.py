@@ -5,7 +5,7 @@ step of PI-TCN (T = 20, exact history derivatives) and of the MLP stand beside a
 a node, its derivatives by CasADi as MX, which is acados' faster way): same problem, same recorded states of a
 lemniscate at 5.1 m/s, same run, in turns of fifty ticks on the same core.
 
-    python benchmarks/mlp_against_acados.py [--networks build/rti_network]      two minutes, five where it has to train
+    python -m benchmarks.mlp_against_acados [--networks build/rti_network]      two minutes, five where it has to train
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ import sys
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
-from rti_against_acados import (
+
+from benchmarks.provenance import write_result
+from benchmarks.rti_against_acados import (
     CONDENSING,
     Worker,
     acados_environment,
@@ -27,8 +28,7 @@ from rti_against_acados import (
     problem_numbers,
     take_turns,
 )
-from rti_flight import NETWORKS, PERIODS, ROOT, fly, networks, solver_for
-
+from benchmarks.rti_flight import NETWORKS, PERIODS, ROOT, fly, networks, solver_for
 from export.trained import read_model
 from runtime.control.rti.processor import native_processor
 from runtime.control.rti.solver import RtiSolver
@@ -89,7 +89,8 @@ def main() -> None:
     processor, workers = native_processor().name, []
     for build, environment in (("acados' (Haswell)", {"ALULA_HPIPM": str(install)}), ("CasADi's (generic)", {})):
         for kind, name in (("pi_tcn", "PI-TCN, T = 20"), ("pi_mlp", "MLP, T = 1")):
-            command = [sys.executable, __file__, "--own-worker", str(checkpoints / f"{kind}.pt")]
+            command = [sys.executable, "-m", "benchmarks.mlp_against_acados"]
+            command += ["--own-worker", str(checkpoints / f"{kind}.pt")]
             workers.append(Worker(f"Alula, {name}, {processor}, BLASFEO {build}", command, **environment))
     for condensing in CONDENSING:
         name = f"acados SQP_RTI, MLP, T = 1, {condensing}"

@@ -4,7 +4,7 @@ Real time: the process on UDP with PX4's default streams on both links, idle and
 ESC_STATUS at 100 Hz. Lockstep: the same objects in this process, a SET_ATTITUDE_TARGET in and all frames out every
 10 ms of simulated time.
 
-    python benchmarks/mock_load.py [--seconds S]
+    python -m benchmarks.mock_load [--seconds S]
 """
 
 from __future__ import annotations
@@ -12,14 +12,10 @@ from __future__ import annotations
 import argparse
 import os
 import socket
-import sys
 import time
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-
-from provenance import write_result
-
+from benchmarks.provenance import write_result
 from simulation.mock_process import mock_process
 from sitl_mock.mock import MockOptions, build_autopilot
 from sitl_mock.wire.dialect import mavlink

@@ -3,7 +3,7 @@
 A setpoint a control period of 10 ms, as a controller at 100 Hz sends it, and the estimate, an inertial sample and the
 rotor speeds read back after each; also in the 4 ms passes in which the mock flight controller advances it.
 
-    python benchmarks/mock_speed.py [--seconds S]
+    python -m benchmarks.mock_speed [--seconds S]
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ import time
 from collections.abc import Callable
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from sitl_mock.vehicle.vehicle import SimulatedVehicle

@@ -3,7 +3,7 @@
 The plant takes rotor speeds directly, at 100 Hz, as the closed loop of the benchmark does; random references and dither
 on the commands excite it. Run by the benchmark, in a process of its own:
 
-    python benchmarks/network_worker.py pi_tcn FILE.pt [--steps 6000]
+    python -m benchmarks.network_worker pi_tcn FILE.pt [--steps 6000]
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> Train
     linear, angular = np.sqrt(miss[:, :3].mean()), np.sqrt(miss[:, 3:].mean())
     spread = float(np.sqrt(np.mean(scaling.output_std**2)))  # what a constant would err by
     error = FlightError("simulated", 20_000, float(linear), float(angular), float(np.sqrt(miss.mean())), spread)
-    command = "benchmarks/network_worker.py"
+    command = "benchmarks.network_worker"
     card = Card(config.kind, command, "", FAST, {}, {}, vehicle.name, "", (seed,), (steps,), errors=(error,))
     ranges = Ranges(inputs.min(over), inputs.max(over))
     return TrainedModel(config, (network,), scaling, ranges, vehicle, vehicle_toml(vehicle), card)

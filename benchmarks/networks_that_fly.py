@@ -10,11 +10,10 @@ import argparse
 import tempfile
 from pathlib import Path
 
-from learning_goals import BUILD, CAMPAIGN, NAMED, judged, trained
-from provenance import write_result
-from table_two import FIRST_SEED
-from table_two_worker import DURATION, VEHICLE, Run, in_lockstep
-
+from benchmarks.learning_goals import BUILD, CAMPAIGN, NAMED, judged, trained
+from benchmarks.provenance import write_result
+from benchmarks.table_two import FIRST_SEED
+from benchmarks.table_two_worker import DURATION, VEHICLE, Run, in_lockstep
 from dynamics.vehicle_file import find_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model

@@ -5,7 +5,7 @@ trained model that comes along, with a vehicle's noise on gyro and estimate and 
 the greatest running means of what setpoints turn back from tick to tick, and of what body rates miss them, while the
 reference was tracked; how often and how long physics flew; the error.
 
-    python benchmarks/oscillation.py [--noise 1,2]
+    python -m benchmarks.oscillation [--noise 1,2]
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle import Vehicle

@@ -3,19 +3,16 @@
 Nine flights of 12 s of the mock's vehicle (M) and of RotorPy's (R); two are held out. The held-out errors are those by
 which `alula add` decides which of the two fits it keeps.
 
-    python benchmarks/output_error.py
+    python -m benchmarks.output_error
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from benchmarks.provenance import write_result
 from diagnosis.addition import add_effect

@@ -1,4 +1,4 @@
-"""What every table of this folder says of itself: machine, date, command, versions."""
+"""Provenance of every table of this folder: machine, date, command, versions."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Reads every log of a folder and says what each could and could not give; and how fast a long ULog is read.
 
-    python benchmarks/read_flights.py [FOLDER]
+    python -m benchmarks.read_flights [FOLDER]
 
 FOLDER: any flight logs, by default the small ones that the tests use. The claim: a 10-minute ULog whose motion and
 motors are logged at 250 Hz becomes a Flight in at most 3 s and 1 GB.
@@ -19,15 +19,13 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as pa_csv
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.errors import AlulaError
+from fixtures.ulog_file import Topic, ulog_file
 from flights import Flight, Log, read_chunks, read_folder
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
-
-from fixtures.ulog_file import Topic, ulog_file  # noqa: E402  the tests' writer, which is no package of ours
 
 MINUTES, RATE, REPEATS = 10, 250, 5
 HOURS, CHUNK = 3, 1200.0  # of the log that is read in chunks, and s of a piece
@@ -90,7 +88,7 @@ def reading_in_chunks() -> str:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "long.csv"
         size = long_csv(path)
-        command = [sys.executable, __file__, "--pieces", str(path)]
+        command = [sys.executable, "-m", "benchmarks.read_flights", "--chunks", str(path)]
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     data, chunks, memory = (float(word) for word in done.stdout.split())
     return (
@@ -117,7 +115,10 @@ def reading_speed() -> str:
         runs = []
         for _ in range(REPEATS):
             done = subprocess.run(
-                [sys.executable, __file__, "--measure", str(path)], capture_output=True, text=True, check=True
+                [sys.executable, "-m", "benchmarks.read_flights", "--measure", str(path)],
+                capture_output=True,
+                text=True,
+                check=True,
             )
             runs.append([float(word) for word in done.stdout.split()])
     elapsed, work = (statistics.median(run[index] for run in runs) for index in (0, 1))
@@ -163,7 +164,7 @@ def main() -> None:
     if sys.argv[1:2] == ["--measure"]:
         measure_once(Path(sys.argv[2]))
         return
-    if sys.argv[1:2] == ["--pieces"]:
+    if sys.argv[1:2] == ["--chunks"]:
         measure_chunks(Path(sys.argv[2]), CHUNK)
         return
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "tests" / "data"

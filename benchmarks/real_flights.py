@@ -1,17 +1,14 @@
 """What diagnosis says of real flights, and of what is known about them. Writes results/real_flights.md.
 
-    python benchmarks/real_flights.py
+    python -m benchmarks.real_flights
 
 The flights are the small copies that the tests use (tests/data, each with its source and licence).
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import msgspec
 import numpy as np

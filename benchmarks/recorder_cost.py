@@ -1,6 +1,6 @@
 """What recording costs: the control thread per tick, the writer's thread per second of flight, and the disk.
 
-python benchmarks/recorder_cost.py [--seconds 20]
+python -m benchmarks.recorder_cost [--seconds 20]
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ import time
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
     EstimateRecord,

@@ -4,7 +4,7 @@ Flown as in a campaign: the nominal controller, a vehicle with hidden drags, lag
 peaks there are two: of the true motion over 10 ms, and of the labels that the paper's processing makes of the measured
 one (velocity and rates smoothed at 5 Hz), which is what Table I's must be.
 
-python benchmarks/references_table.py
+python -m benchmarks.references_table
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.references import PAPER, check_feasibility, named_reference
 from dynamics.vehicle_file import read_vehicle
 from flights import Flight

@@ -4,7 +4,7 @@ Both solvers answer the same recorded sequence of states (a flight of the paper'
 and rotor drag) in turns of fifty ticks, each pinned to the same core and free to use one thread. acados comes from
 PyPI's comma-deps-acados in an environment of its own, because it brings a casadi of its own.
 
-    python benchmarks/rti_against_acados.py [--hpipm FOLDER]
+    python -m benchmarks.rti_against_acados [--hpipm FOLDER]
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import venv
 from pathlib import Path
 
 import numpy as np
-from provenance import write_result
 
+from benchmarks.provenance import write_result
 from dynamics.model import build_model
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
@@ -179,7 +179,7 @@ def main() -> None:
     install = acados_environment()
     folder = ROOT / "build" / "rti_against_acados"
     cases, problem = record_cases(folder)
-    own = [sys.executable, __file__, "--own-worker"]
+    own = [sys.executable, "-m", "benchmarks.rti_against_acados", "--own-worker"]
     workers = [
         Worker("Alula, CasADi wheel's BLASFEO (generic)", own),
         Worker("Alula, acados wheel's BLASFEO (Haswell)", own, ALULA_HPIPM=str(install)),

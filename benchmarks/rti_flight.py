@@ -18,8 +18,8 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from network_worker import DT, LAG_AND_DRAG, Plant
 
+from benchmarks.network_worker import DT, LAG_AND_DRAG, Plant
 from dynamics.model import build_model
 from dynamics.vehicle import GRAVITY, Limits
 from export.kernel import kernel_solver
@@ -43,19 +43,19 @@ def networks(folder: Path = NETWORKS, steps: int = STEPS) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     for kind in ("pi_tcn", "pi_mlp"):
         if not (folder / f"{kind}.pt").exists():
-            worker = [sys.executable, str(Path(__file__).with_name("network_worker.py")), kind]
+            worker = [sys.executable, "-m", "benchmarks.network_worker", kind]
             subprocess.run([*worker, str(folder / f"{kind}.pt"), "--steps", str(steps)], check=True)
     return folder
 
 
-def with_each_blasfeo(script: str, folder: Path) -> dict[str, Any]:
-    """What `script --measure FOLDER` prints last, as JSON, by the BLASFEO that it runs with."""
+def with_each_blasfeo(module: str, folder: Path) -> dict[str, Any]:
+    """The last line that `python -m MODULE --measure FOLDER` prints, as JSON, by the BLASFEO that it runs with."""
     builds: dict[str, dict[str, str]] = {"CasADi's (generic)": {}}
     if faster := list(ACADOS.glob("*/*/acados/install")):
         builds["acados' (Haswell)"] = {"ALULA_HPIPM": str(faster[0])}
     timings = {}
     for name, environment in builds.items():
-        command = [sys.executable, script, "--measure", str(folder)]
+        command = [sys.executable, "-m", module, "--measure", str(folder)]
         done = subprocess.run(command, env=os.environ | environment, stdout=subprocess.PIPE, text=True, check=True)
         timings[name] = json.loads(done.stdout.splitlines()[-1])
     return timings

@@ -7,8 +7,8 @@ else the scheduler's (it woke the thread late, or took the processor away). A vi
 away unseen, and what it took counts as work: so the same number of ticks is counted with a loop in the step's place
 that does nothing, as long as the median step.
 
-    python benchmarks/rti_jitter.py                                          the physical model, 100 Hz for a minute
-    python benchmarks/rti_jitter.py --learned --rate 500 --seconds 20        PI-TCN in its kernel
+    python -m benchmarks.rti_jitter                                          the physical model, 100 Hz for a minute
+    python -m benchmarks.rti_jitter --learned --rate 500 --seconds 20        PI-TCN in its kernel
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
-from network_worker import LAG_AND_DRAG
-from provenance import write_result
-from rti_flight import NETWORKS, networks
 
+from benchmarks.network_worker import LAG_AND_DRAG
+from benchmarks.provenance import write_result
+from benchmarks.rti_flight import NETWORKS, networks
 from dynamics.model import build_model
 from dynamics.references import Reference, named_reference
 from dynamics.vehicle import Vehicle

@@ -3,7 +3,7 @@
 Trains PI-TCN and PI-MLP on a simulated quadrotor with motor lag (40 ms) and drag (`network_worker.py`), flies them and
 the nominal model along a lemniscate in lockstep, and times every iteration of these flights on one core.
 
-    python benchmarks/rti_network.py [--networks FOLDER]      three minutes, six where it has to train
+    python -m benchmarks.rti_network [--networks FOLDER]      three minutes, six where it has to train
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ import msgspec
 import numpy as np
 import onnxruntime
 import torch
-from provenance import RESULTS, write_result
-from rti_flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited, with_each_blasfeo
 
+from benchmarks.provenance import RESULTS, write_result
+from benchmarks.rti_flight import NETWORKS, PERIODS, STEPS, fly, networks, solver_for, unlimited, with_each_blasfeo
 from dynamics.codegen import build_library
 from dynamics.model import build_model
 from export.kernel import build_kernel, kernel_recipe
@@ -225,7 +225,7 @@ def main() -> None:
         print(json.dumps(measure(arguments.measure)))
         return
     folder = networks(arguments.networks, arguments.steps)
-    measured = with_each_blasfeo(__file__, folder)
+    measured = with_each_blasfeo("benchmarks.rti_network", folder)
     model, processor = read_model(folder / "pi_tcn.pt"), native_processor()
     work, best = operations(model, processor), peak(processor)
     fastest = min(sum(timings[processor.name]["median"][3:5]) for timings in measured.values())

@@ -10,7 +10,7 @@ not count.
 Every flight is kept as a file, so that a run which was cut short goes on; files of models that have changed since are
 left out. Draws docs/pictures/table_two.png.
 
-    python benchmarks/table_two.py [--runs 5] [--models nominal,effects] [--jobs 2] [--lockstep] [--only-finished]
+    python -m benchmarks.table_two [--runs 5] [--models nominal,effects] [--jobs 2] [--lockstep] [--only-finished]
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import hashlib
 from pathlib import Path
 
 import msgspec
-from provenance import write_result
-from table_two_page import PICTURE, body, draw
-from table_two_worker import VEHICLE, Flown, Run, fly
 
+from benchmarks.provenance import write_result
+from benchmarks.table_two_page import PICTURE, body, draw
+from benchmarks.table_two_worker import VEHICLE, Flown, Run, fly
 from diagnosis.addition import write_next_version
 from diagnosis.completion import complete
 from diagnosis.data.dataset import read_dataset
@@ -116,7 +116,7 @@ def _diagnose(keep: Path, campaign: Path) -> None:
     vehicle = read_vehicle(find_vehicle(VEHICLE))
     dataset = read_dataset([campaign / "train" / f"{name}.parquet" for name in DIAGNOSED], vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    results = complete(dataset, vehicle, CATALOGUE, date=today, command="python benchmarks/table_two.py")
+    results = complete(dataset, vehicle, CATALOGUE, date=today, command="python -m benchmarks.table_two")
     keep.mkdir(parents=True, exist_ok=True)
     write_next_version(results.vehicle, keep / f"{VEHICLE}.toml")
 

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from table_two_worker import ANGULAR_BINS, DURATION, LINEAR_BINS, RAMP, Flown
 
+from benchmarks.table_two_worker import ANGULAR_BINS, DURATION, LINEAR_BINS, RAMP, Flown
+from dynamics.references.manoeuvres import PAPER
 from dynamics.vehicle_file import read_vehicle
-from studies.paper import PEAKS, TRACKING_LEARNED, TRACKING_NOMINAL
+from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "table_two.png"
 SHOWN = "Lemniscate"  # as in the paper's first figure
@@ -132,7 +133,8 @@ def _peaks(flights: Sequence[Flown]) -> str:
                 max((getattr(f, what) for f in mine), default=np.nan) for what in ("peak_linear", "peak_angular")
             ]
             cells.append(f"{highest[0]:.1f}, {highest[1]:.0f}")
-        rows.append([name, *cells, f"{PEAKS[name][0]:.1f}, {PEAKS[name][1]:.0f}"])
+        linear, angular = PAPER[name].peaks or (np.nan, np.nan)
+        rows.append([name, *cells, f"{linear:.1f}, {angular:.0f}"])
     return _table(["m/s², rad/s²", *(NAMES[m] for m in models), "the paper's Table I"], rows)
 
 

@@ -61,17 +61,6 @@ PREDICTION: Mapping[str, Mapping[str, float]] = {
         "pi_tcn": 0.51,
     },
 }  # fmt: skip
-# Table I, highest accelerations of the test flights: m/s^2 and rad/s^2.
-PEAKS: Mapping[str, tuple[float, float]] = {
-    "Ellipse_1": (1.10, 5.26),
-    "Ellipse_2": (5.89, 7.34),
-    "WarpedEllipse_1": (4.92, 4.76),
-    "WarpedEllipse_2": (9.99, 12.76),
-    "Lemniscate": (13.14, 31.98),
-    "ExtendedLemniscate": (7.76, 27.95),
-    "Parabola": (5.91, 6.57),
-    "TransposedParabola": (17.86, 54.90),
-}
 # Table I, time of one prediction, ms, on the authors' laptop.
 INFERENCE: Mapping[str, float] = {
     "nominal": 0.001, "res_tcn": 1.735, "mse_tcn": 1.735, "pi_mlp": 0.229, "pi_tcn": 1.735,
