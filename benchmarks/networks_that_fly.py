@@ -19,7 +19,7 @@ from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
-from studies.tables import Cell, Table, markdown
+from studies.tables import Table, TableCell, markdown
 from training.ground_truth import true_label
 from training.prediction import flight_errors, pooled, predict
 
@@ -41,13 +41,13 @@ TRAININGS = {
 }  # fmt: skip
 
 
-def flown(path: str) -> tuple[Cell, Cell, Cell]:
+def flown(path: str) -> tuple[TableCell, TableCell, TableCell]:
     """Position RMSE in cm, share of the time that physics flew in the model's place, and why it ended early."""
     flight = in_lockstep(Run("lockstep", "", path, "", "Lemniscate", FIRST_SEED))
     return 100 * flight.position_rmse, flight.fallback_seconds / DURATION, flight.ended
 
 
-def row(name: str, place: int) -> tuple[Cell, ...]:
+def row(name: str, place: int) -> tuple[TableCell, ...]:
     """How a variant predicts the test flights against the truth, and how it flies."""
     model, *options = TRAININGS[name]
     label = f"flies_{place}"
