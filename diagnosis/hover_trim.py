@@ -175,10 +175,16 @@ def trim_sentence(comparison: TrimComparison) -> str:
     )
 
 
-def read_trim(logs: Sequence[Path], normal: Sequence[Path], vehicle: Vehicle, mapping: Path | None) -> TrimComparison:
+def read_trim(
+    logs: Sequence[Path],
+    normal: Sequence[Path],
+    vehicle: Vehicle,
+    mapping: Path | None,
+    thresholds: HoverTrimThresholds = DEFAULT.hover_trim,
+) -> TrimComparison:
     """Compare logs with logs of normal flights. Raises RequestError and DataError as `compare_trim` and reading do."""
     flights, usual = ([Flight.read(path, mapping=mapping) for path in group] for group in (logs, normal))
-    return compare_trim(flights, usual, vehicle)
+    return compare_trim(flights, usual, vehicle, thresholds)
 
 
 def _fast(flight: Flight, quantity: str, thresholds: HoverTrimThresholds) -> bool:

@@ -76,12 +76,7 @@ def refit(
     low, high = np.array([bounds(c.effect, name) for c, name in free]).T
     first = np.array([initial.estimates[c.key, name].value for c, name in free])
     white = problem.whitening(first)
-    values, covariance = first, np.zeros((0, 0))
-    for _ in range(thresholds.output_error.max_steps):
-        step, covariance = problem.step(values, white)
-        values = np.clip(values + step, low, high)
-        if np.all(np.abs(step) <= thresholds.equation_error.converged * np.sqrt(np.diag(covariance))):
-            break
+    values, covariance = _settle(problem, first, white, (low, high), thresholds)
     before, after = (judge.cost(v, white) / judge.count for v in (first, values))
     level = problem.cost(first, white) / problem.count
     if not np.isfinite([before, after, level]).all():
@@ -95,6 +90,19 @@ def refit(
     named = {f"{key}.{name}": estimate.value for (key, name), estimate in estimates.items()}
     again = Fit(with_candidates(vehicle, initial.candidates, named), estimates, initial.candidates)
     return Refit(again, before / level, after / level)
+
+
+def _settle(
+    problem: _OutputErrorProblem, first: Floats, white: Floats, limits: tuple[Floats, Floats], thresholds: Thresholds
+) -> tuple[Floats, Floats]:
+    """Values to which Gauss-Newton converges from the first ones within their limits, and their covariance."""
+    values, covariance = first, np.zeros((0, 0))
+    for _ in range(thresholds.output_error.max_steps):
+        step, covariance = problem.step(values, white)
+        values = np.clip(values + step, *limits)
+        if np.all(np.abs(step) <= thresholds.equation_error.converged * np.sqrt(np.diag(covariance))):
+            break
+    return values, covariance
 
 
 def _moves(effect: Effect) -> bool:

@@ -145,14 +145,7 @@ def make_regression(
     candidates = make_candidates(vehicle, catalogue, segments)
     design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
     rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
-    kinds = np.all([channels.present(s) for s in segments], axis=0)
-    active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
-    everything = _everything(rows, columns, active, thresholds.regression.ridge)
-    residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
-    # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
-    mixed = segments[0].rotor_source != "command"
-    rate = segments[0].decimated_rate
-    noise = estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise)
+    noise, everything = _noise(segments, rows, columns, thresholds)
     plain = [noise.normal_equations(x, y) for x, y in zip(columns, rows, strict=True)]
     errors = normal_equation_biases(segments, design, noise, rows, columns)
     corrected = [(a - da, b - db) for (a, b), (da, db) in zip(plain, errors, strict=True)]
@@ -163,7 +156,7 @@ def make_regression(
     plain_gram, plain_product = _marginals(plain_gram, plain_product, biases)
     observations = [0] * len(gram)
     for flight, y in zip(flight_of, rows, strict=True):
-        observations[flight] += (len(y) - noise.order) * len(active)
+        observations[flight] += (len(y) - noise.order) * len(noise.active)
     return Regression(
         vehicle=vehicle,
         catalogue=catalogue,
@@ -180,12 +173,25 @@ def make_regression(
         joint_gram=joint_gram,
         joint_product=joint_product,
         observations=observations,
-        rate=rate,
+        rate=segments[0].decimated_rate,
         biases=biases,
         design=design,
         everything=everything,
         thresholds=thresholds,
     )
+
+
+def _noise(
+    segments: Sequence[Segment], rows: Sequence[Floats], columns: Sequence[Floats], thresholds: Thresholds
+) -> tuple[NoiseModel, Floats]:
+    """The noise, from the residuals after all columns at once, and the coefficients (k,) of these."""
+    kinds = np.all([channels.present(s) for s in segments], axis=0)
+    active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
+    everything = _everything(rows, columns, active, thresholds.regression.ridge)
+    residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
+    # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
+    mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
+    return estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise), everything
 
 
 def _by_flight(
