@@ -21,7 +21,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import GRAVITY, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from export.network import Network
-from export.symbolic import network_says
+from export.symbolic import network_output
 
 
 def nominal(vehicle: Vehicle, scale: float) -> tuple[ca.SX, ca.SX, ca.SX]:
@@ -35,7 +35,7 @@ def nominal(vehicle: Vehicle, scale: float) -> tuple[ca.SX, ca.SX, ca.SX]:
 def learned(network: Network, scale: float) -> tuple[ca.MX, ca.MX, ca.MX]:
     """The same by a network of one column, T = 1; unrolled as SX it is several times slower."""
     x, u = ca.MX.sym("x", 13), ca.MX.sym("u", network.rotors)
-    accelerations = network_says(network, ca.vertcat(x, scale * u))
+    accelerations = network_output(network, ca.vertcat(x, scale * u))
     force = quaternion.rotate(x[6:10], accelerations[0:3])  # specific force in body axes
     linear = force - ca.DM([0, 0, GRAVITY])
     return x, u, ca.vertcat(x[3:6], linear, quaternion.derivative(x[6:10], x[10:13]), accelerations[3:6])

@@ -42,7 +42,16 @@ LIBRARIES = ("alula", "numpy", "casadi", "onnx", "onnxruntime", "torch")
 
 @dataclass(frozen=True)
 class ExportOptions:
-    """How a model is exported. logs: flights to compare backends on, the paper's references where there are none."""
+    """How a model is exported.
+
+    problem: the controller's.
+    processor: that the kernel is compiled for.
+    logs: flights to compare backends on, the paper's references without any.
+    windows: to compare backends on, of each kind.
+    seed: of the random windows.
+    overwrite: whether a bundle that exists may be replaced.
+    command: that is noted in the manifest.
+    """
 
     problem: Problem
     processor: Processor
@@ -240,29 +249,29 @@ def _errors(model: ExportedModel) -> dict[str, float]:
 
 
 def _provenance(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
-    told = {
+    provenance = {
         "vehicle_sha256": hashlib.sha256(model.vehicle_text.encode()).hexdigest(),
         "windows": ", ".join(map(str, options.logs)) or "the paper's references",
         "seed": str(options.seed),
         "opset": str(OPSET),
     }
     if model.source:
-        told["model_sha256"] = model.source
+        provenance["model_sha256"] = model.source
     if model.trained is not None:
         card = model.trained.card
-        told |= {
+        provenance |= {
             "trained": card.date, "training": card.command,
             "member": f"{model.member} of {len(model.trained.networks)}",
             "seeds": ", ".join(map(str, card.seeds)), "recipe": card.recipe.name,
             "flights_sha256": hashlib.sha256(repr(sorted(card.flights.items())).encode()).hexdigest(),
         }  # fmt: skip
-    return told
+    return provenance
 
 
 def _onnx_metadata(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
     config = model.config
     names, units = column_names(config.rotors), column_units(config.rotors)
-    told = {
+    metadata = {
         "kind": config.kind,
         "history": "columns oldest first; rows: " + ", ".join(f"{n} [{u}]" for n, u in zip(names, units, strict=True)),
         "acceleration": "world x, y, z [m/s^2], body angular x, y, z [rad/s^2]; "
@@ -273,8 +282,10 @@ def _onnx_metadata(model: ExportedModel, options: ExportOptions) -> dict[str, st
         "command": options.command,
     }
     if model.hidden_count:
-        told["hidden"] = "of the physics, in hover: " + ", ".join(map(repr, model.flight_model.hidden_initial.tolist()))
-    return told | _provenance(model, options)
+        metadata["hidden"] = "of the physics, in hover: " + ", ".join(
+            map(repr, model.flight_model.hidden_initial.tolist())
+        )
+    return metadata | _provenance(model, options)
 
 
 def summary(exported: Exported) -> Sequence[str]:

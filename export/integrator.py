@@ -7,46 +7,46 @@ from runtime.control.bundle import Integrator
 from training.config import ModelConfig
 
 
-def settled_integrator(config: ModelConfig, asked: Integrator | None) -> Integrator:
+def choose_integrator(config: ModelConfig, requested: Integrator | None) -> Integrator:
     """The integrator of a model's kernel; None asks for the one that errs least (docs/export.md, "Time steps").
 
     Raises RequestError for one that would integrate something else than what the model says.
     """
     if config.network == "none":
-        if asked in (None, "rk4"):
+        if requested in (None, "rk4"):
             return "rk4"
         raise RequestError(f"{config.kind} is a physical model, which is integrated by rk4; leave --integrator out.")
     if config.label == "mean_increment":
-        if asked in (None, "hold"):
+        if requested in (None, "hold"):
             return "hold"
         raise RequestError(
             f"this {config.kind} says mean accelerations over the next {1e3 * config.dt:g} ms, which are held, not "
-            f"integrated by {asked}. Leave --integrator out, or train it with --label instantaneous."
+            f"integrated by {requested}. Leave --integrator out, or train it with --label instantaneous."
         )
-    if asked == "rk4" and config.history > 1:
+    if requested == "rk4" and config.history > 1:
         raise RequestError(
             f"rk4 evaluates a model between the {config.history} columns of this {config.kind}'s history, where "
             "nothing was measured or trained. Leave --integrator out for adams_bashforth, or take a network without "
             "history (alula train --model pi_mlp --label instantaneous)."
         )
-    return asked or "adams_bashforth"
+    return requested or "adams_bashforth"
 
 
 def cautions(config: ModelConfig, integrator: Integrator) -> tuple[str, ...]:
     """What whoever flies a model should know, one sentence each."""
-    found = []
+    sentences = []
     if config.filtered_inputs:
-        found.append(
+        sentences.append(
             "It was trained on inputs filtered with their future, which no flight has: it is for the desk, and `alula "
             "fly` refuses it."
         )
     if config.network != "none" and config.motors == "measured":
-        found.append(
+        sentences.append(
             "It was trained on measured rotor speeds; in flight it is given commanded ones, and the rotors' lag is "
             "unknown to it."
         )
     if config.network != "none" and config.label == "instantaneous" and integrator == "hold":
-        found.append(
+        sentences.append(
             "Its accelerations are those of an instant, yet are held over a step: adams_bashforth predicts better."
         )
-    return tuple(found)
+    return tuple(sentences)

@@ -13,7 +13,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from export.kernel_source import network_header
 from export.network import Network
 from export.physics import NAME, depends_on_position, physics_function
-from export.reverse_split import Sweep, cheapest_sweep
+from export.reverse_split import ReverseSplit, cheapest_split
 from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor
@@ -52,13 +52,13 @@ def kernel_recipe(
     *,
     mean: bool = True,
     extrapolated: bool = False,
-    sweep: Sweep | None = None,
+    split: ReverseSplit | None = None,
 ) -> KernelRecipe:
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
     extrapolated: accelerations are carried on by half a step along their slope, else held over it.
-    sweep: the layers whose tangents are streamed, by default as many as is cheapest.
+    split: layers that propagate tangents and layers differentiated backwards, by default the cheapest.
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
@@ -71,7 +71,7 @@ def kernel_recipe(
     folder = resources.files("runtime.control.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES} | {STATE_HEADER: state_header()}
     sources["network.h"] = network_header(
-        network, sweep or cheapest_sweep(network, problem.nodes), extrapolated=extrapolated
+        network, split or cheapest_split(network, problem.nodes), extrapolated=extrapolated
     )
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,

@@ -40,8 +40,8 @@ def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start:
 
     def field(u: Floats, x: Floats) -> Floats:
         if model.network is None:
-            found = flown.derivative(x, u, flown.parameter_values, ENVIRONMENT_DEFAULT, quiet)
-            return np.array(found).ravel()
+            rates = flown.derivative(x, u, flown.parameter_values, ENVIRONMENT_DEFAULT, quiet)
+            return np.array(rates).ravel()
         rates = _rates(forward, np.concatenate([x[:RIGID_BODY_STATES], u])[:, None], x[HIDDEN])
         turning = np.asarray(quaternion.derivative(x[ATTITUDE], x[RATE]))
         return np.concatenate([x[VELOCITY], rates[:3], turning, rates[3:]])

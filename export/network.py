@@ -92,9 +92,9 @@ class Network:
         return width
 
     def _arrays(self) -> list[tuple[str, Floats]]:
-        found = [(name, part) for name, layer in self.layers for part in (layer.weight, layer.bias)]
+        weights = [(name, part) for name, layer in self.layers for part in (layer.weight, layer.bias)]
         scaling = ("input_mean", "input_std", "output_mean", "output_std")
-        return [*found, *((name, getattr(self, name)) for name in scaling)]
+        return [*weights, *((name, getattr(self, name)) for name in scaling)]
 
     @property
     def layers(self) -> list[tuple[str, Convolution | Dense]]:

@@ -66,46 +66,46 @@ class Graph:
         """Name the rows (batch, 1) side by side. like: a row, after whose shape those that are constants are filled."""
         nothing = self.add("Mul", like, self.scalar(0.0))
         constant = set(self._scalars.values())
-        whole = [self.add("Add", row, nothing) if row in constant else row for row in rows]
-        self.nodes.append(helper.make_node("Concat", whole, [name], axis=1))
+        columns = [self.add("Add", row, nothing) if row in constant else row for row in rows]
+        self.nodes.append(helper.make_node("Concat", columns, [name], axis=1))
 
     def translate(self, function: ca.Function, inputs: Sequence[Sequence[str]]) -> list[list[str]]:
         """A CasADi SX function on rows: each scalar becomes a row. Raises DataError for what ONNX does not have."""
         work: dict[int, str] = {}
         outputs = [[""] * function.numel_out(i) for i in range(function.n_out())]
         for k in range(function.n_instructions()):
-            code, taken, given = (
+            code, taken, results = (
                 function.instruction_id(k), function.instruction_input(k), function.instruction_output(k),
             )  # fmt: skip
             if code == ca.OP_INPUT:
-                work[given[0]] = inputs[taken[0]][taken[1]]
+                work[results[0]] = inputs[taken[0]][taken[1]]
             elif code == ca.OP_OUTPUT:
-                outputs[given[0]][given[1]] = work[taken[0]]
+                outputs[results[0]][results[1]] = work[taken[0]]
             elif code == ca.OP_CONST:
-                work[given[0]] = self.scalar(float(function.instruction_constant(k)))
+                work[results[0]] = self.scalar(float(function.instruction_constant(k)))
             else:
-                work[given[0]] = self._operation(code, [work[place] for place in taken])
+                work[results[0]] = self._operation(code, [work[place] for place in taken])
         return outputs
 
-    def _operation(self, code: int, given: list[str]) -> str:
+    def _operation(self, code: int, inputs: list[str]) -> str:
         if code in _SIMPLE:
-            return self.add(_SIMPLE[code], *given)
+            return self.add(_SIMPLE[code], *inputs)
         if code == ca.OP_SQ:
-            return self.add("Mul", given[0], given[0])
+            return self.add("Mul", inputs[0], inputs[0])
         if code == ca.OP_TWICE:
-            return self.add("Add", given[0], given[0])
+            return self.add("Add", inputs[0], inputs[0])
         if code == ca.OP_ASSIGN:
-            return given[0]
+            return inputs[0]
         if code == ca.OP_IF_ELSE_ZERO:
-            return self.add("Mul", *given)
+            return self.add("Mul", *inputs)
         if code in _LOGIC:
-            return self.add("Cast", self.add(_LOGIC[code], *given), to=TensorProto.FLOAT)
+            return self.add("Cast", self.add(_LOGIC[code], *inputs), to=TensorProto.FLOAT)
         if code == ca.OP_NOT:
-            return self.add("Sub", self.scalar(1.0), given[0])
+            return self.add("Sub", self.scalar(1.0), inputs[0])
         if code == ca.OP_AND:
-            return self.add("Mul", *given)
+            return self.add("Mul", *inputs)
         if code == ca.OP_OR:
-            return self.add("Max", *given)
+            return self.add("Max", *inputs)
         raise DataError(
             f"this model needs CasADi's operation {code}, which the ONNX export does not know. Leave the effect that "
             "uses it out of the vehicle file."
@@ -120,10 +120,10 @@ def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelP
     graph = Graph()
     size = RIGID_BODY_STATES + model.vehicle.rotors.count
     newest = graph.add("Gather", "history", graph.constant(model.history - 1, integers=True), axis=2)
-    said = [] if model.network is None else graph.rows(_said(graph, model), 6)
+    output_rows = [] if model.network is None else graph.rows(_network_output(graph, model), 6)
     hidden = graph.rows("hidden", model.hidden_count) if model.hidden_count else []
     columns = graph.rows(newest, size)
-    acceleration, rate = graph.translate(assembly_function(model), [said, columns, hidden])
+    acceleration, rate = graph.translate(assembly_function(model), [output_rows, columns, hidden])
     graph.output("acceleration", acceleration, like=columns[0])
     kind = TensorProto.FLOAT
     inputs = [helper.make_tensor_value_info("history", kind, ["batch", size, model.history])]
@@ -140,7 +140,7 @@ def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelP
     return made
 
 
-def _said(graph: Graph, model: ExportedModel) -> str:
+def _network_output(graph: Graph, model: ExportedModel) -> str:
     """What the network says, (batch, 6), in SI."""
     network = model.network
     assert network is not None

@@ -95,19 +95,19 @@ def prove(backends: Backends, windows: Mapping[str, Floats], seed: int = 0) -> P
     """
     model = backends.model
     rng = np.random.default_rng(seed)
-    found: list[Comparison] = []
-    for name, given in windows.items():
-        hidden = _some_hidden(model, len(given), rng)
-        exact = _interpreted(backends)(given, hidden)
+    comparisons: list[Comparison] = []
+    for name, batch in windows.items():
+        hidden = _some_hidden(model, len(batch), rng)
+        exact = _interpreted(backends)(batch, hidden)
         for backend, tolerance in _tolerances(model).items():
-            said = _named(backends)[backend](given, hidden)
-            found.append(_compare(backend, "CasADi interpreted, double", name, said, exact, tolerance))
-        found.append(_jacobian(backends, name, given[:5], hidden[:5]))
-    name, given = next(iter(windows.items()))
-    found += _roll_outs(backends, name, given[:ROLL_OUTS], rng)
+            outputs = _named(backends)[backend](batch, hidden)
+            comparisons.append(_compare(backend, "CasADi interpreted, double", name, outputs, exact, tolerance))
+        comparisons.append(_jacobian(backends, name, batch[:5], hidden[:5]))
+    name, batch = next(iter(windows.items()))
+    comparisons += _roll_outs(backends, name, batch[:ROLL_OUTS], rng)
     for precision, solver in backends.kernels.items():
-        found.append(_kernel_gradient(backends, solver, given[0], precision))
-    return Parity(tuple(found))
+        comparisons.append(_kernel_gradient(backends, solver, batch[0], precision))
+    return Parity(tuple(comparisons))
 
 
 def _some_hidden(model: ExportedModel, count: int, rng: np.random.Generator) -> Floats:
@@ -116,12 +116,12 @@ def _some_hidden(model: ExportedModel, count: int, rng: np.random.Generator) -> 
 
 
 def _tolerances(model: ExportedModel) -> dict[str, float]:
-    found = {"ONNX Runtime, float": SINGLE, "CasADi C, double": DOUBLE}
+    tolerances = {"ONNX Runtime, float": SINGLE, "CasADi C, double": DOUBLE}
     if model.network is not None and model.trained is not None:
-        found |= {"torch, double": DOUBLE, "torch, float": SINGLE}
+        tolerances |= {"torch, double": DOUBLE, "torch, float": SINGLE}
     if model.integrator == "rk4":
-        return found  # its kernel has no accelerations to show, only roll-outs
-    return found | {"kernel, double": DOUBLE, "kernel, float": SINGLE}
+        return tolerances  # its kernel has no accelerations to show, only roll-outs
+    return tolerances | {"kernel, double": DOUBLE, "kernel, float": SINGLE}
 
 
 def _named(backends: Backends) -> dict[str, Backend]:
@@ -135,9 +135,9 @@ def _named(backends: Backends) -> dict[str, Backend]:
     }
 
 
-def _compare(backend: str, against: str, windows: str, said: Floats, exact: Floats, tolerance: float) -> Comparison:
+def _compare(backend: str, against: str, windows: str, outputs: Floats, exact: Floats, tolerance: float) -> Comparison:
     scale = np.sqrt(np.mean(np.sum(exact**2, axis=-1)))
-    error = float(np.max(np.linalg.norm(said - exact, axis=-1)) / scale)
+    error = float(np.max(np.linalg.norm(outputs - exact, axis=-1)) / scale)
     return Comparison(backend, against, windows, len(exact), error, tolerance)
 
 
@@ -170,11 +170,11 @@ def _onnx(backends: Backends) -> Backend:
     session = onnxruntime.InferenceSession(backends.onnx, options, providers=["CPUExecutionProvider"])
 
     def run(windows: Floats, hidden: Floats) -> Floats:
-        given = {"history": _newest(backends, windows).astype(np.float32)}
+        feed = {"history": _newest(backends, windows).astype(np.float32)}
         if hidden.shape[1]:
-            given["hidden"] = hidden.astype(np.float32)
-        alone = session.run(["acceleration"], {name: values[:1] for name, values in given.items()})[0]
-        together = np.asarray(session.run(["acceleration"], given)[0], dtype=float)
+            feed["hidden"] = hidden.astype(np.float32)
+        alone = session.run(["acceleration"], {name: values[:1] for name, values in feed.items()})[0]
+        together = np.asarray(session.run(["acceleration"], feed)[0], dtype=float)
         return np.concatenate([alone, together[1:]])  # the first as a batch of one, the others as one batch
 
     return run
@@ -182,12 +182,12 @@ def _onnx(backends: Backends) -> Backend:
 
 def _kernel(solver: RtiSolver) -> Backend:
     def run(windows: Floats, hidden: Floats) -> Floats:
-        found = []
+        rows = []
         for window, carried in zip(windows, hidden, strict=True):
             look_back(solver, window)
             state = np.concatenate([window[:RIGID_BODY_STATES, -1], carried])
-            found.append(solver.accelerations(state, window[RIGID_BODY_STATES:, -1]))
-        return np.array(found)
+            rows.append(solver.accelerations(state, window[RIGID_BODY_STATES:, -1]))
+        return np.array(rows)
 
     return run
 
@@ -206,10 +206,10 @@ def _torch(backends: Backends, *, double: bool) -> Backend:
     def run(windows: Floats, hidden: Floats) -> Floats:
         rows = _newest(backends, windows).transpose(0, 2, 1)
         inputs = columns(config, rows[..., :RIGID_BODY_STATES], rows[..., RIGID_BODY_STATES:])
-        said = torch_forward(model, inputs, double=double)
+        outputs = torch_forward(model, inputs, double=double)
         attitude = windows[:, ATTITUDE, -1]
         base = None if model.physics is None else to_body(_physics(model, windows, hidden), attitude)
-        return world_accelerations(accelerations_from(config, vehicle, said, base, attitude), attitude)
+        return world_accelerations(accelerations_from(config, vehicle, outputs, base, attitude), attitude)
 
     return run
 
@@ -220,15 +220,15 @@ def _physics(model: ExportedModel, windows: Floats, hidden: Floats) -> Floats:
     assert physics is not None
     states = np.hstack([windows[:, :RIGID_BODY_STATES, -1], hidden])
     speeds, still = windows[:, RIGID_BODY_STATES:, -1], np.zeros(physics.hidden_count)
-    step, found = step_function(physics), []
+    step, rows = step_function(physics), []
     for x, u in zip(states, speeds, strict=True):
         if model.mean:
             after = np.array(step(x, u, physics.parameter_values, ENVIRONMENT_DEFAULT, still, dt)).ravel()
             slope = (after - x) / dt
         else:
             slope = np.array(physics.derivative(x, u, physics.parameter_values, ENVIRONMENT_DEFAULT, still)).ravel()
-        found.append(np.concatenate([slope[VELOCITY], slope[RATE]]))
-    return np.array(found)
+        rows.append(np.concatenate([slope[VELOCITY], slope[RATE]]))
+    return np.array(rows)
 
 
 def _jacobian(backends: Backends, name: str, windows: Floats, hidden: Floats) -> Comparison:
@@ -236,21 +236,21 @@ def _jacobian(backends: Backends, name: str, windows: Floats, hidden: Floats) ->
     code, forward = backends.compiled[backends.jacobian.name()], _compiled(backends)
     windows = _newest(backends, windows)
     steps = 1e-8 * np.maximum(np.abs(windows).max(axis=(0, 2)), 1)
-    exact, said = [], []
+    exact, outputs = [], []
     for window, carried in zip(windows, hidden, strict=True):
-        moved = []
+        differences = []
         for t in range(window.shape[1]):
             for i in range(window.shape[0]):
                 change = np.zeros_like(window)
                 change[i, t] = steps[i]
                 pair = np.array([window + change, window - change])
                 ends = forward(pair, np.array([carried, carried]))
-                moved.append((ends[0] - ends[1]) / 2)
-        exact.append(np.array(moved).ravel())
+                differences.append((ends[0] - ends[1]) / 2)
+        exact.append(np.array(differences).ravel())
         by_history = code(history=window.ravel(order="F"), hidden=carried)["by_history"].reshape(-1, 6)
-        said.append((by_history * np.tile(steps, window.shape[1])[:, None]).ravel())
+        outputs.append((by_history * np.tile(steps, window.shape[1])[:, None]).ravel())
     return _compare(
-        "CasADi C, double: Jacobian", "central differences", name, np.array(said), np.array(exact), DERIVATIVE
+        "CasADi C, double: Jacobian", "central differences", name, np.array(outputs), np.array(exact), DERIVATIVE
     )
 
 
@@ -263,13 +263,13 @@ def _roll_outs(backends: Backends, name: str, windows: Floats, rng: np.random.Ge
     rows = list(zip(windows, hidden, inputs, strict=True))
     exact = np.array([roll_out(model, backends.forward, problem, *row)[1:] for row in rows])
     scale = np.sqrt(np.mean(exact**2, axis=(0, 1)))
-    found = []
+    comparisons = []
     for precision, solver in backends.kernels.items():
-        said = np.array([_predicted(solver, *row)[1:] for row in rows])
+        outputs = np.array([_predicted(solver, *row)[1:] for row in rows])
         tolerance = DOUBLE if precision == "double" else SINGLE
         label = f"kernel, {precision}: roll-out"
-        found.append(_compare(label, "plain NumPy, double", name, said / scale, exact / scale, tolerance))
-    return found
+        comparisons.append(_compare(label, "plain NumPy, double", name, outputs / scale, exact / scale, tolerance))
+    return comparisons
 
 
 def _predicted(solver: RtiSolver, window: Floats, hidden: Floats, inputs: Floats) -> Floats:
@@ -292,7 +292,7 @@ def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, prec
         look_back(each, window)
         each.state_reference[:], each.input_reference[:], each.inputs[:] = state, hover, inputs
         each.prepare(state)
-    wanted, said, scale = [], [], fill_options(exact.problem, model).scale
+    exact_slopes, slopes, scale = [], [], fill_options(exact.problem, model).scale
     gradient = solver.gradient.copy()
     for _ in range(5):
         direction = rng.normal(size=hover.shape)
@@ -301,12 +301,12 @@ def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, prec
             exact.inputs[:] = inputs + step * scale * direction
             exact.prepare(state)
             costs.append(_cost(exact))
-        wanted.append((costs[0] - costs[1]) / (2 * PUSH))
-        said.append(float(gradient @ direction.ravel()))
-    found = np.array(said)[:, None], np.array(wanted)[:, None]
+        exact_slopes.append((costs[0] - costs[1]) / (2 * PUSH))
+        slopes.append(float(gradient @ direction.ravel()))
+    pair = np.array(slopes)[:, None], np.array(exact_slopes)[:, None]
     tolerance = DERIVATIVE if precision == "double" else SINGLE_DERIVATIVE
     return _compare(
-        f"kernel, {precision}: gradient", "central differences of the roll-out", "roll-out", *found, tolerance
+        f"kernel, {precision}: gradient", "central differences of the roll-out", "roll-out", *pair, tolerance
     )
 
 

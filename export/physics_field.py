@@ -25,9 +25,9 @@ def field_function(model: ExportedModel) -> ca.Function:
     column = ca.vertcat(x[:RIGID_BODY_STATES], u)
     hidden = x[RIGID_BODY_STATES:]
     features, by_column = _with_derivatives(features_function(network))(column)
-    said, by_features = _perceptron(network, features)
-    rate, by_said, by_column_itself, by_hidden = _with_derivatives(_rate_function(model))(said, column, hidden)
-    by_column = by_column_itself + by_said @ (by_features @ by_column)
+    output, by_features = _perceptron(network, features)
+    rate, by_output, by_column_itself, by_hidden = _with_derivatives(_rate_function(model))(output, column, hidden)
+    by_column = by_column_itself + by_output @ (by_features @ by_column)
     by_state = ca.horzcat(by_column[:, :RIGID_BODY_STATES], by_hidden)
     parts = [ca.densify(part) for part in (rate, by_state, by_column[:, RIGID_BODY_STATES:])]
     return ca.Function("field", [x, u, p, e], parts, ["x", "u", "p", "e"], ["rate", "by_state", "by_input"])
@@ -41,26 +41,28 @@ def _perceptron(network: Network, features: ca.MX) -> tuple[ca.MX, ca.MX]:
         values.append(ca.fmax(before, 0))
         masks.append(before > 0)
     last = network.perceptron[-1]
-    said = ca.DM(network.output_mean) + ca.DM(network.output_std) * (ca.DM(last.weight) @ values[-1] + ca.DM(last.bias))
+    output = ca.DM(network.output_mean) + ca.DM(network.output_std) * (
+        ca.DM(last.weight) @ values[-1] + ca.DM(last.bias)
+    )
     slope = ca.MX(ca.DM(network.output_std[:, None] * last.weight))
     for dense, mask in zip(reversed(network.perceptron[:-1]), reversed(masks), strict=True):
         slope = (slope * ca.repmat(mask.T, 6, 1)) @ ca.DM(dense.weight)
-    return said, slope
+    return output, slope
 
 
 def _rate_function(model: ExportedModel) -> ca.Function:
-    """(said, column, hidden) -> xdot."""
+    """(output, column, hidden) -> xdot."""
     assembly = assembly_function(model)
-    said, column, hidden = (ca.SX.sym(assembly.name_in(i), assembly.size1_in(i)) for i in range(3))
-    acceleration, hidden_rate = assembly(said, column, hidden)
+    output, column, hidden = (ca.SX.sym(assembly.name_in(i), assembly.size1_in(i)) for i in range(3))
+    acceleration, hidden_rate = assembly(output, column, hidden)
     turning = quaternion.derivative(column[ATTITUDE], column[RATE])
     rate = ca.vertcat(column[VELOCITY], acceleration[:3], turning, acceleration[3:], hidden_rate)
-    return ca.Function("rate", [said, column, hidden], [rate])
+    return ca.Function("rate", [output, column, hidden], [rate])
 
 
 def _with_derivatives(function: ca.Function) -> ca.Function:
     """The same, with the derivatives of its output by each input behind it."""
     inputs = [ca.SX.sym(function.name_in(i), function.size1_in(i)) for i in range(function.n_in())]
     output = function(*inputs)
-    derivatives = [ca.densify(ca.jacobian(output, given)) for given in inputs]
+    derivatives = [ca.densify(ca.jacobian(output, argument)) for argument in inputs]
     return ca.Function(f"{function.name()}_slopes", inputs, ca.cse([ca.densify(output), *derivatives]))

@@ -1,8 +1,9 @@
-"""Which layers of a network a kernel streams tangents through, and from which on it sweeps back instead.
+"""The split of a network: layers that a kernel propagates tangents through, and layers differentiated backwards.
 
-Tangents have many columns, what the network says has six rows. Streaming a layer costs taps x inputs x outputs for
-every column; sweeping it costs six times as much for every column of the window in which the layer is seen, but not
-for every direction of the tangents, and a sweep is kept as long as no ReLU turns (docs/kernel.md).
+Tangents have many columns, a network's output has six rows. Propagating tangents through a layer costs taps x inputs x
+outputs for every column; differentiating it backwards costs six times as much for every column of the window that
+reaches the output, but not for every direction of the tangents, and the result is kept as long as no ReLU switches
+(docs/kernel.md).
 """
 
 from __future__ import annotations
@@ -12,48 +13,50 @@ from dataclasses import dataclass
 from export.network import Network
 
 ROWS = 6
-SWEPT_ANEW = 0.5  # of a sweep is worked out anew at a substep: a tenth in calm flight, more where motors saturate
+RECOMPUTED = 0.5  # share of the backward pass that a substep recomputes: 0.1 in calm flight, more where motors saturate
 
 
 @dataclass(frozen=True)
-class Sweep:
-    """The first `streamed` layers are streamed, the others swept.
+class ReverseSplit:
+    """The first `streamed_layers` layers propagate tangents, the others are differentiated backwards.
 
-    seen: by swept layer and for what the perceptron is given, how many columns back from the newest its input is seen.
-    reached: by swept layer, for each column at which its output is seen and each tap the place in `seen` of its input.
+    offsets: for each layer differentiated backwards, and for the perceptron, the columns of its input that reach the
+        output, counted back from the newest.
+    taps: for each such layer and each column of its output, the index into `offsets` of each tap's input.
     """
 
-    streamed: int
-    seen: tuple[tuple[int, ...], ...]
-    reached: tuple[tuple[tuple[int, ...], ...], ...]
+    streamed_layers: int
+    offsets: tuple[tuple[int, ...], ...]
+    taps: tuple[tuple[tuple[int, ...], ...], ...]
 
 
-def sweep_of(network: Network, streamed: int) -> Sweep:
-    """The sweep that leaves so many layers streamed."""
-    seen: list[tuple[int, ...]] = [(0,)]
-    reached: list[tuple[tuple[int, ...], ...]] = []
-    for layer in reversed(network.convolutions[streamed:]):
+def split_after(network: Network, streamed_layers: int) -> ReverseSplit:
+    """The split with so many streamed layers."""
+    offsets: list[tuple[int, ...]] = [(0,)]
+    taps: list[tuple[tuple[int, ...], ...]] = []
+    for layer in reversed(network.convolutions[streamed_layers:]):
         steps = [tap * layer.dilation for tap in range(layer.weight.shape[2])]
-        below = tuple(sorted({back + step for back in seen[0] for step in steps}))
-        reached.insert(0, tuple(tuple(below.index(back + step) for step in steps) for back in seen[0]))
-        seen.insert(0, below)
-    return Sweep(streamed, tuple(seen), tuple(reached))
+        below = tuple(sorted({back + step for back in offsets[0] for step in steps}))
+        taps.insert(0, tuple(tuple(below.index(back + step) for step in steps) for back in offsets[0]))
+        offsets.insert(0, below)
+    return ReverseSplit(streamed_layers, tuple(offsets), tuple(taps))
 
 
-def cheapest_sweep(network: Network, nodes: int) -> Sweep:
-    """The sweep with the fewest operations at a substep in the middle of a horizon of so many nodes."""
+def cheapest_split(network: Network, nodes: int) -> ReverseSplit:
+    """The split with the fewest operations at a substep in the middle of a horizon of so many nodes."""
     directions = network.features - network.rotors + network.rotors * (nodes + 1) / 2
-    sweeps = [sweep_of(network, streamed) for streamed in range(len(network.convolutions) + 1)]
-    return min(sweeps, key=lambda sweep: _cost(network, sweep, directions))
+    splits = [split_after(network, count) for count in range(len(network.convolutions) + 1)]
+    return min(splits, key=lambda split: _cost(network, split, directions))
 
 
-def _cost(network: Network, sweep: Sweep, directions: float) -> float:
+def _cost(network: Network, split: ReverseSplit, directions: float) -> float:
     """Multiplications and additions at a substep, all ReLUs active."""
+    count = split.streamed_layers
     sizes = [layer.weight.size for layer in network.convolutions]
     moving = network.features - network.rotors  # inputs' own features are identities
-    if sweep.streamed:
+    if count:
         sizes[0] = sizes[0] * moving // network.features
-    given = network.convolutions[sweep.streamed - 1].weight.shape[0] if sweep.streamed else moving
-    pushed = sum(sizes[: sweep.streamed]) + ROWS * given * len(sweep.seen[0])
-    pulled = sum(ROWS * size * len(above) for size, above in zip(sizes[sweep.streamed :], sweep.seen[1:], strict=True))
-    return directions * pushed + SWEPT_ANEW * pulled
+    width = network.convolutions[count - 1].weight.shape[0] if count else moving
+    forward = sum(sizes[:count]) + ROWS * width * len(split.offsets[0])
+    backward = sum(ROWS * size * len(above) for size, above in zip(sizes[count:], split.offsets[1:], strict=True))
+    return directions * forward + RECOMPUTED * backward

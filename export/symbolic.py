@@ -48,25 +48,25 @@ def features_function(network: Network) -> ca.Function:
 
 
 def assembly_function(model: ExportedModel) -> ca.Function:
-    """(said, column, hidden) -> acceleration (6), world and body axes, and the hidden states' rates.
+    """(output, column, hidden) -> acceleration (6), world and body axes, and the hidden states' rates.
 
-    said: (6,) what the network says, in SI; empty where there is none.
+    output: (6,) what the network says, in SI; empty where there is none.
     """
     network, physics = model.network, model.physics
     rotors = model.vehicle.rotors.count
-    said = ca.SX.sym("said", 0 if network is None else 6)
+    output = ca.SX.sym("output", 0 if network is None else 6)
     column, hidden = ca.SX.sym("column", RIGID_BODY_STATES + rotors), ca.SX.sym("hidden", model.hidden_count)
     linear, angular = ca.SX.zeros(3), ca.SX.zeros(3)
     if network is not None:
         turned = network.outputs == "body"
-        linear = quaternion.rotate(column[ATTITUDE], said[0:3]) if turned else said[0:3]
-        angular = said[3:6]
+        linear = quaternion.rotate(column[ATTITUDE], output[0:3]) if turned else output[0:3]
+        angular = output[3:6]
         if turned and physics is None:
             linear = linear - ca.vertcat(0, 0, GRAVITY)
     rates = ca.SX.zeros(6) if physics is None else _rates(physics, model, column, hidden)
     acceleration = ca.vertcat(linear, angular) + rates[0:6]
     parts = [ca.densify(part) for part in ca.cse([acceleration, rates[6:]])]
-    return ca.Function("assembly", [said, column, hidden], parts)
+    return ca.Function("assembly", [output, column, hidden], parts)
 
 
 def _rates(physics: Model, model: ExportedModel, column: ca.SX, hidden: ca.SX) -> ca.SX:
@@ -79,8 +79,8 @@ def model_function(model: ExportedModel) -> ca.Function:
     """(history (13 + rotors, T) oldest column first, hidden) -> acceleration (6), hidden_rate."""
     rows = RIGID_BODY_STATES + model.vehicle.rotors.count
     history, hidden = ca.MX.sym("history", rows, model.history), ca.MX.sym("hidden", model.hidden_count)
-    said = ca.MX(0, 1) if model.network is None else network_says(model.network, history)
-    outputs = assembly_function(model)(said, history[:, -1], hidden)
+    output = ca.MX(0, 1) if model.network is None else network_output(model.network, history)
+    outputs = assembly_function(model)(output, history[:, -1], hidden)
     names = ["history", "hidden"], ["acceleration", "hidden_rate"]
     return ca.Function(FORWARD, [history, hidden], list(outputs), *names)
 
@@ -91,12 +91,12 @@ def jacobian_function(model: ExportedModel) -> ca.Function:
     history = ca.MX.sym("history", *forward.size_in("history"))
     hidden = ca.MX.sym("hidden", forward.size1_in("hidden"))
     acceleration = forward(history, hidden)[0]
-    found = ca.densify(ca.jacobian(acceleration, ca.vec(history)))
-    return ca.Function(JACOBIAN, [history, hidden], [found], ["history", "hidden"], ["by_history"])
+    jacobian = ca.densify(ca.jacobian(acceleration, ca.vec(history)))
+    return ca.Function(JACOBIAN, [history, hidden], [jacobian], ["history", "hidden"], ["by_history"])
 
 
-def network_says(network: Network, history: ca.MX) -> ca.MX:
-    """What the network says (6,) of raw columns (13 + rotors, T): it over the receptive cone of the newest one."""
+def network_output(network: Network, history: ca.MX) -> ca.MX:
+    """Output (6,) of the network for raw columns (13 + rotors, T), evaluated over the receptive cone of the newest."""
     newest = history.shape[1] - 1
     needed = [{newest}]
     for layer in reversed(network.convolutions):
@@ -104,8 +104,8 @@ def network_says(network: Network, history: ca.MX) -> ca.MX:
         needed.insert(0, {t - tap * layer.dilation for t in needed[0] for tap in taps})
     features = features_function(network)
     values = {t: features(history[:, t]) for t in sorted(needed[0])}
-    for layer, wanted in zip(network.convolutions, needed[1:], strict=True):
-        values = {t: ca.fmax(_convolve(layer, values, t), 0) for t in sorted(wanted)}
+    for layer, positions in zip(network.convolutions, needed[1:], strict=True):
+        values = {t: ca.fmax(_convolve(layer, values, t), 0) for t in sorted(positions)}
     value = values[newest]
     for i, dense in enumerate(network.perceptron):
         value = ca.DM(dense.weight) @ value + ca.DM(dense.bias)
@@ -116,6 +116,6 @@ def network_says(network: Network, history: ca.MX) -> ca.MX:
 
 def _convolve(layer: Convolution, values: dict[int, ca.MX], t: int) -> ca.MX:
     taps = layer.weight.shape[2]
-    seen = ca.vertcat(*[values[t - (taps - 1 - tap) * layer.dilation] for tap in range(taps)])
+    inputs = ca.vertcat(*[values[t - (taps - 1 - tap) * layer.dilation] for tap in range(taps)])
     weight = layer.weight.transpose(0, 2, 1).reshape(layer.weight.shape[0], -1)
-    return ca.DM(weight) @ seen + ca.DM(layer.bias)
+    return ca.DM(weight) @ inputs + ca.DM(layer.bias)

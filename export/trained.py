@@ -16,7 +16,7 @@ from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle
-from export.integrator import settled_integrator
+from export.integrator import choose_integrator
 from export.network import Convolution, Dense, Network
 from runtime.control.bundle import Integrator
 from training.checkpoint import TrainedModel, load
@@ -89,7 +89,7 @@ def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = N
             ) from error
         vehicle = parse_vehicle(text)
         config = ModelConfig("physics", "none", base="grey_box", history=1, rotors=vehicle.rotors.count)
-        settled = settled_integrator(config, integrator)
+        settled = choose_integrator(config, integrator)
         source = hashlib.sha256(text.encode()).hexdigest()
         return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled, source=source)
     trained = load(path)
@@ -102,7 +102,7 @@ def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = N
 def exported(trained: TrainedModel, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:
     """What a trained model exports. Raises RequestError for weights that are not finite, or a scheme that fits not."""
     config = trained.config
-    settled = settled_integrator(config, integrator)
+    settled = choose_integrator(config, integrator)
     physics = None if config.base == "none" else build_model(trained.vehicle, effects=_effects(trained))
     network = network_of(trained, trained.networks[member]) if trained.networks else None
     return ExportedModel(config, network, physics, trained.vehicle, trained.vehicle_text, settled, trained, member)
@@ -143,12 +143,14 @@ def _convolutions(
     weights: dict[str, Floats], config: ModelConfig
 ) -> tuple[tuple[Convolution, ...], tuple[Floats, ...]]:
     """The convolutions, and what the last one's batch norm leaves for the perceptron: factor and shift."""
-    found = []
+    convolutions = []
     factor, shift = np.ones(len(config.input_names)), np.zeros(len(config.input_names))
     for i, dilation in enumerate(config.dilations):
         flat, bias = weights[f"layers.{i}.linear.weight"], weights[f"layers.{i}.linear.bias"]
         weight = flat.reshape(len(flat), config.kernel, -1).transpose(0, 2, 1)
-        found.append(Convolution(weight * factor[:, None], bias + np.einsum("oik,i->o", weight, shift), dilation))
+        convolutions.append(
+            Convolution(weight * factor[:, None], bias + np.einsum("oik,i->o", weight, shift), dilation)
+        )
         factor, shift = np.ones(len(flat)), np.zeros(len(flat))
         if config.batch_norm:
             norm = {
@@ -156,7 +158,7 @@ def _convolutions(
             }
             factor = norm["weight"] / np.sqrt(norm["running_var"] + nn.BatchNorm1d(1).eps)
             shift = norm["bias"] - norm["running_mean"] * factor
-    return tuple(found), (factor, shift)
+    return tuple(convolutions), (factor, shift)
 
 
 def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...] | None) -> tuple[Dense, ...]:

@@ -72,10 +72,10 @@ def test_weights_that_changed_under_the_export_are_found(lagging: Vehicle, tmp_p
 def test_the_onnx_file_says_what_goes_in_and_out(bundle_folder: Path) -> None:
     proto = onnx.load(bundle_folder / "model.onnx")
     assert [(opset.domain, opset.version) for opset in proto.opset_import] == [("", OPSET)]
-    told = {entry.key: entry.value for entry in proto.metadata_props}
-    assert told["T"] == "20"
-    assert told["dt"] == "0.01"
-    assert "rotor_speed_3 [rad/s]" in told["history"]
+    metadata = {entry.key: entry.value for entry in proto.metadata_props}
+    assert metadata["T"] == "20"
+    assert metadata["dt"] == "0.01"
+    assert "rotor_speed_3 [rad/s]" in metadata["history"]
     session = onnxruntime.InferenceSession(bundle_folder / "model.onnx")
     for batch in (1, 7):
         windows = np.random.default_rng(0).normal(size=(batch, 17, 20)).astype(np.float32)
@@ -89,13 +89,13 @@ def test_the_c_files_compile_by_themselves_and_their_example_runs(
     folder = export_kind(kind).folder
     sources = [str(folder / name) for name in ("example.c", "model.c")]
     subprocess.run([find_compiler(), "-O0", *sources, "-o", str(tmp_path / "example"), "-lm"], check=True)
-    said = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True).stdout
+    printed = subprocess.run([tmp_path / "example"], capture_output=True, text=True, check=True).stdout
     bundle = read_bundle(folder)
     solver = RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
     hover = np.array([*[0.0] * 6, 1.0, *[0.0] * 6, *[bundle.vehicle.hover_speed] * 4])
     solver.history[:] = hover
-    wanted = solver.accelerations(bundle.model.initial_state(hover[:13]), hover[13:])
-    np.testing.assert_allclose([float(line) for line in said.split()], wanted, atol=1e-4)
+    expected = solver.accelerations(bundle.model.initial_state(hover[:13]), hover[13:])
+    np.testing.assert_allclose([float(line) for line in printed.split()], expected, atol=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["pi_tcn", "grey_box", "nominal"])
@@ -206,11 +206,11 @@ def test_a_bundle_says_what_it_was_made_from(lagging: Vehicle, tmp_path: Path) -
     save(untrained_model(KINDS["nominal"].config, lagging), tmp_path / "model.pt")
     options = ExportOptions(SHORT, native_processor(), windows=20, command="alula export model.pt")
     made = export_bundle(read_model(tmp_path / "model.pt"), tmp_path / "b", options)
-    told = made.manifest.provenance
-    assert told["model_sha256"] == hashlib.sha256((tmp_path / "model.pt").read_bytes()).hexdigest()
-    assert told["vehicle_sha256"] == made.manifest.files["vehicle.toml"]
+    provenance = made.manifest.provenance
+    assert provenance["model_sha256"] == hashlib.sha256((tmp_path / "model.pt").read_bytes()).hexdigest()
+    assert provenance["vehicle_sha256"] == made.manifest.files["vehicle.toml"]
     proto = onnx.load(tmp_path / "b" / "model.onnx")
-    assert told.items() <= {entry.key: entry.value for entry in proto.metadata_props}.items()
+    assert provenance.items() <= {entry.key: entry.value for entry in proto.metadata_props}.items()
 
 
 def test_weights_that_are_not_finite_are_refused_in_a_file_and_in_memory(lagging: Vehicle, tmp_path: Path) -> None:
@@ -234,19 +234,19 @@ def test_scaling_and_ranges_that_are_not_finite_are_refused(lagging: Vehicle, tm
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("overrides", "message"),
     [
         ({"channels": 24}, r"model\.pt is a damaged model: weights of another shape than its config says"),
         ({"dilations": (1, 2, 4, 8)}, r"model\.pt is a damaged model: .*look back 31 columns, the history has 20"),
     ],
 )
 def test_a_checkpoint_whose_parts_do_not_fit_each_other_is_refused(
-    lagging: Vehicle, tmp_path: Path, changes: dict[str, object], message: str
+    lagging: Vehicle, tmp_path: Path, overrides: dict[str, object], message: str
 ) -> None:
     path = tmp_path / "model.pt"
     save(untrained_model(KINDS["pi_tcn"].config, lagging), path)
     content = torch.load(path, weights_only=True)
-    content["config"] |= changes
+    content["config"] |= overrides
     torch.save(content, path)
     with pytest.raises(RequestError, match=message):
         read_model(path)

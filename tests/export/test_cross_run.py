@@ -27,9 +27,9 @@ PROBLEM = Problem(nodes=10, horizon=0.5)
 
 @dataclass(frozen=True)
 class Case:
-    """What a kernel was given at a tick, and what it answered: states, Hessian and gradient, then the new inputs."""
+    """Arguments of a kernel at a tick, and its answers: states, Hessian and gradient, then the new inputs."""
 
-    given: tuple[Floats, ...]
+    arguments: tuple[Floats, ...]
     answers: tuple[Floats, ...]
     acting: bool
 
@@ -45,13 +45,13 @@ def recorded_cases(solver: RtiSolver, ticks: tuple[int, ...]) -> list[Case]:
     solver.history[:] = np.concatenate([state[:13], np.full(model.input_count, speed)])
     cases = []
     for tick in range(ticks[-1] + 1):
-        given = [value.copy() for value in (solver.parameters, solver.environment, solver.history, state)]
-        given += [value.copy() for value in (solver.inputs, solver.state_reference, solver.input_reference)]
+        arguments = [value.copy() for value in (solver.parameters, solver.environment, solver.history, state)]
+        arguments += [value.copy() for value in (solver.inputs, solver.state_reference, solver.input_reference)]
         assert solver.prepare(state) == 0
         prepared = [value.copy() for value in (solver.states, solver.hessian, solver.gradient)]
         assert solver.feedback(state) == 0
         if tick in ticks:
-            cases.append(Case(tuple(given), (*prepared, solver.inputs.copy()), solver.report.iterations > 0))
+            cases.append(Case(tuple(arguments), (*prepared, solver.inputs.copy()), solver.report.iterations > 0))
         column = np.concatenate([state[:13], solver.inputs[0]])
         after = solver.propagate(state, solver.inputs[0], 0.01).copy()
         solver.history[:] = np.vstack([solver.history[1:], column])
@@ -90,12 +90,14 @@ def build_program(network: Network, model: Model, folder: Path) -> Path:
 def answers_of(program: Path, model: Model, case: Case) -> tuple[Floats, ...]:
     """What the program answers in the emulator."""
     assert EMULATOR is not None
-    given = bytes(fill_options(PROBLEM, model)) + b"".join(np.ascontiguousarray(part).tobytes() for part in case.given)
-    done = subprocess.run([EMULATOR, str(program)], input=given, capture_output=True, check=False)
+    stdin = bytes(fill_options(PROBLEM, model)) + b"".join(
+        np.ascontiguousarray(part).tobytes() for part in case.arguments
+    )
+    done = subprocess.run([EMULATOR, str(program)], input=stdin, capture_output=True, check=False)
     assert done.returncode == 0, done.stderr.decode()
     values, ends = np.frombuffer(done.stdout), np.cumsum([part.size for part in case.answers])
     parts = np.split(values, ends[:-1])
-    return tuple(part.reshape(wanted.shape) for part, wanted in zip(parts, case.answers, strict=True))
+    return tuple(part.reshape(expected.shape) for part, expected in zip(parts, case.answers, strict=True))
 
 
 @pytest.mark.skipif(COMPILER is None, reason="no aarch64-linux-gnu-gcc; Debian: gcc-aarch64-linux-gnu")

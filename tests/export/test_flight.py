@@ -79,8 +79,8 @@ def test_the_network_itself_keeps_a_speed_and_body_rates_that_the_reference_leav
     story = flight_of(limited(bundle, limits)).run(30.0, until=Phase.RETURN)
     assert story.phases[-1] is Phase.RETURN
     assert np.abs(np.array(story.states)[:, 3:6]).max() < 1.05 * limits.speed  # soft: a row is paid for, not forbidden
-    asked = np.array([decision.rate_body for decision in story.decisions if decision.rate_body is not None])
-    assert np.abs(asked[:, :2]).max() <= 1.05 * limits.rate[0]
+    commanded = np.array([decision.rate_body for decision in story.decisions if decision.rate_body is not None])
+    assert np.abs(commanded[:, :2]).max() <= 1.05 * limits.rate[0]
     assert Event.SOLVER_FAILED not in story.raised
 
 
@@ -105,18 +105,18 @@ def test_estimates_that_are_missing_leave_its_history_on_the_grid_and_the_flight
         flight.run(0.12)
     controller = flight.flyer._controller
     taken = controller._acting + controller.options.period - 0.01 * np.arange(len(controller.solver.history), 0, -1)
-    known = taken <= flight.story.times[-1] - 0.02  # later columns are predictions
+    flown = taken <= flight.story.times[-1] - 0.02  # later columns are predictions
     truth = np.array(
-        [np.interp(taken[known], flight.story.times, np.array(flight.story.states)[:, axis]) for axis in range(6)]
+        [np.interp(taken[flown], flight.story.times, np.array(flight.story.states)[:, axis]) for axis in range(6)]
     ).T
-    assert known.sum() > 10
-    np.testing.assert_allclose(controller.solver.history[known, :3], truth[:, :3], atol=0.005)  # 20 mm are a column
-    np.testing.assert_allclose(controller.solver.history[known, 3:6], truth[:, 3:6], atol=0.05)
+    assert flown.sum() > 10
+    np.testing.assert_allclose(controller.solver.history[flown, :3], truth[:, :3], atol=0.005)  # 20 mm are a column
+    np.testing.assert_allclose(controller.solver.history[flown, 3:6], truth[:, 3:6], atol=0.05)
     assert Event.MODEL_WAITING not in {change.event for change in flight.story.event_changes if change.time > 110.0}
     again = flight_of(bundle).flyer
-    for (seen, estimate), before in zip(flight.story.observations, flight.story.decisions, strict=True):
-        decision = again.step(seen, estimate)
-        again.prepare(seen.time)
+    for (observation, estimate), before in zip(flight.story.observations, flight.story.decisions, strict=True):
+        decision = again.step(observation, estimate)
+        again.prepare(observation.time)
         np.testing.assert_array_equal(decision.rate_body, before.rate_body)
         assert (decision.thrust, decision.fallback) == (before.thrust, before.fallback)
 
@@ -161,11 +161,11 @@ def test_delay_is_made_up_for_by_the_model_itself(bundle: Bundle) -> None:
     columns = [np.concatenate([state, [bundle.vehicle.hover_speed] * 4])] * 30
     for tick in range(60):
         now = tick * PERIOD
-        found = controller.compensate(past[-1 - min(3, tick)], now - PERIOD * min(3, tick), now)
-        np.testing.assert_allclose(found, past[-1], atol=1e-6)
+        compensated = controller.compensate(past[-1 - min(3, tick)], now - PERIOD * min(3, tick), now)
+        np.testing.assert_allclose(compensated, past[-1], atol=1e-6)
         speed = bundle.vehicle.hover_speed * (1 + 0.05 * rng.normal(size=4))
         controller.solver.inputs[0] = speed
-        controller._acted(found, now, speed)
+        controller._acted(compensated, now, speed)
         columns.append(np.concatenate([past[-1], speed]))
         truth_of.solver.history[:] = columns[-1 - len(truth_of.solver.history) : -1]
         past.append(truth_of.solver.propagate(past[-1], speed, PERIOD).copy())

@@ -18,14 +18,14 @@ from training.models import KINDS
 SMALL = {"channels": 8, "hidden": (16,), "label": "instantaneous"}
 
 
-def made(vehicle: Vehicle, folder: Path, kind: str, integrator: Integrator | None, **changes: object) -> Exported:
-    config = replaced(KINDS[kind].config, **(SMALL | changes))
+def made(vehicle: Vehicle, folder: Path, kind: str, integrator: Integrator | None, **overrides: object) -> Exported:
+    config = replaced(KINDS[kind].config, **(SMALL | overrides))
     model = exported(untrained_model(config, vehicle), integrator=integrator)
     return export_bundle(model, folder / "b", ExportOptions(SHORT, native_processor(), windows=30))
 
 
 @pytest.mark.parametrize(
-    ("kind", "asked", "found", "columns", "precision"),
+    ("kind", "requested", "chosen", "columns", "precision"),
     [
         ("mse_tcn", None, "adams_bashforth", 19, "float"),
         ("pi_mlp", None, "adams_bashforth", 1, "float"),
@@ -34,11 +34,11 @@ def made(vehicle: Vehicle, folder: Path, kind: str, integrator: Integrator | Non
     ],
 )
 def test_instantaneous_accelerations_are_integrated_and_every_kernel_is_proven_to_do_so(
-    lagging: Vehicle, tmp_path: Path, kind: str, asked: Integrator | None, found: str, columns: int, precision: str
+    lagging: Vehicle, tmp_path: Path, kind: str, requested: Integrator | None, chosen: str, columns: int, precision: str
 ) -> None:
-    bundle = made(lagging, tmp_path, kind, asked)
+    bundle = made(lagging, tmp_path, kind, requested)
     manifest = read_bundle(bundle.folder).manifest
-    assert (manifest.integrator, manifest.precision, manifest.label) == (found, precision, "instantaneous")
+    assert (manifest.integrator, manifest.precision, manifest.label) == (chosen, precision, "instantaneous")
     proven = {comparison.backend for comparison in bundle.parity.comparisons}
     assert {"kernel, double: roll-out", "kernel, double: gradient", "torch, double", "CasADi C, double"} <= proven
     read = read_bundle(bundle.folder)
@@ -52,7 +52,7 @@ def test_rk4_on_a_residual_carries_the_hidden_states_of_its_physics(lagging: Veh
 
 
 @pytest.mark.parametrize(
-    ("kind", "label", "asked", "message"),
+    ("kind", "label", "requested", "message"),
     [
         ("pi_tcn", "instantaneous", "rk4", r"between the 20 columns.*adams_bashforth"),
         ("window_mlp", "instantaneous", "rk4", r"between the 20 columns.*without history"),
@@ -62,11 +62,11 @@ def test_rk4_on_a_residual_carries_the_hidden_states_of_its_physics(lagging: Veh
     ],
 )
 def test_a_scheme_that_does_not_fit_is_refused(
-    lagging: Vehicle, kind: str, label: str, asked: Integrator, message: str
+    lagging: Vehicle, kind: str, label: str, requested: Integrator, message: str
 ) -> None:
     trained = untrained_model(replaced(KINDS[kind].config, label=label), lagging)
     with pytest.raises(RequestError, match=message):
-        exported(trained, integrator=asked)
+        exported(trained, integrator=requested)
 
 
 def test_holding_what_holds_for_an_instant_is_allowed_with_a_word(lagging: Vehicle, tmp_path: Path) -> None:

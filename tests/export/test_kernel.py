@@ -14,7 +14,7 @@ from dynamics.vehicle import EffectUse, Limits
 from dynamics.vehicle_file import read_vehicle
 from export.kernel import Precision, build_kernel, kernel_recipe, kernel_solver
 from export.network import Network
-from export.reverse_split import sweep_of
+from export.reverse_split import split_after
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.processor import PROCESSORS, native_processor
 from runtime.control.rti.solver import RtiSolver
@@ -110,8 +110,8 @@ def test_columns_that_are_streamed_give_what_their_windows_do(case: str) -> None
     columns = window(network, seed=3, more=40)
     before = len(solver.history)
     solver.history[:] = columns[:before]
-    wanted = [accelerations(network, columns[: row + 1]) for row in range(before, len(columns))]
-    np.testing.assert_allclose(solver.stream(columns[before:]), wanted, rtol=0, atol=1e-10)
+    expected = [accelerations(network, columns[: row + 1]) for row in range(before, len(columns))]
+    np.testing.assert_allclose(solver.stream(columns[before:]), expected, rtol=0, atol=1e-10)
 
 
 def by_input_and_state(solver: RtiSolver, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -143,15 +143,15 @@ def test_accelerations_are_those_of_plain_numpy(case: str, precision: Precision,
     for seed in range(20):
         columns = window(network, seed)
         solver.history[:] = columns[:-1]
-        found, wanted = solver.accelerations(columns[-1, :13], columns[-1, 13:]), accelerations(network, columns)
-        assert np.linalg.norm(found - wanted) < tolerance * np.linalg.norm(wanted)
+        computed, expected = solver.accelerations(columns[-1, :13], columns[-1, 13:]), accelerations(network, columns)
+        assert np.linalg.norm(computed - expected) < tolerance * np.linalg.norm(expected)
 
 
 def test_a_streamed_roll_out_is_that_of_whole_windows() -> None:
     solver, state = solver_of("body", "double")
     network, _ = CASES["body"]
     columns, x, h = list(window(network)[:-1]), state, network.dt
-    wanted = [x]
+    expected = [x]
     for k in range(SHORT.nodes):
         for _ in range(5):
             columns.append(np.concatenate([x, solver.inputs[k]]))
@@ -161,8 +161,8 @@ def test_a_streamed_roll_out_is_that_of_whole_windows() -> None:
                 [x[0:3] + h * x[3:6] + h * h / 2 * rates[:3], x[3:6] + h * rates[:3],
                  quaternion.multiply(x[6:10], quaternion.exponential(turn)), x[10:13] + h * rates[3:]]
             )  # fmt: skip
-        wanted.append(x)
-    np.testing.assert_allclose(rolled_out(solver, state), wanted, rtol=0, atol=1e-11)
+        expected.append(x)
+    np.testing.assert_allclose(rolled_out(solver, state), expected, rtol=0, atol=1e-11)
 
 
 @pytest.mark.parametrize("case", ["residual", "residual on lag and drag", "residual near the ground"])
@@ -176,8 +176,8 @@ def test_a_residual_is_added_to_the_mean_accelerations_of_the_model(case: str) -
     after = step(state, columns[-1, 13:], model.parameter_values, ENVIRONMENT_DEFAULT, quiet, network.dt)
     after = np.array(after).ravel()
     physics = np.concatenate([after[3:6] - state[3:6], after[10:13] - state[10:13]]) / network.dt
-    wanted = accelerations(network, columns, physics)
-    np.testing.assert_allclose(solver.accelerations(state, columns[-1, 13:]), wanted, rtol=1e-9, atol=1e-9)
+    expected = accelerations(network, columns, physics)
+    np.testing.assert_allclose(solver.accelerations(state, columns[-1, 13:]), expected, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -204,13 +204,13 @@ def test_hessian_and_gradient_are_gauss_newtons_of_the_roll_out(
     np.testing.assert_allclose(solver.gradient, gradient, rtol=0, atol=tolerance * np.abs(gradient).max())
 
 
-@pytest.mark.parametrize("streamed", range(5))
-def test_tangents_are_the_same_wherever_streaming_ends_and_sweeping_begins(streamed: int) -> None:
+@pytest.mark.parametrize("streamed_layers", range(5))
+def test_tangents_are_the_same_wherever_streaming_ends_and_sweeping_begins(streamed_layers: int) -> None:
     solver, state = solver_of("body", "double")
     solver.prepare(state)
     network, _ = CASES["body"]
-    sweep = sweep_of(network, streamed)
-    recipe = kernel_recipe(network, solver.model, SHORT, native_processor(), "double", sweep=sweep)
+    split = split_after(network, streamed_layers)
+    recipe = kernel_recipe(network, solver.model, SHORT, native_processor(), "double", split=split)
     other = copied(solver, RtiSolver(solver.model, SHORT, build_kernel(recipe)))
     other.prepare(state)
     np.testing.assert_allclose(other.hessian, solver.hessian, rtol=1e-10, atol=1e-12 * np.abs(solver.hessian).max())
@@ -239,12 +239,12 @@ def test_feedback_answers_a_state_that_differs_from_the_expected_one(case: str) 
     moved = 1e-3 * np.random.default_rng(4).normal(size=state.size)
     solver.prepare(state)
     gradient = solver.gradient + options.scale * by_input.T @ (weight * (by_state @ moved))
-    wanted = solver.inputs - options.scale * np.linalg.solve(solver.hessian, gradient).reshape(solver.inputs.shape)
-    states = solver.states[1:].ravel() + by_state @ moved + by_input @ (wanted - solver.inputs).ravel()
-    inside = np.clip(wanted, options.u_lower[0], options.u_upper[0])
-    np.testing.assert_allclose(wanted, inside)  # else this test would need an active set
+    expected = solver.inputs - options.scale * np.linalg.solve(solver.hessian, gradient).reshape(solver.inputs.shape)
+    states = solver.states[1:].ravel() + by_state @ moved + by_input @ (expected - solver.inputs).ravel()
+    inside = np.clip(expected, options.u_lower[0], options.u_upper[0])
+    np.testing.assert_allclose(expected, inside)  # else this test would need an active set
     assert solver.feedback(state + moved) == 0
-    np.testing.assert_allclose(solver.inputs, wanted, atol=1e-4 * np.abs(wanted - options.scale).max())
+    np.testing.assert_allclose(solver.inputs, expected, atol=1e-4 * np.abs(expected - options.scale).max())
     np.testing.assert_allclose(solver.states[1:].ravel(), states, atol=1e-4)
 
 
@@ -281,9 +281,9 @@ def test_inputs_and_predictions_that_are_not_finite_are_refused_until_they_are()
     before, far = solver.inputs.copy(), state.copy()
     far[6] = 1e200  # no rotation can be made of it
     solver.inputs[2, 1] = np.nan
-    for given, wanted in ((state, -1), (far, -2), (state, 0)):
-        assert solver.prepare(given) == wanted
-        assert solver.feedback(state) == (0 if wanted == 0 else -1)
+    for start, expected in ((state, -1), (far, -2), (state, 0)):
+        assert solver.prepare(start) == expected
+        assert solver.feedback(state) == (0 if expected == 0 else -1)
         solver.inputs[:] = before
 
 

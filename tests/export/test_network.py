@@ -10,8 +10,8 @@ from export.network import Convolution, Dense, Network
 from tests.support.networks import random_network
 
 
-def changed(**changes: object) -> Network:
-    return dataclasses.replace(random_network(), **changes)  # type: ignore[arg-type]
+def changed(**overrides: object) -> Network:
+    return dataclasses.replace(random_network(), **overrides)  # type: ignore[arg-type]
 
 
 def test_a_receptive_field_longer_than_the_history_is_refused() -> None:

@@ -77,9 +77,9 @@ def test_a_checkpoint_of_another_version_or_shape_is_refused(model: TrainedModel
 
 
 def test_a_checkpoint_whose_parts_do_not_fit_is_refused(model: TrainedModel, tmp_path: Path) -> None:
-    path, whole = tmp_path / "m.pt", tmp_path / "whole.pt"
-    save(model, whole)
-    content = torch.load(whole, weights_only=True)
+    path, intact = tmp_path / "m.pt", tmp_path / "whole.pt"
+    save(model, intact)
+    content = torch.load(intact, weights_only=True)
     (first, *_) = content["members"]
     six = model.vehicle_text.replace(
         "spin = [1, -1, 1, -1]", "spin = [1, -1, 1, -1, 1, -1]"

@@ -17,9 +17,9 @@ from training.effects_fit import fit_effects, named_effects, with_rotor_lag
 
 def test_a_vehicle_answers_with_the_lag_that_its_flights_show(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
     plan = plan_for("pi_tcn", vehicle=arpl_250g)
-    found = with_rotor_lag(plan.config, arpl_250g, plan.training)
-    assert [use.name for use in found.effects] == ["motor_lag"]
-    assert found.effects[0].parameters["time_constant"] == pytest.approx(0.04, rel=0.2)  # as planted
+    fitted = with_rotor_lag(plan.config, arpl_250g, plan.training)
+    assert [use.name for use in fitted.effects] == ["motor_lag"]
+    assert fitted.effects[0].parameters["time_constant"] == pytest.approx(0.04, rel=0.2)  # as planted
     assert plan.vehicle.effects == ()  # the model's own file stays as it was given
 
 

@@ -49,27 +49,27 @@ def test_the_plant_is_known_from_what_the_campaign_hid(campaign: Path, arpl_250g
     logs = tuple(sorted((campaign / "test").iterdir()))
     assert campaign_of(logs) == campaign
     assert campaign_of((*logs, Path(__file__))) is None
-    known = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 1e-5}))
-    assert [use.name for use in hidden_plant(campaign, known).effects] == ["motor_lag", "rotor_drag"]
+    named = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 1e-5}))
+    assert [use.name for use in hidden_plant(campaign, named).effects] == ["motor_lag", "rotor_drag"]
 
 
 def test_against_the_truth_the_plant_errs_by_sensor_noise_alone(
     campaign: Path, recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
-    told: list[str] = []
-    found, judged = evaluate(
-        [NamedModel("ours", model_of("res_tcn", arpl_250g))], recordings, campaign=campaign, done=told.append
+    names: list[str] = []
+    report, evaluated = evaluate(
+        [NamedModel("ours", model_of("res_tcn", arpl_250g))], recordings, campaign=campaign, done=names.append
     )
-    assert told == [NOMINAL, "ours", PLANT] == [model.name for model in found.models]
-    nominal, ours, plant = found.models
+    assert names == [NOMINAL, "ours", PLANT] == [model.name for model in report.models]
+    nominal, ours, plant = report.models
     assert pooled(plant.true).combined < 0.1 * pooled(nominal.true).combined
     assert pooled(plant.true).combined < pooled(plant.label).combined
     assert len(ours.members) == 2
     assert [e.horizon for e in plant.open_loop] == pytest.approx([0.1, 0.5, 1.0])
     assert plant.open_loop[-1].position < 0.3 * nominal.open_loop[-1].position
-    assert {peak.flight for peak in found.peaks} == {"Lemniscate.parquet", "Parabola.parquet"}
-    assert found.peaks[0].linear > found.peaks[1].linear > 1
-    assert all(len(one.body) == len(one.data.ends) for one in judged)
+    assert {peak.flight for peak in report.peaks} == {"Lemniscate.parquet", "Parabola.parquet"}
+    assert report.peaks[0].linear > report.peaks[1].linear > 1
+    assert all(len(one.body) == len(one.data.ends) for one in evaluated)
 
 
 @pytest.mark.parametrize("kind", ["pi_tcn", "res_tcn", "grey_box", "pi_mlp"])
@@ -85,22 +85,22 @@ def test_a_simulation_begins_with_what_the_model_predicts(
     simulation = OpenLoopSimulation(model, states, data.rotor_speed[window[:, :-1]])
     before = simulation.state.copy()
     simulation.step(data.rotor_speed[rows])
-    said = predict(model, data).body[np.searchsorted(data.ends, rows)]
+    predicted = predict(model, data).body[np.searchsorted(data.ends, rows)]
     angular = (simulation.state - before)[:, 10:] / model.config.dt
-    np.testing.assert_allclose(angular, said[:, 3:], rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(angular, predicted[:, 3:], rtol=2e-3, atol=2e-3)
     speed = np.linalg.norm((simulation.state - before)[:, 3:6] / model.config.dt + [0, 0, GRAVITY], axis=1)
-    np.testing.assert_allclose(speed, np.linalg.norm(said[:, :3], axis=1), rtol=2e-3, atol=2e-3)
+    np.testing.assert_allclose(speed, np.linalg.norm(predicted[:, :3], axis=1), rtol=2e-3, atol=2e-3)
 
 
 def test_what_a_network_adds_to_named_effects_stands_beside_them(
     recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
-    known = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.035}), EffectUse("rotor_drag"))
-    found, _ = evaluate(
-        [NamedModel("ours", model_of("grey_box", known))], recordings, campaign=None, done=lambda _: None
+    vehicle = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.035}), EffectUse("rotor_drag"))
+    report, _ = evaluate(
+        [NamedModel("ours", model_of("grey_box", vehicle))], recordings, campaign=None, done=lambda _: None
     )
-    assert [model.name for model in found.models] == [NOMINAL, "ours base", "ours"]
-    base, ours = (pooled(model.label) for model in found.models[1:])
+    assert [model.name for model in report.models] == [NOMINAL, "ours base", "ours"]
+    base, ours = (pooled(model.label) for model in report.models[1:])
     assert base.combined == pytest.approx(ours.base, rel=0.05)  # which has a row or two more, without a history
     assert base.combined < 0.5 * base.nominal
 
@@ -142,13 +142,13 @@ def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_a
             done=lambda _: None,
         )
     chosen = msgspec.structs.replace(model.card, flights={}, validation={"a.csv": second.sha256})
-    found, _ = evaluate(
+    report, _ = evaluate(
         [NamedModel("ours", dataclasses.replace(model, card=chosen))], recordings, campaign=None, done=lambda _: None
     )
-    assert found.notes == ("the best step of ours was chosen on Parabola.parquet",)
-    assert found.models[-1].name == "ours"
-    assert not found.models[0].true
-    assert not found.models[0].pulses
+    assert report.notes == ("the best step of ours was chosen on Parabola.parquet",)
+    assert report.models[-1].name == "ours"
+    assert not report.models[0].true
+    assert not report.models[0].pulses
 
 
 def test_flights_without_the_motors_that_a_model_takes_are_refused(
@@ -184,11 +184,11 @@ def test_error_bars_that_are_known_cover_what_they_should(
     sure = dataclasses.replace(model, reliability=Reliability(1e6, 1.645 * width, np.zeros(6)))
     label = np.full_like(data.label, np.nan)
     label[data.ends] = predict(model, data).body + width * np.random.default_rng(0).normal(size=(len(data.ends), 6))
-    found = calibration(sure, data, label)
-    assert found is not None
-    assert found.coverage == pytest.approx(0.9, abs=0.01)
-    assert found.auroc == pytest.approx(0.5, abs=0.07)
-    assert found.faded == 0
+    result = calibration(sure, data, label)
+    assert result is not None
+    assert result.coverage == pytest.approx(0.9, abs=0.01)
+    assert result.auroc == pytest.approx(0.5, abs=0.07)
+    assert result.faded == 0
     assert calibration(model_of("pi_mlp", arpl_250g, members=1), data, label) is None
     truth = true_label(data, campaign, dt=0.01)
     attitude = data.state[data.ends, ATTITUDE]

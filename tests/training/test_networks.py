@@ -45,15 +45,15 @@ def test_streamed_and_windowed_give_the_same(config: ModelConfig) -> None:
     stream = Stream(network, config)
     with torch.no_grad():
         for row in range(45):
-            found = stream.push(columns[row : row + 1])
+            outputs = stream.push(columns[row : row + 1])
             if row + 1 < config.receptive_field:
-                assert found is None
+                assert outputs is None
                 assert not stream.is_ready
             elif row + 1 >= config.history:
                 windowed = network(columns[None, row + 1 - config.history : row + 1])
                 assert stream.is_ready
-                assert found is not None
-                torch.testing.assert_close(found, windowed, rtol=0, atol=1e-13)
+                assert outputs is not None
+                torch.testing.assert_close(outputs, windowed, rtol=0, atol=1e-13)
 
 
 def padded_convolutions(network: TemporalConvolution, dilations: tuple[int, ...], window: Tensor) -> Tensor:

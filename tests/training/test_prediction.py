@@ -44,8 +44,8 @@ def test_a_residual_fades_where_the_members_disagree(plan_for: MakePlan, arpl_25
     faded = predict(dataclasses.replace(model, reliability=doubting), data)
     assert data.base is not None
     np.testing.assert_allclose(faded.body, data.base[data.ends], atol=1e-9)
-    whole = predict(dataclasses.replace(model, reliability=doubting), data, gated=False)
-    assert np.abs(whole.body - faded.body).max() > 0.001
+    ungated = predict(dataclasses.replace(model, reliability=doubting), data, gated=False)
+    assert np.abs(ungated.body - faded.body).max() > 0.001
 
 
 def test_the_gate_is_open_up_to_its_threshold_and_then_falls() -> None:
@@ -58,20 +58,20 @@ def test_intervals_of_an_ensemble_cover_nine_errors_in_ten() -> None:
     targets = np.zeros((4000, 6))
     outputs = 2.0 * spread * random.normal(size=(4000, 6)) + spread * random.normal(size=(4, 4000, 6))
     outputs[0] += 0.3 * random.normal(size=(4000, 6))
-    found = judge_reliability(outputs[:, :2000], targets[:2000], np.ones(6))
-    assert found is not None
+    reliability = judge_reliability(outputs[:, :2000], targets[:2000], np.ones(6))
+    assert reliability is not None
     deviation = outputs[:, 2000:].std(axis=0, ddof=1)
-    width = np.hypot(found.error_floor, found.error_scale * deviation)
+    width = np.hypot(reliability.error_floor, reliability.error_scale * deviation)
     covered = (np.abs(outputs[:, 2000:].mean(axis=0)) <= width).mean(axis=0)
     np.testing.assert_allclose(covered, 0.9, atol=0.03)
 
 
 def test_one_network_alone_says_nothing_of_its_reliability(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
     model, data = with_random_members(plan_for, arpl_250g, 1)
-    said = predict(model, data)
+    prediction = predict(model, data)
     assert model.reliability is None
-    assert said.half_width is None
-    assert said.gate is None
+    assert prediction.half_width is None
+    assert prediction.gate is None
 
 
 def test_the_nominal_model_needs_no_network_and_errs_as_it_does(plan_for: MakePlan) -> None:
@@ -100,9 +100,9 @@ def test_the_truth_of_a_campaign_is_joined_row_by_row(
     for place, name in enumerate(data.flights):
         flights[place].to_parquet(tmp_path / "truth" / name)  # as if the sensors had been perfect
     truth = true_label(data, tmp_path, dt=0.01)[data.ends]
-    known = np.isfinite(truth).all(axis=1)
-    assert known.mean() > 0.99
-    assert np.corrcoef(truth[known, 2], data.label[data.ends][known, 2])[0, 1] > 0.9
+    finite = np.isfinite(truth).all(axis=1)
+    assert finite.mean() > 0.99
+    assert np.corrcoef(truth[finite, 2], data.label[data.ends][finite, 2])[0, 1] > 0.9
 
 
 def test_a_model_is_judged_on_other_flights_through_its_own_definition(
@@ -111,7 +111,7 @@ def test_a_model_is_judged_on_other_flights_through_its_own_definition(
     model, _ = with_random_members(plan_for, arpl_250g, 2)
     (other,) = read_logged_flights([folder / "flight_1.parquet"], dt=model.config.dt)
     data = label_rows(model.config, model.vehicle, [other])
-    said = predict(model, data)
-    assert said.body.shape == (len(data.ends), 6)
-    assert said.half_width is not None
-    assert (said.half_width > 0).all()
+    prediction = predict(model, data)
+    assert prediction.body.shape == (len(data.ends), 6)
+    assert prediction.half_width is not None
+    assert (prediction.half_width > 0).all()

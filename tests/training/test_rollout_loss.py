@@ -37,19 +37,19 @@ def test_a_roll_out_of_one_step_is_the_one_step_loss(plan_for: MakePlan, kind: s
     rows = torch.from_numpy(plan.training.ends)[:50]
     tensors = rollout.tensors
     plain = (network(tensors.windows(rows)) - tensors.targets[rows]).square().mean()
-    found = rollout.loss(network, chosen, torch.Generator())
-    torch.testing.assert_close(found, plain, rtol=1e-3, atol=1e-4)
+    loss = rollout.loss(network, chosen, torch.Generator())
+    torch.testing.assert_close(loss, plain, rtol=1e-3, atol=1e-4)
 
 
 @pytest.mark.parametrize("frame", FRAMES)
 def test_columns_of_predicted_states_are_those_of_recorded_ones(plan_for: MakePlan, frame: dict[str, str]) -> None:
     plan = plan_for("mse_tcn", config=frame)
     rollout, data = rollout_loss_of(plan, 2), plan.training
-    found = rollout._column(rollout.state[:40], rollout.tensors.inputs[:40])
-    wanted = (columns(plan.config, data.state[:40], data.rotor_speed[:40]) - plan.scaling.input_mean) / (
+    predicted = rollout._column(rollout.state[:40], rollout.tensors.inputs[:40])
+    recorded = (columns(plan.config, data.state[:40], data.rotor_speed[:40]) - plan.scaling.input_mean) / (
         plan.scaling.input_std
     )
-    np.testing.assert_allclose(found.numpy(), wanted, atol=1e-4)
+    np.testing.assert_allclose(predicted.numpy(), recorded, atol=1e-4)
 
 
 def test_roll_outs_begin_only_where_all_their_steps_have_labels(plan_for: MakePlan) -> None:

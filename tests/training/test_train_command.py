@@ -122,9 +122,9 @@ def test_the_frame_of_the_inputs_is_that_of_the_outputs_unless_they_are_a_wrench
 def test_what_makes_no_sense_is_refused(
     folder: Path, tmp_path: Path, arguments: tuple[str, ...], error: type[Exception], message: str
 ) -> None:
-    given = arguments if "--vehicle" in arguments else ("--vehicle", "arpl_250g", *arguments)
+    command = arguments if "--vehicle" in arguments else ("--vehicle", "arpl_250g", *arguments)
     with pytest.raises(error, match=message):
-        train(folder, *given, "--ensemble", 1, "--out", tmp_path / "m.pt")
+        train(folder, *command, "--ensemble", 1, "--out", tmp_path / "m.pt")
     assert not list(tmp_path.iterdir())
 
 
@@ -137,14 +137,14 @@ def test_a_gpu_that_is_not_there_is_refused(folder: Path, tmp_path: Path, monkey
 def test_nothing_is_overwritten_and_no_model_gets_a_name_that_other_commands_do_not_know(
     folder: Path, tmp_path: Path
 ) -> None:
-    given = (folder, "--vehicle", "arpl_250g", "--model", "nominal")
+    command = (folder, "--vehicle", "arpl_250g", "--model", "nominal")
     with pytest.raises(RequestError, match=r"m.json: required is a name in .pt"):
-        train(*given, "--out", tmp_path / "m.json")  # where its own card would have overwritten it
+        train(*command, "--out", tmp_path / "m.json")  # where its own card would have overwritten it
     (tmp_path / "m.json").write_text("mine")
     with pytest.raises(RequestError, match=r"m.json exists. Give another --out, or --overwrite"):
-        train(*given, "--out", tmp_path / "m.pt")
+        train(*command, "--out", tmp_path / "m.pt")
     assert (tmp_path / "m.json").read_text() == "mine"
-    train(*given, "--out", tmp_path / "m.pt", "--overwrite")
+    train(*command, "--out", tmp_path / "m.pt", "--overwrite")
     assert json.loads((tmp_path / "m.json").read_text())["kind"] == "nominal"
 
 

@@ -44,8 +44,8 @@ def quietly(_: Report) -> None:
 
 
 def killing_at(step: int) -> Callable[[Report], None]:
-    def report(told: Report) -> None:
-        if told.step == step:
+    def report(progress: Report) -> None:
+        if progress.step == step:
             raise KilledError
 
     return report
@@ -78,14 +78,14 @@ def test_a_killed_training_goes_on_bit_for_bit(
     plan_for: MakePlan, tmp_path: Path, kind: str, config: dict[str, object], recipe: dict[str, object], step: int
 ) -> None:
     plan = plan_for(kind, config=config, **{**SHORT, **recipe})
-    whole = train(task_of(plan), quietly)
+    uninterrupted = train(task_of(plan), quietly)
     with pytest.raises(KilledError):
         train(task_of(plan, tmp_path / "state"), killing_at(step))
     torch.manual_seed(99)  # another process
-    told: list[Report] = []
-    resumed = train(task_of(plan, tmp_path / "state"), told.append)
-    assert_same(resumed, whole)
-    assert told[0].step == step + 10
+    reports: list[Report] = []
+    resumed = train(task_of(plan, tmp_path / "state"), reports.append)
+    assert_same(resumed, uninterrupted)
+    assert reports[0].step == step + 10
 
 
 def test_progress_of_another_training_is_refused(plan_for: MakePlan, tmp_path: Path) -> None:
@@ -105,11 +105,11 @@ def test_a_full_disk_is_told(plan_for: MakePlan, tmp_path: Path) -> None:
 
 
 def test_the_physics_inspired_loss_sets_in_at_half_time_and_starts_anew(plan_for: MakePlan) -> None:
-    told: list[Report] = []
+    reports: list[Report] = []
     plan = plan_for("pi_tcn", physics_weight=0.5, physics_pool=128, physics_batch=32, **SHORT)
-    train(task_of(plan), told.append)
-    assert [report.physics_loss is None for report in told] == [True] * 3 + [False] * 3
-    assert told[2].learning_rate < 0.1 * told[3].learning_rate
+    train(task_of(plan), reports.append)
+    assert [report.physics_loss is None for report in reports] == [True] * 3 + [False] * 3
+    assert reports[2].learning_rate < 0.1 * reports[3].learning_rate
 
 
 def test_a_loss_that_is_no_number_names_the_flight(plan_for: MakePlan) -> None:
@@ -152,9 +152,9 @@ def test_planted_effects_of_a_grey_box_are_fitted_to_their_floor(plan_for: MakeP
     for use, true in zip(fitted.vehicle.effects, truth.effects, strict=True):
         assert use.parameters == pytest.approx(true.parameters, rel=0.05)
     floor = label_rows(fitted.config, truth, fitted.split.validation)
-    least, found = (pooled(flight_errors(data, base_of(data))) for data in (floor, fitted.validation))
-    assert found.combined < 1.02 * least.combined
-    assert least.combined < least.nominal / 5
+    lowest, reached = (pooled(flight_errors(data, base_of(data))) for data in (floor, fitted.validation))
+    assert reached.combined < 1.02 * lowest.combined
+    assert lowest.combined < lowest.nominal / 5
 
 
 def test_a_planted_drag_is_learned_by_a_network(arpl_250g: Vehicle, tmp_path: Path) -> None:
@@ -164,10 +164,10 @@ def test_a_planted_drag_is_learned_by_a_network(arpl_250g: Vehicle, tmp_path: Pa
         arpl_250g, [drag], seed=2, options=noisy(0.2), manoeuvres=["WarpedEllipse_2:laps=8,ramp=1,speed=0.8"]
     )
     (laps,) = read_logged_flights([flight.to_parquet(tmp_path / "laps.parquet")], dt=0.01)
-    (whole,) = laps.segments
-    first, last = round(0.65 * len(whole)), round(0.9 * len(whole))
+    (segment,) = laps.segments
+    first, last = round(0.65 * len(segment)), round(0.9 * len(segment))
     learned_from, judged = (
-        dataclasses.replace(laps, segments=(whole.rows(*rows),)) for rows in ((0, first), (first, last))
+        dataclasses.replace(laps, segments=(segment.rows(*rows),)) for rows in ((0, first), (first, last))
     )
     config = msgspec.structs.replace(named_kind("res_tcn").config, network="mlp", history=1, motors="measured")
     recipe = msgspec.structs.replace(FAST, steps=800, evaluate_every=100)

@@ -48,8 +48,8 @@ def test_the_physics_inspired_loss_of_the_nominal_model_is_zero(
     assert plan.collocation is not None
     state, speed = states_of(plan, plan.collocation.windows[:, -1])
     nominal = nominal_model(arpl_250g, dt=0.01, label="mean_increment")(state, speed).body
-    said = outputs_from(plan.config, arpl_250g, nominal, None, state[:, 6:10])
-    np.testing.assert_allclose(said, plan.collocation.targets, atol=1e-6)
+    outputs = outputs_from(plan.config, arpl_250g, nominal, None, state[:, 6:10])
+    np.testing.assert_allclose(outputs, plan.collocation.targets, atol=1e-6)
 
 
 def test_histories_of_points_are_motion_of_the_nominal_model(plan_for: MakePlan, arpl_250g: Vehicle) -> None:

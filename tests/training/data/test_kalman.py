@@ -16,8 +16,8 @@ ACCELERATION = FREQUENCY * np.cos(FREQUENCY * TIME[:, None])
 MEASURED = VELOCITY + 0.02 * np.random.default_rng(4).standard_normal(VELOCITY.shape)
 
 
-def error(found: np.ndarray) -> float:
-    return float(np.sqrt(np.mean((found - ACCELERATION)[100:-100] ** 2)))
+def error(estimate: np.ndarray) -> float:
+    return float(np.sqrt(np.mean((estimate - ACCELERATION)[100:-100] ** 2)))
 
 
 def test_on_this_linear_model_the_ukf_is_the_kalman_filter() -> None:
@@ -50,9 +50,9 @@ def test_the_ukf_looks_back_only() -> None:
 def test_gaps_stay_gaps() -> None:
     holed = MEASURED.copy()
     holed[300:310] = np.nan
-    found = kalman.rts_acceleration(holed, RATE, 5.0)
-    assert np.isnan(found[300:310]).all()
-    assert np.array_equal(found[:300], kalman.rts_acceleration(holed[:300], RATE, 5.0))
+    acceleration = kalman.rts_acceleration(holed, RATE, 5.0)
+    assert np.isnan(acceleration[300:310]).all()
+    assert np.array_equal(acceleration[:300], kalman.rts_acceleration(holed[:300], RATE, 5.0))
 
 
 def test_a_cutoff_beyond_the_rate_is_refused() -> None:

@@ -28,8 +28,8 @@ def changed(recording: LoggedFlight, columns: Callable[[Flight], dict[str, Float
     """The recording with columns replaced; None leaves one out."""
 
     def of(flight: Flight) -> Flight:
-        kept = {**flight.columns, **columns(flight)}
-        present = {name: values for name, values in kept.items() if values is not None}
+        replaced = {**flight.columns, **columns(flight)}
+        present = {name: values for name, values in replaced.items() if values is not None}
         return Flight(flight.time, present, flight.provenance)
 
     return dataclasses.replace(recording, segments=tuple(of(segment) for segment in recording.segments))
@@ -37,12 +37,12 @@ def changed(recording: LoggedFlight, columns: Callable[[Flight], dict[str, Float
 
 def yawed(flight: Flight) -> dict[str, Floats | None]:
     turn = np.array([np.cos(0.6), 0.0, 0.0, np.sin(0.6)])
-    found: dict[str, Floats | None] = {}
+    values: dict[str, Floats | None] = {}
     for name in ("position", "velocity"):
         turned = quaternion.rotate(turn, flight[name])
-        found |= {f"{name}_{axis}": turned[:, place] for place, axis in enumerate("xyz")}
+        values |= {f"{name}_{axis}": turned[:, place] for place, axis in enumerate("xyz")}
     attitude = quaternion.multiply(turn, flight["attitude"])
-    return found | {f"attitude_{axis}": attitude[:, place] for place, axis in enumerate("wxyz")}
+    return values | {f"attitude_{axis}": attitude[:, place] for place, axis in enumerate("wxyz")}
 
 
 @pytest.mark.parametrize("base", ["none", "nominal"])
@@ -72,9 +72,9 @@ def test_a_gap_costs_its_windows_and_no_more(arpl_250g: Vehicle, recordings: Seq
         values[300:310] = np.nan
         return {"rotor_command_1": values}
 
-    whole = label_rows(BODY, arpl_250g, recordings[:1])
+    complete = label_rows(BODY, arpl_250g, recordings[:1])
     data = label_rows(BODY, arpl_250g, [changed(recordings[0], torn)])
-    assert set(whole.ends) - set(data.ends) == set(range(300, 310 + BODY.history - 1))
+    assert set(complete.ends) - set(data.ends) == set(range(300, 310 + BODY.history - 1))
     assert np.isfinite(data.targets[data.ends]).all()
 
 

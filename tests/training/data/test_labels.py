@@ -37,10 +37,10 @@ def test_the_increment_label_is_the_true_mean_acceleration_of_the_next_10_ms(fli
 @pytest.mark.parametrize("horizon", [0.01, 0.015, 0.03])
 def test_the_mean_increment_of_a_line_is_its_slope_for_any_horizon(horizon: float) -> None:
     line = np.outer(np.arange(100) / 100.0, [1.0, -2.0])
-    found = labels.mean_increment(line, 100.0, horizon)
-    known = np.isfinite(found).all(axis=1)
-    assert np.allclose(found[known], [1.0, -2.0])
-    assert np.count_nonzero(~known) == int(np.ceil(horizon * 100 - 1e-9))
+    increment = labels.mean_increment(line, 100.0, horizon)
+    finite = np.isfinite(increment).all(axis=1)
+    assert np.allclose(increment[finite], [1.0, -2.0])
+    assert np.count_nonzero(~finite) == int(np.ceil(horizon * 100 - 1e-9))
 
 
 def test_the_papers_label_is_nearer_to_the_truth_with_a_smoother_than_with_its_ukf(
@@ -54,19 +54,19 @@ def test_the_papers_label_is_nearer_to_the_truth_with_a_smoother_than_with_its_u
 
 def test_no_input_of_a_sample_depends_on_later_rows(flight: Flight) -> None:
     cut = flight.rows(0, 700)
-    whole, part = labels.samples(flight), labels.samples(cut)
-    assert np.array_equal(whole.state[:700], part.state)
-    assert np.array_equal(whole.rotor_speed[:700], part.rotor_speed)
-    assert whole.state.shape[1] == 13
-    assert whole.label.shape[1] == 6
+    full, part = labels.samples(flight), labels.samples(cut)
+    assert np.array_equal(full.state[:700], part.state)
+    assert np.array_equal(full.rotor_speed[:700], part.rotor_speed)
+    assert full.state.shape[1] == 13
+    assert full.label.shape[1] == 6
 
 
 def test_the_papers_own_table_is_filtered_both_ways(flight: Flight) -> None:
-    whole, part = labels.paper_table(flight), labels.paper_table(flight.rows(0, 700))
-    assert not np.allclose(whole.state[690], part.state[690], atol=1e-6)  # it knows the future, as the paper's does
-    assert np.allclose(np.linalg.norm(whole.state[:, ATTITUDE], axis=1), 1.0)
+    full, part = labels.paper_table(flight), labels.paper_table(flight.rows(0, 700))
+    assert not np.allclose(full.state[690], part.state[690], atol=1e-6)  # it knows the future, as the paper's does
+    assert np.allclose(np.linalg.norm(full.state[:, ATTITUDE], axis=1), 1.0)
     rough = np.diff(labels.samples(flight).rotor_speed, n=3, axis=0)
-    assert np.std(np.diff(whole.rotor_speed, n=3, axis=0)[100:-100]) < 0.2 * np.std(rough)
+    assert np.std(np.diff(full.rotor_speed, n=3, axis=0)[100:-100]) < 0.2 * np.std(rough)
 
 
 def test_a_flight_without_rotor_speeds_is_named(flight: Flight) -> None:

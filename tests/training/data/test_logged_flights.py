@@ -61,10 +61,10 @@ def test_flights_of_the_same_name_in_two_folders_stay_two_flights(folder: Path, 
     for place, name in enumerate(("one", "two")):
         (tmp_path / name).mkdir()
         paths.append(Path(shutil.copy(folder / f"flight_{place}.parquet", tmp_path / name / "log.parquet")))
-    found = read_logged_flights([*paths, folder / "flight_3.parquet"], dt=0.01)
-    assert [r.name for r in found] == [str(paths[0]), str(paths[1]), "flight_3.parquet"]
-    assert [r.name for r in split_flights(found, validation="*two/*").validation] == [str(paths[1])]
-    assert len(split_flights(found, validation="log*").validation) == 2
+    flights = read_logged_flights([*paths, folder / "flight_3.parquet"], dt=0.01)
+    assert [r.name for r in flights] == [str(paths[0]), str(paths[1]), "flight_3.parquet"]
+    assert [r.name for r in split_flights(flights, validation="*two/*").validation] == [str(paths[1])]
+    assert len(split_flights(flights, validation="log*").validation) == 2
 
 
 def test_a_flight_given_twice_is_refused(folder: Path, tmp_path: Path) -> None:
@@ -114,6 +114,6 @@ def test_a_log_that_nothing_is_learned_from_is_told(flights: Sequence[Flight], f
     holes[::15] = np.nan
     torn = Flight(flight.time, {**flight.columns, "rate_x": holes}, flight.provenance)
     paths = [torn.to_parquet(tmp_path / "torn.parquet"), folder / "flight_1.parquet"]
-    found = read_logged_flights(paths, dt=0.01)
-    assert left_out(paths, found) == ("left out, nowhere 1 s of free flight without a gap: torn.parquet",)
-    assert left_out(paths[1:], found) == ()
+    flights = read_logged_flights(paths, dt=0.01)
+    assert left_out(paths, flights) == ("left out, nowhere 1 s of free flight without a gap: torn.parquet",)
+    assert left_out(paths[1:], flights) == ()
