@@ -6,8 +6,8 @@ from sitl_mock.autopilot.commander import Commander
 from sitl_mock.autopilot.navigator import Navigator
 from sitl_mock.vehicle.clock import VehicleClock
 from sitl_mock.vehicle.vehicle_interface import Vehicle
-from sitl_mock.wire import telemetry
 from sitl_mock.wire.estimate_fault import EstimateFault
+from sitl_mock.wire.motion_messages import BODY_FRD, LOCAL_NED
 from sitl_mock.wire.snapshot import MotionEncoder, Snapshot, VehicleStatus, motor_order, ned
 
 TYPE_OF_ROTORS = {4: 2, 6: 13, 8: 14}  # MAV_TYPE by number of rotors
@@ -31,7 +31,7 @@ class Reporter:
         self._vehicle, self._commander, self._navigator = vehicle, commander, navigator
         self._clock, self._estimate_fault = clock, estimate_fault
         self._epoch = epoch
-        self._child_frame = telemetry.BODY_FRD if body_velocity else telemetry.LOCAL_NED
+        self._child_frame = BODY_FRD if body_velocity else LOCAL_NED
         self._encoder = MotionEncoder()
         self._order = motor_order(vehicle.rotor_position)
 

@@ -49,9 +49,19 @@ class SensorErrors:
     def without_noise(self) -> SensorErrors:
         """Perfect sensors and estimator with the same delay."""
         return SensorErrors(
-            gyro=0.0, accelerometer=0.0, gyro_bias=0.0, accelerometer_bias=0.0, position=0.0, velocity=0.0, tilt=0.0,
-            yaw=0.0, rotor_speed=0.0, rotor_speed_step=0.0, delay=self.delay, imu_average=self.imu_average,
-        )  # fmt: skip
+            gyro=0.0,
+            accelerometer=0.0,
+            gyro_bias=0.0,
+            accelerometer_bias=0.0,
+            position=0.0,
+            velocity=0.0,
+            tilt=0.0,
+            yaw=0.0,
+            rotor_speed=0.0,
+            rotor_speed_step=0.0,
+            delay=self.delay,
+            imu_average=self.imu_average,
+        )
 
     def constants(self, random: np.random.Generator) -> dict[str, NDArray[np.float64]]:
         """The constants of the compiled step; the biases of this flight are drawn here."""

@@ -36,8 +36,19 @@ class StepLoop:
         self._scratch = scratch  # keeps the memory alive that the addresses below point to
         wide, pointer = ctypes.c_longlong, ctypes.c_void_p
         self._advance.argtypes = [
-            wide, pointer, wide, pointer, pointer, pointer, wide, pointer, wide, wide, wide, *[pointer] * 5
-        ]  # fmt: skip
+            wide,
+            pointer,
+            wide,
+            pointer,
+            pointer,
+            pointer,
+            wide,
+            pointer,
+            wide,
+            wide,
+            wide,
+            *[pointer] * 5,
+        ]
         self._inputs = (self.state.ctypes.data, self.state.size, self.command.ctypes.data, self.constants.ctypes.data)
         self._scratch_addresses = tuple(array.ctypes.data for array in scratch)
         self._records_address = self.records.ctypes.data

@@ -107,9 +107,15 @@ class Snapshot:
     """The state of the vehicle for one pass of the loop; parts that no message needs are never computed."""
 
     def __init__(
-        self, time: float, vehicle: Vehicle, clock: VehicleClock, fault: EstimateFault, encoder: MotionEncoder,
-        order: list[int], status: VehicleStatus,
-    ):  # fmt: skip
+        self,
+        time: float,
+        vehicle: Vehicle,
+        clock: VehicleClock,
+        fault: EstimateFault,
+        encoder: MotionEncoder,
+        order: list[int],
+        status: VehicleStatus,
+    ):
         self.now = clock.at(time)
         self.status = status
         self.reset_counter = fault.reset_counter

@@ -75,7 +75,7 @@ class Bench:
         seven = [*parameters, *[0.0] * (7 - len(parameters))]
         self.send(mavlink.MAVLink_command_long_message(system, component, number, 0, *seven))
 
-    def ask(self, number: int, *parameters: float) -> int:
+    def request(self, number: int, *parameters: float) -> int:
         """Send a command and return the last result that it is answered with."""
         before = len(self.of("COMMAND_ACK"))
         self.command(number, *parameters)
@@ -102,9 +102,9 @@ class Bench:
     def fly(self, height: float = 1.0) -> None:
         """Take off in OFFBOARD to some height, hovering under a setpoint stream."""
         self.stream(0.1 if self.mock.commander.offboard.rule == "measured" else 1.2)
-        assert self.ask(SET_MODE, 1, 6) == 0
+        assert self.request(SET_MODE, 1, 6) == 0
         self.setpoint()
-        assert self.ask(ARM, 1) == 0
+        assert self.request(ARM, 1) == 0
         while self.vehicle.position[2] < height:
             self.stream(0.1, thrust=0.6)
         self.vehicle.velocity[:] = 0.0

@@ -66,7 +66,7 @@ class Starvation:
     def __str__(self) -> str:
         return (
             f"in {self.duration:.1f} s our threads waited {self.lost:.2f} s for a processor, up to "
-            f"{self.longest * 1e3:.0f} ms within {WINDOW:g} s, while other programs took up to {self.others:.1f} of "
+            f"{self.longest * 1e3:.0f} ms at a time, while other programs took up to {self.others:.1f} of "
             f"{os.cpu_count()} processors"
         )
 

@@ -13,35 +13,35 @@ ARMED = 128
 
 def test_offboard_without_a_stream_is_accepted_while_disarmed_but_arming_then_is_not() -> None:
     bench = Bench()
-    assert bench.ask(SET_MODE, 1, 6) == ACCEPTED
+    assert bench.request(SET_MODE, 1, 6) == ACCEPTED
     assert bench.heartbeat.custom_mode == OFFBOARD
-    assert bench.ask(ARM, 1) == TEMPORARILY_REJECTED
+    assert bench.request(ARM, 1) == TEMPORARILY_REJECTED
     assert not bench.heartbeat.base_mode & ARMED
 
 
 def test_offboard_is_refused_without_a_setpoint_stream_while_armed_in_hold() -> None:
     bench = Bench()
-    assert bench.ask(ARM, 1) == ACCEPTED
-    assert bench.ask(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
+    assert bench.request(ARM, 1) == ACCEPTED
+    assert bench.request(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
     assert bench.heartbeat.custom_mode == HOLD
 
 
 def test_offboard_is_taken_up_after_a_second_of_setpoints() -> None:
     bench = Bench()
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     bench.stream(0.8)
-    assert bench.ask(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
+    assert bench.request(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
     bench.stream(0.4)
-    assert bench.ask(SET_MODE, 1, 6) == ACCEPTED
+    assert bench.request(SET_MODE, 1, 6) == ACCEPTED
     assert bench.heartbeat.custom_mode == OFFBOARD
 
 
 def test_one_setpoint_30_ms_earlier_is_enough_by_the_measured_rule() -> None:
     bench = Bench(rule="measured")
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     bench.setpoint()
     bench.run(0.032)
-    assert bench.ask(SET_MODE, 1, 6) == ACCEPTED
+    assert bench.request(SET_MODE, 1, 6) == ACCEPTED
 
 
 def test_acknowledgements_come_within_16_ms_to_whoever_asked() -> None:
@@ -49,7 +49,7 @@ def test_acknowledgements_come_within_16_ms_to_whoever_asked() -> None:
     delays = []
     for _ in range(100):
         sent = bench.time
-        bench.ask(ARM, 1)
+        bench.request(ARM, 1)
         delays.append(bench.times("COMMAND_ACK")[-1] - sent)
         assert (bench.of("COMMAND_ACK")[-1].target_system, bench.of("COMMAND_ACK")[-1].target_component) == (1, 191)
     assert min(delays) >= 0.0005
@@ -58,10 +58,10 @@ def test_acknowledgements_come_within_16_ms_to_whoever_asked() -> None:
 
 def test_the_double_acknowledgement_lies_first_and_tells_the_truth_after() -> None:
     bench = Bench(double_ack=True)
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     for _ in range(20):
         before = len(bench.of("COMMAND_ACK"))
-        assert bench.ask(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
+        assert bench.request(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
         assert [ack.result for ack in bench.of("COMMAND_ACK")[before:]] == [ACCEPTED, TEMPORARILY_REJECTED]
         first, second = bench.times("COMMAND_ACK")[before:]
         assert 0.0 <= second - first <= 0.008
@@ -70,57 +70,57 @@ def test_the_double_acknowledgement_lies_first_and_tells_the_truth_after() -> No
 
 def test_there_is_one_acknowledgement_by_default() -> None:
     bench = Bench()
-    bench.ask(SET_MODE, 1, 4, 3)
+    bench.request(SET_MODE, 1, 4, 3)
     assert len(bench.of("COMMAND_ACK")) == 1
 
 
 def test_the_ground_is_left_by_disarming_after_ten_seconds() -> None:
     bench = Bench()
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     assert bench.until(lambda: not bench.heartbeat.base_mode & ARMED) == pytest.approx(10.0, abs=0.1)
 
 
 def test_preflight_disarming_follows_its_parameter() -> None:
     bench = Bench(parameters={"COM_DISARM_PRFLT": 3.0})
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     assert bench.until(lambda: not bench.heartbeat.base_mode & ARMED) == pytest.approx(3.0, abs=0.1)
 
 
 def test_disarming_in_the_air_needs_force() -> None:
     bench = Bench()
     bench.fly()
-    assert bench.ask(ARM, 0) == TEMPORARILY_REJECTED
+    assert bench.request(ARM, 0) == TEMPORARILY_REJECTED
     assert bench.heartbeat.base_mode & ARMED
-    assert bench.ask(ARM, 0, 21196) == ACCEPTED
+    assert bench.request(ARM, 0, 21196) == ACCEPTED
     assert not bench.heartbeat.base_mode & ARMED
     assert not bench.vehicle.armed
 
 
 def test_arming_while_armed_and_disarming_while_disarmed_are_accepted() -> None:
     bench = Bench()
-    assert bench.ask(ARM, 0) == ACCEPTED
-    assert bench.ask(ARM, 1) == ACCEPTED
-    assert bench.ask(ARM, 1) == ACCEPTED
+    assert bench.request(ARM, 0) == ACCEPTED
+    assert bench.request(ARM, 1) == ACCEPTED
+    assert bench.request(ARM, 1) == ACCEPTED
 
 
 def test_disarming_on_the_ground_is_accepted() -> None:
     bench = Bench()
-    bench.ask(ARM, 1)
-    assert bench.ask(ARM, 0) == ACCEPTED
+    bench.request(ARM, 1)
+    assert bench.request(ARM, 0) == ACCEPTED
     assert not bench.heartbeat.base_mode & ARMED
 
 
 @pytest.mark.parametrize(("main", "sub"), [(99, 0), (0, 0), (4, 77)])
 def test_an_unknown_mode_is_temporarily_rejected(main: int, sub: int) -> None:
     bench = Bench()
-    assert bench.ask(SET_MODE, 1, main, sub) == TEMPORARILY_REJECTED
+    assert bench.request(SET_MODE, 1, main, sub) == TEMPORARILY_REJECTED
     assert bench.heartbeat.custom_mode == HOLD
 
 
 @pytest.mark.parametrize(("sub", "custom"), [(3, HOLD), (5, RTL), (6, LAND)])
 def test_custom_mode_is_main_and_sub_shifted(sub: int, custom: int) -> None:
     bench = Bench()
-    assert bench.ask(SET_MODE, 1, 4, sub) == ACCEPTED
+    assert bench.request(SET_MODE, 1, 4, sub) == ACCEPTED
     bench.run(1.1)
     assert bench.of("HEARTBEAT")[-1].custom_mode == custom
 
@@ -142,7 +142,7 @@ def test_only_commands_for_this_autopilot_are_answered(system: int, component: i
 
 
 def test_an_unknown_command_is_unsupported() -> None:
-    assert Bench().ask(31999) == UNSUPPORTED
+    assert Bench().request(31999) == UNSUPPORTED
 
 
 def test_command_int_is_understood_as_command_long() -> None:
@@ -155,7 +155,7 @@ def test_motors_start_20_to_68_ms_after_arming() -> None:
     for seed in range(10):
         bench = Bench(seed=seed)
         bench.stream(1.2)
-        bench.ask(SET_MODE, 1, 6)
+        bench.request(SET_MODE, 1, 6)
         bench.setpoint(0.4)
         bench.command(ARM, 1)
         assert 0.016 <= bench.until(lambda bench=bench: bench.vehicle.thrust > 0) <= 0.072
@@ -174,12 +174,12 @@ def test_heartbeat_of_the_recorded_px4() -> None:
 
 def test_take_off_land_and_disarm_by_themselves() -> None:
     bench = Bench()
-    assert bench.ask(22) == ACCEPTED
-    assert bench.ask(ARM, 1) == ACCEPTED
+    assert bench.request(22) == ACCEPTED
+    assert bench.request(ARM, 1) == ACCEPTED
     bench.until(lambda: bench.heartbeat.landed_state == 3)
     bench.until(lambda: bench.heartbeat.custom_mode == HOLD)
     assert bench.vehicle.position[2] == pytest.approx(2.5, abs=0.5)
-    assert bench.ask(21) == ACCEPTED
+    assert bench.request(21) == ACCEPTED
     assert bench.heartbeat.landed_state == 4
     bench.until(lambda: bench.heartbeat.landed_state == 1)
     assert bench.until(lambda: not bench.heartbeat.base_mode & ARMED) == pytest.approx(2.0, abs=0.1)
@@ -197,14 +197,14 @@ def test_landed_state_goes_from_ground_to_air() -> None:
 def test_arming_is_refused_in_modes_that_prevent_it_or_need_a_pilot() -> None:
     bench = Bench()
     for main, sub in ((4, 5), (4, 6), (1, 0), (3, 0)):
-        assert bench.ask(SET_MODE, 1, main, sub) == ACCEPTED
-        assert bench.ask(ARM, 1) == TEMPORARILY_REJECTED
+        assert bench.request(SET_MODE, 1, main, sub) == ACCEPTED
+        assert bench.request(ARM, 1) == TEMPORARILY_REJECTED
 
 
 def test_termination_stops_the_rotors() -> None:
     bench = Bench()
     bench.fly()
-    assert bench.ask(185, 1) == ACCEPTED
+    assert bench.request(185, 1) == ACCEPTED
     bench.stream(0.1, thrust=0.5)
     assert not bench.vehicle.armed
     assert bench.heartbeat.system_status == 8

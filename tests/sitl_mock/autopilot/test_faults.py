@@ -128,12 +128,12 @@ def test_a_flood_adds_messages_at_its_rate_and_ends() -> None:
 def test_arming_and_offboard_can_be_refused() -> None:
     bench = bench_with("refuse_arming", duration=1.0)
     bench.run(1.1)
-    assert bench.ask(ARM, 1) == 1
+    assert bench.request(ARM, 1) == 1
     bench.run(1.0)
-    assert bench.ask(ARM, 1) == 0
+    assert bench.request(ARM, 1) == 0
     bench = bench_with("refuse_offboard")
     bench.run(1.1)
-    assert bench.ask(SET_MODE, 1, 6) == 1
+    assert bench.request(SET_MODE, 1, 6) == 1
 
 
 def test_a_fault_can_wait_for_the_take_off() -> None:

@@ -102,7 +102,7 @@ def test_another_mode_asked_for_during_the_failsafe_is_final() -> None:
     bench = Bench()
     bench.fly()
     bench.until(lambda: bench.heartbeat.custom_mode == RTL)
-    assert bench.ask(SET_MODE, 1, 4, 3) == 0
+    assert bench.request(SET_MODE, 1, 4, 3) == 0
     bench.stream(0.5, thrust=0.5)
     assert bench.heartbeat.custom_mode == HOLD
     assert bench.heartbeat.system_status == 4
@@ -111,14 +111,14 @@ def test_another_mode_asked_for_during_the_failsafe_is_final() -> None:
 def test_the_mode_before_landing_is_back_after_disarming() -> None:
     bench = Bench()
     bench.fly()
-    assert bench.ask(SET_MODE, 1, 4, 6) == 0
+    assert bench.request(SET_MODE, 1, 4, 6) == 0
     bench.until(lambda: not bench.heartbeat.base_mode & 128)
     assert bench.heartbeat.custom_mode == OFFBOARD
 
 
 def test_arming_force_without_a_stream_ends_in_the_failsafe() -> None:
     bench = Bench()
-    bench.ask(SET_MODE, 1, 6)
-    assert bench.ask(ARM, 1, 21196) == 0
+    bench.request(SET_MODE, 1, 6)
+    assert bench.request(ARM, 1, 21196) == 0
     bench.run(0.2)
     assert bench.heartbeat.custom_mode == RTL

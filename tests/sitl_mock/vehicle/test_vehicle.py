@@ -211,8 +211,11 @@ def test_the_estimates_errors_have_their_size_and_wander(arpl_250g: Vehicle) -> 
     for _ in range(3000):
         mock.advance(IDLE, False, 0.01)
         truth, estimate = mock.truth, mock.estimate
-        errors.append(np.concatenate([estimate.position_world - truth.position_world,
-                                      estimate.velocity_world - truth.velocity_world]))  # fmt: skip
+        errors.append(
+            np.concatenate(
+                [estimate.position_world - truth.position_world, estimate.velocity_world - truth.velocity_world]
+            )
+        )
     position, velocity = np.array(errors)[:, :3], np.array(errors)[:, 3:]
     assert 0.002 < position.std() < 0.008
     assert 0.005 < velocity.std() < 0.02

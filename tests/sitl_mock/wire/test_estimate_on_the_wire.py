@@ -42,7 +42,7 @@ def test_velocity_can_be_body_frd_and_says_so() -> None:
 
 def test_local_position_and_attitude_agree_with_odometry() -> None:
     bench = moving_bench()
-    bench.ask(SET_INTERVAL, ODOMETRY, 4000)
+    bench.request(SET_INTERVAL, ODOMETRY, 4000)
     bench.run(0.5)
     odometry = {message.time_usec // 1000: message for message in bench.of("ODOMETRY")}
     local = [message for message in bench.of("LOCAL_POSITION_NED") if message.time_boot_ms in odometry]
@@ -58,7 +58,7 @@ def test_local_position_and_attitude_agree_with_odometry() -> None:
 def test_quaternions_are_continuous_through_a_full_turn() -> None:
     bench = Bench()
     bench.fly()
-    bench.ask(SET_INTERVAL, ODOMETRY, 10_000)
+    bench.request(SET_INTERVAL, ODOMETRY, 10_000)
     before = len(bench.of("ODOMETRY"))
     bench.stream(9.0, thrust=0.5, mask=128, rates=(0.0, 0.0, 1.5))
     attitudes = np.array([message.q for message in bench.of("ODOMETRY")[before:]])
@@ -80,7 +80,7 @@ def test_an_estimator_reset_moves_the_estimate_and_counts() -> None:
     bench = moving_bench()
     bench.run(0.2)
     before = bench.of("ODOMETRY")[-1]
-    assert bench.ask(31010, 1.0, -2.0, 0.5, 0.3) == 0
+    assert bench.request(31010, 1.0, -2.0, 0.5, 0.3) == 0
     bench.run(0.1)
     after = bench.of("ODOMETRY")[-1]
     assert after.reset_counter == before.reset_counter + 1
@@ -93,7 +93,7 @@ def test_an_estimator_reset_moves_the_estimate_and_counts() -> None:
 def test_a_setpoint_in_the_moved_frame_means_the_same_attitude() -> None:
     bench = Bench()
     bench.fly()
-    bench.ask(31010, 0.0, 0.0, 0.0, 0.4)
+    bench.request(31010, 0.0, 0.0, 0.0, 0.4)
     turned = [np.cos(0.2), 0, 0, np.sin(0.2)]  # heading 0 of before is 0.4 rad of now
     bench.stream(0.1, thrust=0.5, q=turned)
     heading_before = attitude_enu_flu([1.0, 0, 0, 0])

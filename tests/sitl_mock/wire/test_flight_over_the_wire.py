@@ -16,7 +16,7 @@ ODOMETRY = 331
 
 def bench_of(name: str, **options: Any) -> Bench:
     bench = Bench(mock=build_autopilot(MockOptions(FOLDER / f"{name}.toml", **options)))
-    assert bench.ask(SET_INTERVAL, ODOMETRY, 10_000) == 0
+    assert bench.request(SET_INTERVAL, ODOMETRY, 10_000) == 0
     return bench
 
 
@@ -48,20 +48,20 @@ def hold_height(bench: Bench, height: float, seconds: float) -> None:
 def test_a_flight_like_the_recorded_one(name: str) -> None:
     bench = bench_of(name)
     bench.stream(1.2)
-    assert bench.ask(SET_MODE, 1, 6) == 0
+    assert bench.request(SET_MODE, 1, 6) == 0
     bench.setpoint()
-    assert bench.ask(ARM, 1) == 0
+    assert bench.request(ARM, 1) == 0
     hold_height(bench, 4.0, 7.0)
     assert -bench.of("ODOMETRY")[-1].z == pytest.approx(4.0, abs=0.4)
     assert bench.of("EXTENDED_SYS_STATE")[-1].landed_state == 2
-    assert bench.ask(ARM, 0) == 1  # not in the air
+    assert bench.request(ARM, 0) == 1  # not in the air
     lost = bench.until(lambda: bench.heartbeat.custom_mode != OFFBOARD)
     assert lost <= 1.13
     assert bench.heartbeat.custom_mode == RTL
     bench.run(1.0)
     hold_height(bench, 4.0, 3.0)
     assert bench.heartbeat.custom_mode == OFFBOARD
-    assert bench.ask(SET_MODE, 1, 4, 6) == 0
+    assert bench.request(SET_MODE, 1, 4, 6) == 0
     bench.until(lambda: not bench.heartbeat.base_mode & 128)
     assert bench.of("EXTENDED_SYS_STATE")[-1].landed_state == 1
     assert bench.vehicle.truth.position_world[2] < 0.3
@@ -71,9 +71,9 @@ def test_a_flight_like_the_recorded_one(name: str) -> None:
 def test_an_ignored_throttle_makes_the_real_vehicle_fall() -> None:
     bench = bench_of("px4_sih", rule="measured")
     bench.stream(0.1)
-    bench.ask(SET_MODE, 1, 6)
+    bench.request(SET_MODE, 1, 6)
     bench.setpoint()
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     hold_height(bench, 8.0, 8.0)
     before = bench.vehicle.truth.velocity_world[2]
     for _ in range(50):

@@ -14,10 +14,21 @@ from tests.support.bench import GET_INTERVAL, REQUEST, SET_INTERVAL, Bench, fini
 
 # rates measured on PX4's offboard link, Hz (docs/px4.md)
 MEASURED = {
-    "ATTITUDE": 100, "ATTITUDE_QUATERNION": 50, "HIGHRES_IMU": 50, "ODOMETRY": 30, "LOCAL_POSITION_NED": 30,
-    "SERVO_OUTPUT_RAW": 10, "TIMESYNC": 10, "SYS_STATUS": 5, "EXTENDED_SYS_STATE": 5, "HEARTBEAT": 1,
-    "SYSTEM_TIME": 1, "ATTITUDE_TARGET": 10, "ESTIMATOR_STATUS": 1, "BATTERY_STATUS": 0.5,
-}  # fmt: skip
+    "ATTITUDE": 100,
+    "ATTITUDE_QUATERNION": 50,
+    "HIGHRES_IMU": 50,
+    "ODOMETRY": 30,
+    "LOCAL_POSITION_NED": 30,
+    "SERVO_OUTPUT_RAW": 10,
+    "TIMESYNC": 10,
+    "SYS_STATUS": 5,
+    "EXTENDED_SYS_STATE": 5,
+    "HEARTBEAT": 1,
+    "SYSTEM_TIME": 1,
+    "ATTITUDE_TARGET": 10,
+    "ESTIMATOR_STATUS": 1,
+    "BATTERY_STATUS": 0.5,
+}
 ODOMETRY = 331
 
 
@@ -54,7 +65,7 @@ def test_ground_station_link_is_slower() -> None:
 @pytest.mark.parametrize(("requested", "achieved"), [(250, 250), (200, 124), (100, 100), (50, 50), (10, 10)])
 def test_rates_are_quantised_to_the_four_millisecond_step(requested: float, achieved: float) -> None:
     bench = Bench()
-    assert bench.ask(SET_INTERVAL, ODOMETRY, 1e6 / requested) == 0
+    assert bench.request(SET_INTERVAL, ODOMETRY, 1e6 / requested) == 0
     before = len(bench.of("ODOMETRY"))
     bench.run(5.0)
     assert (len(bench.of("ODOMETRY")) - before) / 5.0 == pytest.approx(achieved, rel=0.015)
@@ -62,8 +73,8 @@ def test_rates_are_quantised_to_the_four_millisecond_step(requested: float, achi
 
 def test_message_interval_reports_the_request_and_not_what_is_achieved() -> None:
     bench = Bench()
-    bench.ask(SET_INTERVAL, ODOMETRY, 5000)
-    assert bench.ask(GET_INTERVAL, ODOMETRY) == 0
+    bench.request(SET_INTERVAL, ODOMETRY, 5000)
+    assert bench.request(GET_INTERVAL, ODOMETRY) == 0
     reported = bench.of("MESSAGE_INTERVAL")[-1]
     assert (reported.message_id, reported.interval_us) == (ODOMETRY, 5000)
 
@@ -71,18 +82,18 @@ def test_message_interval_reports_the_request_and_not_what_is_achieved() -> None
 @pytest.mark.parametrize("identifier", [0, 9999, 253])
 def test_interval_of_the_heartbeat_or_an_unknown_message_fails(identifier: int) -> None:
     bench = Bench()
-    assert bench.ask(SET_INTERVAL, identifier, 100_000) == 4
+    assert bench.request(SET_INTERVAL, identifier, 100_000) == 4
     bench.run(3.0)
     assert len(bench.of("HEARTBEAT")) == 4
 
 
 def test_minus_one_stops_a_stream_and_zero_brings_its_default_back() -> None:
     bench = Bench()
-    bench.ask(SET_INTERVAL, ODOMETRY, -1)
+    bench.request(SET_INTERVAL, ODOMETRY, -1)
     before = len(bench.of("ODOMETRY"))
     bench.run(1.0)
     assert len(bench.of("ODOMETRY")) == before
-    bench.ask(SET_INTERVAL, ODOMETRY, 0)
+    bench.request(SET_INTERVAL, ODOMETRY, 0)
     bench.run(2.0)
     assert len(bench.of("ODOMETRY")) - before == pytest.approx(60, abs=3)
 
@@ -106,19 +117,19 @@ def test_jitter_of_a_hundred_hertz_stream_is_px4s() -> None:
 
 def test_a_message_is_sent_once_on_request() -> None:
     bench = Bench()
-    assert bench.ask(REQUEST, 148) == 0
+    assert bench.request(REQUEST, 148) == 0
     (version,) = bench.of("AUTOPILOT_VERSION")
     assert version.flight_sw_version >> 24 == 1
-    assert bench.ask(REQUEST, 9999) == 2
+    assert bench.request(REQUEST, 9999) == 2
 
 
 def test_capabilities_home_and_origin_can_be_asked_for() -> None:
     bench = Bench()
-    assert bench.ask(520, 1) == 0
+    assert bench.request(520, 1) == 0
     assert bench.of("AUTOPILOT_VERSION")
-    assert bench.ask(410) == 0
+    assert bench.request(410) == 0
     assert bench.of("HOME_POSITION")[-1].latitude == pytest.approx(473977428, abs=10)
-    assert bench.ask(REQUEST, 49) == 0
+    assert bench.request(REQUEST, 49) == 0
     assert bench.of("GPS_GLOBAL_ORIGIN")[-1].longitude == pytest.approx(85455967, abs=10)
 
 
@@ -133,7 +144,7 @@ def test_every_default_message_carries_finite_numbers() -> None:
 def test_rotor_speeds_travel_in_px4s_motor_order_at_up_to_250_hertz() -> None:
     bench = Bench()
     bench.fly()
-    assert bench.ask(SET_INTERVAL, 291, 4000) == 0
+    assert bench.request(SET_INTERVAL, 291, 4000) == 0
     before = len(bench.heard)
     for _ in range(10):
         bench.stream(0.1, thrust=0.5)

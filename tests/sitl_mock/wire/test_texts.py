@@ -18,7 +18,7 @@ def arm_with_heartbeat(kind: int | None, *, wait: float = 0.1) -> Bench:
     if kind is not None:
         bench.send(mavlink.MAVLink_heartbeat_message(kind, 8, 0, 0, 4, 3))
     bench.run(wait)
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     return bench
 
 
@@ -39,7 +39,7 @@ def test_a_ground_station_on_another_link_changes_nothing_here() -> None:
     bench = Bench()
     other = bench.mock.add_link("other", "gcs")
     other.note_heartbeat(bench.time, GCS)
-    bench.ask(ARM, 1)
+    bench.request(ARM, 1)
     assert not bench.of("STATUSTEXT")
     assert any(frame[7] == 253 for frame in other.take(bench.time))
 
