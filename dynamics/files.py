@@ -29,10 +29,13 @@ def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> 
     return path
 
 
-def write_json(value: msgspec.Struct, path: Path) -> None:
-    """Write a struct as indented JSON; `-` is standard output. Raises RequestError when it cannot be written."""
+STANDARD_OUTPUT = Path("-")
+
+
+def write_json(value: object, path: Path) -> None:
+    """Write a value as indented JSON; `-` is standard output. Raises RequestError when it cannot be written."""
     text = msgspec.json.format(msgspec.json.encode(value)) + b"\n"
-    if path == Path("-"):
+    if path == STANDARD_OUTPUT:
         sys.stdout.buffer.write(text)
         sys.stdout.buffer.flush()
         return

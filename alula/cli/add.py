@@ -1,4 +1,4 @@
-"""`alula add`: fit an effect, judge it on held-out flights, write the next version of the vehicle file."""
+"""`alula add`: fits an effect, evaluates it on held-out flights, writes the next version of the vehicle file."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from rich.table import Table
 import alula
 from alula.cli.options import Effects, HoldOut, Mapping, VehicleOption
 from dynamics.effects import CATALOGUE
-from dynamics.files import write_json
+from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from diagnosis.addition import Addition
 
 ARGUMENTS_HELP = (
-    "Effect of the catalogue, as `alula diagnose` names it, and logs of one vehicle in any format. Without an effect "
-    "the top one of the diagnosis is added. The first argument is a log if there is such a file, or if it has a dot or "
-    "a slash in it; a log that is named as an effect of the catalogue is written ./mass."
+    "Effect of the catalogue, then logs of one vehicle in any format or folders of them. Without an effect, "
+    "the first one of the diagnosis is added. The first argument is a log where there is such a file, or where it "
+    "contains a dot or a slash; write ./mass for a log with the name of an effect."
 )
 
 
@@ -31,11 +31,11 @@ def add(
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
-    rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect of one; else the best one.")] = None,
-    out: Annotated[Path | None, typer.Option(help="File to write instead of the next version beside the old.")] = None,
-    json: Annotated[Path | None, typer.Option(help="Write what was added as JSON; - for standard output.")] = None,
+    rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect; by default the best fit.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write instead of the next version.")] = None,
+    json: Annotated[Path | None, typer.Option(help="Write the addition as JSON; - for standard output.")] = None,
 ) -> None:
-    """Fit an effect and write the next vehicle file, unless the error on held-out flights does not fall."""
+    """Fit an effect and write the next vehicle file, if the error on held-out flights falls."""
     effect, logs = _effect_and_logs(arguments)
     result = alula.add_effect(
         logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping
@@ -43,7 +43,7 @@ def add(
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:
         write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
-    if json != Path("-"):
+    if json != STANDARD_OUTPUT:
         _print(result.details, path, Console())
 
 
@@ -55,30 +55,30 @@ def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
     return effect, [Path(log) for log in logs]
 
 
-def _print(added: Addition, path: Path, console: Console) -> None:
-    for (key, name), estimate in added.estimates.items():
+def _print(addition: Addition, path: Path, console: Console) -> None:
+    for (key, name), estimate in addition.estimates.items():
         interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
         console.print(f"{key}.{name} = {interval}", highlight=False)
-    for kind, error in added.channels.items():
+    for kind, error in addition.channels.items():
         console.print(
             f"{kind}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit}, floor {error.floor:.4g}",
             highlight=False,
         )
-    if added.open_loop[0]:
-        console.print(_ahead(added))
-    how = "output error, over simulated half seconds" if added.by_output_error else "equation error"
+    if addition.open_loop[0]:
+        console.print(_open_loop(addition))
+    how = "output error, over simulated half seconds" if addition.by_output_error else "equation error"
     console.print(f"fitted by {how}", highlight=False)
-    for note in added.notes:
+    for note in addition.notes:
         console.print(f"note: {note}", highlight=False)
     console.print(f"written: {path}", highlight=False)
 
 
-def _ahead(added: Addition) -> Table:
+def _open_loop(addition: Addition) -> Table:
     table = Table("open loop, s", "model", title="prediction error on held-out flights", title_justify="left")
     for heading in ("position m", "velocity m/s", "attitude rad", "rate rad/s"):
         table.add_column(heading, justify="right")
-    for was, now in zip(*added.open_loop, strict=True):
-        for which, error in (("before", was), ("after", now)):
+    for before, after in zip(*addition.open_loop, strict=True):
+        for which, error in (("before", before), ("after", after)):
             figures = (error.position, error.velocity, error.attitude, error.rate)
             table.add_row(f"{error.horizon:g}", which, *(f"{value:.3g}" for value in figures))
     return table

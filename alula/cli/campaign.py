@@ -1,12 +1,10 @@
-"""`alula campaign`: the paper's data set, re-flown on the mock's vehicle."""
+"""`alula campaign`: flies the paper's data set on the mock's vehicle."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -14,21 +12,23 @@ from rich.table import Table
 
 from alula.workbench import workbench
 from dynamics.errors import RequestError
+from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from simulation.campaign import CampaignManifest
 
 
 def campaign(
-    out: Annotated[Path, typer.Option(help="Folder for flights, truth and manifest; goes on with what is there.")],
-    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")] = (
-        "arpl_250g"
-    ),
+    out: Annotated[
+        Path,
+        typer.Option(help="Folder to write; an unfinished campaign continues there."),
+    ],
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = ("arpl_250g"),
     effect: Annotated[
         list[str] | None,
         typer.Option(
             help="What the vehicle hides: name:key=value,...; repeatable. By default what a real one hides: drags, "
-            "flapping, inflow, motor lag, thrust and inertia that are a little off, gusts."
+            "flapping, inflow, motor lag, small errors of thrust and inertia, gusts."
         ),
     ] = None,
     no_effects: Annotated[
@@ -46,7 +46,7 @@ def campaign(
 ) -> None:
     """Fly the paper's 68 trajectories (58 min; 60 to train, 8 to test) in simulated time, with the nominal model."""
     if no_effects and effect:
-        raise RequestError("--no-effects and --effect contradict each other; give one of them.")
+        raise RequestError("--no-effects and --effect contradict each other. Give one of them.")
     with workbench("alula campaign"):
         from simulation.campaign import Campaign, CampaignOptions
     options = CampaignOptions(
@@ -63,7 +63,7 @@ def campaign(
         task = bar.add_task("flying", total=len(request.flights))
         manifest = request.run(lambda summary: bar.update(task, advance=1, description=summary.name))
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(manifest)) + b"\n")
+        write_json(manifest, STANDARD_OUTPUT)
     else:
         _print(manifest, out, console)
 

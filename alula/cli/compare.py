@@ -1,4 +1,4 @@
-"""`alula compare`: model against measurement, per channel and regime."""
+"""`alula compare`: compares model and measurement, by channel and regime."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, Logs, Mapping, Page, VehicleOption
+from dynamics.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
     from diagnosis.comparison import Comparison
@@ -24,13 +25,13 @@ def compare(
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
     html: Page = None,
 ) -> None:
-    """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it fails."""
+    """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
     result = alula.compare(logs, vehicle, effects=effects or (), mapping=mapping)
     if json is not None:
         result.write_json(json)
     if html is not None:
         result.write_html(html)
-    if json != Path("-"):
+    if json != STANDARD_OUTPUT:
         _print(result.report, Console())
 
 

@@ -1,8 +1,7 @@
-"""`alula demo`: the main job end to end on a simulated vehicle."""
+"""`alula demo`: flight, diagnosis, addition and flight again, on a simulated vehicle."""
 
 from __future__ import annotations
 
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,22 +10,23 @@ from functools import partial
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from dynamics.command import command_line
-from studies.demo import report as told
+from dynamics.files import STANDARD_OUTPUT, write_json
+from studies.demo import report as demo_report
 from studies.demo.flights import DemoOptions
 from studies.demo.result import DemoReport
 from studies.demo.run import absent_libraries, check_options, run_demo
 from studies.paper import TRACKING_NOMINAL
 
-USUAL = DemoOptions(folder=Path("reports/demo"))
-AROUND, COMPUTING = 21.0, 0.15  # s around a manoeuvre over the link; s of computing a second of flight without it
-DIAGNOSING = 20.0  # s
+DEFAULT = DemoOptions(folder=Path("reports/demo"))
+OVERHEAD = 21.0  # s over the link before and after a manoeuvre
+LOCKSTEP_RATIO = 0.15  # s of computing for a second of flight without a link
+DIAGNOSIS_TIME = 20.0  # s
 INTERRUPTED = 130  # exit code of a command that Ctrl-C ended
 
 
@@ -41,56 +41,55 @@ def demo(
             help="What the vehicle hides: name:key=value,...; repeatable. By default drag of rotors and body."
         ),
     ] = None,
-    no_effects: Annotated[bool, typer.Option("--no-effects", help="Hide nothing: there is nothing to find.")] = False,
-    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")] = (
-        USUAL.vehicle
+    no_effects: Annotated[bool, typer.Option("--no-effects", help="Hide nothing: no effect is missing.")] = False,
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = (
+        DEFAULT.vehicle
     ),
     duration: Annotated[
         float | None, typer.Option(min=5.0, help="Seconds of each manoeuvre; by default 10, in lockstep 24.")
     ] = None,
-    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate over the link, Hz.")] = USUAL.rate,
-    seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = USUAL.seed,
-    out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = USUAL.folder,
+    rate: Annotated[float, typer.Option(min=20.0, max=500.0, help="Control rate over the link, Hz.")] = DEFAULT.rate,
+    seed: Annotated[int, typer.Option(help="Seed of the simulated vehicle's randomness.")] = DEFAULT.seed,
+    out: Annotated[Path, typer.Option(help="Folder for recordings, vehicle file and report.")] = DEFAULT.folder,
     lockstep: Annotated[
         bool, typer.Option("--lockstep", help="Fly in simulated time without a link: a minute instead of four.")
     ] = False,
-    learn: Annotated[bool, typer.Option(help="Go on after the flights with the textbook model.")] = True,
+    learn: Annotated[bool, typer.Option(help="Diagnose after the first flights, and fly again.")] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,
 ) -> None:
-    """Fly the textbook model on a vehicle that hides an effect, diagnose that, add what is missing, fly again."""
-    names = tuple(TRACKING_NOMINAL) if every else tuple(manoeuvre or USUAL.manoeuvres)
-    effects = () if no_effects else USUAL.effects if effect is None else tuple(effect)
+    """Fly the nominal model on a vehicle that hides an effect, diagnose it, add what is missing, fly again."""
+    names = tuple(TRACKING_NOMINAL) if every else tuple(manoeuvre or DEFAULT.manoeuvres)
+    effects = () if no_effects else DEFAULT.effects if effect is None else tuple(effect)
     options = DemoOptions(out, vehicle, effects, names, duration, rate, seed, lockstep, learn)
     check_options(options)
     console = Console(stderr=as_json)
     how = "in lockstep" if lockstep else "over MAVLink"
-    console.print(f"{vehicle} flies its textbook model {how}; it hides {', '.join(effects) or 'nothing'}")
-    command = command_line()
+    console.print(f"{vehicle} flies with its nominal model {how}; it hides {', '.join(effects) or 'nothing'}")
     try:
-        with (out / "news.txt").open("w", encoding="utf-8") as news, _progress(console, options) as started:
-            announce = partial(print, file=news, flush=True)
-            report, learning = run_demo(options, announce, started, command=command)
+        with (out / "news.txt").open("w", encoding="utf-8") as log, _progress(console, options) as started:
+            announce = partial(print, file=log, flush=True)
+            report, learning = run_demo(options, announce, started, command=command_line())
     except KeyboardInterrupt:
         console.print(f"interrupted; what was flown until then is in {out / 'recordings'}", highlight=False)
         raise typer.Exit(INTERRUPTED) from None
-    report = told.write_report(report, out, learning)
+    report = demo_report.write_report(report, out, learning)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
+        write_json(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
 
 
 @contextmanager
 def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str], None]]:
-    """A bar over the expected time of everything, and the function that tells it which part begins."""
+    """A bar over the expected time of the whole demo, and the function that names the part that starts."""
     columns = (TextColumn("{task.description:28}"), BarColumn(), TimeElapsedColumn())
-    expected, began, over = _expected(options), time.monotonic(), threading.Event()
+    expected, start, over = _expected(options), time.monotonic(), threading.Event()
     with Progress(*columns, console=console, refresh_per_second=2) as progress:
         task = progress.add_task("starting", total=expected)
 
         def follow() -> None:
             while not over.wait(0.5):
-                progress.update(task, completed=min(time.monotonic() - began, 0.99 * expected))
+                progress.update(task, completed=min(time.monotonic() - start, 0.99 * expected))
 
         follower = threading.Thread(target=follow, name="progress", daemon=True)
         follower.start()
@@ -103,20 +102,19 @@ def _progress(console: Console, options: DemoOptions) -> Iterator[Callable[[str]
 
 
 def _expected(options: DemoOptions) -> float:
-    """Seconds that the whole demo usually takes."""
-    flight = COMPUTING * options.seconds if options.lockstep else options.seconds + AROUND
+    """Time that the whole demo usually takes, s."""
+    flight = LOCKSTEP_RATIO * options.seconds if options.lockstep else options.seconds + OVERHEAD
     half = len(options.manoeuvres) * flight
-    return half if absent_libraries() or not options.learn else 2 * half + DIAGNOSING
+    return half if absent_libraries() or not options.learn else 2 * half + DIAGNOSIS_TIME
 
 
 def _print(report: DemoReport, console: Console) -> None:
-    console.print(
-        _table("tracking: position RMSE against the reference", told.TRACKING_HEADINGS, told.tracking_rows(report))
-    )
+    title = "tracking: position RMSE against the reference"
+    console.print(_table(title, demo_report.TRACKING_HEADINGS, demo_report.tracking_rows(report)))
     if report.learned is not None:
-        title = "prediction: RMSE on a flight that nothing was fitted on"
-        console.print(_table(title, told.PREDICTION_HEADINGS, told.prediction_rows(report)))
-    for line in told.closing_lines(report):
+        title = "prediction: RMSE on a held-out flight"
+        console.print(_table(title, demo_report.PREDICTION_HEADINGS, demo_report.prediction_rows(report)))
+    for line in demo_report.closing_lines(report):
         console.print(line, highlight=False, markup=False)
     console.print("written: " + ", ".join(report.files), highlight=False)
     if not any(path.endswith(".png") for path in report.files):

@@ -1,4 +1,4 @@
-"""`alula diagnose`: which physical effect is missing from the model."""
+"""`alula diagnose`: names the physical effect that the model lacks."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, VehicleOption
-from dynamics.files import write_json
+from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from alula.api.results import DiagnosisResult
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Normal = Annotated[
     list[Path] | None,
-    typer.Option(help="Normal flight of this vehicle, a folder or 'pattern' of such: compare the hover. Repeatable."),
+    typer.Option(help="Normal flight of this vehicle, or a folder or 'pattern' of them: compares hover. Repeatable."),
 ]
 
 
@@ -34,10 +34,10 @@ def diagnose(
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
     html: Page = None,
 ) -> None:
-    """Name the physical effect that is missing from a vehicle's model, or say that the model explains the flights.
+    """Name the physical effect that is missing from a vehicle's model, or report that the model explains the flights.
 
-    With --normal: whether a rotor works harder in hover than in normal flights of the same vehicle, which needs no more
-    than motor commands.
+    With --normal: whether a rotor works harder in hover than in normal flights of the same vehicle. Motor commands are
+    enough for that.
     """
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
@@ -51,7 +51,7 @@ def diagnose(
         result.write_html(
             html, add_command=add_command(result.report, logs, vehicle, hold_out, result.details.regression.catalogue)
         )
-    if json != Path("-"):
+    if json != STANDARD_OUTPUT:
         _print(result, Console(file=sys.stdout))
 
 
@@ -59,7 +59,7 @@ def _compare_hover(logs: list[Path], normal: list[Path], vehicle: str, mapping: 
     comparison = alula.compare_hover(logs, normal, vehicle, mapping=mapping)
     if json is not None:
         write_json(comparison, json)
-    if json != Path("-"):
+    if json != STANDARD_OUTPUT:
         _print_hover(comparison, Console(file=sys.stdout))
 
 
@@ -70,7 +70,7 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
     for note in comparison.notes:
         console.print(f"note: {note}", highlight=False)
     table = Table("rotor", title="share of the commands in hover, 1 for the mean rotor", title_justify="left")
-    for heading in ("normal", "now", "still usual up to"):
+    for heading in ("normal", "now", "normal up to"):
         table.add_column(heading, justify="right")
     for rotor in comparison.rotors:
         table.add_row(str(rotor.rotor), *(f"{value:.3f}" for value in (rotor.normal, rotor.now, rotor.limit)))
@@ -97,5 +97,7 @@ def _print(result: DiagnosisResult, console: Console) -> None:
             highlight=False,
         )
     if diagnosis.not_excited:
-        console.print(f"not excited, so neither there nor absent: {', '.join(diagnosis.not_excited)}", highlight=False)
+        console.print(
+            f"not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}", highlight=False
+        )
     console.print(f"next flight: {diagnosis.next_flight}", highlight=False)

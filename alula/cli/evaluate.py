@@ -1,4 +1,4 @@
-"""`alula evaluate`: models on flights they have not seen, in the tables and figures of the paper and beyond them."""
+"""`alula evaluate`: models on held-out flights, in the tables and figures of the paper and beyond them."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 import alula
+from dynamics.files import STANDARD_OUTPUT
 from studies.tables import terminal_table
 
 Arguments = Annotated[
@@ -21,7 +22,7 @@ Arguments = Annotated[
 def evaluate(
     arguments: Arguments,
     vehicle: Annotated[
-        str | None, typer.Option(help="Vehicle file (TOML) or name whose own model is judged beside the others.")
+        str | None, typer.Option(help="Vehicle file (TOML) or name whose own model is evaluated beside the others.")
     ] = None,
     mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Do not measure how long a prediction takes.")] = False,
@@ -30,10 +31,10 @@ def evaluate(
     pictures: Annotated[Path | None, typer.Option(help="Folder for pictures, PNG and PDF.")] = None,
     html: Annotated[Path | None, typer.Option(help="Write tables and pictures as one page to this file.")] = None,
 ) -> None:
-    """Judge models on flights that they were not trained on; with a campaign's flights, against the truth as well."""
+    """Evaluate models on held-out flights; with a campaign's flights against ground truth, too."""
     models = [path for path in arguments if path.suffix == ".pt"]
     logs = [path for path in arguments if path.suffix != ".pt"]
-    console = Console(stderr=json_file == Path("-"))
+    console = Console(stderr=json_file == STANDARD_OUTPUT)
     with console.status("reading the flights") as status:
         result = alula.evaluate(
             models, logs, vehicle=vehicle, mapping=mapping, timing=not no_timing,

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 import alula
+from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.control.bundle import Integrator
+from runtime.control.rti.processor import PROCESSORS
 
 
 def export(
@@ -21,10 +21,10 @@ def export(
         typer.Option("--log", help="Flight whose windows the backends are compared on; repeatable; else references."),
     ] = None,
     member: Annotated[int, typer.Option(min=0, help="Member of an ensemble that flies.")] = 0,
-    processor: Annotated[str, typer.Option(help="native, avx512, avx2 or sse2.")] = "native",
+    processor: Annotated[str, typer.Option(help=f"Of the kernel: native, {', '.join(PROCESSORS)}.")] = "native",
     integrator: Annotated[
         Integrator | None,
-        typer.Option(help="How the kernel makes motion of accelerations; what fits the model's labels if left out."),
+        typer.Option(help="How the kernel makes motion of accelerations; by default what fits the model's labels."),
     ] = None,
     nodes: Annotated[
         int | None, typer.Option(min=2, help="Nodes of the horizon; the vehicle file's, 20, if left out.")
@@ -41,13 +41,13 @@ def export(
     ] = True,
     as_json: Annotated[bool, typer.Option("--json", help="Print comparisons and flight check as JSON.")] = False,
 ) -> None:
-    """Write ONNX, C and the real-time kernel of a model, and prove that they compute what was trained."""
+    """Write ONNX, C and the real-time kernel of a model, and prove that they compute the same."""
     result = alula.export(
         model, out, logs=logs or (), member=member, processor=processor, integrator=integrator, nodes=nodes,
         horizon=horizon, windows=windows, seed=seed, overwrite=overwrite, flight_check=flight_check,
     )  # fmt: skip
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(result.report)) + b"\n")
+        write_json(result.report, STANDARD_OUTPUT)
         return
     print("\n".join(result.summary))
     if (check := result.flight_check) is not None:

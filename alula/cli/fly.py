@@ -1,19 +1,19 @@
-"""`alula fly`: the daemon beside the flight controller."""
+"""`alula fly`: real-time MPC beside the flight controller."""
 
 from __future__ import annotations
 
-import sys
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.cli.options import LINK, LinkOption, System, Timeout
 from dynamics.errors import VehicleError
+from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from runtime.daemon import FlightReport
@@ -25,15 +25,11 @@ def fly(
     reference: Annotated[
         str, typer.Option(help="NAME or NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3, or a CSV file of your own.")
     ],
-    link: Annotated[str, typer.Option(help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")] = (
-        "udpin:0.0.0.0:14540"
-    ),
-    vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of one that comes along.")] = (
-        None
-    ),
+    link: LinkOption = LINK,
+    vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = (None),
     bundle: Annotated[Path | None, typer.Option(help="Bundle of a learned model, instead of --vehicle.")] = None,
     duration: Annotated[
-        float | None, typer.Option(min=1.0, help="Seconds of the reference; its own length if left out.")
+        float | None, typer.Option(min=1.0, help="Seconds of the reference; by default its own length.")
     ] = None,
     height: Annotated[float, typer.Option(min=0.3, help="Height of take-off, m.")] = 1.5,
     rate: Annotated[
@@ -47,16 +43,14 @@ def fly(
     ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
     arm: Annotated[
-        bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to do it.")
+        bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
     ] = True,
     resume: Annotated[bool, typer.Option(help="Take control of a vehicle that is armed already.")] = False,
-    realtime: Annotated[bool, typer.Option(help="Ask for SCHED_FIFO and locked memory.")] = False,
+    realtime: Annotated[bool, typer.Option(help="Request SCHED_FIFO and locked memory.")] = False,
     processor: Annotated[int | None, typer.Option(min=0, help="Processor to keep the control thread on.")] = None,
-    system: Annotated[int | None, typer.Option(min=1, max=255, help="Its system id; the first heard if left out.")] = (
-        None
-    ),
-    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")] = 10.0,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, the news on stderr.")] = False,
+    system: System = None,
+    timeout: Timeout = 10.0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, notifications on stderr.")] = False,
 ) -> None:
     """Take off, track a reference, land. SIGINT or SIGTERM lands, a second one stops streaming at once."""
     console = Console(stderr=as_json)
@@ -66,12 +60,11 @@ def fly(
         priority=REALTIME_PRIORITY if realtime else None, timeout=timeout, announce=partial(_announce, console),
     )  # fmt: skip
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
-        sys.stdout.flush()
+        write_json(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
     if not report.landed:
-        raise VehicleError(f"The flight did not end with a landing of ours: {report.outcome}.")
+        raise VehicleError(f"The flight did not end with a landing: {report.outcome}.")
     if not report.completed:
         raise VehicleError(f"The flight was cut short and landed: {report.landing_reason}.")
 
@@ -87,7 +80,7 @@ def _print(report: FlightReport, console: Console) -> None:
     if tracking.samples:
         table.add_row("position error", f"{tracking.position_rmse:.3f} m RMS, {tracking.position_max:.3f} m at most")
         table.add_row("attitude error", f"{tracking.attitude_rmse:.3f} rad RMS")
-        table.add_row("greatest speed", f"{tracking.speed_max:.2f} m/s")
+        table.add_row("maximum speed", f"{tracking.speed_max:.2f} m/s")
     table.add_row("estimates", f"{report.estimate_rate:.0f} Hz")
     table.add_row("arrival to departure", _milliseconds(timing.latency))
     table.add_row("between setpoints", _milliseconds(timing.interval))

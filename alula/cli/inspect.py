@@ -1,4 +1,4 @@
-"""`alula inspect`: is this log good enough, and for what?"""
+"""`alula inspect`: whether a log is good enough, and for what."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import msgspec
 import typer
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
@@ -14,8 +13,9 @@ from rich.table import Table
 
 import alula
 from alula.api.inputs import log_paths
-from alula.cli.options import Effects
+from alula.cli.options import Effects, Mapping
 from dynamics.errors import AlulaError, DataError
+from dynamics.files import STANDARD_OUTPUT, write_json
 from studio.provenance import origin
 
 if TYPE_CHECKING:
@@ -31,13 +31,13 @@ COLOURS = {"good": "green", "limited": "yellow", "unusable": "red", "yes": "gree
 
 def inspect(
     log: Annotated[list[Path], typer.Argument(help="Logs of any known format, or folders of them.", metavar="LOG...")],
-    mapping: Annotated[Path | None, typer.Option(help="Column-mapping TOML for a foreign CSV.")] = None,
+    mapping: Mapping = None,
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
     everything: Annotated[bool, typer.Option("--all", help="Show every channel and measure.")] = False,
 ) -> None:
-    """Judge logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
+    """Check logs: rates, gaps, clocks, frozen or impossible channels, excitation, what can be identified from them."""
     inspections: list[Inspection] = []
     sections: list[Section] = []
     refused: list[AlulaError] = []
@@ -53,7 +53,7 @@ def inspect(
                 raise
             refused.append(error)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(inspections)) + b"\n")
+        write_json(inspections, STANDARD_OUTPUT)
     else:
         console = Console()
         for inspection in inspections:
@@ -75,7 +75,7 @@ def _section(inspection: Inspection, streams: Log) -> Section:
 
 
 def _end(inspections: list[Inspection], refused: list[AlulaError]) -> None:
-    """Exit as the worst of the logs demands."""
+    """Raise the error of the worst log, if there is one."""
     for error in refused:
         print(f"alula: {error}", file=sys.stderr)
     if refused:
@@ -101,9 +101,11 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
         doubt = "" if delay.is_known else ": too uncertain to use"
         console.print(f"{'response' if delay.is_response else 'clock'}: {delay}{doubt}", highlight=False)
     for finding in inspection.findings:
-        if finding.name != "clock_offset":  # said among the clocks
-            todo = f"; {finding.advice}" if finding.advice else ""
-            console.print(f"[{COLOURS[finding.severity]}]{finding.severity}[/]: {finding.text}{todo}", highlight=False)
+        if finding.name != "clock_offset":  # shown with the clocks
+            advice = f"; {finding.advice}" if finding.advice else ""
+            console.print(
+                f"[{COLOURS[finding.severity]}]{finding.severity}[/]: {finding.text}{advice}", highlight=False
+            )
     _print_effects(inspection, console)
     if everything:
         _print_excitation(inspection, console)
@@ -129,7 +131,7 @@ def _print_channels(inspection: Inspection, console: Console, *, everything: boo
 
 
 def _print_effects(inspection: Inspection, console: Console) -> None:
-    table = Table("effect", "can it be told?", "why", title="what this log can identify", title_justify="left")
+    table = Table("effect", "identifiable", "why", title="what this log can identify", title_justify="left")
     for effect in inspection.effects:
         why = f"{effect.why}; looks like {effect.ambiguous_with}" if effect.ambiguous_with else effect.why
         table.add_row(effect.name, f"[{COLOURS[effect.answer]}]{effect.answer}[/]", why)

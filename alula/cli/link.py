@@ -1,8 +1,7 @@
-"""`alula link`: looks at a link without flying."""
+"""`alula link`: checks a link without flying."""
 
 from __future__ import annotations
 
-import sys
 from typing import Annotated
 
 import msgspec
@@ -11,7 +10,9 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
+from alula.cli.options import LINK, LinkOption, System, Timeout
 from dynamics.errors import VehicleError
+from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.link.connection import parse_endpoint
 from runtime.link.link_check import check_link
 from runtime.link.link_report import LinkReport
@@ -19,14 +20,10 @@ from runtime.link.rates import WINDOW
 
 
 def link(
-    link: Annotated[str, typer.Option(help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")] = (
-        "udpin:0.0.0.0:14540"
-    ),
-    rate: Annotated[float, typer.Option(min=1.0, help="ODOMETRY wanted, Hz.")] = 100.0,
-    timeout: Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")] = 10.0,
-    system: Annotated[int | None, typer.Option(min=1, max=255, help="Its system id; the first heard if left out.")] = (
-        None
-    ),
+    link: LinkOption = LINK,
+    rate: Annotated[float, typer.Option(min=1.0, help="Requested rate of ODOMETRY, Hz.")] = 100.0,
+    timeout: Timeout = 10.0,
+    system: System = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
@@ -34,7 +31,7 @@ def link(
     streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
     report = check_link(parse_endpoint(link), timeout=timeout, target_system=system, streams=streams, window=window)
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(_as_plain(report))) + b"\n")
+        write_json(_as_plain(report), STANDARD_OUTPUT)
     else:
         _print(report, Console())
     if not report.is_ready:
@@ -51,7 +48,7 @@ def _print(report: LinkReport, console: Console) -> None:
     facts.add_row("vehicle", f"system {vehicle.system}, component {vehicle.component}, {vehicle.kind}")
     facts.add_row("autopilot", f"{vehicle.autopilot}, {vehicle.system_status}")
     facts.add_row("mode", f"{vehicle.mode}, {'armed' if vehicle.armed else 'disarmed'}, {vehicle.landed}")
-    facts.add_row("also here", ", ".join(f"{who} ({what})" for who, what in report.others.items()) or "nobody")
+    facts.add_row("also here", ", ".join(f"{address} ({kind})" for address, kind in report.others.items()) or "nobody")
     facts.add_row("round trip", f"{clock.round_trip * 1e3:.2f} ms")
     facts.add_row("clock offset", f"{clock.offset:.4f} s, uncertain by {clock.uncertainty * 1e3:.2f} ms")
     facts.add_row("clock drift", f"{clock.drift * 1e3:+.3f} ms/s")
@@ -77,12 +74,12 @@ def _print(report: LinkReport, console: Console) -> None:
     for problem in report.problems:
         console.print(f"[{'red' if problem.severity == 'error' else 'yellow'}]{problem.severity}[/]: {problem.text}")
     if report.is_ready:
-        console.print("[green]ready[/]: nothing found that would keep a flight from being engaged")
+        console.print("[green]ready[/]: no reason against engaging a flight")
 
 
 def _streams(report: LinkReport) -> Table:
     table = Table("message", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))  # fits 80 columns; a long answer wraps
-    for heading in ("was, Hz", "asked", "answer", "is, Hz", "p1, ms", "median", "p99"):
+    for heading in ("before, Hz", "requested", "answer", "after, Hz", "p1, ms", "median", "p99"):
         table.add_column(heading, justify="right", no_wrap=heading != "answer", overflow="fold")
     table.columns[0].no_wrap = True
     for stream in report.streams:

@@ -17,3 +17,13 @@ HoldOut = Annotated[
 Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Mapping = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
+
+# Of a link to a vehicle.
+LINK = "udpin:0.0.0.0:14540"
+LinkOption = Annotated[
+    str, typer.Option("--link", help="Where the vehicle is: udpin:, udpout:, tcp:, tcpin: or serial:.")
+]
+System = Annotated[
+    int | None, typer.Option(min=1, max=255, help="System id of the vehicle; by default the first one on the link.")
+]
+Timeout = Annotated[float, typer.Option(min=0.1, help="Seconds to wait for the vehicle.")]

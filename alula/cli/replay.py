@@ -1,15 +1,14 @@
-"""`alula replay`: a recorded flight through the daemon's logic, tick by tick."""
+"""`alula replay`: passes a recorded flight through the flight logic again, tick by tick."""
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
-import msgspec
 import typer
 
 from dynamics.errors import DataError
+from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
 from runtime.record.recording import read_recording
 from runtime.record.replay import ReplayReport
@@ -34,11 +33,11 @@ def replay(
     read = read_recording(recording)
     report = replay_recording(read, *recorded_flight(read, vehicle, bundle))
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(report)) + b"\n")
+        write_json(report, STANDARD_OUTPUT)
     else:
         print(_text(report))
     if tolerance is not None:
-        _hold(report, tolerance)
+        _require_agreement(report, tolerance)
 
 
 def _text(report: ReplayReport) -> str:
@@ -56,11 +55,11 @@ def _text(report: ReplayReport) -> str:
     return "\n".join(lines)
 
 
-def _hold(report: ReplayReport, tolerance: float) -> None:
+def _require_agreement(report: ReplayReport, tolerance: float) -> None:
     worst = max(report.rate_difference, report.thrust_difference)
     if worst > tolerance or report.unmatched or not report.states_agree:
         raise DataError(
             f"the replay differs from the recording by {worst:.3g} (allowed: {tolerance:g}), {report.unmatched} "
             f"setpoints are on one side only, states {'agree' if report.states_agree else 'differ'}. Another "
-            "processor or library version differs in the last bits; another vehicle or program differs in earnest."
+            "processor or library version differs in the last bits; another vehicle or program differs by more."
         )

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from alula.cli.options import Mapping, VehicleOption
 from alula.workbench import workbench
+from dynamics.files import STANDARD_OUTPUT
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES
 from training.models import KINDS
 from training.recipe import FAST, RECIPES
@@ -94,7 +95,7 @@ def sweep(
         simulated=tuple(simulated or ()), seeds=seeds, steps=steps, batch=batch, recipe=recipe, model=model,
         grid=tuple(grid or ()), over=tuple(over or ()), trials=trials, jobs=jobs, scheduler=scheduler, mapping=mapping,
     )  # fmt: skip
-    console = Console(stderr=json_file == Path("-"))
+    console = Console(stderr=json_file == STANDARD_OUTPUT)
     made = make_sweep(options)
     outcomes = _outcomes(made, console)
     show(made, outcomes, console, json_file=json_file, csv=csv, pictures=pictures, html=html)

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import msgspec
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -18,6 +16,7 @@ from rich.table import Table
 import alula
 from alula.cli.options import Mapping, VehicleOption
 from dynamics.errors import RequestError
+from dynamics.files import STANDARD_OUTPUT, write_json
 from training.config import ModelConfig
 from training.folder import run_folder
 from training.models import KINDS
@@ -178,7 +177,7 @@ def train(
             ),
         )  # fmt: skip
     if as_json:
-        sys.stdout.buffer.write(msgspec.json.format(msgspec.json.encode(result.report)) + b"\n")
+        write_json(result.report, STANDARD_OUTPUT)
     else:
         _print(result.model, out, console)
 

@@ -16,7 +16,7 @@ from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Run the command line; gives its exit code, what it printed and what it printed as an error."""
+    """Run the command line; returns exit code, standard output, standard error."""
 
     def ended(*arguments):
         monkeypatch.setattr(sys, "argv", ["alula", *arguments])
@@ -88,10 +88,10 @@ def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
 
     @failing.command()
     def fail() -> None:
-        raise error("what was wanted")
+        raise error("the reason")
 
     monkeypatch.setattr(app, "app", failing)
-    assert run() == (code, "", "alula: what was wanted\n")
+    assert run() == (code, "", "alula: the reason\n")
 
 
 def test_a_workbench_command_on_a_flight_computer_names_what_to_install(run, monkeypatch):

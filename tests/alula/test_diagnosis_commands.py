@@ -32,7 +32,7 @@ def logs(arpl_250g, tmp_path_factory) -> Path:
 
 @pytest.fixture
 def run(monkeypatch, capsys, logs):
-    """Run a command on the flights; gives its exit code, what it printed and what it printed as an error."""
+    """Run a command on the flights; returns exit code, standard output, standard error."""
 
     def ended(command, *options, vehicle="heavy.toml", files=("flight_0.csv", "flight_1.csv", "flight_2.csv")):
         arguments = [
@@ -50,23 +50,23 @@ def run(monkeypatch, capsys, logs):
     return ended
 
 
-def test_diagnose_names_the_effect_in_words_and_in_json(run, logs, tmp_path):
+def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path):
     effects = Path(__file__).parents[2] / "examples" / "my_effects.py"
     file = tmp_path / "verdict.json"
     code, shown, _ = run("diagnose", "--json", str(file), "--hold-out", "flight_2*", "--effects", str(effects))
     assert code == 0
     assert "mass" in shown
     assert "one flight only" not in shown
-    found = json.loads(file.read_text())
-    assert set(found) == {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
-    assert found["verdict"] in ("effect", "ambiguous")
-    first = found["effects"][0]
+    verdict = json.loads(file.read_text())
+    assert set(verdict) == {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
+    assert verdict["verdict"] in ("effect", "ambiguous")
+    first = verdict["effects"][0]
     assert set(first) == {"name", "rotor", "parameters", "confidence", "ambiguous_with"}
     assert "mass" in [first["name"], *first["ambiguous_with"]]
-    mocap = found["channels"]["mocap"]
+    mocap = verdict["channels"]["mocap"]
     assert set(mocap) == {"before", "after", "floor", "unit"}
     assert mocap["after"] < 1.15 * mocap["floor"] < mocap["before"]
-    assert set(found["fails_where"][0]) == {"regime", "low", "high", "channel", "rms_over_floor"}
+    assert set(verdict["fails_where"][0]) == {"regime", "low", "high", "channel", "rms_over_floor"}
 
 
 def test_add_writes_the_next_vehicle_file_and_keeps_the_old_one(run, logs):
@@ -85,22 +85,22 @@ def test_add_ends_with_3_when_the_held_out_error_does_not_fall(run, logs):
     assert not (logs / "right.v2.toml").exists()
 
 
-def test_add_without_an_effect_adds_the_top_one_and_tells_what_it_brought_in_json(run, logs, tmp_path):
+def test_add_without_an_effect_adds_the_first_one_and_writes_errors_before_and_after_as_json(run, logs, tmp_path):
     file, out = tmp_path / "added.json", tmp_path / "next.toml"
     code, shown, message = run("add", "--json", str(file), "--out", str(out), "--hold-out", "flight_2*")
     assert code == 0, message
-    found = json.loads(file.read_text())
-    assert set(found) == {
+    addition = json.loads(file.read_text())
+    assert set(addition) == {
         "effect", "parameters", "fitted_by", "channels", "misfit", "open_loop", "notes", "vehicle",
     }  # fmt: skip
-    assert found["vehicle"] == str(out)
-    assert found["misfit"]["after"] < 0.5 * found["misfit"]["before"]
-    assert [error["horizon"] for error in found["open_loop"]["before"]] == [0.1, 0.5, 1.0]
-    for before, after in zip(found["open_loop"]["before"], found["open_loop"]["after"], strict=True):
+    assert addition["vehicle"] == str(out)
+    assert addition["misfit"]["after"] < 0.5 * addition["misfit"]["before"]
+    assert [error["horizon"] for error in addition["open_loop"]["before"]] == [0.1, 0.5, 1.0]
+    for before, after in zip(addition["open_loop"]["before"], addition["open_loop"]["after"], strict=True):
         assert after["velocity"] < before["velocity"]
-    assert found["effect"] in ("mass", "thrust_constant")  # which share 99.7 % of their signal
-    assert found["parameters"][found["effect"]]["ratio"]["value"] == pytest.approx(1.0, abs=0.07)
-    assert read_vehicle(out).effects[0].name == found["effect"]
+    assert addition["effect"] in ("mass", "thrust_constant")  # which share 99.7 % of their signal
+    assert addition["parameters"][addition["effect"]]["ratio"]["value"] == pytest.approx(1.0, abs=0.07)
+    assert read_vehicle(out).effects[0].name == addition["effect"]
     assert "open loop" in shown
 
 
@@ -111,7 +111,7 @@ def test_add_without_an_effect_adds_nothing_to_a_model_that_explains_the_flights
     assert not (logs / "right.v2.toml").exists()
 
 
-def test_add_refuses_a_gust_and_says_why(run):
+def test_add_refuses_a_gust_with_the_reason(run):
     code, _, message = run("add gust")
     assert code == 3
     assert "no value in a vehicle file predicts it" in " ".join(message.split())
@@ -129,11 +129,11 @@ def test_add_needs_logs_and_an_effect_for_a_rotor(run):
 def test_compare_prints_channels_and_open_loop_errors(run):
     code, shown, _ = run("compare", "--json", "-")
     assert code == 0
-    found = json.loads(shown)
-    assert {axis["kind"] for axis in found["axes"]} == {"imu", "mocap", "angular", "attitude_rate"}
-    assert [error["horizon"] for error in found["open_loop"]] == [0.1, 0.5, 1.0]
-    assert found["open_loop"][0]["position"] < found["open_loop"][2]["position"]
-    assert any(axis["rms"] > 1.5 * axis["floor"] for axis in found["axes"])
+    comparison = json.loads(shown)
+    assert {axis["kind"] for axis in comparison["axes"]} == {"imu", "mocap", "angular", "attitude_rate"}
+    assert [error["horizon"] for error in comparison["open_loop"]] == [0.1, 0.5, 1.0]
+    assert comparison["open_loop"][0]["position"] < comparison["open_loop"][2]["position"]
+    assert any(axis["rms"] > 1.5 * axis["floor"] for axis in comparison["axes"])
 
 
 def test_data_that_cannot_answer_end_with_3_and_wrong_requests_with_2(run, logs, tmp_path):

@@ -70,7 +70,7 @@ def test_tables_pictures_and_page_are_written(run: Run, campaign: Path, model: P
     assert "alula evaluate" in page
 
 
-def test_without_a_compiler_the_kernel_is_not_timed_and_it_is_said(
+def test_without_a_compiler_the_kernel_is_not_timed_and_a_note_names_it(
     run: Run, campaign: Path, model: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object) -> None:
@@ -83,7 +83,7 @@ def test_without_a_compiler_the_kernel_is_not_timed_and_it_is_said(
     assert "onnxruntime" in out
 
 
-def test_what_cannot_be_judged_is_told(run: Run, campaign: Path, model: Path, tmp_path: Path) -> None:
+def test_what_cannot_be_evaluated_is_refused(run: Run, campaign: Path, model: Path, tmp_path: Path) -> None:
     for arguments, words in (
         ([model], "no flight was given"),
         ([campaign], "no model to evaluate"),

@@ -28,10 +28,10 @@ def test_a_vehicle_file_becomes_a_bundle_once(run: Run, tmp_path: Path) -> None:
 
 def test_what_is_no_model_is_refused(run: Run, tmp_path: Path) -> None:
     (tmp_path / "noise.pt").write_bytes(b"noise")
-    for model, wanted in (("nothing.pt", "there is no"), (str(tmp_path / "noise.pt"), "no checkpoint")):
+    for model, message in (("nothing.pt", "there is no"), (str(tmp_path / "noise.pt"), "no checkpoint")):
         code, _, wrong = run("export", model, "--out", tmp_path / "b")
         assert code == 2
-        assert wanted in wrong
+        assert message in wrong
     code, _, wrong = run("export", "arpl_250g", "--out", tmp_path / "b", "--processor", "abacus")
     assert code == 2
     assert "unknown processor" in wrong

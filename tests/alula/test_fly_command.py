@@ -37,8 +37,8 @@ def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
         assert flight.stderr is not None
         assert any("in_air" in line for line in flight.stderr)
         flight.send_signal(signal.SIGINT)
-        output, news = flight.communicate(timeout=250)
-    assert flight.returncode == 0, news
+        output, notifications = flight.communicate(timeout=250)
+    assert flight.returncode == 0, notifications
     report = json.loads(output)
     assert report["landed"]
     assert report["landing_reason"] == "SIGINT"
@@ -56,7 +56,7 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
 
 
 @pytest.mark.parametrize(
-    ("arguments", "wanted"),
+    ("arguments", "message"),
     [
         (["--reference", "hover"], "--vehicle"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--set", "controller.horizn=1"], "did you mean 'horizon'"),
@@ -67,10 +67,10 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
         (["--reference", "hover", "--vehicle", "px4_sih", "--record", "/dev/null/no"], "--record"),
     ],
 )
-def test_wrong_requests_say_what_is_wanted(arguments: list[str], wanted: str) -> None:
+def test_wrong_requests_name_what_is_needed(arguments: list[str], message: str) -> None:
     done = run("fly", *arguments)
     assert done.returncode == 2
-    assert wanted.lower() in done.stderr.lower()
+    assert message.lower() in done.stderr.lower()
     assert "Traceback" not in done.stderr
 
 

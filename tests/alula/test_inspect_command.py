@@ -56,14 +56,14 @@ def inspect(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str])
     return run
 
 
-def test_a_good_log_ends_with_0_and_says_what_it_can_tell(inspect: Inspect, good: Path) -> None:
+def test_a_good_log_ends_with_0_and_lists_what_it_can_identify(inspect: Inspect, good: Path) -> None:
     done = inspect(good)
     assert done.code == 0
     assert "This log is good" in done.out
     assert re.search(r"rotor_drag\s+│ yes", done.out)
 
 
-def test_a_log_that_cannot_answer_ends_with_3_and_says_why(inspect: Inspect, poor: Path) -> None:
+def test_a_log_that_cannot_answer_ends_with_3_and_the_reason(inspect: Inspect, poor: Path) -> None:
     done = inspect(poor)
     assert done.code == 3
     assert "This log is unusable" in done.out
@@ -93,7 +93,7 @@ def test_a_file_that_is_no_log_is_refused_by_name(
     assert "Traceback" not in done.err
 
 
-def test_a_good_log_beside_a_broken_one_is_still_judged(inspect: Inspect, good: Path, tmp_path: Path) -> None:
+def test_a_good_log_beside_a_broken_one_is_still_inspected(inspect: Inspect, good: Path, tmp_path: Path) -> None:
     done = inspect(good, tmp_path / "missing.ulg")
     assert done.code == 2
     assert "This log is good" in done.out

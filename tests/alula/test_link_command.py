@@ -25,9 +25,9 @@ def test_a_link_that_never_speaks_ends_with_4(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(monkeypatch, "--link", f"udpin:127.0.0.1:{free_port()}", "--timeout", "0.2") == 4
-    told = capsys.readouterr().err
-    assert "No MAVLink arrived" in told
-    assert "Traceback" not in told
+    message = capsys.readouterr().err
+    assert "No MAVLink arrived" in message
+    assert "Traceback" not in message
 
 
 def test_a_bad_connection_string_ends_with_2(

@@ -1,4 +1,4 @@
-"""`import alula` stays light, and gives what it promises when asked."""
+"""`import alula` stays light; every public name is imported when it is used."""
 
 from __future__ import annotations
 

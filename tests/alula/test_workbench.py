@@ -1,4 +1,4 @@
-"""On a flight computer's install the commands of the desk say what to install, and the others still run."""
+"""On a flight computer's install the workbench's commands name what to install, and the others still run."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.parametrize("arguments", [("inspect", "some.ulg"), ("campaign", "--out", "nowhere")])
-def test_a_command_of_the_desk_says_what_to_install(arguments: tuple[str, ...]) -> None:
+def test_a_command_of_the_workbench_names_what_to_install(arguments: tuple[str, ...]) -> None:
     done = run(*arguments)
     assert done.returncode == 2
     assert "Install alula[workbench]" in done.stderr
     assert "Traceback" not in done.stderr
 
 
-def test_help_needs_no_desk() -> None:
+def test_help_needs_no_workbench() -> None:
     done = run("--help")
     assert done.returncode == 0
     assert "campaign" in done.stdout

@@ -47,8 +47,8 @@ def shell_lines(page: Path) -> Iterator[str]:
 
 
 def commands_in_blocks() -> list[tuple[str, str]]:
-    found = ((page, COMMAND.match(line)) for page in PAGES for line in shell_lines(page))
-    return [(page.name, match.group(1)) for page, match in found if match]
+    matches = ((page, COMMAND.match(line)) for page in PAGES for line in shell_lines(page))
+    return [(page.name, match.group(1)) for page, match in matches if match]
 
 
 def commands_in_sentences() -> list[tuple[str, str]]:
@@ -65,7 +65,7 @@ def python_blocks() -> list[Any]:
 @pytest.mark.parametrize(("page", "command"), commands_in_blocks())
 def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: str) -> None:
     name, *arguments = shlex.split(command, comments=True)[1:]
-    if "..." in arguments:  # what was shown before is left out
+    if "..." in arguments:  # stands for what a line above shows
         test_a_command_in_a_sentence_exists_with_its_options(page, command)
         return
     assert name in app.COMMANDS, page
@@ -78,8 +78,8 @@ def test_a_command_in_a_sentence_exists_with_its_options(page: str, command: str
     if name in ("COMMAND", "--help", "--version"):
         return
     assert name in app.COMMANDS, page
-    known = {option for parameter in app.load(name).params for option in (*parameter.opts, *parameter.secondary_opts)}
-    assert {word.split("=")[0] for word in words if word.startswith("--")} <= known | {"--help"}, page
+    options = {option for parameter in app.load(name).params for option in (*parameter.opts, *parameter.secondary_opts)}
+    assert {word.split("=")[0] for word in words if word.startswith("--")} <= options | {"--help"}, page
 
 
 def test_a_target_of_make_exists() -> None:
