@@ -12,6 +12,7 @@ from multiprocessing import get_context
 import pytest
 
 from fixtures.hidden_effect import Draw, Outcome, try_command_line, yardstick
+from runtime.realtime import LIBRARY_THREADS
 
 DRAWS, MUST_HOLD = 3, 2
 pytestmark = pytest.mark.timeout(1200)  # a draw takes 20 s of processor time, of which a busy machine gives a fraction
@@ -26,11 +27,15 @@ def outcome(tmp_path_factory):
     """
     measured = yardstick(SEED)
     draws = [Draw.random(SEED, number) for number in range(DRAWS)]
+    folders = [tmp_path_factory.mktemp("flights") for _ in draws]
     with ProcessPoolExecutor(min(2, DRAWS), mp_context=get_context("spawn")) as pool:
-        folders = [tmp_path_factory.mktemp("flights") for _ in draws]
-        futures = [
-            pool.submit(try_command_line, draw, measured, folder) for draw, folder in zip(draws, folders, strict=True)
-        ]
+        with pytest.MonkeyPatch.context() as patch:  # the processes start with the environment of their first task
+            for name in LIBRARY_THREADS:
+                patch.setenv(name, "1")  # they share the processors with each other already
+            futures = [
+                pool.submit(try_command_line, draw, measured, folder)
+                for draw, folder in zip(draws, folders, strict=True)
+            ]
         nothing = cache(
             lambda: try_command_line(Draw("", 0.0, 1.0, SEED), measured, tmp_path_factory.mktemp("flights"))
         )

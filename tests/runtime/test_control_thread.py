@@ -19,6 +19,8 @@ from runtime.record.records import ObservationRecord, Record, SetpointRecord, Te
 from runtime.telemetry_buffer import TelemetryBuffer
 from tests.support.deadline import wait_until
 
+pytestmark = pytest.mark.realtime
+
 PERIOD = 0.01
 
 

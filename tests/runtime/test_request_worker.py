@@ -5,10 +5,14 @@ from __future__ import annotations
 import queue
 import threading
 
+import pytest
+
 from runtime.flight.engagement import AutopilotRequest
 from runtime.link.commands import Confirmation
 from runtime.request_worker import RequestWorker
 from tests.support.deadline import wait_until
+
+pytestmark = pytest.mark.realtime
 
 REFUSED = Confirmation(False, ("denied",), "The vehicle refused mode OFFBOARD: denied.")
 
