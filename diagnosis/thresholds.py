@@ -191,10 +191,12 @@ class RegressionThresholds(ThresholdGroup, frozen=True):
 
     ridge: on all columns at once, over the number of rows. [not derived yet]
     max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [not derived yet]
+    independent_share: of the whitened residuals, in the criterion's penalty. [not derived yet]
     """
 
     ridge: Positive = 1e-6
     max_bias: Positive = 2.5
+    independent_share: Annotated[float, Meta(gt=0, le=1)] = 0.25
 
 
 class SearchThresholds(ThresholdGroup, frozen=True):
@@ -207,9 +209,9 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
     min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
     max_effects: in one search. [not derived yet]
-    paired: best single effects with which pairs are tried. [not derived yet]
-    tried: best additions that are cross-validated in one step. [not derived yet]
-    contenders: best single effects of which cross-validation chooses the first. [not derived yet]
+    max_paired: best single effects with which pairs are tried. [not derived yet]
+    max_trials: best additions that are cross-validated in one step. [not derived yet]
+    max_contenders: best single effects of which cross-validation chooses the first. [not derived yet]
     min_contender_share: of the best score that a contender must have. [not derived yet]
     bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [not derived yet]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
@@ -223,9 +225,9 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     parsimony: Share = 0.985
     min_cross_validated: Share = 0.3
     max_effects: Count = 3
-    paired: Count = 8
-    tried: Count = 12
-    contenders: Count = 5
+    max_paired: Count = 8
+    max_trials: Count = 12
+    max_contenders: Count = 5
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
     amplitude: Range = (0.4, 1.9)
@@ -236,14 +238,14 @@ class SearchThresholds(ThresholdGroup, frozen=True):
 class RivalThresholds(ThresholdGroup, frozen=True):
     """When these flights cannot tell two effects apart.
 
-    score: difference within which they cannot. [not derived yet]
-    share: of the gain, the same. [not derived yet]
+    score_margin: difference of score within which they cannot. [not derived yet]
+    gain_share: of the gain, the same. [not derived yet]
     command_share: of an effect's gain, where rotor speeds come from commands. [not derived yet]
     max_rivals: that are compared with an effect. [not derived yet]
     """
 
-    score: Score = 12.0
-    share: Share = 0.01
+    score_margin: Score = 12.0
+    gain_share: Share = 0.01
     command_share: Share = 0.15
     max_rivals: Count = 7
 

@@ -49,7 +49,7 @@ def gust_gain(regression: Regression, chosen: Sequence[int]) -> Gust:
     if scale <= 0:
         return Gust(0.0, -np.inf, 0.0)
     gain, variance = _best_strength(parts, np.geomspace(1e-3, 1e6, thresholds.strengths) / scale)
-    penalty = np.log(regression.total / 4) + 2 * np.log(thresholds.strengths)
+    penalty = np.log(regression.independent) + 2 * np.log(thresholds.strengths)
     _, weight = _cosines(len(residuals[0]), regression.rate, thresholds)
     return Gust(gain, gain - float(penalty), float(np.sqrt(variance * weight.sum() / 2)), effect)
 

@@ -88,6 +88,11 @@ class Regression:
         """Number of whitened residuals."""
         return sum(self.observations)
 
+    @property
+    def independent(self) -> float:
+        """How many of them count as independent."""
+        return self.thresholds.regression.independent_share * self.total
+
     def solve(
         self, chosen: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
     ) -> tuple[Floats, float]:

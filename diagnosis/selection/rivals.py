@@ -26,7 +26,7 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
 def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
     """Those of the rivals that the flights cannot tell from the first, by the linear regression."""
     own, thresholds = rivals[0], search.regression.thresholds.rivals
-    margin = max(thresholds.score, thresholds.share * own.gain)
+    margin = max(thresholds.score_margin, thresholds.gain_share * own.gain)
     if search.regression.segments[0].rotor_source == "command":
         margin = max(margin, thresholds.command_share * (own.score - search.score(others).score))
     return [

@@ -70,7 +70,7 @@ class Search:
         self.regression = regression
         self.thresholds = regression.thresholds.search
         self._grid_sizes = Counter(c.effect.name for c in regression.candidates)
-        self._size = math.log(regression.total / 4)
+        self._size = math.log(regression.independent)
 
     def penalty(self, candidate: Candidate) -> float:
         """The criterion's penalty of a candidate."""
@@ -103,7 +103,9 @@ class Search:
         """The best single effect, by flights left out among those that come close, the simpler one when equal."""
         top, thresholds = singles[0], self.thresholds
         if top.score > thresholds.min_gain:
-            near = [s for s in singles[: thresholds.contenders] if s.score > thresholds.min_contender_share * top.score]
+            near = [
+                s for s in singles[: thresholds.max_contenders] if s.score > thresholds.min_contender_share * top.score
+            ]
             top = max(near, key=lambda s: self.regression.cross_validated_gain(s.columns) - (s.gain - s.score))
         for other in singles:
             simpler = len(other.columns) < len(top.columns) and other.score > IMPOSSIBLE
@@ -128,7 +130,7 @@ class Search:
     def _confirmed(self, chosen: Scored, trials: Sequence[Scored], required: float) -> Scored | None:
         """The best of the trials whose improvement on the chosen set shows on flights left out as well."""
         before = self.regression.cross_validated_gain(chosen.columns)
-        for trial in sorted(trials, key=lambda s: -s.score)[: self.thresholds.tried]:
+        for trial in sorted(trials, key=lambda s: -s.score)[: self.thresholds.max_trials]:
             improvement = trial.score - chosen.score
             if improvement <= required:
                 return None
@@ -141,7 +143,7 @@ class Search:
         return [c for c in self.regression.candidates if c.effect.name not in chosen.names]
 
     def _pairs(self, singles: Sequence[Scored]) -> list[Scored]:
-        first = singles[: self.thresholds.paired]
+        first = singles[: self.thresholds.max_paired]
         return [self.score([*s.candidates, other]) for s in first for other in self._others(s)]
 
     def _ordered(self, chosen: Scored) -> Scored:

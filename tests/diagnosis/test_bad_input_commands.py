@@ -1,4 +1,4 @@
-"""Bad input through the command line: exit code 3 and what to do, before anything is said of physics."""
+"""Bad input through the command line: exit code 3 and what to do, before any model is judged."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
 
 @pytest.fixture
 def refused(run: Run, plain_flights: list[Flight], arpl_250g: Vehicle, tmp_path: Path) -> Callable[..., str]:
-    """What `alula diagnose` says of changed flights and a changed vehicle file; it must end with exit code 3."""
+    """The message of `alula diagnose` on changed flights and a changed vehicle file; it must end with exit code 3."""
 
     def message(change: Change = lambda flight: flight, vehicle: Vehicle = arpl_250g, count: int = 6) -> str:
         file = tmp_path / "vehicle.toml"

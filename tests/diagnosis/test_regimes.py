@@ -1,4 +1,4 @@
-"""Where a model fails is shown where it was flown, and what it leaves stands against the sensors' noise."""
+"""Where a model fails is shown where it was flown, and its residuals' spectrum over that of the sensors' noise."""
 
 import msgspec
 import numpy as np

@@ -119,7 +119,7 @@ def test_a_higher_least_score_claims_nothing(answer):
 
 
 def test_a_narrower_margin_tells_rivals_apart(answer):
-    narrow = answer(rivals={"score": 0.0, "share": 0.0})
+    narrow = answer(rivals={"score_margin": 0.0, "gain_share": 0.0})
     assert narrow.effects[0].ambiguous_with == ()
     assert narrow.verdict == "effect"
 

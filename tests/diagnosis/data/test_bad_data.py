@@ -1,4 +1,4 @@
-"""A verdict on the data before any on the physics: what cannot answer is said, with what to do."""
+"""Data are checked before any model is judged: what cannot answer is refused, with what to do."""
 
 import msgspec
 import numpy as np

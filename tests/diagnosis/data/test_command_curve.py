@@ -22,7 +22,7 @@ CONSTANT, LINEAR = 0.1, 0.9  # of thrust over a rotor's share of the weight
 
 
 def signalled(flight: Flight, vehicle: Vehicle, gain: float) -> Flight:
-    """The flight with motor signals whose worth the vehicle file does not know, instead of its rotor speeds."""
+    """The flight with motor signals, whose thrust the vehicle file gives wrongly, instead of its rotor speeds."""
     thrust = (flight["rotor_speed"] / vehicle.hover_speed) ** 2
     commanded = (thrust - CONSTANT) / LINEAR / (gain * MOTORS)
     signals = vehicle.hover_speed * np.sqrt(np.maximum(commanded, 0.0)) / vehicle.rotors.speed_max

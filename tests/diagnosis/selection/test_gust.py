@@ -1,4 +1,4 @@
-"""Random slow air is told from white noise, with about its strength."""
+"""Random slow air is distinguished from white noise, with about its strength."""
 
 import numpy as np
 import pytest
