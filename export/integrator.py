@@ -1,4 +1,4 @@
-"""Which scheme makes motion of a model's accelerations: what fits its labels, and why another does not."""
+"""The integrator of a model's accelerations: the one that fits its label, and why another one does not."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from training.config import ModelConfig
 
 
 def choose_integrator(config: ModelConfig, requested: Integrator | None) -> Integrator:
-    """The integrator of a model's kernel; None asks for the one that errs least (docs/export.md, "Time steps").
+    """The integrator of a model's kernel; None for the most accurate one (docs/export.md, "Time steps").
 
-    Raises RequestError for one that would integrate something else than what the model says.
+    Raises RequestError for one that does not fit the model's label.
     """
     if config.network == "none":
         if requested in (None, "rk4"):
@@ -20,7 +20,7 @@ def choose_integrator(config: ModelConfig, requested: Integrator | None) -> Inte
         if requested in (None, "hold"):
             return "hold"
         raise RequestError(
-            f"this {config.kind} says mean accelerations over the next {1e3 * config.dt:g} ms, which are held, not "
+            f"this {config.kind} predicts mean accelerations over the next {1e3 * config.dt:g} ms, which are held, not "
             f"integrated by {requested}. Leave --integrator out, or train it with --label instantaneous."
         )
     if requested == "rk4" and config.history > 1:
@@ -33,17 +33,16 @@ def choose_integrator(config: ModelConfig, requested: Integrator | None) -> Inte
 
 
 def cautions(config: ModelConfig, integrator: Integrator) -> tuple[str, ...]:
-    """What whoever flies a model should know, one sentence each."""
+    """Notes for whoever flies the model, one sentence each."""
     sentences = []
     if config.filtered_inputs:
         sentences.append(
-            "It was trained on inputs filtered with their future, which no flight has: it is for the desk, and `alula "
-            "fly` refuses it."
+            "It was trained on inputs filtered with their future, which no flight has: it is for the workbench, and "
+            "`alula fly` refuses it."
         )
     if config.network != "none" and config.motors == "measured":
         sentences.append(
-            "It was trained on measured rotor speeds; in flight it is given commanded ones, and the rotors' lag is "
-            "unknown to it."
+            "It was trained on measured rotor speeds; in flight it gets commanded ones, without the rotors' lag."
         )
     if config.network != "none" and config.label == "instantaneous" and integrator == "hold":
         sentences.append(

@@ -1,4 +1,4 @@
-"""A model's motion along given inputs in plain NumPy, over whole windows: what the kernels' roll-outs are held against.
+"""A model's motion along inputs in plain NumPy, over whole windows: the reference for the kernels' roll-outs.
 
 Slow and straightforward: every acceleration comes from the interpreted model with its whole window, no column is
 streamed, and nothing is shared with the kernels but the formulas of docs/kernel.md.

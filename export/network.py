@@ -1,4 +1,4 @@
-"""A network as plain numbers in SI units: what every backend is written from, whoever trained it."""
+"""A network as plain numbers in SI units, from which every backend is written."""
 
 from __future__ import annotations
 
@@ -39,13 +39,16 @@ class Dense:
 class Network:
     """Convolutions over columns, a perceptron on the last position; standardised inside, SI outside.
 
-    A column is, in the world frame, velocity (3) m/s, attitude (4), rate_body (3) rad/s; in the body frame,
-    velocity_body (3), gravity's direction (3), rate_body (3); behind them rotor speeds, rad/s. standardised =
-    (value - input_mean) / input_std; output = output_mean + output_std * said, acceleration (3) m/s^2 and angular
-    acceleration (3) rad/s^2: of the vehicle, or with residual what is added to a physical model's. outputs "world":
-    acceleration in world axes; "body": specific force in body axes, or a residual in body axes.
-
-    dt: s between columns. history: T columns of a window.
+    convolutions, perceptron: the layers in order.
+    input_mean, input_std: (columns' entries,) standardised = (value - input_mean) / input_std.
+    output_mean, output_std: (6,) output = output_mean + output_std * standardised output: acceleration (3) m/s^2 and
+        angular acceleration (3) rad/s^2, of the vehicle, or of a residual what is added to a physical model's.
+    inputs: frame of a column's entries (`dynamics.network_inputs`), which rotor speeds, rad/s, follow.
+    outputs: "world": acceleration in world axes; "body": specific force in body axes, or a residual in body axes.
+    residual: whether the output is added to a physical model's accelerations.
+    rotors: of the vehicle.
+    dt: s between columns.
+    history: T columns of a window.
     """
 
     convolutions: tuple[Convolution, ...]
@@ -66,7 +69,9 @@ class Network:
         entries = len(STATE_INPUTS[self.inputs]) + self.rotors
         width = self._chain(entries)
         if width != 6 or self.output_mean.shape != (6,) or self.output_std.shape != (6,):
-            raise RequestError(f"the network gives {width} outputs, wanted 6: acceleration and angular acceleration.")
+            raise RequestError(
+                f"the network gives {width} outputs, required are 6: acceleration and angular acceleration."
+            )
         if self.input_mean.shape != (entries,) or self.input_std.shape != (entries,):
             raise RequestError(f"the scaling is for {self.input_mean.size} inputs, the columns have {entries}.")
         if self.receptive_field > self.history:
@@ -85,7 +90,7 @@ class Network:
         for name, layer in self.layers:
             wide = layer.weight.shape[0]
             if layer.weight.shape[1] != width or layer.bias.shape != (wide,):
-                raise RequestError(f"{name} takes {layer.weight.shape[1]} entries, but is given {width}.")
+                raise RequestError(f"{name} takes {layer.weight.shape[1]} entries, its input has {width}.")
             if wide > WIDEST_LAYER:
                 raise RequestError(f"{name} has {wide} outputs, the kernel takes at most {WIDEST_LAYER}.")
             width = wide

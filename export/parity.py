@@ -65,10 +65,13 @@ class Parity(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class Backends:
-    """What an export made. onnx: serialised. forward, jacobian: interpreted; compiled_*: model.c as machine code.
+    """The implementations of an exported model.
 
-    single, double: kernels; double is compiled from the same source for comparison alone. Both are the same where RK4
-    integrates, for that one computes in doubles.
+    onnx: serialised model.onnx.
+    forward, jacobian: interpreted by CasADi.
+    compiled: model.c as machine code, by function.
+    single: the kernel.
+    double: the kernel in doubles, for comparison alone; the same one where RK4 integrates, which computes in doubles.
     """
 
     model: ExportedModel
@@ -90,8 +93,8 @@ class Backends:
 def prove(backends: Backends, windows: Mapping[str, Floats], seed: int = 0) -> Parity:
     """Compare all backends on windows (n, 13 + rotors, `model.window`) by name.
 
-    Derivatives are held against central differences, roll-outs of the kernels against plain NumPy on the first windows;
-    from random ones a vehicle spins faster than the kernels' series for a step's turn reach.
+    Derivatives are compared with central differences, roll-outs of the kernels with plain NumPy on the first windows;
+    from random ones a vehicle spins faster than the kernels' series for a step's rotation converge.
     """
     model = backends.model
     rng = np.random.default_rng(seed)
@@ -150,7 +153,7 @@ def _interpreted(backends: Backends) -> Backend:
 
 
 def _newest(backends: Backends, windows: Floats) -> Floats:
-    """The columns that the model itself looks at."""
+    """The columns of the model's own window."""
     return windows[..., -backends.model.history :]
 
 

@@ -1,4 +1,4 @@
-"""A checkpoint or a vehicle file as what is exported: a network in SI units, the physics it stands on, where from."""
+"""A checkpoint or a vehicle file as a model to export: network, physical model, source."""
 
 from __future__ import annotations
 
@@ -20,15 +20,22 @@ from export.integrator import choose_integrator
 from export.network import Convolution, Dense, Network
 from runtime.control.bundle import Integrator
 from training.checkpoint import TrainedModel, load
-from training.config import ModelConfig
+from training.config import ModelConfig, physical_config
 from training.data.features import body_inertia
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedModel:
-    """What goes into a bundle. network: None for a physical model. physics: None for a network that replaces it.
+    """A model to export.
 
-    integrator: of its kernel. member: of the trained ensemble. source: sha256 of the file that it was read from.
+    config: its definition.
+    network: None for a physical model.
+    physics: the model that the network is added to, None for a network alone.
+    vehicle, vehicle_text: the vehicle file.
+    integrator: of its kernel.
+    trained: the checkpoint, None for a vehicle file.
+    member: of the ensemble.
+    source: sha256 of the file that it was read from.
     """
 
     config: ModelConfig
@@ -53,17 +60,17 @@ class ExportedModel:
 
     @property
     def extrapolated(self) -> bool:
-        """Whether the kernel carries accelerations on along their slope."""
+        """Whether the kernel extrapolates accelerations along their slope."""
         return self.integrator == "adams_bashforth"
 
     @property
     def window(self) -> int:
-        """Columns that a prediction begins from: a window, and the one before it where there is a slope to know."""
+        """Columns that a prediction needs: a window, and the column before it for the slope of an extrapolated one."""
         return self.history + self.extrapolated
 
     @property
     def flight_model(self) -> Model:
-        """What the solver takes its states, parameters and vehicle from."""
+        """The model whose states, parameters and vehicle the solver has."""
         return build_model(self.vehicle, effects=()) if self.physics is None else self.physics
 
     @property
@@ -88,7 +95,7 @@ def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = N
                 f"cannot read {path}: {error}. Give a vehicle file or a model of `alula train`."
             ) from error
         vehicle = parse_vehicle(text)
-        config = ModelConfig("physics", "none", base="grey_box", history=1, rotors=vehicle.rotors.count)
+        config = physical_config("physics", rotors=vehicle.rotors.count)
         settled = choose_integrator(config, integrator)
         source = hashlib.sha256(text.encode()).hexdigest()
         return ExportedModel(config, None, build_model(vehicle), vehicle, text, settled, source=source)
@@ -100,7 +107,10 @@ def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = N
 
 
 def exported(trained: TrainedModel, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:
-    """What a trained model exports. Raises RequestError for weights that are not finite, or a scheme that fits not."""
+    """A trained model to export.
+
+    Raises RequestError for weights that are not finite, or an integrator that does not fit.
+    """
     config = trained.config
     settled = choose_integrator(config, integrator)
     physics = None if config.base == "none" else build_model(trained.vehicle, effects=_effects(trained))
@@ -142,7 +152,7 @@ def network_of(trained: TrainedModel, module: nn.Module) -> Network:
 def _convolutions(
     weights: dict[str, Floats], config: ModelConfig
 ) -> tuple[tuple[Convolution, ...], tuple[Floats, ...]]:
-    """The convolutions, and what the last one's batch norm leaves for the perceptron: factor and shift."""
+    """The convolutions, and factor and shift of the last one's batch norm, which the perceptron takes in."""
     convolutions = []
     factor, shift = np.ones(len(config.input_names)), np.zeros(len(config.input_names))
     for i, dilation in enumerate(config.dilations):
@@ -171,7 +181,7 @@ def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...
 
 
 def torch_forward(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
-    """What the member itself says, untouched by export, of windows (m, T, inputs): (m, 6).
+    """Outputs (m, 6) of the member itself, as torch evaluates it, for windows (m, T, inputs).
 
     double: evaluated in doubles.
     """

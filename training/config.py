@@ -92,6 +92,19 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         return (*OUTPUTS[self.outputs], *(TORQUE if self.outputs == "wrench" else ANGULAR))
 
 
+def physical_config(kind: str, *, rotors: int, like: ModelConfig | None = None) -> ModelConfig:
+    """The definition of a vehicle file's model with its effects, without a network.
+
+    like: whose rotor speeds, label, filters and time step it has; the defaults without one.
+    """
+    config = ModelConfig(kind, "none", base="grey_box", rotors=rotors, history=1)
+    if like is None:
+        return config
+    return msgspec.structs.replace(
+        config, motors=like.motors, label=like.label, filtered_inputs=like.filtered_inputs, dt=like.dt
+    )
+
+
 def convolutions_for(history: int) -> tuple[int, tuple[int, ...]]:
     """Kernel and dilations of four layers that look back at most `history` columns, as far as possible.
 

@@ -18,7 +18,7 @@ from dynamics.vehicle_file import vehicle_toml
 from training.calibration import Calibration, calibration
 from training.card import Card, FlightError
 from training.checkpoint import Ranges, Scaling, TrainedModel
-from training.config import ModelConfig
+from training.config import ModelConfig, physical_config
 from training.data.features import world_accelerations
 from training.data.labelled_rows import LabelledRows, label_rows, with_logged_motors
 from training.data.logged_flights import LoggedFlight
@@ -140,10 +140,7 @@ def evaluate(
 
 def physical_model(kind: str, vehicle: Vehicle, like: ModelConfig) -> TrainedModel:
     """A vehicle file's model with its effects, on the same inputs and labels as another model."""
-    config = ModelConfig(
-        kind, "none", base="grey_box", motors=like.motors, label=like.label, filtered_inputs=like.filtered_inputs,
-        rotors=like.rotors, dt=like.dt, history=1,
-    )  # fmt: skip
+    config = physical_config(kind, rotors=like.rotors, like=like)
     inputs = len(config.input_names)
     card = Card(kind, "", "", FAST, {}, {}, vehicle.name, "")
     return TrainedModel(

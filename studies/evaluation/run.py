@@ -18,7 +18,7 @@ from studies.evaluation.tables import evaluation_tables, summary_lines
 from studies.tables import Table
 from studies.tables_page import write_tables_page
 from training import checkpoint
-from training.config import ModelConfig
+from training.config import physical_config
 from training.data.logged_flights import CAMPAIGN, find_logs, read_logged_flights
 from training.evaluation import PLANT, EvaluatedModel, EvaluationReport, NamedModel, evaluate, physical_model
 from training.ground_truth import campaign_of
@@ -60,11 +60,11 @@ def run(
     paths = [path for path in arguments if path.suffix == MODEL_SUFFIX]
     models = [NamedModel(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
     logs = find_flights([path for path in arguments if path.suffix != MODEL_SUFFIX])
-    dt = models[0].model.config.dt if models else ModelConfig("", "none", base="nominal").dt
     if vehicle is not None:
         file = read_vehicle(find_vehicle(vehicle))
-        like = models[0].model.config if models else ModelConfig("", "none", base="nominal", rotors=file.rotors.count)
+        like = models[0].model.config if models else physical_config(VEHICLE_FILE, rotors=file.rotors.count)
         models.insert(0, NamedModel(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
+    dt = models[0].model.config.dt if models else physical_config("", rotors=4).dt
     if any(named.model.config.dt != dt for named in models):
         raise RequestError("the models predict over different times dt: evaluate them one at a time.")
     recordings = read_logged_flights(logs, dt=dt, mapping=mapping, may_be_tests=True)

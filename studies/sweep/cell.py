@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import msgspec
 
 from dynamics.errors import RequestError
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import Body, Vehicle
 from training.card import FlightError
 
 At = dict[str, float | str]
@@ -108,6 +108,13 @@ def repeated(
     )
 
 
+class PriorBody(Body, frozen=True, forbid_unknown_fields=True):
+    """A body as a wrong prior has it: its inertia may be one that no distribution of mass has."""
+
+    def __post_init__(self) -> None:
+        """Accept any inertia."""
+
+
 def with_factors(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
     """The vehicle with constants that are wrong by factors: Jxx, Jyy, Jzz, k_f, k_tau, mass.
 
@@ -125,9 +132,8 @@ def with_factors(vehicle: Vehicle, factors: dict[str, float]) -> Vehicle:
             rotors = msgspec.structs.replace(rotors, torque_constant=rotors.torque_constant * factor)
         else:
             raise RequestError(f"unknown constant {name!r}. Known: {', '.join(INERTIA)}, k_f, k_tau, mass.")
-    body = msgspec.structs.replace(body)
-    msgspec.structs.force_setattr(body, "inertia", tuple(inertia))  # a prior may be wrong beyond what any body can be
-    return msgspec.structs.replace(vehicle, body=body, rotors=rotors)
+    prior = PriorBody(body.mass, (inertia[0], inertia[1], inertia[2]), body.centre_of_mass)
+    return msgspec.structs.replace(vehicle, body=prior, rotors=rotors)
 
 
 INERTIA = ("Jxx", "Jyy", "Jzz")

@@ -21,9 +21,9 @@ def test_a_receptive_field_longer_than_the_history_is_refused() -> None:
 
 
 def test_layers_that_do_not_fit_each_other_are_refused() -> None:
-    with pytest.raises(RequestError, match="convolution 0 takes 5 entries, but is given 13"):
+    with pytest.raises(RequestError, match="convolution 0 takes 5 entries, its input has 13"):
         changed(convolutions=(Convolution(np.zeros((16, 5, 3)), np.zeros(16), 1),))
-    with pytest.raises(RequestError, match="gives 5 outputs, wanted 6"):
+    with pytest.raises(RequestError, match="gives 5 outputs, required are 6"):
         changed(perceptron=(Dense(np.zeros((5, 16)), np.zeros(5)),))
     with pytest.raises(RequestError, match="scaling is for 12 inputs"):
         changed(input_mean=np.zeros(12), input_std=np.ones(12))
