@@ -30,10 +30,33 @@ if TYPE_CHECKING:
     from flights import Flight, Log, read_folder, read_log
 
 __all__ = [
-    "AlulaError", "DataError", "Effect", "EffectUse", "Flight", "Log", "RequestError", "Vehicle", "VehicleError",
-    "__version__", "add_effect", "compare", "compare_hover", "diagnose", "evaluate", "export", "fly", "inspect",
-    "load_vehicle", "read_flight", "read_flights", "read_folder", "read_log", "simulate", "train", "write_vehicle",
-]  # fmt: skip
+    "AlulaError",
+    "DataError",
+    "Effect",
+    "EffectUse",
+    "Flight",
+    "Log",
+    "RequestError",
+    "Vehicle",
+    "VehicleError",
+    "__version__",
+    "add_effect",
+    "compare",
+    "compare_hover",
+    "diagnose",
+    "evaluate",
+    "export",
+    "fly",
+    "inspect",
+    "load_vehicle",
+    "read_flight",
+    "read_flights",
+    "read_folder",
+    "read_log",
+    "simulate",
+    "train",
+    "write_vehicle",
+]
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
@@ -46,7 +69,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "dynamics.vehicle_file": ("write_vehicle",),
     "dynamics.version": ("__version__",),
     "flights": ("Flight", "Log", "read_folder", "read_log"),
-}  # fmt: skip
+}
 _HOME_OF = {name: home for home, names in _HOMES.items() for name in names}
 
 if getattr(sys, "argv", [""])[:1] != ["-m"]:  # `python -m alula` takes the working directory off the path first

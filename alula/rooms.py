@@ -13,9 +13,18 @@ from importlib import util
 from importlib.machinery import ModuleSpec
 
 ROOMS = (
-    "diagnosis", "dynamics", "export", "flights", "runtime", "simulation", "sitl_mock", "studies", "studio", "training",
+    "diagnosis",
+    "dynamics",
+    "export",
+    "flights",
+    "runtime",
+    "simulation",
+    "sitl_mock",
+    "studies",
+    "studio",
+    "training",
     "vehicles",
-)  # fmt: skip
+)
 ROOT = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 REQUEST_ERROR = 2  # exit code of dynamics.errors.RequestError, which a hidden `dynamics` would not hold
 

@@ -57,10 +57,14 @@ def simulate(
     check_feasibility(path, trim).require()
     hidden = [parse_effect(use, flying.rotors.count) if isinstance(use, str) else use for use in effects]
     return fly_reference(
-        flying, path, effects=hidden, seed=seed, name=reference,
+        flying,
+        path,
+        effects=hidden,
+        seed=seed,
+        name=reference,
         controller=None if learned is None else Controller.from_bundle(learned),
         nominal=None if learned is None else Controller.fallback_from_bundle(learned),
-    )  # fmt: skip
+    )
 
 
 def fly(
@@ -115,11 +119,22 @@ def fly(
     from simulation.flight_check import read_check
 
     setup = FlightSetup(
-        link=link, vehicle=_path_or_vehicle(vehicle), bundle=None if bundle is None else Path(bundle),
-        reference=reference, duration=duration, height=height, rate=rate, settings=tuple(settings),
-        record=None if record is None else Path(record), arm=arm, resume=resume, priority=priority,
-        processor=processor, system=system, timeout=timeout,
-    )  # fmt: skip
+        link=link,
+        vehicle=_path_or_vehicle(vehicle),
+        bundle=None if bundle is None else Path(bundle),
+        reference=reference,
+        duration=duration,
+        height=height,
+        rate=rate,
+        settings=tuple(settings),
+        record=None if record is None else Path(record),
+        arm=arm,
+        resume=resume,
+        priority=priority,
+        processor=processor,
+        system=system,
+        timeout=timeout,
+    )
     flight = prepare_flight(setup)
     if flight.bundle is not None and (check := read_check(flight.bundle.folder)) is not None and check.warning:
         announce(f"warning: {check.warning}")

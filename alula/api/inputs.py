@@ -48,9 +48,11 @@ def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:
 
 
 def dataset_of(
-    logs: Flight | str | Path | Sequence[Flight | str | Path], vehicle: Vehicle, hold_out: str | None,
+    logs: Flight | str | Path | Sequence[Flight | str | Path],
+    vehicle: Vehicle,
+    hold_out: str | None,
     mapping: str | Path | None,
-) -> Dataset:  # fmt: skip
+) -> Dataset:
     """Flights, read where they are logs, divided into those to fit and those held out.
 
     Raises RequestError for logs that cannot be found or a mixture of logs and flights, DataError when they hold too

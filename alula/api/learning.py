@@ -73,11 +73,25 @@ def train(
     with workbench("alula.train"):
         from training.run import TrainOptions, run
     options = TrainOptions(
-        logs=_paths(logs), vehicle=str(vehicle), model=model, out=Path(out), recipe=recipe, config=dict(config or {}),
-        recipe_overrides=dict(overrides or {}), effects=tuple(effects), keep_effects=keep_effects,
-        validation=validation, hold_out=hold_out, mapping=None if mapping is None else Path(mapping), seed=seed,
-        ensemble=ensemble, jobs=jobs, device=device, resume=resume, overwrite=overwrite,
-    )  # fmt: skip
+        logs=_paths(logs),
+        vehicle=str(vehicle),
+        model=model,
+        out=Path(out),
+        recipe=recipe,
+        config=dict(config or {}),
+        recipe_overrides=dict(overrides or {}),
+        effects=tuple(effects),
+        keep_effects=keep_effects,
+        validation=validation,
+        hold_out=hold_out,
+        mapping=None if mapping is None else Path(mapping),
+        seed=seed,
+        ensemble=ensemble,
+        jobs=jobs,
+        device=device,
+        resume=resume,
+        overwrite=overwrite,
+    )
     trained = run(options, progress or _ignore)
     return TrainingResult(trained.card, trained, options.out)
 
@@ -110,9 +124,12 @@ def evaluate(
     with workbench("alula.evaluate"):
         from studies.evaluation.run import Answer, run
     results = run(
-        (*_paths(models), *_paths(logs)), None if vehicle is None else str(vehicle),
-        mapping=None if mapping is None else Path(mapping), timed=timing, done=progress or _ignore,
-    )  # fmt: skip
+        (*_paths(models), *_paths(logs)),
+        None if vehicle is None else str(vehicle),
+        mapping=None if mapping is None else Path(mapping),
+        timed=timing,
+        done=progress or _ignore,
+    )
     return EvaluationResult(Answer(results.evaluated, results.timings), results.tables, results)
 
 
@@ -165,8 +182,14 @@ def export(
     problem = Problem.from_settings(trained.vehicle.controller)
     problem = msgspec.structs.replace(problem, nodes=nodes or problem.nodes, horizon=horizon or problem.horizon)
     options = ExportOptions(
-        problem, named_processor(processor), _paths(logs), windows, seed, overwrite, command_line(),
-    )  # fmt: skip
+        problem,
+        named_processor(processor),
+        _paths(logs),
+        windows,
+        seed,
+        overwrite,
+        command_line(),
+    )
     exported = export_bundle(trained, Path(out), options)
     check = check_bundle(exported.folder, exported.manifest) if flight_check else None
     return ExportResult(exported.folder, exported.manifest, exported.parity, check)

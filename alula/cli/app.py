@@ -20,9 +20,21 @@ from alula import __version__
 from dynamics.errors import AlulaError, RequestError
 
 COMMANDS = (
-    "demo", "mock", "fly", "link", "replay", "campaign", "inspect", "compare", "diagnose", "add", "train", "evaluate",
-    "sweep", "export",
-)  # fmt: skip
+    "demo",
+    "mock",
+    "fly",
+    "link",
+    "replay",
+    "campaign",
+    "inspect",
+    "compare",
+    "diagnose",
+    "add",
+    "train",
+    "evaluate",
+    "sweep",
+    "export",
+)
 
 
 class LazyGroup(TyperGroup):

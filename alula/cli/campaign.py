@@ -50,15 +50,25 @@ def campaign(
     with workbench("alula campaign"):
         from simulation.campaign import Campaign, CampaignOptions
     options = CampaignOptions(
-        folder=out, vehicle=vehicle, effects=() if no_effects else tuple(effect) if effect else None,
-        scenario=scenario, seed=seed, flights=tuple(flights or ()), jobs=jobs, scheduler=scheduler, csv=csv,
-    )  # fmt: skip
+        folder=out,
+        vehicle=vehicle,
+        effects=() if no_effects else tuple(effect) if effect else None,
+        scenario=scenario,
+        seed=seed,
+        flights=tuple(flights or ()),
+        jobs=jobs,
+        scheduler=scheduler,
+        csv=csv,
+    )
     request = Campaign(options)
     console = Console(stderr=as_json)
     columns = (
-        TextColumn("{task.description:24}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+        TextColumn("{task.description:24}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
         TimeRemainingColumn(),
-    )  # fmt: skip
+    )
     with Progress(*columns, console=console) as bar:
         task = bar.add_task("flying", total=len(request.flights))
         manifest = request.run(lambda summary: bar.update(task, advance=1, description=summary.name))
@@ -75,10 +85,15 @@ def _print(manifest: CampaignManifest, out: Path, console: Console) -> None:
     for flight in manifest.flights:
         if flight.split == "test" or len(manifest.flights) <= 16:
             table.add_row(
-                flight.name, f"{flight.duration:.1f}", f"{flight.speed:.2f}", f"{flight.position_rmse:.3f}",
-                f"{flight.peak_speed:.2f}", f"{flight.peak_acceleration:.1f}",
-                f"{flight.peak_angular_acceleration:.0f}", f"{flight.peak_rotor_rpm:.0f}",
-            )  # fmt: skip
+                flight.name,
+                f"{flight.duration:.1f}",
+                f"{flight.speed:.2f}",
+                f"{flight.position_rmse:.3f}",
+                f"{flight.peak_speed:.2f}",
+                f"{flight.peak_acceleration:.1f}",
+                f"{flight.peak_angular_acceleration:.0f}",
+                f"{flight.peak_rotor_rpm:.0f}",
+            )
     console.print(table)
     minutes, seconds = divmod(round(manifest.duration), 60)
     console.print(

@@ -14,9 +14,11 @@ from studies.tables import terminal_table
 
 Arguments = Annotated[
     list[Path],
-    typer.Argument(help="Models (.pt), then logs, folders of logs, or a campaign's folder for its test flights.",
-                   metavar="MODEL... LOG..."),
-]  # fmt: skip
+    typer.Argument(
+        help="Models (.pt), then logs, folders of logs, or a campaign's folder for its test flights.",
+        metavar="MODEL... LOG...",
+    ),
+]
 
 
 def evaluate(
@@ -37,9 +39,13 @@ def evaluate(
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     with console.status("reading the flights") as status:
         result = alula.evaluate(
-            models, logs, vehicle=vehicle, mapping=mapping, timing=not no_timing,
+            models,
+            logs,
+            vehicle=vehicle,
+            mapping=mapping,
+            timing=not no_timing,
             progress=lambda name: status.update(f"evaluated {name}"),
-        )  # fmt: skip
+        )
     for table in result.tables:
         console.print(terminal_table(table))
         console.print()

@@ -43,9 +43,19 @@ def export(
 ) -> None:
     """Write ONNX, C and the real-time kernel of a model, and prove that they compute the same."""
     result = alula.export(
-        model, out, logs=logs or (), member=member, processor=processor, integrator=integrator, nodes=nodes,
-        horizon=horizon, windows=windows, seed=seed, overwrite=overwrite, flight_check=flight_check,
-    )  # fmt: skip
+        model,
+        out,
+        logs=logs or (),
+        member=member,
+        processor=processor,
+        integrator=integrator,
+        nodes=nodes,
+        horizon=horizon,
+        windows=windows,
+        seed=seed,
+        overwrite=overwrite,
+        flight_check=flight_check,
+    )
     if as_json:
         write_json(result.report, STANDARD_OUTPUT)
         return

@@ -55,10 +55,23 @@ def fly(
     """Take off, track a reference, land. SIGINT or SIGTERM lands, a second one stops streaming at once."""
     console = Console(stderr=as_json)
     report = alula.fly(
-        reference, vehicle=vehicle, bundle=bundle, link=link, duration=duration, height=height, rate=rate,
-        settings=settings or (), record=record, arm=arm, resume=resume, processor=processor, system=system,
-        priority=REALTIME_PRIORITY if realtime else None, timeout=timeout, announce=partial(_announce, console),
-    )  # fmt: skip
+        reference,
+        vehicle=vehicle,
+        bundle=bundle,
+        link=link,
+        duration=duration,
+        height=height,
+        rate=rate,
+        settings=settings or (),
+        record=record,
+        arm=arm,
+        resume=resume,
+        processor=processor,
+        system=system,
+        priority=REALTIME_PRIORITY if realtime else None,
+        timeout=timeout,
+        announce=partial(_announce, console),
+    )
     if as_json:
         write_json(report, STANDARD_OUTPUT)
     else:

@@ -23,10 +23,25 @@ if TYPE_CHECKING:
     from flights.quality import Inspection
     from studio.inspected import Section
 
-MINOR = ("armed", "landed", "reset_counter", "position_reset_counter", "velocity_reset_counter",
-         "attitude_reset_counter")  # fmt: skip
-COLOURS = {"good": "green", "limited": "yellow", "unusable": "red", "yes": "green", "weakly": "yellow", "no": "dim",
-           "error": "red", "warning": "yellow", "note": "dim"}  # fmt: skip
+MINOR = (
+    "armed",
+    "landed",
+    "reset_counter",
+    "position_reset_counter",
+    "velocity_reset_counter",
+    "attitude_reset_counter",
+)
+COLOURS = {
+    "good": "green",
+    "limited": "yellow",
+    "unusable": "red",
+    "yes": "green",
+    "weakly": "yellow",
+    "no": "dim",
+    "error": "red",
+    "warning": "yellow",
+    "note": "dim",
+}
 
 
 def inspect(
@@ -124,9 +139,14 @@ def _print_channels(inspection: Inspection, console: Console, *, everything: boo
             continue
         noise = f"{channel.noise:.2g} {channel.unit}".removesuffix(" 1")
         table.add_row(
-            channel.quantity, f"{channel.rate:.1f}", f"{channel.renewed:.1f}", f"{1e3 * channel.jitter:.1f}",
-            str(channel.gaps), f"{channel.longest_gap:.2f}", noise,
-        )  # fmt: skip
+            channel.quantity,
+            f"{channel.rate:.1f}",
+            f"{channel.renewed:.1f}",
+            f"{1e3 * channel.jitter:.1f}",
+            str(channel.gaps),
+            f"{channel.longest_gap:.2f}",
+            noise,
+        )
     console.print(table)
 
 

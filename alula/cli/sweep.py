@@ -91,10 +91,24 @@ def sweep(
         from studies.sweep.report import require_all_trained, show
         from studies.sweep.run import SweepOptions, make_sweep
     options = SweepOptions(
-        study=study, logs=tuple(logs), tests=tuple(test or ()), vehicle=vehicle, out=out,
-        simulated=tuple(simulated or ()), seeds=seeds, steps=steps, batch=batch, recipe=recipe, model=model,
-        grid=tuple(grid or ()), over=tuple(over or ()), trials=trials, jobs=jobs, scheduler=scheduler, mapping=mapping,
-    )  # fmt: skip
+        study=study,
+        logs=tuple(logs),
+        tests=tuple(test or ()),
+        vehicle=vehicle,
+        out=out,
+        simulated=tuple(simulated or ()),
+        seeds=seeds,
+        steps=steps,
+        batch=batch,
+        recipe=recipe,
+        model=model,
+        grid=tuple(grid or ()),
+        over=tuple(over or ()),
+        trials=trials,
+        jobs=jobs,
+        scheduler=scheduler,
+        mapping=mapping,
+    )
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     made = make_sweep(options)
     outcomes = _outcomes(made, console)
@@ -115,6 +129,11 @@ def _outcomes(made: Sweep, console: Console) -> tuple[Outcome, ...]:
 
 def _bar(console: Console) -> Progress:
     return Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[last]}"),
-        TimeElapsedColumn(), TimeRemainingColumn(), console=console,
-    )  # fmt: skip
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[last]}"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+        console=console,
+    )

@@ -164,18 +164,39 @@ def train(
     console = Console(stderr=as_json, quiet=os.environ.get("RANK", "0") != "0")
     with _bars(out, console, tensorboard) as bars:
         result = alula.train(
-            logs, vehicle, model=model, out=out, recipe=recipe, validation=validation, hold_out=hold_out,
-            effects=effect or (), keep_effects=keep_effects, seed=seed, ensemble=ensemble, jobs=jobs, device=device,
-            resume=resume, overwrite=overwrite, mapping=mapping, progress=bars.show,
+            logs,
+            vehicle,
+            model=model,
+            out=out,
+            recipe=recipe,
+            validation=validation,
+            hold_out=hold_out,
+            effects=effect or (),
+            keep_effects=keep_effects,
+            seed=seed,
+            ensemble=ensemble,
+            jobs=jobs,
+            device=device,
+            resume=resume,
+            overwrite=overwrite,
+            mapping=mapping,
+            progress=bars.show,
             config=_without_none(
                 inputs=inputs, motors=motors, label=label, filtered_inputs=filtered_inputs, history=history
             ),
             overrides=_without_none(
-                steps=steps, batch=batch, optimiser=optimiser, learning_rate=learning_rate, patience=patience,
-                physics_weight=physics_weight, physics_points=physics_points, annealed=annealed, rollout=rollout,
+                steps=steps,
+                batch=batch,
+                optimiser=optimiser,
+                learning_rate=learning_rate,
+                patience=patience,
+                physics_weight=physics_weight,
+                physics_points=physics_points,
+                annealed=annealed,
+                rollout=rollout,
                 input_noise=input_noise,
             ),
-        )  # fmt: skip
+        )
     if as_json:
         write_json(result.report, STANDARD_OUTPUT)
     else:
@@ -206,9 +227,14 @@ class _Bars:
 
     def __init__(self, console: Console, tensorboard: Path | None) -> None:
         self.progress = Progress(  # 80 columns wide in all
-            TextColumn("{task.description}"), BarColumn(bar_width=10), TaskProgressColumn(),
-            TextColumn("{task.fields[losses]}"), TimeElapsedColumn(), TimeRemainingColumn(), console=console,
-        )  # fmt: skip
+            TextColumn("{task.description}"),
+            BarColumn(bar_width=10),
+            TaskProgressColumn(),
+            TextColumn("{task.fields[losses]}"),
+            TimeElapsedColumn(),
+            TimeRemainingColumn(),
+            console=console,
+        )
         self._tasks: dict[int, Any] = {}
         self._writer: SummaryWriter | None = None
         if tensorboard is not None:
@@ -226,7 +252,7 @@ class _Bars:
         if report.member not in self._tasks:
             self._tasks[report.member] = self.progress.add_task(
                 f"member {report.member}", total=report.steps, losses=""
-            )  # fmt: skip
+            )
         physics = "" if report.physics_loss is None else f" PI {report.physics_loss:.3g}"
         losses = f"loss {report.loss:.3g}{physics} val {report.validation:.3g}"
         self.progress.update(self._tasks[report.member], completed=report.step, losses=losses)
@@ -248,9 +274,13 @@ def _print(trained: TrainedModel, out: Path, console: Console) -> None:
     for error in trained.card.errors:
         base = "" if error.base is None else f"{error.combined / error.base:.2f}"
         table.add_row(
-            error.flight, f"{error.linear:.3f}", f"{error.angular:.3f}", f"{error.combined:.3f}",
-            f"{error.combined / error.nominal:.3f}", base,
-        )  # fmt: skip
+            error.flight,
+            f"{error.linear:.3f}",
+            f"{error.angular:.3f}",
+            f"{error.combined:.3f}",
+            f"{error.combined / error.nominal:.3f}",
+            base,
+        )
     console.print(table)
     for use in trained.vehicle.effects if trained.config.base == "grey_box" else ():
         values = ", ".join(f"{name} {value:.5g}" for name, value in use.parameters.items())

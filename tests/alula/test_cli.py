@@ -129,8 +129,10 @@ def test_starting_imports_nothing_of_the_workbench():
 
 
 def test_numerical_libraries_use_one_thread_each() -> None:
-    code = "import sys, alula, runtime.realtime; early = 'numpy' in sys.modules; import os, alula.__main__; " \
-        "print(early, os.environ['OPENBLAS_NUM_THREADS'])"  # fmt: skip
+    code = (
+        "import sys, alula, runtime.realtime; early = 'numpy' in sys.modules; import os, alula.__main__; "
+        "print(early, os.environ['OPENBLAS_NUM_THREADS'])"
+    )
     without = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, env=without)
     assert done.stdout.split() == ["False", "1"]

@@ -91,8 +91,15 @@ def test_add_without_an_effect_adds_the_first_one_and_writes_errors_before_and_a
     assert code == 0, message
     addition = json.loads(file.read_text())
     assert set(addition) == {
-        "effect", "parameters", "fitted_by", "channels", "misfit", "open_loop", "notes", "vehicle",
-    }  # fmt: skip
+        "effect",
+        "parameters",
+        "fitted_by",
+        "channels",
+        "misfit",
+        "open_loop",
+        "notes",
+        "vehicle",
+    }
     assert addition["vehicle"] == str(out)
     assert addition["misfit"]["after"] < 0.5 * addition["misfit"]["before"]
     assert [error["horizon"] for error in addition["open_loop"]["before"]] == [0.1, 0.5, 1.0]

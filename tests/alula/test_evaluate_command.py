@@ -46,9 +46,20 @@ def model(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Path:
 
 def test_tables_pictures_and_page_are_written(run: Run, campaign: Path, model: Path, tmp_path: Path) -> None:
     code, out, _ = run(
-        "evaluate", model, campaign, "--vehicle", "arpl_250g", "--json", tmp_path / "found.json",
-        "--csv", tmp_path / "csv", "--pictures", tmp_path / "pictures", "--html", tmp_path / "page.html",
-    )  # fmt: skip
+        "evaluate",
+        model,
+        campaign,
+        "--vehicle",
+        "arpl_250g",
+        "--json",
+        tmp_path / "found.json",
+        "--csv",
+        tmp_path / "csv",
+        "--pictures",
+        tmp_path / "pictures",
+        "--html",
+        tmp_path / "page.html",
+    )
     assert code == 0
     for words in ("RMSE against the truth", "Pulse responses", "onnxruntime", "paper's pi_tcn / NOM", "of NOM's"):
         assert words in out
@@ -56,8 +67,11 @@ def test_tables_pictures_and_page_are_written(run: Run, campaign: Path, model: P
     assert [m["name"] for m in answer["evaluated"]["models"]] == ["NOM", "vehicle file", "pi_tcn", "plant"]
     assert list(answer["evaluated"]["flights"]) == ["Lemniscate.parquet"]
     assert {t["engine"] for t in answer["inference"] if t["model"] == "pi_tcn"} == {
-        "torch, window", "torch, streamed", "onnxruntime", "kernel, streamed",
-    }  # fmt: skip
+        "torch, window",
+        "torch, streamed",
+        "onnxruntime",
+        "kernel, streamed",
+    }
     assert all(0 < t["median"] <= t["slowest"] < 1 for t in answer["inference"])
     with (tmp_path / "csv" / "ratio_to_nominal.csv").open() as file:
         (row,) = csv.DictReader(file)

@@ -76,9 +76,16 @@ def test_wrong_requests_name_what_is_needed(arguments: list[str], message: str) 
 
 def test_nobody_on_the_link_ends_with_code_4() -> None:
     done = run(
-        "fly", "--vehicle", "px4_sih", "--reference", "hover", "--timeout", "0.3",
-        "--link", f"udpin:127.0.0.1:{free_port()}",
-    )  # fmt: skip
+        "fly",
+        "--vehicle",
+        "px4_sih",
+        "--reference",
+        "hover",
+        "--timeout",
+        "0.3",
+        "--link",
+        f"udpin:127.0.0.1:{free_port()}",
+    )
     assert done.returncode == 4
     assert "No MAVLink arrived" in done.stderr
 

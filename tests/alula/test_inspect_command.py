@@ -126,10 +126,18 @@ def test_the_page_draws_its_plots_in_a_browser_without_a_network(inspect: Inspec
     inspect(good, "--html", page)
     assert BROWSER is not None, "CI must have Chromium"
     command = [
-        BROWSER, "--headless", "--no-sandbox", "--disable-gpu", "--use-gl=swiftshader", "--enable-unsafe-swiftshader",
-        "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=5000",
-        "--dump-dom", page.as_uri(),
-    ]  # fmt: skip
+        BROWSER,
+        "--headless",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--use-gl=swiftshader",
+        "--enable-unsafe-swiftshader",
+        "--proxy-server=127.0.0.1:9",
+        f"--user-data-dir={tmp_path / 'profile'}",
+        "--virtual-time-budget=5000",
+        "--dump-dom",
+        page.as_uri(),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=True)
     assert done.stdout.count('class="main-svg"') >= 3
     assert "late" in done.stdout

@@ -57,8 +57,12 @@ def commands_in_sentences() -> list[tuple[str, str]]:
 
 
 def python_blocks() -> list[Any]:
-    blocks = ((page, body) for page in PAGES for language, body in FENCED.findall(page.read_text(encoding="utf-8"))
-              if language == "python")  # fmt: skip
+    blocks = (
+        (page, body)
+        for page in PAGES
+        for language, body in FENCED.findall(page.read_text(encoding="utf-8"))
+        if language == "python"
+    )
     return [pytest.param(body, id=f"{page.stem}-{place}") for place, (page, body) in enumerate(blocks)]
 
 
