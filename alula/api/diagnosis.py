@@ -63,7 +63,7 @@ def diagnose(
 
     flights: as for `compare`; four flights or more are best.
     vehicle: as for `compare`.
-    hold_out: pattern of the file names to judge on, such as "hold_*"; by default the last fifth of the flights.
+    hold_out: pattern of the file names to evaluate on, such as "hold_*"; by default the last fifth of the flights.
     effects: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
 

@@ -34,7 +34,7 @@ def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> 
 def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Flight:
     """One flight from a log of any known format, as one table on one clock.
 
-    log: ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, Crazyflie log or ROS bag; told apart by content.
+    log: ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, Crazyflie log or ROS bag; the content decides which.
     mapping: column mapping (TOML) for a CSV file of another tool.
     rate: rows a second, Hz; by default the rate of the log's gyro.
 
@@ -80,7 +80,7 @@ def inspect(
 
     Returns an Inspection: `verdict` is "good", "limited" or "unusable", `sentence` the reason, `effects` what can be
         identified, `advice` what would make a better log.
-    Raises RequestError and DataError for a log that cannot be read; a poor log is judged, not refused.
+    Raises RequestError and DataError for a log that cannot be read; a poor log gets a poor verdict.
 
     Example:
         inspection = alula.inspect("logs/flight_0.csv")

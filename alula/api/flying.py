@@ -103,7 +103,7 @@ def fly(
     resume: take control of a vehicle that is armed already.
     priority: of SCHED_FIFO for the control thread.
     processor: number of the processor that the control thread stays on.
-    system: the vehicle's system id; by default the first heard.
+    system: the vehicle's system id; by default the first one on the link.
     timeout: longest wait for the vehicle, s.
     announce: called with a line for every event.
 

@@ -105,7 +105,7 @@ def evaluate(
     timing: bool = False,
     progress: Callable[[str], None] | None = None,
 ) -> EvaluationResult:
-    """Evaluate models on flights that they were not trained on; with a campaign's flights, against ground truth too.
+    """Evaluate models on held-out flights; with a campaign's flights, against ground truth too.
 
     models: checkpoints (.pt).
     logs: paths, folders of logs, or the folder of a campaign, for its test flights.

@@ -34,7 +34,7 @@ def sweep(
     vehicle: VehicleOption,
     out: Annotated[Path, typer.Option(help="Folder with a file each cell; a sweep that was stopped continues there.")],
     test: Annotated[
-        list[Path] | None, typer.Option(help="Logs or folders to judge on; a campaign's test flights by default.")
+        list[Path] | None, typer.Option(help="Held-out logs or folders; a campaign's test flights by default.")
     ] = None,
     simulated: Annotated[
         list[Path] | None,

@@ -117,7 +117,7 @@ def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Pat
     hovering = planted_flights(arpl_250g, [], seed=6, manoeuvres=["hover:laps=1"] * len(names))
     for name, flight in zip(names, hovering, strict=True):
         flight.to_csv(folder / "hover" / name)
-    for name in ("log.ulg", "Ellipse_1.bag"):  # formats are told apart by content
+    for name in ("log.ulg", "Ellipse_1.bag"):  # the content decides which format it is
         shutil.copy(folder / "logs" / "flight_0.csv", folder / name)
     body = msgspec.structs.replace(arpl_250g.body, mass=1.06 * arpl_250g.body.mass)
     for name in ("heavy.toml", "my_quad.toml"):
