@@ -46,6 +46,14 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     rate: Positive = 25.0
     edge: Positive = 0.3
 
+    def __post_init__(self) -> None:
+        """Check that decimation folds nothing back that the filters pass."""
+        if not self.slow_cutoff < self.cutoff < self.rate / 2:
+            raise ValueError(
+                f"slow_cutoff {self.slow_cutoff:g}, cutoff {self.cutoff:g} and half the rate {self.rate / 2:g} Hz must "
+                "ascend"
+            )
+
 
 class SegmentThresholds(ThresholdGroup, frozen=True):
     """Which rows of a flight are used. Applied when flights are read.
@@ -162,7 +170,7 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     """Models along flights.
 
     hidden_rate: at which hidden states without a short time constant are integrated, Hz. [not derived yet]
-    horizons: of open-loop prediction, ascending, s. [definition]
+    horizons: of open-loop prediction, s. [definition]
     start_interval: between starts of open-loop prediction, s. [not derived yet]
     """
 

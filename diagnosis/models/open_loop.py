@@ -44,7 +44,7 @@ def open_loop_errors(
     vehicle, segments = healthy(vehicle, catalogue, segments)
     predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds)
     simulator = Simulator(predictor, rate, speed_measured=measured)
-    last, interval = round(thresholds.horizons[-1] * rate), max(1, round(thresholds.start_interval * rate))
+    last, interval = round(max(thresholds.horizons) * rate), max(1, round(thresholds.start_interval * rate))
     errors: dict[float, list[Floats]] = {horizon: [] for horizon in thresholds.horizons}
     for segment in segments:
         starts = np.arange(0, len(segment) - last, interval)
