@@ -27,12 +27,12 @@ def take_off(vehicle: SimulatedVehicle, *, height: float = 3.0, duration: float 
 def response(
     vehicle: SimulatedVehicle, setpoint: ControlSetpoint, duration: float, look: Callable[[SimulatedVehicle], float]
 ) -> NDArray[np.float64]:
-    """What is seen after every millisecond of a setpoint."""
-    seen = []
+    """The observed value after every millisecond of a setpoint."""
+    observed = []
     for _ in range(round(duration * 1000)):
         vehicle.advance(setpoint, True, 0.001)
-        seen.append(look(vehicle))
-    return np.array(seen)
+        observed.append(look(vehicle))
+    return np.array(observed)
 
 
 def milliseconds_to(level: float, values: NDArray[np.float64]) -> int:

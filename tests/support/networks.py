@@ -8,6 +8,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, RATE, VELOCITY
 from export.network import Convolution, Dense, Frame, Network
 
 HOVER_SPEED = 1240.0  # rad/s
@@ -49,7 +50,7 @@ def random_network(
 
 def features(network: Network, columns: Floats) -> Floats:
     """(T, features) standardised, of columns (T, 13 + rotors)."""
-    velocity, attitude, rest = columns[:, 3:6], columns[:, 6:10], columns[:, 10:]
+    velocity, attitude, rest = columns[:, VELOCITY], columns[:, ATTITUDE], columns[:, RATE.start :]
     if network.inputs == "world":
         raw = np.hstack([velocity, attitude, rest])
     else:
@@ -59,15 +60,15 @@ def features(network: Network, columns: Floats) -> Floats:
     return np.asarray((raw - network.input_mean) / network.input_std)
 
 
-def said(network: Network, columns: Floats) -> Floats:
-    """What the network says (6,) of a window (receptive field, 13 + rotors), oldest first, layer by layer."""
+def network_output(network: Network, columns: Floats) -> Floats:
+    """The network's output (6,) for a window (receptive field, 13 + rotors), oldest first, layer by layer."""
     values = features(network, columns)
     for layer in network.convolutions:
         taps = layer.weight.shape[2]
         rows = []
         for t in range(layer.reach, len(values)):
-            seen = np.stack([values[t - (taps - 1 - k) * layer.dilation] for k in range(taps)], axis=1)
-            rows.append(np.maximum(0, np.einsum("oik,ik->o", layer.weight, seen) + layer.bias))
+            window = np.stack([values[t - (taps - 1 - k) * layer.dilation] for k in range(taps)], axis=1)
+            rows.append(np.maximum(0, np.einsum("oik,ik->o", layer.weight, window) + layer.bias))
         values = np.array(rows)
     value = values[-1]
     for i, dense in enumerate(network.perceptron):
@@ -79,8 +80,8 @@ def said(network: Network, columns: Floats) -> Floats:
 
 def accelerations(network: Network, columns: Floats, physics: Floats | None = None) -> Floats:
     """World and body accelerations (6,) after a window. physics: (6,) under a residual."""
-    value = said(network, columns)
-    linear = quaternion.rotate(columns[-1, 6:10], value[:3]) if network.outputs == "body" else value[:3]
+    value = network_output(network, columns)
+    linear = quaternion.rotate(columns[-1, ATTITUDE], value[:3]) if network.outputs == "body" else value[:3]
     if physics is not None:
         return np.concatenate([linear, value[3:]]) + physics
     return np.concatenate([linear - [0, 0, 9.81 if network.outputs == "body" else 0.0], value[3:]])

@@ -55,6 +55,6 @@ def untrained_model(
     )
 
 
-def replaced(config: ModelConfig, **changes: object) -> ModelConfig:
-    """A definition with other values."""
-    return msgspec.structs.replace(config, **changes)
+def replaced(config: ModelConfig, **overrides: object) -> ModelConfig:
+    """A configuration with other values."""
+    return msgspec.structs.replace(config, **overrides)
