@@ -54,7 +54,7 @@ def kernel_recipe(
     extrapolated: bool = False,
     split: ReverseSplit | None = None,
 ) -> KernelRecipe:
-    """Sources and flags of a network's kernel. model: the vehicle's, with the effects a residual stands on.
+    """Sources and flags of a network's kernel. model: the vehicle's, with the effects of a residual's base.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
     extrapolated: accelerations are carried on by half a step along their slope, else held over it.
@@ -112,7 +112,7 @@ def kernel_solver(
 ) -> RtiSolver:
     """A solver on a freshly built kernel, as the runtime makes one of a bundle's.
 
-    mean: the network says mean accelerations, else instantaneous ones, which are extrapolated.
+    mean: the network predicts mean accelerations, else instantaneous ones, which are extrapolated.
     """
     recipe = kernel_recipe(network, model, problem, processor, precision, mean=mean, extrapolated=not mean)
     return RtiSolver(model, problem, build_kernel(recipe))

@@ -80,7 +80,7 @@ def _layer_lists(network: Network, split: ReverseSplit) -> Iterator[str]:
     yield "/* layer, inputs, outputs, taps, dilation; of those whose tangents are streamed the same */"
     yield _list("EACH_CONVOLUTION", convolutions)
     yield _list("EACH_STREAMED", convolutions[:first])
-    yield "/* the others, last first: layer, padded inputs, outputs, taps, columns at which outputs, inputs are seen */"
+    yield "/* the others, last first: layer, padded inputs, outputs, taps, columns of outputs, of inputs */"
     yield _list("EACH_SWEPT", list(reversed(swept)))
     yield "/* layer, inputs, outputs; then the other way round with padded inputs */"
     yield _list("EACH_HIDDEN", hidden)

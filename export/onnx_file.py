@@ -1,4 +1,4 @@
-"""model.onnx: the network as Conv and Gemm, what stands around it translated operation by operation from CasADi."""
+"""model.onnx: the network as Conv and Gemm, inputs and physics translated operation by operation from CasADi."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelP
 
 
 def _network_output(graph: Graph, model: ExportedModel) -> str:
-    """What the network says, (batch, 6), in SI."""
+    """The network's output (batch, 6), in SI."""
     network = model.network
     assert network is not None
     size = RIGID_BODY_STATES + network.rotors

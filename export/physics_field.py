@@ -34,7 +34,7 @@ def field_function(model: ExportedModel) -> ca.Function:
 
 
 def _perceptron(network: Network, features: ca.MX) -> tuple[ca.MX, ca.MX]:
-    """What the network says (6,) of one column's features, and its derivative by them (6, features)."""
+    """Output (6,) of the network for one column's features, and its derivative by them (6, features)."""
     values, masks = [features], []
     for dense in network.perceptron[:-1]:
         before = ca.DM(dense.weight) @ values[-1] + ca.DM(dense.bias)

@@ -50,7 +50,7 @@ def features_function(network: Network) -> ca.Function:
 def assembly_function(model: ExportedModel) -> ca.Function:
     """(output, column, hidden) -> acceleration (6), world and body axes, and the hidden states' rates.
 
-    output: (6,) what the network says, in SI; empty where there is none.
+    output: (6,) of the network, in SI; empty without one.
     """
     network, physics = model.network, model.physics
     rotors = model.vehicle.rotors.count

@@ -1,4 +1,4 @@
-"""What a checkpoint says of itself: from which flights it was trained, how, and how far it can be trusted."""
+"""The model card: flights, recipe, errors and versions of a training."""
 
 from __future__ import annotations
 
@@ -8,9 +8,15 @@ from training.recipe import Recipe
 
 
 class FlightError(msgspec.Struct, frozen=True):
-    """RMSE on one flight against its labels, each component counting alike: m/s^2, rad/s^2, and both together.
+    """RMSE on one flight against its labels, each component counting alike.
 
-    nominal: of the textbook model, both together. base: of what the network's output is added to, if anything.
+    flight: its name.
+    rows: compared.
+    linear: m/s^2.
+    angular: rad/s^2.
+    combined: over all six components.
+    nominal: of the nominal model, combined.
+    base: of what the network's output is added to, combined, None without a base.
     """
 
     flight: str
@@ -23,10 +29,19 @@ class FlightError(msgspec.Struct, frozen=True):
 
 
 class Card(msgspec.Struct, frozen=True):
-    """The model card. flights, validation: sha256 by file name. seeds, steps, best_step, seconds: one a member.
+    """The model card.
 
-    errors: of the ensemble's mean on the validation flights. ranges: least and greatest value of each input in
-    training.
+    kind: of model (`training.models`).
+    command, date, recipe: of the training.
+    flights, validation: sha256 by file name.
+    vehicle, vehicle_sha256: name and hash of the vehicle file.
+    seeds, steps, best_step, seconds: one a member.
+    parameters: of one network.
+    rows: windows of the training flights.
+    errors: of the ensemble's mean on the validation flights.
+    ranges: lowest and highest value of each input in training, SI units.
+    versions: of alula and the libraries.
+    notes: what the user should know.
     """
 
     kind: str

@@ -55,7 +55,7 @@ class Scaling:
 
 @dataclass(frozen=True, eq=False)
 class Ranges:
-    """Least and greatest value (inputs,) of each input in training, in its unit."""
+    """Lowest and highest value (inputs,) of each input in training, in its unit."""
 
     lowest: Floats
     highest: Floats
@@ -63,10 +63,11 @@ class Ranges:
 
 @dataclass(frozen=True, eq=False)
 class Reliability:
-    """How far an ensemble's disagreement can be read as its error; from the validation flights.
+    """Relation of an ensemble's disagreement to its error, from the validation flights.
 
-    disagreement: RMS over the outputs of the members' standardised deviation that 1 row in 100 exceeds. error_floor,
-    error_scale: (6,) half the width of a 90 % interval is the root of floor^2 + (scale * the members' deviation)^2.
+    disagreement: RMS over the outputs of the members' standardised deviation that 1 row in 100 exceeds.
+    error_floor, error_scale: (6,) half the width of a 90 % interval is the root of
+        floor^2 + (scale * the members' deviation)^2.
     """
 
     disagreement: float
@@ -76,7 +77,12 @@ class Reliability:
 
 @dataclass(frozen=True, eq=False)
 class TrainedModel:
-    """A model ready to predict. networks: members in evaluation mode, none for a base alone. text: the vehicle file."""
+    """A model ready to predict.
+
+    networks: members in evaluation mode, none for a base alone.
+    vehicle_text: the vehicle file.
+    reliability: of an ensemble, None for a single network.
+    """
 
     config: ModelConfig
     networks: tuple[nn.Module, ...]
@@ -88,7 +94,7 @@ class TrainedModel:
     reliability: Reliability | None = None
 
     def outputs(self, windows: Floats | Tensor, *, member: int | None = None) -> Floats:
-        """What the members say of windows (m, T, inputs) in the inputs' units: (members, m, 6) in the outputs' units.
+        """Outputs (members, m, 6) of the members for windows (m, T, inputs), both in their units.
 
         member: that one only, (1, m, 6).
         """
@@ -162,12 +168,14 @@ def load(path: str | Path) -> TrainedModel:
     """A checkpoint, every member in evaluation mode.
 
     Raises RequestError for a file that is missing, damaged, of another version, or whose weights have another shape
-    than its config says.
+    than that of its config.
     """
     path = Path(path)
     content = read_content(path)
     if content.get("format") != FORMAT:
-        raise RequestError(f"{path} is no model of alula: its format is {content.get('format')!r}, wanted {FORMAT!r}.")
+        raise RequestError(
+            f"{path} is no model of alula: its format is {content.get('format')!r}, required is {FORMAT!r}."
+        )
     if content.get("version") not in (IN_KILO_RPM, VERSION):
         raise RequestError(
             f"{path} is a model of version {content.get('version')}, this alula reads up to {VERSION}: train it again, "
@@ -241,7 +249,7 @@ def _networks(config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tupl
         try:
             network.load_state_dict(weights)
         except RuntimeError as error:
-            raise RequestError(f"weights of another shape than its config says: {_first_line(error)}.") from error
+            raise RequestError(f"weights of another shape than that of its config: {_first_line(error)}.") from error
         if not all(torch.isfinite(weight).all() for weight in network.state_dict().values()):
             raise RequestError("weights that are not finite.")
         networks.append(network.eval().requires_grad_(requires_grad=False))

@@ -1,4 +1,4 @@
-"""What a model is: its inputs, its outputs, what it stands on, its network. How it is trained is `training.recipe`."""
+"""The definition of a model: inputs, outputs, base, network. How it is trained is in `training.recipe`."""
 
 from __future__ import annotations
 
@@ -27,15 +27,23 @@ TORQUE = ("torque_x", "torque_y", "torque_z")
 
 
 class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A model's definition; everything that decides the shape and the meaning of its numbers.
+    """A model's definition: everything that determines shape and meaning of its numbers.
 
-    kind: its name in `training.models`. network: what is trained, "none" for a model that is only evaluated. base:
-    what the network's output is added to. inputs: frame of the columns (`input_names`). outputs: accelerations in the
-    world frame, specific force and angular acceleration in the body frame, or residual force and torque (supplement
-    eq. 1). motors: commanded or measured rotor speeds. label: what is predicted, the accelerations at the last row or
-    their mean over the next dt. filtered_inputs: the paper's zero-phase filter on the inputs, which no flight has.
-
-    history: T columns, dt seconds apart. channels, kernel, dilations: of the convolutions. hidden: of the perceptron.
+    kind: its name in `training.models`.
+    network: "none" for a model that is only evaluated.
+    base: what the network's output is added to.
+    inputs: frame of the columns (`input_names`).
+    outputs: "world": accelerations in the world frame; "body": specific force and angular acceleration in the body
+        frame; "wrench": residual force and torque (supplement eq. 1).
+    motors: commanded or measured rotor speeds.
+    label: accelerations at the last row, or their mean over the next dt.
+    filtered_inputs: the paper's zero-phase filter on the inputs, which no flight has.
+    rotors: of the vehicle.
+    dt: s between columns.
+    history: T columns of a window.
+    channels, kernel, dilations: of the convolutions.
+    hidden: widths of the perceptron's layers.
+    batch_norm, dropout: of the convolutions, in training.
     """
 
     kind: str
@@ -71,7 +79,7 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def receptive_field(self) -> int:
-        """Columns that the network looks at, its own included."""
+        """Columns that an output depends on, the newest included."""
         if self.network == "tcn":
             return 1 + (self.kernel - 1) * sum(self.dilations)
         return self.history if self.network == "mlp" else 1
@@ -111,7 +119,7 @@ def convolutions_for(history: int) -> tuple[int, tuple[int, ...]]:
     Raises RequestError for a history below 1.
     """
     if history < 1:
-        raise RequestError(f"a history of {history} columns: wanted 1 or more.")
+        raise RequestError(f"a history of {history} columns: required is 1 or more.")
     if history >= 19:
         return 3, (1, 2, 2, 4)
     if history >= 9:

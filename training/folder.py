@@ -16,7 +16,7 @@ LOCK = "lock"
 
 
 def run_folder(out: Path) -> Path:
-    """Where the members of a model keep what they go on from."""
+    """Folder of the members' saved states."""
     return out.with_name(f"{out.name}.run")
 
 

@@ -1,4 +1,4 @@
-"""What was true in a simulated campaign: the increments that labels only estimate, and the plant behind them."""
+"""Ground truth of a simulated campaign: the increments that labels estimate, and the plant that flew."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
 def true_label(data: LabelledRows, campaign: Path, *, dt: float) -> Floats:
     """(n, 6) true mean body accelerations over the next dt at the rows of a campaign's flights; NaN at their ends.
 
-    Raises DataError when the campaign kept no truth of one of the flights.
+    Raises DataError when the campaign has no ground truth of one of the flights.
     """
     label = np.full((len(data.time), 6), np.nan)
     for part in _true_flights(data, campaign, dt):

@@ -1,4 +1,4 @@
-"""A trained model run by itself: many flights at once, each from its own recorded history."""
+"""Open-loop simulation of a trained model: many flights at once, each from its own recorded history."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class OpenLoopSimulation:
         self.state[:, ATTITUDE] = quaternion.normalise(self.state[:, ATTITUDE])
 
     def _accelerations(self, state: Floats, rotor_speed: Floats) -> Floats:
-        """(m, 6) body accelerations; zeros in the warm-up of a network that has not seen enough columns yet."""
+        """(m, 6) body accelerations; zeros in the warm-up of a network without enough columns yet."""
         model, config = self._model, self._model.config
         base = None if self._base is None else self._base(state, rotor_speed).body
         if not self._streams:

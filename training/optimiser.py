@@ -16,7 +16,7 @@ from training.recipe import Recipe
 
 
 class StepRule:
-    """Optimisers of all parameters as one. Its state is a plain dictionary, for a training that goes on."""
+    """Optimisers of all parameters as one. Its state is a plain dictionary, from which a training continues."""
 
     def __init__(self, network: nn.Module, recipe: Recipe) -> None:
         self._parts: list[tuple[Optimizer, float]] = []

@@ -35,7 +35,7 @@ class ModelRows(NamedTuple):
 class RowModel:
     """A vehicle with effects, evaluated row by row; hidden states run along with the rows.
 
-    effects: (): the textbook model. motors: with measured rotor speeds there is no lag between them and the rotors.
+    effects: none for the nominal model. motors: with measured rotor speeds there is no lag between them and the rotors.
     label: accelerations at the row, or their mean over the next dt with the input held (RK4). The ground is at z = 0
     and the battery full.
     """
@@ -107,7 +107,7 @@ def _driven(effects: Sequence[EffectUse], motors: Motors, catalogue: Mapping[str
 
 
 def initial_hidden(model: Model, rotor_speed: Floats) -> Floats:
-    """(m, hidden + 1) hidden states of hover, but rotors as fast as they are told at the start: (m, rotors) rad/s."""
+    """(m, hidden + 1) hidden states of hover, with the rotors at the first commanded speeds (m, rotors), rad/s."""
     carried = np.zeros((len(rotor_speed), model.hidden_count + 1))
     carried[:, : model.hidden_count] = model.hidden_initial
     for place in model.rotor_speed_places:

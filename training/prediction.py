@@ -1,4 +1,4 @@
-"""What a trained model says along flights, how sure it is, and how far it errs."""
+"""Predictions of a trained model along flights, their intervals, and their errors."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ class Prediction:
 
 
 def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = None, gated: bool = True) -> Prediction:
-    """The ensemble's mean, or what one member says. data: made with the model's config and vehicle.
+    """The ensemble's mean, or one member's prediction. data: made with the model's config and vehicle.
 
     gated: whether a grey box's residual fades where the members disagree more than on their own flights; on the
-    textbook model it never does, for that is the worse one to fall back to.
+    nominal model it never does, for that is the worse one to fall back to.
     """
     ends = data.ends
     base = None if data.base is None else data.base[ends]
@@ -61,13 +61,13 @@ def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = Non
 
 
 def gate_of(disagreement: Floats, threshold: float) -> Floats:
-    """Share of a residual that is believed: all of it up to the threshold, then falling with the square."""
-    limit = max(threshold, 1e-12)  # members that all kept no residual agree exactly
+    """Share of a residual that is added: all of it up to the threshold, then falling with the square."""
+    limit = max(threshold, 1e-12)  # members without any residual agree exactly
     return np.asarray((limit / np.maximum(disagreement, limit)) ** 2)
 
 
 def member_outputs(model: TrainedModel, data: LabelledRows, *, member: int | None = None) -> Floats:
-    """(members, m, 6) what the networks say at the data set's ends, in the outputs' units."""
+    """(members, m, 6) outputs of the networks at the data set's ends, in their units."""
     offsets = np.arange(1 - model.config.history, 1)
     parts = [
         model.outputs(data.inputs[data.ends[start : start + EVALUATED, None] + offsets], member=member)
@@ -79,7 +79,7 @@ def member_outputs(model: TrainedModel, data: LabelledRows, *, member: int | Non
 def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> Reliability | None:
     """What an ensemble's disagreement means, from flights that no member was trained on; None for one member.
 
-    outputs: (members, m, 6). targets: (m, 6) what they should have said.
+    outputs: (members, m, 6). targets: (m, 6) correct outputs.
     """
     if len(outputs) < 2:
         return None

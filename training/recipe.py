@@ -23,7 +23,7 @@ class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     standardise: inputs and outputs to mean 0 and deviation 1.
 
     physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage of physics_start (share of the steps); then optimiser and
-    schedule start anew with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
+    schedule restart with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
     whole state-input space, as the paper has it, or "plausible", recorded motion scaled by 1 to 1.6 under recorded
     commands, simulated with the nominal model, or "pulses" on the rotors of recorded motion, which are answered as the
     vehicle file's model answers them (`training.data.collocation`). physics_batch: points a step. physics_pool: points

@@ -31,8 +31,8 @@ from training.streaming import Stream
 class RolloutLoss:
     """Recorded flights as roll-outs need them. state: (n, 13). base, label: (n, 6), world accelerations the latter.
 
-    starts: (m,) rows at which a roll-out of `steps` steps may begin. spoken: (6,) outputs over
-    accelerations. error_std: (6,) what their error is counted in. noise: deviation added to the standardised state.
+    starts: (m,) rows at which a roll-out of `steps` steps may begin. output_unit: (6,) outputs over
+    accelerations. error_std: (6,) unit of their error. noise: deviation added to the standardised state.
     """
 
     config: ModelConfig
@@ -42,7 +42,7 @@ class RolloutLoss:
     base: Tensor
     label: Tensor
     starts: Tensor
-    spoken: Tensor
+    output_unit: Tensor
     error_std: Tensor
     steps: int
     noise: float
@@ -64,17 +64,18 @@ class RolloutLoss:
         def tensor(values: np.ndarray) -> Tensor:
             return torch.from_numpy(np.ascontiguousarray(values)).to(device, torch.float32)
 
-        spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
+        output_unit = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
         scales = {name: tensor(getattr(scaling, name)) for name in Scaling.__dataclass_fields__}
         return cls(
             config, tensors, scales, tensor(data.state), tensor(base), tensor(world),
-            torch.from_numpy(starts).to(device), tensor(spoken), tensor(scaling.output_std / spoken), steps, noise,
+            torch.from_numpy(starts).to(device), tensor(output_unit), tensor(scaling.output_std / output_unit), steps,
+            noise,
         )  # fmt: skip
 
     def loss(self, network: nn.Module, chosen: Tensor, generator: torch.Generator) -> Tensor:
         """Mean over the steps of the squared error of the mean acceleration up to each, in standardised units.
 
-        Errors of a model that speaks in body axes are counted in those of the first step, so that a single step has
+        Errors of a model with outputs in body axes are taken in those of the first step, so that a single step has
         the one-step loss.
 
         chosen: (b,) numbers that pick starts, modulo their count.
@@ -101,18 +102,19 @@ class RolloutLoss:
 
     def _world(self, outputs: Tensor, base: Tensor, attitude: Tensor) -> Tensor:
         """World acceleration and angular acceleration (b, 6) that standardised outputs stand for."""
-        spoken = (outputs * self.scaling["output_std"] + self.scaling["output_mean"]) / self.spoken
+        accelerations = (outputs * self.scaling["output_std"] + self.scaling["output_mean"]) / self.output_unit
         if self.config.outputs == "world":
             if self.config.base == "none":
-                return spoken
-            return spoken + torch.cat([quaternion.rotate(attitude, base[:, :3]) - self._up(base), base[:, 3:]], 1)
-        body = base + spoken
-        world: Tensor = torch.cat([quaternion.rotate(attitude, body[:, :3]) - self._up(body), body[:, 3:]], 1)
-        return world
+                return accelerations
+            return accelerations + self._world_axes(base, attitude)
+        body = base + accelerations
+        return self._world_axes(body, attitude)
 
     @staticmethod
-    def _up(like: Tensor) -> Tensor:
-        return torch.tensor([0.0, 0.0, GRAVITY], device=like.device)
+    def _world_axes(body: Tensor, attitude: Tensor) -> Tensor:
+        """Body accelerations (b, 6) as world and angular acceleration."""
+        gravity = torch.tensor([0.0, 0.0, GRAVITY], device=body.device)
+        return torch.cat([quaternion.rotate(attitude, body[:, :3]) - gravity, body[:, 3:]], 1)
 
     def _column(self, state: Tensor, recorded: Tensor) -> Tensor:
         """A standardised column of a predicted state with the recorded motors."""

@@ -91,7 +91,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def run(options: TrainOptions, progress: Progress) -> TrainedModel:
-    """Train every member, write the model and its card beside it. progress: called at each member's evaluations.
+    """Train every member, write the model and its card. progress: called at each member's evaluations.
 
     Raises RequestError, DataError for what a user can cause.
     """
@@ -154,7 +154,7 @@ def settled(options: TrainOptions) -> tuple[ModelConfig, Recipe]:
 
 
 def write_card(model: TrainedModel, out: Path) -> Path:
-    """The card as JSON beside the model. Raises RequestError when it cannot be written."""
+    """The card as JSON in the model's folder. Raises RequestError when it cannot be written."""
     text = msgspec.json.format(msgspec.json.encode(model.card)) + b"\n"
     advice = f"The model itself is in {out}."
     return write_whole(out.with_suffix(CARD_SUFFIX), lambda part: part.write_bytes(text), advice=advice)

@@ -1,4 +1,4 @@
-"""Stages, learning rate and lambda as functions of the step alone, so that a resumed run goes on as it would have."""
+"""Stages, learning rate and lambda as functions of the step alone, so that a resumed run continues unchanged."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ START, END = 0.1, 0.001  # of the highest learning rate
 
 @dataclass(frozen=True)
 class Schedule:
-    """steps: in all. restart: the step at which lambda sets in and optimiser and schedule start anew; none if equal."""
+    """A recipe over a number of steps.
+
+    steps: in all.
+    restart: the step at which lambda begins and optimiser and schedule restart; none if equal to steps.
+    """
 
     recipe: Recipe
     steps: int

@@ -25,7 +25,7 @@ class Stream:
 
     @property
     def is_ready(self) -> bool:
-        """Whether as many columns have come as the network looks at."""
+        """Whether the network has all columns that an output depends on."""
         return self.columns >= self._config.receptive_field
 
     def push(self, column: Tensor) -> Tensor | None:

@@ -50,8 +50,8 @@ def _require_turning(head: str, label: Floats, nominal: Floats) -> None:
     turning = measured / modelled
     if np.all(turning > MAX_OFF) or np.all(turning < 1 / MAX_OFF):
         raise DataError(
-            f"{head}, where roll and pitch accelerate {turning[0]:.2g} and {turning[1]:.2g} times as much as it "
-            "says. Check inertia (kg m^2) and rotor positions (m), or give the file of the vehicle that flew."
+            f"{head}, where roll and pitch accelerate {turning[0]:.2g} and {turning[1]:.2g} times as much as "
+            "modelled. Check inertia (kg m^2) and rotor positions (m), or give the file of the vehicle that flew."
         )
 
 

@@ -236,7 +236,7 @@ def test_scaling_and_ranges_that_are_not_finite_are_refused(lagging: Vehicle, tm
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        ({"channels": 24}, r"model\.pt is a damaged model: weights of another shape than its config says"),
+        ({"channels": 24}, r"model\.pt is a damaged model: weights of another shape than that of its config"),
         ({"dilations": (1, 2, 4, 8)}, r"model\.pt is a damaged model: .*look back 31 columns, the history has 20"),
     ],
 )

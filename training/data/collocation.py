@@ -1,7 +1,7 @@
-"""The points of the physics-inspired loss: histories, and what physics says at their ends (PI-TCN eq. 4).
+"""Collocation points of the physics-inspired loss (PI-TCN eq. 4): histories, and a physical model's output at the ends.
 
-Anywhere in the space, or on plausible histories, this is the textbook model's accelerations. For a pulse on the rotors
-it is how much more physics answers than without the pulse; a residual on named effects leaves all of that to them.
+Anywhere in the space, or on plausible histories, this is the nominal model's accelerations. For a pulse on the rotors
+it is the change of the vehicle file's model by the pulse; for a residual on all named effects this change is zero.
 """
 
 from __future__ import annotations
@@ -27,9 +27,11 @@ MAX_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
 @dataclass(frozen=True, eq=False)
 class CollocationPoints:
-    """windows: (p, T, inputs), oldest column first. targets: (p, 6) what a network should say of them.
+    """Points at which a network is compared with a physical model.
 
-    unperturbed: (p, T, inputs) windows, of which a network may say anything: targets are then what it should say more.
+    windows: (p, T, inputs), oldest column first.
+    targets: (p, 6) correct outputs for them.
+    unperturbed: (p, T, inputs) the windows without a pulse; targets are then the correct change of the output.
     """
 
     windows: Floats
@@ -57,7 +59,7 @@ def _of_space(
     """States (T, count, 13) and rotor speeds (T, count, rotors) that end anywhere in the state-input space.
 
     Velocity: each axis up to the highest recorded speed. Rates: up to the vehicle's limits. Attitude: any. Rotors: any
-    speed, held. The past follows from the textbook model run backwards, so that columns are consistent.
+    speed, held. The past follows from the nominal model run backwards, so that columns are consistent.
     """
     fastest = float(np.linalg.norm(data.state[data.ends, VELOCITY], axis=1).max())
     rate = np.array(vehicle.limits.rate)
@@ -78,7 +80,7 @@ def _pulsed(
 ) -> CollocationPoints:
     """Recorded histories with a pulse on the rotors and with what the vehicle file's model answers to it, and without.
 
-    What else moved the vehicle, air above all, knows nothing of the pulse.
+    All other forces, of the air above all, are those of the recording.
     """
     ends = random.choice(data.ends, count)
     rows = ends[:, None] + np.arange(1 - config.history, 1)
@@ -121,7 +123,7 @@ def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats)
 
 
 def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, speed: Floats) -> Floats | None:
-    """What a network's outputs are added to: nothing, the textbook model's accelerations, or all that is named."""
+    """The base that a network's outputs are added to: none, the nominal model, or the vehicle file's model."""
     if config.base == "nominal":
         return nominal_model(vehicle, dt=config.dt, label=config.label)(state, speed).body
     return None if config.base == "none" else body
@@ -130,9 +132,9 @@ def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, sp
 def _plausible(
     config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """The same from recorded motion: velocity and rates times 1 to 1.6, then the recorded motors on the textbook model.
+    """The same from recorded motion: velocity and rates times 1 to 1.6, then the nominal model under recorded speeds.
 
-    Faster than what was flown, but never far from it.
+    Faster than the flights, but never far from them.
     """
     first = random.choice(data.ends, count) - (config.history - 1)
     state = data.state[first]

@@ -34,7 +34,7 @@ def world_accelerations(body: Floats, attitude: Floats) -> Floats:
 
 
 def outputs_from(config: ModelConfig, vehicle: Vehicle, body: Floats, base: Floats | None, attitude: Floats) -> Floats:
-    """What a network has to say (n, 6) for its model to give these body accelerations. base: (n, 6), None for none."""
+    """Outputs (n, 6) of a network whose model gives these body accelerations. base: (n, 6), None for none."""
     left = body if base is None else body - base
     if config.outputs == "wrench":
         return left * body_inertia(vehicle)
@@ -48,7 +48,7 @@ def outputs_from(config: ModelConfig, vehicle: Vehicle, body: Floats, base: Floa
 def accelerations_from(
     config: ModelConfig, vehicle: Vehicle, outputs: Floats, base: Floats | None, attitude: Floats
 ) -> Floats:
-    """Body accelerations (n, 6) of a model whose network says `outputs`: the inverse of `outputs_from`."""
+    """Body accelerations (n, 6) of a model whose network has these outputs: the inverse of `outputs_from`."""
     if config.outputs == "wrench":
         left = outputs / body_inertia(vehicle)
     elif config.outputs == "body":

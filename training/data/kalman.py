@@ -1,9 +1,9 @@
 """Unobserved accelerations from measured velocities: a kinematic Kalman filter, its RTS smoother, and a UKF.
 
 The model: each axis's acceleration is a random walk, its velocity is measured with white noise. Only the ratio of the
-two noises matters; it is told as the cutoff of the smoother, |H(f)| = 1 / (1 + (f / cutoff)^4), so that it can stand
-beside a Butterworth filter. On this linear model a UKF is the Kalman filter; `benchmarks/acceleration_labels.py` shows
-what its missing look ahead costs against the RTS smoother.
+two noises matters; it is given by the cutoff of the smoother, |H(f)| = 1 / (1 + (f / cutoff)^4), so that it can be
+compared with a Butterworth filter. On this linear model a UKF is the Kalman filter; the cost of its causality against
+the RTS smoother is in `benchmarks/acceleration_labels.py`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from flights.filters import each_segment
 
-_START = 1e4  # variance of the first acceleration over that of the steady state: nothing is known of it
+_START = 1e4  # variance of the first acceleration over that of the steady state: no prior
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class KinematicModel:
         Raises RequestError for a cutoff that the rate does not reach.
         """
         if not 0.0 < cutoff < 0.5 * rate:
-            raise RequestError(f"a smoother of {cutoff:g} Hz on data of {rate:g} Hz: wanted less than {0.5 * rate:g}.")
+            raise RequestError(f"a smoother of {cutoff:g} Hz on data of {rate:g} Hz: required is < {0.5 * rate:g}.")
         h = 1.0 / rate
         density = (2 * np.pi * cutoff) ** 4 * h  # of the white jerk, for a measurement variance of 1
         process = density * np.array([[h**3 / 3, h**2 / 2], [h**2 / 2, h]])

@@ -159,7 +159,7 @@ def labelled(config: ModelConfig, body: Floats, attitude: Floats) -> Floats:
     """The part of a base's body accelerations (n, 6) that the labels of these rows show; their filters take the rest.
 
     A residual of smooth labels on named effects as they are would take back how fast these answer the rotors. The
-    textbook model's answer lacks the rotors' lag and better is taken back. attitude: (n, 4).
+    nominal model's answer lacks the rotors' lag and is better taken back. attitude: (n, 4).
     """
     if config.filtered_inputs or config.base != "grey_box":  # smooth inputs are answered smoothly
         return body

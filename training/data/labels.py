@@ -1,4 +1,4 @@
-"""What a network is taught: accelerations of a flight, and the inputs it may be taught them from.
+"""Labels and inputs of a flight: accelerations to learn, and the causal inputs to learn them from.
 
 Labels look ahead, because they are made afterwards; inputs never do. `paper_table` is the exception that the paper
 makes, for its own numbers only.
@@ -101,8 +101,8 @@ def samples(segment: Flight, *, horizon: float = HORIZON) -> Samples:
 def paper_table(segment: Flight, *, cutoff: float = filters.PAPER_CUTOFF) -> Samples:
     """The paper's processing: inputs and labels all filtered both ways at 5 Hz, PI-TCN section IV-A.
 
-    The inputs know the future by about 0.1 s: numbers from them can stand beside the paper's and say little about
-    the response to the motors. Raises DataError for what is missing.
+    The inputs depend on about 0.1 s of the future: numbers from them can be compared with the paper's, and mean
+    little for the response to the motors. Raises DataError for what is missing.
     """
     attitude = filters.lowpass(quaternion.continuous(segment["attitude"]), segment.rate, cutoff)
     velocity, rate = (filters.lowpass(segment[name], segment.rate, cutoff) for name in ("velocity", "rate"))

@@ -23,7 +23,7 @@ CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exac
 VALIDATION_SHARE = 0.1
 VALIDATION_TIME_SHARE = 0.2  # of the only flight
 MIN_SEGMENT = 1.0  # s of a segment worth learning from
-SIMULATED = "alula.lockstep"  # what wrote a campaign's flights, as they say themselves
+SIMULATED = "alula.lockstep"  # reader in the notes of a campaign's flights
 TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
 
 
@@ -91,7 +91,7 @@ def read_logged_flights(
     if not flown:
         raise DataError(
             f"{', '.join(path.name for path in paths[:3])}: nowhere {MIN_SEGMENT:g} s of free flight without a gap. "
-            "`alula inspect` says what each log lacks."
+            "`alula inspect` lists what each log lacks."
         )
     same: dict[str, str] = {}
     for flight in flown:
@@ -143,7 +143,7 @@ def _recorded_as(path: Path) -> str | None:
     try:
         notes = decode_notes(pa_parquet.read_schema(path).metadata) if path.suffix == ".parquet" else None
     except (OSError, ArrowException):
-        return None  # reading it will say what is wrong
+        return None  # reading it will report the error
     return Path(notes.provenance.path).name if notes is not None and notes.provenance.reader == SIMULATED else None
 
 
@@ -169,7 +169,7 @@ def split_flights(
         return Split(tuple(learned), tuple(judges), tuple(notes))
     if len(remaining) == 1:
         notes.append(
-            "one flight only: its last fifth validates, so errors on other flights are not known. Fly more, and other "
+            "one flight only: its last fifth validates, so errors on other flights are unknown. Fly more, and other "
             "manoeuvres."
         )
         learned_part, judging_part = _cut(remaining[0])

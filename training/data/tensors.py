@@ -45,7 +45,7 @@ class Tensors:
 
 @dataclass(frozen=True, eq=False)
 class CollocationTensors:
-    """The points of the physics-inspired loss, standardised. windows, beside: (p, T, k). targets: (p, 6)."""
+    """The points of the physics-inspired loss, standardised. windows, unperturbed: (p, T, k). targets: (p, 6)."""
 
     windows: Tensor
     targets: Tensor
@@ -65,7 +65,7 @@ class CollocationTensors:
         )
 
     def loss(self, learner: nn.Module, windows: Tensor, rows: Tensor) -> tuple[Tensor, Tensor]:
-        """(what the learner says of windows, mean squared standardised error on these points), in one call."""
+        """(the learner's outputs for windows, mean squared standardised error on these points), in one call."""
         parts = [windows, self.windows[rows]] + ([] if self.unperturbed is None else [self.unperturbed[rows]])
         outputs = learner(torch.cat(parts))
         predicted = outputs[len(windows) : len(windows) + len(rows)]
@@ -75,10 +75,10 @@ class CollocationTensors:
 
 
 def with_noise(windows: Tensor, measured: int, deviation: float, generator: torch.Generator) -> Tensor:
-    """Windows (m, T, k) whose first `measured` entries of every column carry noise; rotor speeds are known exactly.
+    """Windows (m, T, k) whose first `measured` entries of every column carry noise; rotor speeds are exact.
 
     A network that looks back learns from precise recordings to differentiate them. In flight columns are partly
-    predicted, the controller makes use of such slopes, and the loop swings up.
+    predicted, the controller makes use of such slopes, and the closed loop becomes unstable.
     """
     if deviation == 0:
         return windows
@@ -91,15 +91,15 @@ def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: La
 
     Without standardising, numbers are raw as the paper's: mean 0 and deviation 1, rotor speeds in thousands of rpm.
 
-    Residuals keep 0 as their mean, so that a network which says 0 leaves the base as it is. Raw residual force and
-    torque are spoken in units of mass and inertia, so that the loss is of accelerations.
+    Residuals keep 0 as their mean, so that a network whose output is 0 leaves the base as it is. Raw residual force and
+    torque are in units of mass and inertia, so that the loss is of accelerations.
     """
     inputs, targets = data.inputs[data.ends], data.targets[data.ends]
     if not recipe.standardise:
-        spoken = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
+        output_unit = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
         units = np.ones(inputs.shape[1])
         units[config.state_inputs :] = PAPER_ROTOR_UNIT
-        return Scaling(np.zeros(inputs.shape[1]), units, np.zeros(6), spoken)
+        return Scaling(np.zeros(inputs.shape[1]), units, np.zeros(6), output_unit)
     mean = targets.mean(axis=0) if config.base == "none" else np.zeros(6)
     return Scaling(inputs.mean(axis=0), _deviation(inputs), mean, _deviation(targets))
 

@@ -1,6 +1,6 @@
-"""NOM: the textbook model of the vehicle file, PI-TCN eq. 1 and 2. Nothing is trained."""
+"""NOM: the nominal model of the vehicle file, PI-TCN eq. 1 and 2. Nothing is trained."""
 
 from training.config import ModelConfig
 from training.models.kind import Kind
 
-MODEL = Kind("nominal", "the textbook model, evaluated", ModelConfig("nominal", "none", base="nominal", history=1))
+MODEL = Kind("nominal", "the nominal model, evaluated", ModelConfig("nominal", "none", base="nominal", history=1))

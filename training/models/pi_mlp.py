@@ -1,4 +1,4 @@
-"""PI-MLP: PI-TCN's decoder alone, on one column unless told otherwise, with the physics-inspired loss."""
+"""PI-MLP: PI-TCN's decoder alone, on one column by default, with the physics-inspired loss."""
 
 from training.config import ModelConfig
 from training.models.kind import Kind

@@ -4,6 +4,6 @@ from training.config import ModelConfig
 from training.models.kind import Kind
 
 MODEL = Kind(
-    "res_tcn", "residual force and torque on the textbook model",
+    "res_tcn", "residual force and torque on the nominal model",
     ModelConfig("res_tcn", "tcn", base="nominal", outputs="wrench"),
 )  # fmt: skip

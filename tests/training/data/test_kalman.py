@@ -56,5 +56,5 @@ def test_gaps_stay_gaps() -> None:
 
 
 def test_a_cutoff_beyond_the_rate_is_refused() -> None:
-    with pytest.raises(RequestError, match="wanted less than 50"):
+    with pytest.raises(RequestError, match="required is < 50"):
         kalman.rts_acceleration(MEASURED, RATE, 60.0)
