@@ -7,13 +7,14 @@ import sys
 
 import pytest
 
-WITHOUT = (
-    "import sys\n"
-    "for name in ('scipy', 'pyarrow', 'plotly', 'jinja2', 'torch'): sys.modules[name] = None\n"
-    "sys.argv = ['alula', *{arguments!r}]\n"
-    "from alula.cli.app import main\n"
-    "main()\n"
-)
+WITHOUT = """
+import sys
+for name in ("scipy", "pyarrow", "plotly", "jinja2", "torch", "matplotlib", "onnx", "optuna", "pyulog", "rosbags"):
+    sys.modules[name] = None
+sys.argv = ["alula", *{arguments!r}]
+from alula.cli.app import main
+main()
+"""
 
 
 def run(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -21,7 +22,20 @@ def run(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=False)
 
 
-@pytest.mark.parametrize("arguments", [("inspect", "some.ulg"), ("campaign", "--out", "nowhere")])
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("inspect", "some.ulg"),
+        ("compare", "some.ulg", "--vehicle", "arpl_250g"),
+        ("diagnose", "some.ulg", "--vehicle", "arpl_250g"),
+        ("add", "some.ulg", "--vehicle", "arpl_250g"),
+        ("train", "some.ulg", "--vehicle", "arpl_250g", "--model", "pi_tcn", "--out", "m.pt"),
+        ("evaluate", "m.pt", "some.ulg"),
+        ("export", "m.pt", "--out", "bundle"),
+        ("sweep", "kinds", "some.ulg", "--vehicle", "arpl_250g", "--out", "nowhere"),
+        ("campaign", "--out", "nowhere"),
+    ],
+)
 def test_a_command_of_the_workbench_names_what_to_install(arguments: tuple[str, ...]) -> None:
     done = run(*arguments)
     assert done.returncode == 2
