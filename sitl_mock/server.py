@@ -55,12 +55,12 @@ class Server:
         self._origin = self.autopilot.time
         try:
             while not stopped():
-                self.turn()
+                self.serve_once()
         finally:
             for wire in self.wires:
                 wire.transport.close()
 
-    def turn(self) -> None:
+    def serve_once(self) -> None:
         """Wait for bytes or for the time at which the next pass or message is due, and handle them."""
         self._wait()
         self._receive()

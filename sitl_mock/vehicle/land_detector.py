@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from sitl_mock.vehicle.vehicle_interface import MotionState
 
-CLIMB_MAX, SPEED_MAX, TURN_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
+CLIMB_MAX, SPEED_MAX, RATE_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
 CONTACT_TIME, MAYBE_TIME, LANDED_TIME = 0.35, 0.25, 0.30  # s
 THRUST_MIN = 0.12  # MPC_THR_MIN, as a share of full thrust
 LOW_THRUST, MIN_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from THRUST_MIN to the hover thrust
@@ -36,9 +36,9 @@ class LandDetector:
             self._since.clear()
             return
         speed_x, speed_y, climb = now.velocity_world.tolist()
-        turn_x, turn_y, _ = now.rate_body.tolist()
+        rate_x, rate_y, _ = now.rate_body.tolist()
         still = abs(climb) < CLIMB_MAX and math.hypot(speed_x, speed_y) < SPEED_MAX
-        quiet = math.hypot(turn_x, turn_y) < TURN_MAX
+        quiet = math.hypot(rate_x, rate_y) < RATE_MAX
         # a landed vehicle is only believed to fly when its thrust comes near what flying takes
         low, lowest = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, MIN_THRUST)
         span = hover_thrust - THRUST_MIN

@@ -77,8 +77,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     n = model.input_count
     state = {
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
-        "turn_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1, "signal_queue": n * ACTUATION_STEPS,
-        "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
+        "rate_setpoint_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1,
+        "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -132,12 +132,12 @@ def _step(
 def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
     """The inner loop's own states after the step, and the motor signals that it commands."""
     attitude = _estimated_attitude(state["plant"], state["estimate_error"])
-    turn = inner_loop.rate_setpoint(
+    rates = inner_loop.rate_setpoint(
         attitude, command["attitude"], command["yaw_rate"],
         gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
     )  # fmt: skip
-    limited = ca.fmin(ca.fmax(turn, -constants["rate_limit"]), constants["rate_limit"])
-    setpoint = ca.if_else(command["holds_attitude"], state["turn_queue"][-3:], command["rate"])
+    limited = ca.fmin(ca.fmax(rates, -constants["rate_limit"]), constants["rate_limit"])
+    setpoint = ca.if_else(command["holds_attitude"], state["rate_setpoint_queue"][-3:], command["rate"])
     setpoint = ca.if_else(command["axis_free"], state["rate"], setpoint)
     error = setpoint - state["rate"]
     torque = inner_loop.rate_control(error, setpoint, state["rate_acceleration"], state["integral"], constants)
@@ -150,7 +150,7 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
     signal = ca.if_else(command["armed"], allocation.signal_for_thrust(motors, constants["thrust_model_factor"]), 0)
     memory = {"integral": integral, "unallocated": demand[0:3] - allocated[0:3], "yaw_torque": yaw}
     after = {name: ca.if_else(command["armed"], value, 0) for name, value in memory.items()}
-    after["turn_queue"] = ca.vertcat(limited, state["turn_queue"][:-3])
+    after["rate_setpoint_queue"] = ca.vertcat(limited, state["rate_setpoint_queue"][:-3])
     after["signal_queue"] = ca.vertcat(signal, state["signal_queue"][:-count])
     return after, signal
 
@@ -159,10 +159,10 @@ def _fly(
     model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values, noise: Expression
 ) -> Expression:
     white = noise / DT**0.5
-    push, turn = _contact(
+    linear, angular = _contact(
         x, constants
     )  # held over the step: the ground is soft enough, and it is the most expensive part
-    contact = ca.vertcat(ca.SX.zeros(3), push, ca.SX.zeros(4), turn, ca.SX.zeros(model.hidden_count))
+    contact = ca.vertcat(ca.SX.zeros(3), linear, ca.SX.zeros(4), angular, ca.SX.zeros(model.hidden_count))
 
     def field(state: Expression) -> Expression:
         return model.derivative(state, speed, constants["model"], environment, white) + contact
@@ -180,9 +180,9 @@ def _observe(
 ) -> dict[str, Expression]:
     """Specific force (ground included), rotor speeds and the ground's upward force per unit of mass."""
     force, _, rotor_speed = model.observe(x, speed, constants["model"], environment)
-    push, _ = _contact(x, constants)
-    felt = force + quaternion.rotate_inverse(x[ATTITUDE], push)
-    return {"specific_force": felt, "rotor_speed": rotor_speed, "ground_force": push[2]}
+    support, _ = _contact(x, constants)
+    specific_force = force + quaternion.rotate_inverse(x[ATTITUDE], support)
+    return {"specific_force": specific_force, "rotor_speed": rotor_speed, "ground_force": support[2]}
 
 
 def _measure(
@@ -195,13 +195,13 @@ def _measure(
     error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
     gyro = rate_read + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
     rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
-    turning = inner_loop.low_pass(
+    acceleration = inner_loop.low_pass(
         (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
     )
-    felt = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
+    force = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
     states = {
-        "gyro_memory": memory, "rate": rate, "rate_acceleration": turning, "estimate_error": error,
-        "force_integral": state["force_integral"] + felt * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
+        "gyro_memory": memory, "rate": rate, "rate_acceleration": acceleration, "estimate_error": error,
+        "force_integral": state["force_integral"] + force * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
     }  # fmt: skip
     return states, ca.vertcat(x[POSITION] + error[0:3], x[VELOCITY] + error[3:6], _estimated_attitude(x, error), rate)
 

@@ -70,7 +70,7 @@ class PositionControl:
         if setpoint.kind != self._kind:
             self._enter(setpoint, now)
         target, velocity = self._target(setpoint, now)
-        self._turn(setpoint, dt)
+        self._update_yaw(setpoint, dt)
         return self._track(target, velocity, setpoint.acceleration_world, now, dt)
 
     def _enter(self, setpoint: ControlSetpoint, now: MotionState) -> None:
@@ -92,9 +92,9 @@ class PositionControl:
         leaves = (moves | np.isfinite(setpoint.acceleration_world)) & ~np.isfinite(position)
         self._anchor = np.where(leaves, now.position_world, self._anchor)
         nowhere = np.where(leaves, np.nan, self._anchor)
-        pushed = leaves & ~moves
+        accelerates = leaves & ~moves
         return np.where(np.isfinite(position), position, nowhere), np.where(
-            moves, velocity, np.where(pushed, np.nan, 0.0)
+            moves, velocity, np.where(accelerates, np.nan, 0.0)
         )
 
     def _descend(self, place: Floats, now: MotionState) -> tuple[Floats, Floats]:
@@ -113,7 +113,7 @@ class PositionControl:
         self._anchor[2] = level
         return np.array([self.home[0], self.home[1], level]), np.zeros(3)
 
-    def _turn(self, setpoint: ControlSetpoint, dt: float) -> None:
+    def _update_yaw(self, setpoint: ControlSetpoint, dt: float) -> None:
         self._yaw_rate = 0.0
         if math.isfinite(setpoint.yaw):
             self._yaw = setpoint.yaw
@@ -121,19 +121,19 @@ class PositionControl:
             self._yaw_rate = setpoint.yaw_rate
             self._yaw += setpoint.yaw_rate * dt
 
-    def _track(self, target: Floats, velocity: Floats, push: Floats, now: MotionState, dt: float) -> Demand:
+    def _track(self, target: Floats, velocity: Floats, feed_forward: Floats, now: MotionState, dt: float) -> Demand:
         """Position and velocity control with an acceleration besides; where the velocity is NaN, that alone."""
-        pushed = np.isnan(velocity)
-        velocity = np.where(pushed, now.velocity_world, velocity)
+        accelerates = np.isnan(velocity)
+        velocity = np.where(accelerates, now.velocity_world, velocity)
         velocity_setpoint = velocity + np.nan_to_num(POSITION_GAIN * (target - now.position_world))
         limit = max(CRUISE_SPEED, math.hypot(velocity[0], velocity[1]))
         velocity_setpoint[0:2] *= min(1.0, limit / max(math.hypot(velocity_setpoint[0], velocity_setpoint[1]), 1e-6))
         velocity_setpoint[2] = min(max(velocity_setpoint[2], -DESCENT_SPEED), CLIMB_SPEED)
-        error = np.where(pushed, 0.0, velocity_setpoint - now.velocity_world)
+        error = np.where(accelerates, 0.0, velocity_setpoint - now.velocity_world)
         slowing = (now.velocity_world - self._velocity) / dt
         self._velocity = now.velocity_world
         tracking = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
-        acceleration = np.where(pushed, 0.0, tracking) + np.nan_to_num(push)
+        acceleration = np.where(accelerates, 0.0, tracking) + np.nan_to_num(feed_forward)
         attitude, thrust, saturated = _attitude_for(acceleration.tolist(), self._yaw, self.tuning.hover_thrust)
         if not saturated:
             self._integral = np.minimum(np.maximum(self._integral + INTEGRAL_GAIN * error * dt, -5.0), 5.0)
@@ -141,7 +141,7 @@ class PositionControl:
             attitude,
             self._yaw_rate,
             thrust,
-            climbs=bool(velocity_setpoint[2] > TAKE_OFF_SPEED or (pushed[2] and push[2] > 0.0)),
+            climbs=bool(velocity_setpoint[2] > TAKE_OFF_SPEED or (accelerates[2] and feed_forward[2] > 0.0)),
         )
 
 

@@ -171,7 +171,7 @@ class SimulatedVehicle:
 
     @property
     def true_rotor_speed(self) -> Floats:
-        """(rotors,) rad/s, as they turn."""
+        """(rotors,) rad/s, without measurement errors."""
         return self._newest("rotor_speed")
 
     @property

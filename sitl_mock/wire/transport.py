@@ -188,7 +188,7 @@ class TcpClientTransport:
             self.close()
 
     def close(self) -> None:
-        """Close the connection; it is tried again with the next turn."""
+        """Close the connection; the next pass tries again."""
         for handle in (self._socket, self._pending):
             if handle is not None:
                 handle.close()

@@ -94,7 +94,7 @@ def test_a_real_failure_in_a_repetition_counts(run: Run) -> None:
     assert "too busy" not in result.stdout.str()
 
 
-def test_a_test_that_fails_in_every_starved_attempt_fails_and_tells_by_how_much(run: Run) -> None:
+def test_a_failure_in_every_starved_attempt_counts_with_what_was_measured(run: Run) -> None:
     result = run(MAX_ATTEMPTS, [True] * MAX_ATTEMPTS)
     result.assert_outcomes(passed=1, failed=1)
     result.stdout.fnmatch_lines(["*fell from the sky*", "*too busy in each of 4 attempts*0.50 s*210 ms*3.0 of*"])

@@ -44,7 +44,7 @@ def test_one_setpoint_30_ms_earlier_is_enough_by_the_measured_rule() -> None:
     assert bench.request(SET_MODE, 1, 6) == ACCEPTED
 
 
-def test_acknowledgements_come_within_16_ms_to_whoever_asked() -> None:
+def test_acknowledgements_come_within_16_ms_to_their_requester() -> None:
     bench = Bench()
     delays = []
     for _ in range(100):
@@ -56,7 +56,7 @@ def test_acknowledgements_come_within_16_ms_to_whoever_asked() -> None:
     assert 0.010 <= max(delays) <= 0.016
 
 
-def test_the_double_acknowledgement_lies_first_and_tells_the_truth_after() -> None:
+def test_the_double_acknowledgement_is_false_first_and_true_after() -> None:
     bench = Bench(double_ack=True)
     bench.request(ARM, 1)
     for _ in range(20):

@@ -89,7 +89,7 @@ def test_a_link_that_is_down_passes_nothing_either_way() -> None:
     assert len(bench.heard) > before
 
 
-def test_packets_are_lost_with_the_given_probability() -> None:
+def test_packets_are_lost_with_the_faults_probability() -> None:
     bench = bench_with("packet_loss", probability=0.3)
     bench.run(1.0)
     before = len(bench.heard)

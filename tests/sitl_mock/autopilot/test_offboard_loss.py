@@ -98,7 +98,7 @@ def test_a_companions_heartbeat_that_stops_changes_no_mode() -> None:
     assert bench.heartbeat.custom_mode == OFFBOARD
 
 
-def test_another_mode_asked_for_during_the_failsafe_is_final() -> None:
+def test_another_mode_requested_during_the_failsafe_is_final() -> None:
     bench = Bench()
     bench.fly()
     bench.until(lambda: bench.heartbeat.custom_mode == RTL)

@@ -44,17 +44,17 @@ def test_the_mixer_takes_arms_from_the_centre_of_mass(sih: Vehicle) -> None:
 
 
 @pytest.mark.parametrize("demand", [(0.1, -0.05, 0.02, 0.5), (0, 0, 0, 0.3), (-0.2, 0.1, 0.0, 0.6)])
-def test_what_fits_is_given_exactly(sih: Vehicle, demand: tuple[float, ...]) -> None:
+def test_a_demand_that_fits_is_allocated_exactly(sih: Vehicle, demand: tuple[float, ...]) -> None:
     np.testing.assert_allclose(allocated(sih, motors(sih, *demand)), demand, atol=1e-9)
 
 
-def test_roll_is_kept_at_the_expense_of_thrust(sih: Vehicle) -> None:
+def test_roll_goes_before_thrust(sih: Vehicle) -> None:
     reached = allocated(sih, motors(sih, 0.4, 0.0, 0.0, 0.95))
     assert reached[0] == pytest.approx(0.4, abs=1e-9)
     assert reached[3] < 0.95
 
 
-def test_roll_and_pitch_are_kept_at_the_expense_of_yaw(sih: Vehicle) -> None:
+def test_roll_and_pitch_go_before_yaw(sih: Vehicle) -> None:
     thrusts = motors(sih, 0.3, 0.0, 0.9, 0.5)
     reached = allocated(sih, thrusts)
     assert reached[0] == pytest.approx(0.3, abs=1e-6)

@@ -8,35 +8,38 @@ from sitl_mock.vehicle.inner_loop import butterworth, low_pass, next_integral, r
 GAIN = [4.0, 4.0, 2.8]
 
 
-def turn(attitude: np.ndarray, setpoint: np.ndarray, yaw_rate: float = 0.0, weight: float = 0.4) -> np.ndarray:
+def rates(attitude: np.ndarray, setpoint: np.ndarray, yaw_rate: float = 0.0, weight: float = 0.4) -> np.ndarray:
     rates = rate_setpoint(
         ca.SX(ca.DM(attitude)), ca.SX(ca.DM(setpoint)), yaw_rate, gain=ca.SX(ca.DM(GAIN)), yaw_weight=ca.SX(weight)
     )
     return np.array(ca.evalf(rates)).ravel()
 
 
-def test_nothing_turns_at_the_wanted_attitude() -> None:
+def test_at_the_setpoint_no_rate_is_commanded() -> None:
     attitude = quaternion.from_euler(0.3, -0.2, 1.0)
-    np.testing.assert_allclose(turn(attitude, attitude), 0, atol=1e-5)
+    np.testing.assert_allclose(rates(attitude, attitude), 0, atol=1e-5)
 
 
-def test_small_errors_turn_by_the_gains() -> None:
+def test_small_errors_give_rates_by_the_gains() -> None:
     level = quaternion.IDENTITY
-    np.testing.assert_allclose(turn(level, quaternion.from_euler(0.001, -0.002, 0)), [0.004, -0.008, 0], atol=1e-5)
-    np.testing.assert_allclose(turn(level, quaternion.from_euler(0, 0, 0.05)), [0, 0, 0.14], atol=2e-4)
+    np.testing.assert_allclose(rates(level, quaternion.from_euler(0.001, -0.002, 0)), [0.004, -0.008, 0], atol=1e-5)
+    np.testing.assert_allclose(rates(level, quaternion.from_euler(0, 0, 0.05)), [0, 0, 0.14], atol=2e-4)
 
 
 def test_both_signs_of_a_setpoint_mean_the_same() -> None:
     attitude, setpoint = quaternion.from_euler(0.1, 0.4, -2.0), quaternion.from_euler(-0.3, 0.2, 1.5)
-    np.testing.assert_allclose(turn(attitude, setpoint), turn(attitude, -setpoint), atol=1e-12)
-    np.testing.assert_allclose(turn(attitude, setpoint), turn(-attitude, setpoint), atol=1e-12)
+    np.testing.assert_allclose(rates(attitude, setpoint), rates(attitude, -setpoint), atol=1e-12)
+    np.testing.assert_allclose(rates(attitude, setpoint), rates(-attitude, setpoint), atol=1e-12)
 
 
 def test_tilt_is_corrected_before_yaw() -> None:
     setpoint = quaternion.from_euler(0.5, 0.0, 2.5)
     thrust_axis = quaternion.rotate(setpoint, np.array([0.0, 0.0, 1.0]))
     shortest = np.cross([0.0, 0.0, 1.0], thrust_axis)
-    straight, yawing = turn(quaternion.IDENTITY, setpoint, weight=0.05), turn(quaternion.IDENTITY, setpoint, weight=1.0)
+    straight, yawing = (
+        rates(quaternion.IDENTITY, setpoint, weight=0.05),
+        rates(quaternion.IDENTITY, setpoint, weight=1.0),
+    )
 
     def detour(rate: np.ndarray) -> float:
         return float(abs(rate[0] * shortest[1] - rate[1] * shortest[0]) / np.hypot(*rate[:2]) / np.hypot(*shortest[:2]))
@@ -45,7 +48,7 @@ def test_tilt_is_corrected_before_yaw() -> None:
 
 
 def test_upside_down_it_still_turns() -> None:
-    rate = turn(quaternion.from_euler(np.pi, 0, 0), quaternion.IDENTITY)
+    rate = rates(quaternion.from_euler(np.pi, 0, 0), quaternion.IDENTITY)
     assert np.isfinite(rate).all()
     assert np.linalg.norm(rate) > 4.0
 
@@ -53,7 +56,7 @@ def test_upside_down_it_still_turns() -> None:
 def test_yaw_rate_is_fed_forward_about_the_world() -> None:
     attitude = quaternion.from_euler(0.4, 0.0, 0.7)
     np.testing.assert_allclose(
-        turn(attitude, attitude, yaw_rate=1.0), quaternion.rotate_inverse(attitude, np.array([0, 0, 1.0])), atol=1e-5
+        rates(attitude, attitude, yaw_rate=1.0), quaternion.rotate_inverse(attitude, np.array([0, 0, 1.0])), atol=1e-5
     )
 
 

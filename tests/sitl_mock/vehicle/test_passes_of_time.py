@@ -16,7 +16,7 @@ def test_parts_of_a_step_are_not_lost() -> None:
     assert bench.mock.time == pytest.approx(10.0, abs=1e-6)
 
 
-def test_time_never_runs_ahead_of_what_was_asked_for() -> None:
+def test_time_never_passes_the_requested_duration() -> None:
     bench = Bench()
     for number in range(1, 100):
         bench.mock.advance(0.003)

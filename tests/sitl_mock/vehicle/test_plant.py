@@ -63,7 +63,7 @@ def fly(mock: SimulatedVehicle) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 @pytest.mark.parametrize(("group", "name"), CASES, ids=[name for _, name in CASES])
-def test_an_effect_changes_the_truth_as_its_formula_says(
+def test_an_effect_changes_the_truth_by_its_formula(
     arpl_250g: Vehicle, group: dict[str, dict[str, float]], name: str
 ) -> None:
     mock = SimulatedVehicle(arpl_250g, effects=uses(group, name), options=QUIET)

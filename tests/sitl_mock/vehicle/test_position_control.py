@@ -46,7 +46,7 @@ def test_tilt_is_limited(control: PositionControl) -> None:
     assert math.acos(leaning[2]) == pytest.approx(TILT_MAX)
 
 
-def test_the_heading_it_is_told_is_flown(control: PositionControl) -> None:
+def test_the_heading_of_the_setpoint_is_flown(control: PositionControl) -> None:
     demand = control.fly(hold([0, 0, 3], yaw=1.2), at([0, 0, 3]), DT)
     assert quaternion.to_euler(np.array(demand.attitude))[2] == pytest.approx(1.2)
 
@@ -57,7 +57,7 @@ def test_without_a_target_it_stays_where_it_was_when_the_mode_began(control: Pos
     assert leaning[0] < -0.05
 
 
-def test_a_velocity_is_flown_where_no_position_is_given(control: PositionControl) -> None:
+def test_a_velocity_is_flown_without_a_position_setpoint(control: PositionControl) -> None:
     setpoint = ControlSetpoint("hold", velocity_world=np.array([0.0, 2.0, 0.0]))
     assert thrust_direction(control.fly(setpoint, at([0, 0, 3]), DT).attitude)[1] > 0.1
     control.leave()

@@ -50,7 +50,7 @@ def test_disarmed_it_rests_level_where_it_stands(vehicle: Vehicle) -> None:
     np.testing.assert_allclose(mock.rotor_speed, 0)
 
 
-def test_it_hovers_where_it_is_told_to(vehicle: Vehicle) -> None:
+def test_it_hovers_at_the_setpoint(vehicle: Vehicle) -> None:
     mock = SimulatedVehicle(vehicle, options=QUIET)
     take_off(mock, duration=12.0)
     np.testing.assert_allclose(mock.truth.position_world, [0, 0, 3], atol=0.03)
@@ -193,7 +193,7 @@ def test_time_counts_every_part_of_a_millisecond(small: SimulatedVehicle) -> Non
 # sensors
 
 
-def test_the_estimate_is_as_old_as_it_says(small: SimulatedVehicle) -> None:
+def test_the_age_of_the_estimate_is_that_of_its_time(small: SimulatedVehicle) -> None:
     take_off(small)
     turning = rates(1.0, 0.0, 0.0, small.tuning.hover_thrust)
     small.advance(turning, True, 0.1)
@@ -339,7 +339,7 @@ def test_vehicles_of_other_sizes_fly_untouched(build: Callable[[], Vehicle]) -> 
     assert np.linalg.norm(mock.truth.rate_body) < 0.02
 
 
-def test_faults_of_sensors_show_in_what_the_vehicle_says_of_itself(arpl_250g):
+def test_faults_of_sensors_show_in_the_measurements(arpl_250g):
     faults = (
         EffectUse("imu_bias", {"x": 0.5, "y": 0.0, "z": 0.0}),
         EffectUse("gyro_bias", {"x": 0.0, "y": 0.0, "z": 0.1}),

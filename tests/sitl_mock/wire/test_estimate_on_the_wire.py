@@ -31,7 +31,7 @@ def test_odometry_is_ned_with_ned_velocity() -> None:
     assert abs(float(attitude @ truth.attitude)) == pytest.approx(1.0, abs=1e-6)
 
 
-def test_velocity_can_be_body_frd_and_says_so() -> None:
+def test_velocity_can_be_body_frd_by_its_child_frame() -> None:
     bench = moving_bench(body_velocity=True)
     bench.run(0.2)
     odometry = bench.of("ODOMETRY")[-1]

@@ -46,7 +46,7 @@ def test_frames_are_numbered_without_gaps() -> None:
     assert set(np.diff(numbers) % 256) == {1}
 
 
-def test_attitude_target_says_what_is_flown() -> None:
+def test_attitude_target_is_the_active_setpoint() -> None:
     bench = Bench()
     bench.fly()
     before = len(bench.of("ATTITUDE_TARGET"))
@@ -123,7 +123,7 @@ def test_a_message_is_sent_once_on_request() -> None:
     assert bench.request(REQUEST, 9999) == 2
 
 
-def test_capabilities_home_and_origin_can_be_asked_for() -> None:
+def test_capabilities_home_and_origin_can_be_requested() -> None:
     bench = Bench()
     assert bench.request(520, 1) == 0
     assert bench.of("AUTOPILOT_VERSION")
@@ -172,7 +172,7 @@ QUATERNION = 31
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_200_hz_is_quantised_whenever_it_was_asked(seed: int) -> None:
+def test_200_hz_is_quantised_at_any_time_of_the_request(seed: int) -> None:
     streams = Streams("onboard", frozenset({QUATERNION}), seed)
     start = 0.004 * 7 + 0.004 * seed / 20
     streams.set_interval(start, QUATERNION, 5000)

@@ -32,7 +32,7 @@ def test_the_vehicle_asks_by_itself_at_ten_hertz() -> None:
     assert all(message.tc1 == 0 and message.ts1 > 0 for message in requests)
 
 
-def test_the_offset_drifts_as_told() -> None:
+def test_the_offset_drifts_with_the_clock() -> None:
     bench = Bench(clock_drift=0.01)
     first = offset(bench)
     bench.run(10.0)
