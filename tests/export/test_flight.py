@@ -27,7 +27,7 @@ from training.models import KINDS
 
 @pytest.fixture(scope="module")
 def bundle(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Bundle:
-    """A residual on the textbook model that says almost nothing, so that it flies without training."""
+    """A residual on the nominal model whose output is nearly zero, so that it flies without training."""
     vehicle = msgspec.structs.replace(arpl_250g, limits=Limits(rate=(12.0, 12.0, 6.0)))
     config = replaced(KINDS["res_tcn"].config, channels=8, hidden=(16,))
     model = exported(untrained_model(config, vehicle, gain=0.002))

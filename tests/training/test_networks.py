@@ -57,7 +57,7 @@ def test_streamed_and_windowed_give_the_same(config: ModelConfig) -> None:
 
 
 def padded_convolutions(network: TemporalConvolution, dilations: tuple[int, ...], window: Tensor) -> Tensor:
-    """The textbook temporal convolution over every position with zero padding on the left, then the last position."""
+    """The plain temporal convolution over every position with zero padding on the left, then the last position."""
     signal = window.transpose(1, 2)
     for layer, dilation in zip(network.layers, dilations, strict=True):
         assert isinstance(layer, CausalConvolution)

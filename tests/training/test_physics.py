@@ -1,4 +1,4 @@
-"""The textbook model and a grey box over rows: the same numbers as the model itself, called row by row."""
+"""The nominal model and a grey box over rows: the same numbers as the model itself, called row by row."""
 
 from __future__ import annotations
 

@@ -1,0 +1,27 @@
+"""Reports of members reach the process that waits for them."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from flights.parallel import parallel_map
+from training.progress import Progress, Report, progress_channel
+
+
+def report_of(member: int, step: int) -> Report:
+    return Report(member, step, 3, 1.0, None, 1.0, 1.0, 1e-3)
+
+
+def run_member(member: int, *, report: Progress) -> int:
+    for step in (1, 2, 3):
+        report(report_of(member, step))
+    return member
+
+
+def test_every_report_of_other_processes_arrives_in_order() -> None:
+    reports: list[Report] = []
+    with progress_channel(reports.append) as report:
+        members = sorted(index for index, _ in parallel_map(partial(run_member, report=report), [0, 1], jobs=2))
+    assert members == [0, 1]
+    for member in members:
+        assert [one for one in reports if one.member == member] == [report_of(member, step) for step in (1, 2, 3)]
