@@ -78,7 +78,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     state = {
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
         "rate_setpoint_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1,
-        "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3, "gyro_integral": 3,
+        "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3,
+        "gyro_integral": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
