@@ -140,7 +140,7 @@ def exported_bundle(folder: Path | None) -> Bundle | None:
 
 
 def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
-    """The text of the vehicle file that is meant. Raises RequestError unless exactly one is given and can be read."""
+    """The text of the vehicle file. Raises RequestError unless exactly one of the two is given and can be read."""
     if vehicle is not None and bundle is not None:
         name = vehicle.name if isinstance(vehicle, Vehicle) else vehicle
         raise RequestError(
@@ -148,7 +148,7 @@ def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
             "train and export the model for that vehicle."
         )
     if vehicle is None and bundle is None:
-        raise RequestError("say what flies: either --vehicle V.toml or --bundle B.")
+        raise RequestError("nothing to fly: give either --vehicle V.toml or --bundle B.")
     if isinstance(vehicle, Vehicle):
         return vehicle_toml(vehicle)
     path = bundle / VEHICLE_TEXT if bundle is not None else find_vehicle(vehicle or "")
@@ -163,17 +163,17 @@ def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
 def recorded_flight(
     recording: FlightRecording, vehicle: str | None, bundle: Path | None
 ) -> tuple[Vehicle, Reference, Bundle | None]:
-    """Vehicle (another one if given), reference and bundle of a recording.
+    """Vehicle, reference and bundle of a recording. vehicle, bundle: to fly instead of the recorded vehicle.
 
-    Raises DataError when it does not tell them, or was flown by a bundle and neither that nor a vehicle is given.
+    Raises DataError when it does not hold them, or was flown by a bundle and neither that nor a vehicle is given.
     """
     if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
-        raise DataError(f"{recording.path} tells neither vehicle nor reference: it was not written by `alula fly`.")
-    given = vehicle is not None or bundle is not None
-    flown = parse_vehicle(recording.attachments[VEHICLE_TEXT])
-    trim = find_trim(build_model(flown)).vehicle
+        raise DataError(f"{recording.path} holds neither vehicle nor reference: it was not written by `alula fly`.")
+    replaced = vehicle is not None or bundle is not None
+    recorded = parse_vehicle(recording.attachments[VEHICLE_TEXT])
+    trim = find_trim(build_model(recorded)).vehicle
     duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
-    # the reference is what was asked for then, whatever vehicle is put under it now
+    # the reference is that of the recorded vehicle, whatever vehicle flies it now
     if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
         reference = named_reference(recording.metadata["reference"], trim, duration=duration)
     else:
@@ -181,12 +181,13 @@ def recorded_flight(
             path = Path(folder) / REFERENCE_TEXT
             path.write_text(table, encoding="utf-8")
             reference = named_reference(str(path), trim, duration=duration)
-    if not given and MANIFEST in recording.attachments:
+    if not replaced and MANIFEST in recording.attachments:
         raise DataError(
             f"{recording.path} was flown by an exported model: give its bundle with --bundle, or fly it with the "
-            "physics of a vehicle file with --vehicle."
+            "model of a vehicle file with --vehicle."
         )
-    return (parse_vehicle(vehicle_text(vehicle, bundle)) if given else flown), reference, exported_bundle(bundle)
+    flown = parse_vehicle(vehicle_text(vehicle, bundle)) if replaced else recorded
+    return flown, reference, exported_bundle(bundle)
 
 
 def _table_text(path: Path) -> str:

@@ -178,7 +178,9 @@ def _read_manifest(path: Path) -> Manifest:
     except msgspec.MsgspecError as error:
         raise RequestError(f"{path} is damaged or of another alula: {error}. Export the model again.") from None
     if manifest.format != FORMAT or manifest.version != VERSION:
-        raise RequestError(f"{path} is {manifest.format} {manifest.version}, wanted {FORMAT} {VERSION}. Export again.")
+        raise RequestError(
+            f"{path} is {manifest.format} {manifest.version}, required is {FORMAT} {VERSION}. Export again."
+        )
     return manifest
 
 

@@ -1,4 +1,4 @@
-"""The controller makes up for delay with its model, asks for what its prediction says, and survives bad input."""
+"""The controller compensates delay with its model, commands what it predicts, and survives bad input."""
 
 import msgspec
 import numpy as np
