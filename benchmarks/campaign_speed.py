@@ -67,7 +67,7 @@ def main() -> None:
         ("peak angular acceleration, true, over 10 ms", f"{manifest.peak_angular_acceleration:.1f} rad/s^2 (paper 54)"),
         ("peak angular acceleration, label", f"{labels[1]:.1f} rad/s^2 (paper 54)"),
         ("peak rotor speed", f"{manifest.peak_rotor_rpm:.0f} rpm (paper 16,628)"),
-        ("flown slower than asked for", ", ".join(f"{f.name} at {f.speed:.2f}" for f in slower) or "none"),
+        ("flown slower than the reference", ", ".join(f"{f.name} at {f.speed:.2f}" for f in slower) or "none"),
     ]
     lines = ["| | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)]
     text = (

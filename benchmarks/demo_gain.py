@@ -2,7 +2,7 @@
 
 In lockstep, with the mock's estimates, sensor noise, delays, motor lag and inner loops. First the demo's default, then
 one effect at a time, at the strengths below, each through the whole demo: fly, diagnose, add, fly again. What was
-flown is kept in a folder, so that a run which was cut short goes on.
+flown is kept in a folder, so that an interrupted run resumes.
 
     python -m benchmarks.demo_gain [--seeds 5] [--effects NAME,...] [--keep FOLDER] [--minutes 8]
 """
@@ -79,7 +79,7 @@ def _demos(demos: Mapping[str, DemoOptions], until: float) -> Iterator[tuple[str
 
 def _default(reports: Sequence[DemoReport]) -> list[str]:
     rows = [
-        "| manoeuvre | textbook m | learned m | ratio | least ratio | the paper m | its ratio |",
+        "| manoeuvre | nominal m | identified m | ratio | least ratio | the paper m | its ratio |",
         "| --- " * 7 + "|",
     ]
     for index, flown in enumerate(reports[0].nominal):
@@ -92,7 +92,7 @@ def _default(reports: Sequence[DemoReport]) -> list[str]:
             f"| {flown.name} | {_spread(before)} | {_spread(after)} | {_spread(ratio, 1)} | {ratio.min():.1f} | "
             f"{nominal:.3f} -> {learned:.3f} | {nominal / learned:.1f} |"
         )
-    rows += ["", "| prediction of | textbook | learned | noise floor | unit |", "| --- " * 5 + "|"]
+    rows += ["", "| prediction of | nominal | identified | noise floor | unit |", "| --- " * 5 + "|"]
     for kind in reports[0].learned.channels if reports[0].learned else ():
         errors = [report.learned.channels[kind] for report in reports if report.learned is not None]
         figures = [np.array([getattr(error, part) for error in errors]) for part in ("before", "after", "floor")]
@@ -103,7 +103,7 @@ def _default(reports: Sequence[DemoReport]) -> list[str]:
 
 def _catalogue(flown_demos: Mapping[str, DemoReport | str]) -> list[str]:
     names = ", ".join(CATALOGUE_MANOEUVRES)
-    rows = [f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the textbook model over that with "
+    rows = [f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the nominal model over that with "
             "what was learned, for each.", "", "| hidden | verdict | added | prediction of force | ratios |",
             "| --- " * 5 + "|"]  # fmt: skip
     for effect in EFFECTS:

@@ -4,7 +4,7 @@ Every case is nine flights of about 12 s, two of them held out, by one of three 
 another integrator, controller and sensors than the mock's), `rotorpy` (nothing of ours), `mock` (the mock's plant under
 the runtime). An effect's size is such that at its best channel it makes 0.1, 0.4, 1.5 or 5 times the noise floor. Even
 seeds are for calibrating thresholds, odd seeds for the table. Flights and finished cases are kept in build/, so that a
-run that was stopped goes on where it was.
+run that was stopped resumes.
 
     python -m benchmarks.diagnosis_planted_truth --first 1 --seeds 1 --noise 1 3 --nothing 200 --pairs 24
 """
@@ -46,7 +46,7 @@ def run(case: Case) -> dict[str, object]:
 
 
 def outcome(findings: DiagnosisDetails, uses: Sequence[EffectUse]) -> dict[str, object]:
-    """What was said, and the numbers that it was said from."""
+    """The verdict, and the numbers behind it."""
     answer = findings.diagnosis
     true = {use.name: use for use in uses}
     parameters = {
@@ -133,7 +133,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def main() -> None:
-    """Run what is not there yet, and write the table if asked to."""
+    """Run the missing cases, and write the table if requested."""
     options = parser().parse_args()
     options.kept.parent.mkdir(exist_ok=True)
     done = {}

@@ -1,7 +1,7 @@
 """The paper's studies on the campaign with hidden effects: many short trainings.
 
 Needs `alula campaign --out build/campaign_learning` and `alula campaign --no-effects --out build/campaign_nominal`.
-Killed, the same command goes on; `--only-finished` trains nothing and writes what is there.
+Killed, the same command resumes; `--only-finished` trains nothing and writes what is there.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """What the trained models are held against: the paper's pipeline to its best, and training slow to fly fast.
 
-Needs `alula campaign --out build/campaign_learning`. Trains through `alula train`; interrupted, it goes on from there.
+Needs `alula campaign --out build/campaign_learning`. Trains through `alula train`; interrupted, it resumes.
 
 The paper's pipeline: zero-phase filter on inputs and labels, measured rotor speeds, body-frame PI-TCN, two seeds, each
 beside the paper's own ratios; the control, a network without the motors, is the study `motors` of `learning.py`.

@@ -35,7 +35,7 @@ from runtime.control.rti.solver import RtiSolver
 
 
 def record_cases(networks_folder: Path, folder: Path) -> tuple[Path, Path, int]:
-    """Fly PI-TCN and keep what it was asked at every tick; acados' problem; the number of ticks."""
+    """Fly PI-TCN and record the inputs of every tick; acados' problem; the number of ticks."""
     model, mlp = (read_model(networks_folder / f"{kind}.pt") for kind in ("pi_tcn", "pi_mlp"))
     solver = solver_for(model, native_processor())
     cases: dict[str, list] = {"state": [], "state_reference": [], "input_reference": [], "history": []}

@@ -1,6 +1,6 @@
 """How far from the limits at which an oscillating model is left do healthy models fly, and what becomes of sick ones?
 
-Three brisk manoeuvres in lockstep on the vehicle that hides what the campaign's hides: the textbook model and every
+Three brisk manoeuvres in lockstep on the vehicle that hides what the campaign's hides: the nominal model and every
 trained model that comes along, with a vehicle's noise on gyro and estimate and with multiples of it. Of every flight:
 the greatest running means of what setpoints turn back from tick to tick, and of what body rates miss them, while the
 reference was tracked; how often and how long physics flew; the error.

@@ -69,7 +69,7 @@ class Case:
 
     @property
     def commands(self) -> bool:
-        """Whether the logs hold what the motors were told instead of their speeds."""
+        """Whether the logs hold the motors' commands instead of their speeds."""
         if self.source == "mock":
             return False
         if any(name in BY_COMMAND for name in self.effects):

@@ -15,7 +15,7 @@ NOTES = (
     "gyro, accelerometer and clock within specification (0.01 rad/s, 0.02 m/s^2, 1 ms) are hidden as well and count as "
     "missed, though diagnosis says nothing of them by intention.",
 )
-MAX_SET = 2  # of effects that may be named as not told apart
+MAX_SET = 2  # of effects that may be named as ambiguous
 
 
 def first(r: Result) -> str:

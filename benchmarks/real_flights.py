@@ -91,7 +91,7 @@ def command_curve(logs: Sequence[Path], vehicle: Vehicle) -> CommandCurve:
 
 def effects_table(findings: DiagnosisDetails) -> str:
     """The effects found, with 95 % intervals."""
-    lines = ["| effect | values | resamples that agree | not told from |", "| --- | --- | --- | --- |"]
+    lines = ["| effect | values | resamples that agree | ambiguous with |", "| --- | --- | --- | --- |"]
     for effect in findings.diagnosis.effects:
         values = ", ".join(f"{n} {p.value:.3g} ± {1.96 * p.std:.1g} {p.unit}" for n, p in effect.parameters.items())
         rivals = ", ".join(effect.ambiguous_with) or "-"
@@ -148,8 +148,8 @@ def trims(vehicle: Vehicle) -> str:
 
 
 def refusals() -> str:
-    """What is said where nothing can be said."""
-    lines = ["| log | exit code | said |", "| --- | --- | --- |"]
+    """The messages for logs without a diagnosis."""
+    lines = ["| log | exit code | message |", "| --- | --- | --- |"]
     for title, log, name in REFUSED:
         try:
             vehicle = read_vehicle(FOLDER / f"{name}.toml")

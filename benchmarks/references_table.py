@@ -1,4 +1,4 @@
-"""Peak accelerations of our manoeuvres, asked for and flown, beside the paper's Table I, and a picture of all eight.
+"""Peak accelerations of our manoeuvres, of reference and flight, beside the paper's Table I, and a picture of all eight.
 
 Flown as in a campaign: the nominal controller, a vehicle with hidden drags, lags and gusts, sensor noise. Of a flight's
 peaks there are two: of the true motion over 10 ms, and of the labels that the paper's processing makes of the measured
@@ -52,8 +52,8 @@ def fly(name: str) -> Flown:
 def main() -> None:
     vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
     rows = [
-        "| manoeuvre | size m | top speed m/s | linear m/s^2: Table I | asked for | flown, true | flown, label "
-        "| angular rad/s^2: Table I | asked for | flown, true | flown, label | top rotor rpm, flown | can be flown |",
+        "| manoeuvre | size m | top speed m/s | linear m/s^2: Table I | reference | flown, true | flown, label "
+        "| angular rad/s^2: Table I | reference | flown, true | flown, label | top rotor rpm, flown | can be flown |",
         "| --- " * 13 + "|",
     ]
     figure = Figure(figsize=(12, 6.2), layout="constrained")
@@ -79,7 +79,7 @@ def main() -> None:
     note = (
         "Ellipse_1's angular peak in Table I is none of its reference, which would take an ellipse of 2 cm radius at "
         "1.1 Hz: it is what gusts and noise leave in the label, here as there. Near full thrust a vehicle turns harder "
-        "than its reference, because it corrects what its limits kept it from; so TransposedParabola is asked for less."
+        "than its reference, because it corrects what its limits kept it from; so TransposedParabola's reference has less."
     )
     write_result("references", "The manoeuvres against Table I", "\n".join([*rows, "", note]))
 

@@ -47,7 +47,7 @@ def acados_environment() -> Path:
 
 
 def record_cases(folder: Path) -> tuple[Path, Path]:
-    """Fly the manoeuvre in a plain simulation and keep what the solver was asked at every tick."""
+    """Fly the manoeuvre in a plain simulation and record the inputs of the solver at every tick."""
     vehicle = read_vehicle(ROOT / "vehicles" / "arpl_250g.toml")
     model = build_model(vehicle)
     problem = Problem()
@@ -76,7 +76,7 @@ def record_cases(folder: Path) -> tuple[Path, Path]:
 
 
 def problem_numbers(solver: RtiSolver) -> dict[str, object]:
-    """What acados is told of a solver's problem."""
+    """A solver's problem for acados."""
     problem, options = solver.problem, fill_options(solver.problem, solver.model)
     numbers: dict[str, object] = {n: list(getattr(options, n)) for n in ("Q", "P", "R", "u_lower", "u_upper")}
     numbers |= {name: getattr(problem, name) for name in ("nodes", "horizon", "levenberg_marquardt", "iterations")}

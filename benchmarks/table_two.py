@@ -2,12 +2,12 @@
 
 The mock hides what the campaign's vehicle hides (`dynamics.references.campaign.REAL_WORLD`: drags, flapping, inflow,
 motor lag, a thrust and an inertia that are a little off, moving air); sensor noise, estimation errors, delays and
-PX4's rate loop are always on. Models: the textbook's (nominal); the same with what a diagnosis finds on nine training
+PX4's rate loop are always on. Models: nominal; the same with what a diagnosis finds on nine training
 flights of the campaign (effects); one member of the networks beside the vehicle file (pi_mlp, pi_tcn, and ours on
 named effects, grey_box), exported. 15 s of each reference over UDP MAVLink in real time; the first 3 s, the ramp, do
 not count.
 
-Every flight is kept as a file, so that a run which was cut short goes on; files of models that have changed since are
+Every flight is kept as a file, so that an interrupted run resumes; files of models that have changed since are
 left out. Draws docs/pictures/table_two.png.
 
     python -m benchmarks.table_two [--runs 5] [--models nominal,effects] [--jobs 2] [--lockstep] [--only-finished]

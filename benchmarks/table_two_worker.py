@@ -53,7 +53,7 @@ class Run(msgspec.Struct, frozen=True):
 class Flown(msgspec.Struct, frozen=True):
     """How it went, from the ramp's end on. ended: why it ended early, empty if it did not.
 
-    Errors m; fallbacks: times that another model than its own flew, and seconds of it, and the events that were told.
+    Errors m; fallbacks: times that another model than its own flew, and seconds of it, and the events that were raised.
     late: setpoints by whose fault. Peaks and counts: norms of linear (m/s^2) and angular (rad/s^2) acceleration.
     path: (n, 3) flown and reference positions. repeats: flights before this one that the machine disturbed.
     """

@@ -122,7 +122,7 @@ def evaluate(
         print(*result.summary, sep="\\n")
     """
     with workbench("alula.evaluate"):
-        from studies.evaluation.run import Answer, run
+        from studies.evaluation.run import EvaluationAnswer, run
     results = run(
         (*_paths(models), *_paths(logs)),
         None if vehicle is None else str(vehicle),
@@ -130,7 +130,7 @@ def evaluate(
         timed=timing,
         done=progress or _ignore,
     )
-    return EvaluationResult(Answer(results.evaluated, results.timings), results.tables, results)
+    return EvaluationResult(EvaluationAnswer(results.evaluated, results.timings), results.tables, results)
 
 
 def export(

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from export.parity import Parity
     from runtime.control.bundle import Manifest
     from simulation.flight_check import FlightCheck
-    from studies.evaluation.run import Answer, Results
+    from studies.evaluation.run import EvaluationAnswer, Results
     from studies.tables import Table
     from training.card import Card
     from training.checkpoint import TrainedModel
@@ -150,7 +150,7 @@ class EvaluationResult:
     details: predictions and labels behind the figures.
     """
 
-    report: Answer
+    report: EvaluationAnswer
     tables: tuple[Table, ...]
     details: Results
 

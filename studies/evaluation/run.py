@@ -38,7 +38,7 @@ class Results:
     judged: tuple[EvaluatedModel, ...]
 
 
-class Answer(msgspec.Struct, frozen=True):
+class EvaluationAnswer(msgspec.Struct, frozen=True):
     """`alula evaluate --json`."""
 
     evaluated: EvaluationReport

@@ -22,7 +22,7 @@ from studies.tables_page import write_tables_page
 from training.prediction import pooled
 
 
-class Answer(msgspec.Struct, frozen=True):
+class SweepAnswer(msgspec.Struct, frozen=True):
     """`alula sweep --json`."""
 
     study: str
@@ -30,7 +30,7 @@ class Answer(msgspec.Struct, frozen=True):
     failed: tuple[FailedCell, ...]
 
     @classmethod
-    def of(cls, study: str, outcomes: Sequence[Outcome]) -> Answer:
+    def of(cls, study: str, outcomes: Sequence[Outcome]) -> SweepAnswer:
         """The answer of these outcomes."""
         return cls(study, trained(outcomes), _failures(outcomes))
 
@@ -83,7 +83,7 @@ def show(
         console.print(line, highlight=False)
     written = [] if csv is None else write_csv(tables, csv)
     if json_file is not None:
-        write_json(Answer.of(sweep.study, outcomes), json_file)
+        write_json(SweepAnswer.of(sweep.study, outcomes), json_file)
     if pictures is not None:
         written += draw(sweep, outcomes, pictures)
     if html is not None:

@@ -141,7 +141,7 @@ class Search:
             if not trials:
                 self._import_cells(study, results)
             for trial in trials:
-                if trial.number in results and not trial.state.is_finished():  # killed before its result was told
+                if trial.number in results and not trial.state.is_finished():  # killed before its result was stored
                     study.tell(trial.number, results[trial.number].validation)
         return study
 
