@@ -1,4 +1,4 @@
-"""Peak accelerations of our manoeuvres, of reference and flight, beside the paper's Table I, and a picture of all eight.
+"""Peak accelerations of our manoeuvres, references and flights, beside the paper's Table I, and a picture of all eight.
 
 Flown as in a campaign: the nominal controller, a vehicle with hidden drags, lags and gusts, sensor noise. Of a flight's
 peaks there are two: of the true motion over 10 ms, and of the labels that the paper's processing makes of the measured
@@ -79,7 +79,7 @@ def main() -> None:
     note = (
         "Ellipse_1's angular peak in Table I is none of its reference, which would take an ellipse of 2 cm radius at "
         "1.1 Hz: it is what gusts and noise leave in the label, here as there. Near full thrust a vehicle turns harder "
-        "than its reference, because it corrects what its limits kept it from; so TransposedParabola's reference has less."
+        "than its reference, because it corrects what its limits kept it from; so TransposedParabola's has less."
     )
     write_result("references", "The manoeuvres against Table I", "\n".join([*rows, "", note]))
 
