@@ -87,7 +87,7 @@ def test_normal_flights_that_differ_much_make_it_more_careful(arpl_250g: Vehicle
 
 def test_a_flight_is_not_compared_with_itself(arpl_250g: Vehicle) -> None:
     flight = flown(UNEVEN, name="a")
-    with pytest.raises(RequestError, match="given as a normal flight too"):
+    with pytest.raises(RequestError, match="among the normal flights too"):
         compare_trim([flight], [flight], arpl_250g)
 
 
