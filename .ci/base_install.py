@@ -9,6 +9,7 @@ import importlib.util
 import pkgutil
 from importlib.resources import files
 
+import alula
 from alula.cli.app import COMMANDS
 from dynamics.vehicle_file import read_vehicle
 
@@ -28,4 +29,6 @@ for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS)):
 
 vehicles = [read_vehicle(str(path)).name for path in files("vehicles").iterdir() if path.name.endswith(".toml")]
 assert "arpl_250g" in vehicles, f"the vehicle files are missing: {vehicles}"
+assert callable(alula.fly), "the base install must fly from Python, too"
+assert alula.load_vehicle("arpl_250g").name == "arpl_250g"
 print(f"base install: {len(modules)} modules, vehicles {', '.join(sorted(vehicles))}")
