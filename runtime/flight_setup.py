@@ -11,6 +11,7 @@ from pathlib import Path
 
 import msgspec
 
+from dynamics.command import command_line
 from dynamics.errors import DataError, RequestError
 from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
@@ -199,7 +200,7 @@ def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]
     hashes = {f"sha256 of {name}": hashlib.sha256(text.encode()).hexdigest() for name, text in attachments.items()}
     versions = {f"version of {name}": metadata.version(name) for name in LIBRARIES}
     return {
-        "command": " ".join(sys.argv),
+        "command": command_line(),
         "reference": setup.reference,
         "seed": "none, nothing in the daemon is random",
         "version": __version__,

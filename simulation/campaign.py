@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import sys
 import zlib
 from collections.abc import Callable, Sequence
 from importlib import metadata
@@ -18,6 +17,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.references.campaign import REAL_WORLD, CampaignFlight, chosen_flights, paper_campaign
 from dynamics.vehicle import EffectUse
@@ -187,7 +187,7 @@ class Campaign:
         summaries = tuple(summary for _, summary in done)
         manifest = CampaignManifest(
             recipe=self.recipe,
-            command=" ".join(sys.argv),
+            command=command_line(),
             flights=summaries,
             sha256={str(file.relative_to(self.options.folder)): _sha256(file) for file in files},
             duration=sum(summary.duration for summary in summaries),
