@@ -1,4 +1,4 @@
-"""Check of a new bundle by a few seconds of flight in lockstep on its own vehicle file: does the network hold it?
+"""Flight check of a new bundle: whether the network itself flies a few seconds in lockstep on its own vehicle file.
 
 `alula export` flies and writes the result into the bundle; `alula fly` reads it. Flying needs the readers of logs,
 which a flight computer lacks, so that only flying imports them.
@@ -53,8 +53,8 @@ class FlightCheck(msgspec.Struct, frozen=True):
         if self.ended:
             return f"{self.reference} in lockstep ended early: {self.ended}"
         error = "" if self.position_rmse is None else f" with {self.position_rmse:.3f} m RMS"
-        as_json = ", ".join(name for name in self.events if name != Event.MODEL_WAITING.value)
-        away = f"physics in the network's place {self.away:.0%} of them" + (f" ({as_json})" if as_json else "")
+        events = ", ".join(name for name in self.events if name != Event.MODEL_WAITING.value)
+        away = f"physics in the network's place {self.away:.0%} of them" + (f" ({events})" if events else "")
         return f"{self.seconds:.1f} s of {self.reference} in lockstep{error}, {away}"
 
     @property
@@ -69,7 +69,7 @@ class FlightCheck(msgspec.Struct, frozen=True):
 
 
 def write_check(check: FlightCheck, folder: Path) -> None:
-    """Keep a check in a bundle. Raises RequestError when it cannot be written."""
+    """Write a check into a bundle. Raises RequestError when it cannot be written."""
     text = msgspec.json.format(msgspec.json.encode(check.as_json), indent=1) + b"\n"
     write_whole(folder / FILE, lambda path: path.write_bytes(text), advice="Free some space, or --no-flight-check.")
 

@@ -114,9 +114,11 @@ def fly_reference(
         Controllers(controller, nominal), reference, Plan(), settings, thrust_curve=plant.tuning.thrust_model_factor
     )
     rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[POSITION], yaw=yaw))
-    left = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
+    fallbacks = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}
-    return FlownReference(_log(rows, name), _truth(rows, name), aborted, left, CONTROL_PERIOD * sum(rows.away), events)
+    return FlownReference(
+        _log(rows, name), _truth(rows, name), aborted, fallbacks, CONTROL_PERIOD * sum(rows.away), events
+    )
 
 
 def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:

@@ -1,4 +1,4 @@
-"""The mock flight controller as a process of ours on free ports: for the demo, for measurements, for tests."""
+"""The mock flight controller as a child process on free ports, for the demo, measurements and tests."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def free_port() -> int:
 
 @contextlib.contextmanager
 def mock_process(*arguments: str, vehicle: str | Path = FOLDER / "px4_sih.toml") -> Iterator[MockProcess]:
-    """A mock started with further `alula mock` arguments, ready when its first heartbeat has been heard.
+    """A mock started with further `alula mock` arguments, ready when its first heartbeat has arrived.
 
     Raises VehicleError when it ended by itself; an error that followed from that is its cause.
     """
@@ -84,16 +84,16 @@ def mock_process(*arguments: str, vehicle: str | Path = FOLDER / "px4_sih.toml")
     with contextlib.ExitStack() as stack:
         output = stack.enter_context(file)
         stack.callback(Path(file.name).unlink, missing_ok=True)
-        ear = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
-        ear.bind(("127.0.0.1", 0))
-        port, gcs_port = int(ear.getsockname()[1]), free_port()
+        listener = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        listener.bind(("127.0.0.1", 0))
+        port, gcs_port = int(listener.getsockname()[1]), free_port()
         links = ["--link", f"udpout:127.0.0.1:{port}", "--gcs-link", f"udpout:127.0.0.1:{gcs_port}"]
         command = [sys.executable, "-m", "alula", "mock", "--vehicle", str(vehicle), *links, *arguments]
         process = subprocess.Popen(command, stdout=output, stderr=output, env=dict(os.environ))
         mock = MockProcess(process, port, gcs_port, Path(file.name))
         stack.callback(mock.stop)
-        _await_heartbeat(ear, mock)
-        ear.close()  # whoever flies the mock listens there
+        _await_heartbeat(listener, mock)
+        listener.close()  # whoever flies the mock listens there
         try:
             yield mock
         except VehicleError as error:
@@ -105,13 +105,13 @@ def mock_process(*arguments: str, vehicle: str | Path = FOLDER / "px4_sih.toml")
         mock.require_running()
 
 
-def _await_heartbeat(ear: socket.socket, mock: MockProcess) -> None:
-    ear.settimeout(0.2)
+def _await_heartbeat(listener: socket.socket, mock: MockProcess) -> None:
+    listener.settimeout(0.2)
     deadline = time.monotonic() + START_UP
     while time.monotonic() < deadline:
         mock.require_running()
         with contextlib.suppress(TimeoutError):
-            frame = ear.recv(2048)
+            frame = listener.recv(2048)
             if len(frame) > 10 and frame[0] == 0xFD and frame[7:10] == b"\0\0\0":
                 return
     raise VehicleError(f"no heartbeat from the mock within {START_UP:g} s:\n{mock.output()}")

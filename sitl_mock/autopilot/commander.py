@@ -152,7 +152,7 @@ class Commander:
             self.mode = self.intended
 
     def finish_takeoff(self) -> None:
-        """Go over to HOLD at the take-off height."""
+        """Switch to HOLD at the take-off height."""
         self.mode = self.intended = self._after_disarming = Mode.HOLD
 
     def _watch_offboard(self, time: float) -> None:

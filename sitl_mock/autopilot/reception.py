@@ -54,7 +54,7 @@ class Reception:
         try:
             handler(self, link, time, message)
         except (ValueError, OverflowError):
-            link.bad_frames += 1  # a number that no field of ours can take
+            link.bad_frames += 1  # a number that its field cannot hold
 
     def _is_own(self, message: Message) -> bool:
         return bool(message.get_srcSystem() == self._system and message.get_srcComponent() == AUTOPILOT_COMPONENT)

@@ -39,7 +39,7 @@ class LandDetector:
         rate_x, rate_y, _ = now.rate_body.tolist()
         still = abs(climb) < CLIMB_MAX and math.hypot(speed_x, speed_y) < SPEED_MAX
         quiet = math.hypot(rate_x, rate_y) < RATE_MAX
-        # a landed vehicle is only believed to fly when its thrust comes near what flying takes
+        # a landed vehicle counts as flying only when its thrust approaches the hover thrust
         low, lowest = (TAKE_OFF_THRUST, TAKE_OFF_THRUST) if self.landed else (LOW_THRUST, MIN_THRUST)
         span = hover_thrust - THRUST_MIN
         contact = still and thrust < THRUST_MIN + low * span

@@ -1,8 +1,8 @@
 """One millisecond of the vehicle as one CasADi function: inner loop, allocation, motors, flight, ground, battery.
 
 The flight model is that of `dynamics` with any effects; here the autopilot, the ground and the sensors are added.
-Everything that a user may change is an input of the function, so that the machine code
-serves all vehicles with as many rotors and the same set of effects.
+Everything that a user may change is an input of the function, so that the machine code serves all vehicles with as many
+rotors and the same set of effects.
 """
 
 from __future__ import annotations
@@ -160,9 +160,8 @@ def _fly(
     model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values, noise: Expression
 ) -> Expression:
     white = noise / DT**0.5
-    linear, angular = _contact(
-        x, constants
-    )  # held over the step: the ground is soft enough, and it is the most expensive part
+    # constant over the step: the ground is soft enough, and it is the most expensive part
+    linear, angular = _contact(x, constants)
     contact = ca.vertcat(ca.SX.zeros(3), linear, ca.SX.zeros(4), angular, ca.SX.zeros(model.hidden_count))
 
     def field(state: Expression) -> Expression:

@@ -79,8 +79,8 @@ class SensorErrors:
 def next_estimate_error(error: Expression, noise: Expression, constants: Values, dt: float) -> Expression:
     """Errors of position, velocity and attitude (a body rotation vector) after dt, a Gauss-Markov process. (9,)."""
     keep = ca.exp(-dt / constants["estimate_time"])
-    wander = keep * error + constants["estimate_noise"] * ca.sqrt(1 - keep**2) * noise
-    return ca.vertcat(wander[0:3] + dt * error[3:6], wander[3:9])
+    correlated = keep * error + constants["estimate_noise"] * ca.sqrt(1 - keep**2) * noise
+    return ca.vertcat(correlated[0:3] + dt * error[3:6], correlated[3:9])
 
 
 def quantised(value: NDArray[np.float64], step: float) -> NDArray[np.float64]:

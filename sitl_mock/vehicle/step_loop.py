@@ -35,27 +35,14 @@ class StepLoop:
         scratch = (self._next, arguments, results, integers, work)
         self._scratch = scratch  # keeps the memory alive that the addresses below point to
         wide, pointer = ctypes.c_longlong, ctypes.c_void_p
-        self._advance.argtypes = [
-            wide,
-            pointer,
-            wide,
-            pointer,
-            pointer,
-            pointer,
-            wide,
-            pointer,
-            wide,
-            wide,
-            wide,
-            *[pointer] * 5,
-        ]
+        inputs, noise, ring = (wide, pointer, wide, pointer, pointer), (pointer, wide), (pointer, *[wide] * 3)
+        self._advance.argtypes = [*inputs, *noise, *ring, *[pointer] * len(scratch)]
         self._inputs = (self.state.ctypes.data, self.state.size, self.command.ctypes.data, self.constants.ctypes.data)
         self._scratch_addresses = tuple(array.ctypes.data for array in scratch)
         self._records_address = self.records.ctypes.data
 
     def run(self, steps: int, first: int, noise: Floats, noise_row: int) -> None:
         """Advance by a number of steps.
-
 
         first: number of the first step.
         noise: (rows, noise size) unit normal numbers, C-contiguous.

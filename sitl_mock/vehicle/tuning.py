@@ -1,8 +1,8 @@
 """Inner-loop gains for a vehicle: PX4's defaults for PX4's own quadrotor, scaled to any other.
 
 PX4's defaults suit its SIH quadrotor; another vehicle is tuned until its body-rate loop is as fast as the motors
-allow. The rule keeps the loop's shape: gains times authority over inertia, measured in units of the lag
-of motor and gyro filter, stay what they are on the SIH quadrotor.
+allow. The rule keeps the loop's shape: gains times authority over inertia, in units of the lag of motor and gyro
+filter, stay what they are on the SIH quadrotor.
 """
 
 from __future__ import annotations

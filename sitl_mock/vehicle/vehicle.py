@@ -1,7 +1,7 @@
 """The flying vehicle: plant, inner loop, sensors, battery and the modes that fly by themselves.
 
-Simulated time goes in steps of 1 ms, and every step has its own random numbers: what happens depends on the seed and
-on when setpoints arrive, not on how the time is cut into calls. Pure: no clock, no link.
+Simulated time advances in steps of 1 ms, and every step has its own random numbers: a flight depends on the seed and on
+when setpoints arrive, not on how the time is divided into calls. Pure: no clock, no link.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class EscInfo(mavlink.MAVLink_message):  # type: ignore[misc]
 
 
 class ProtocolVersion(mavlink.MAVLink_message):  # type: ignore[misc]
-    """PROTOCOL_VERSION: MAVLink 2, and 1 for those who know no better."""
+    """PROTOCOL_VERSION: MAVLink 2, and version 1 is understood."""
 
     id = 300
     msgname = "PROTOCOL_VERSION"

@@ -24,7 +24,7 @@ class EstimateFault:
     shift: (3,) sum of all resets of the position, ENU, m.
     yaw: sum of all resets of the heading, about up, rad.
     invalid: NaN instead of numbers.
-    frozen: the estimate stands still while its time goes on.
+    frozen: the estimate stays constant while its time stamps advance.
     stopped: no estimate is sent at all.
     """
 

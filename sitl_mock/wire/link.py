@@ -19,11 +19,12 @@ MAX_QUEUE = 20_000
 
 @dataclass(slots=True)
 class LinkFault:
-    """What the wire does to frames in both directions.
+    """Faults of the wire.
 
-    loss, duplication, reorder: probabilities per frame.
-    down: nothing passes.
-    flood: unknown messages that the vehicle sends besides, frames per second.
+    loss: probability per frame, in both directions.
+    duplication, reorder: probabilities per frame that the vehicle sends.
+    down: nothing passes in either direction.
+    flood: DEBUG messages that the vehicle sends in addition, frames per second.
     """
 
     loss: float = 0.0
@@ -64,7 +65,7 @@ class Link:
         self._answered = -math.inf
         self._listing_until = -math.inf
         self._last_gcs_heartbeat = -math.inf
-        self._flood_owed = 0.0
+        self._flood_due = 0.0
 
     def parse(self, peer: Hashable, data: bytes) -> list[Message]:
         """The valid messages in bytes from a peer; whatever is malformed is counted and skipped."""
@@ -93,7 +94,7 @@ class Link:
             self._last_gcs_heartbeat = time
 
     def has_gcs(self, time: float) -> bool:
-        """Whether a ground station's heartbeat was heard on this link within its timeout."""
+        """Whether a ground station's heartbeat arrived on this link within its timeout."""
         return time - self._last_gcs_heartbeat < GCS_TIMEOUT
 
     def send(self, time: float, message: Message, frame: bytes | None = None) -> None:
@@ -108,7 +109,7 @@ class Link:
         return self._answered
 
     def may_list(self, time: float, duration: float) -> bool:
-        """Whether a list that takes a while may begin: not while another runs, or a flood of requests would win."""
+        """Whether a list that takes a duration (s) may begin: one at a time, so that requests cannot fill the queue."""
         if time < self._listing_until:
             return False
         self._listing_until = time + duration
@@ -158,8 +159,8 @@ class Link:
         return frame
 
     def flood(self, time: float, duration: float) -> None:
-        """Queue the unknown frames that the flood fault owes for a duration."""
-        self._flood_owed += self.fault.flood * duration if self.fault.flood else -self._flood_owed
-        while self._flood_owed >= 1.0:
-            self._flood_owed -= 1.0
+        """Queue the DEBUG messages of the flood fault for a duration, s."""
+        self._flood_due += self.fault.flood * duration if self.fault.flood else -self._flood_due
+        while self._flood_due >= 1.0:
+            self._flood_due -= 1.0
             self.send(time, mavlink.MAVLink_debug_message(0, 0, self._random.random()))

@@ -59,7 +59,7 @@ class AttitudeSetpoint:
 
 
 class MotionEncoder:
-    """Turns estimates into the autopilot's axes, the quaternion's sign following on from the last one's."""
+    """Converts estimates to the autopilot's axes, with quaternions continuous in sign."""
 
     def __init__(self) -> None:
         self._last = np.array([1.0, 0.0, 0.0, 0.0])

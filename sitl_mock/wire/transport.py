@@ -41,11 +41,11 @@ class Transport(Protocol):
 
 
 class UdpTransport:
-    """A UDP socket that sends to a fixed remote end, if it has one, and to all peers heard recently."""
+    """A UDP socket that sends to a fixed remote end, if it has one, and to all peers that sent recently."""
 
     def __init__(self, local: tuple[str, int], remote: tuple[str, int] | None):
         self._remote = _resolved(remote) if remote is not None else None
-        self._heard: dict[tuple[str, int], float] = {}
+        self._peers: dict[tuple[str, int], float] = {}
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         _bind(self._socket, local, "UDP")
@@ -73,14 +73,14 @@ class UdpTransport:
 
     def _note(self, address: tuple[str, int]) -> None:
         now = time.monotonic()
-        if address != self._remote and (address in self._heard or len(self._heard) < MAX_PEERS):
-            self._heard[address] = now
-        for peer in [peer for peer, heard in self._heard.items() if now - heard > PEER_MEMORY]:
-            del self._heard[peer]
+        if address != self._remote and (address in self._peers or len(self._peers) < MAX_PEERS):
+            self._peers[address] = now
+        for peer in [peer for peer, last in self._peers.items() if now - last > PEER_MEMORY]:
+            del self._peers[peer]
 
     def send(self, frame: bytes) -> None:
         """Send a datagram to the remote end and to every peer."""
-        for address in ([self._remote] if self._remote else []) + list(self._heard):
+        for address in ([self._remote] if self._remote else []) + list(self._peers):
             with contextlib.suppress(OSError):
                 self._socket.sendto(frame, address)
 

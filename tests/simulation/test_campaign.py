@@ -1,4 +1,4 @@
-"""The campaign: same seed, same bits; whole flights only; it goes on where it was killed; wrong requests are named."""
+"""The campaign: same seed, same bits; whole flights only; it resumes where it was killed; wrong requests are named."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def test_what_is_flown_in_two_processes_is_what_is_flown_in_one(
 
 
 @pytest.mark.realtime
-def test_it_goes_on_after_it_was_killed(flown: tuple[Path, CampaignManifest], tmp_path: Path) -> None:
+def test_it_resumes_after_it_was_killed(flown: tuple[Path, CampaignManifest], tmp_path: Path) -> None:
     script = (
         "import sys; from pathlib import Path; from simulation.campaign import Campaign, CampaignOptions;"
         "from tests.simulation.test_campaign import SHORT;"

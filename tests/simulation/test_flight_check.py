@@ -1,4 +1,4 @@
-"""What `alula export` sees of a network in flight, and tells whoever flies it."""
+"""The flight check of an exported network, and the warning that `alula fly` repeats."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def checkpoint(vehicle: Vehicle, folder: Path, gain: float) -> Path:
     return folder / "model.pt"
 
 
-def test_a_network_that_holds_the_flight_is_told_with_its_error(run: Run, tmp_path: Path, arpl_250g: Vehicle) -> None:
+def test_a_network_that_holds_the_flight_is_reported_with_its_error(
+    run: Run, tmp_path: Path, arpl_250g: Vehicle
+) -> None:
     model, out = checkpoint(arpl_250g, tmp_path, 0.002), tmp_path / "bundle"
     code, shown, wrong = run("export", model, "--out", out, "--windows", "20")
     assert code == 0, wrong
@@ -43,7 +45,7 @@ def test_a_network_that_holds_the_flight_is_told_with_its_error(run: Run, tmp_pa
     assert check == check_flight(read_bundle(out))  # the same inputs, the same flight; and the bundle is still one
 
 
-def test_a_network_that_does_not_is_written_all_the_same_with_a_warning_that_flying_repeats(
+def test_a_network_that_does_not_is_exported_with_a_warning_that_flying_repeats(
     run: Run, tmp_path: Path, arpl_250g: Vehicle
 ) -> None:
     model, out = checkpoint(arpl_250g, tmp_path, 1.0), tmp_path / "bundle"

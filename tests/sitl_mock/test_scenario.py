@@ -1,4 +1,4 @@
-"""The scenario file: what it may say, and how it is refused."""
+"""The scenario file: what it may contain, and how errors are refused."""
 
 from __future__ import annotations
 

@@ -48,7 +48,7 @@ def test_every_stream_survives_an_estimate_of_nan() -> None:
     assert messages_of(bench, 0.5, "SYS_STATUS")[-1].onboard_control_sensors_health & 1 == 0
 
 
-def test_a_frozen_estimate_stands_while_its_time_goes_on() -> None:
+def test_a_frozen_estimate_stays_constant_while_its_time_advances() -> None:
     bench = bench_with("estimate_freeze", duration=1.0)
     bench.vehicle.velocity = np.array([1.0, 0.0, 0.0])
     bench.vehicle.position = np.array([0.0, 0.0, 50.0])

@@ -149,7 +149,7 @@ def test_global_positions_are_offboard_signals_too() -> None:
     assert setpoint.position_world == pytest.approx([7.527, 0.0, 10.0], abs=0.01)
 
 
-def test_the_documented_rule_wants_two_hertz_for_a_second() -> None:
+def test_the_documented_rule_requires_two_hertz_for_a_second() -> None:
     stream = OffboardStream("documented")
     for number in range(20):
         stream.feed(number * 0.1, ControlSetpoint("idle"))
@@ -160,7 +160,7 @@ def test_the_documented_rule_wants_two_hertz_for_a_second() -> None:
         assert not slow.may_begin(number * 0.6 + 0.01, 1.0)
 
 
-def test_the_measured_rule_wants_one_setpoint() -> None:
+def test_the_measured_rule_requires_one_setpoint() -> None:
     stream = OffboardStream("measured")
     assert not stream.may_begin(0.0, 1.0)
     stream.feed(0.0, ControlSetpoint("idle"))

@@ -13,7 +13,7 @@ def motion(climb: float = 0.0, turning: float = 0.0, sliding: float = 0.0) -> Mo
 
 
 def run(detector: LandDetector, start: float, duration: float, *, thrust: float, state: MotionState) -> float:
-    """Feed it every 20 ms; when it first said landed, s after the start, or infinity."""
+    """Feed it every 20 ms. Returns when it first reported landed, s after the start, or infinity."""
     landed_at = np.inf
     for k in range(round(duration / 0.02)):
         detector.update(start + 0.02 * k, state, armed=True, thrust=thrust, hover_thrust=HOVER)

@@ -75,7 +75,7 @@ def test_an_effect_changes_the_truth_by_its_formula(
         modelled = [np.mean([acceleration(model, x, environment) for x in (before, after)], axis=0) for model in models]
         np.testing.assert_allclose(measured, modelled[0], atol=0.02)
         differences.append(np.abs(measured - modelled[1]).max())
-    assert max(differences) > 0.2  # the textbook model would have noticed
+    assert max(differences) > 0.2  # what the nominal model would miss
 
 
 def acceleration(model: object, x: np.ndarray, environment: list[float]) -> np.ndarray:
@@ -85,7 +85,7 @@ def acceleration(model: object, x: np.ndarray, environment: list[float]) -> np.n
     return np.concatenate([linear, np.array(angular).ravel()])
 
 
-def test_the_accelerometer_feels_what_moves_the_vehicle(arpl_250g: Vehicle) -> None:
+def test_the_accelerometer_measures_the_force_that_moves_the_vehicle(arpl_250g: Vehicle) -> None:
     mock = SimulatedVehicle(arpl_250g, effects=uses(GROUPS[0], "rotor_drag"), options=QUIET)
     mock.advance(ControlSetpoint("rates", rate_body=np.array([0.2, 0.3, 0.0]), thrust=0.7), True, 1.0)
     before = mock.truth
@@ -113,12 +113,12 @@ def test_rotors_follow_their_command_with_the_motor_lag(arpl_250g: Vehicle) -> N
     lag = EffectUse("motor_lag", {"time_constant": 0.1})
     mock = SimulatedVehicle(arpl_250g, effects=[lag], options=QUIET)
     setpoint = ControlSetpoint("rates", thrust=0.3)
-    mock.advance(setpoint, True, 0.106)  # 6 ms until the motors hear of it
+    mock.advance(setpoint, True, 0.106)  # 6 ms until the motors receive it
     settled = 1741.3 * np.sqrt(0.3)
     np.testing.assert_allclose(mock.true_rotor_speed, settled * (1 - np.exp(-1)), rtol=0.02)
 
 
-def test_a_gust_blows_at_its_strength(arpl_250g: Vehicle) -> None:
+def test_a_gust_has_its_intensity(arpl_250g: Vehicle) -> None:
     mock = SimulatedVehicle(arpl_250g, effects=uses(GROUPS[1], "gust"), options=QUIET, seed=4)
     gust = next(item for item in mock.plant.model.effects if item.effect.name == "gust")
     winds = []

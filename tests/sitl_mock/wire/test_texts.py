@@ -1,4 +1,4 @@
-"""STATUSTEXT: only to a ground station, in pieces when long."""
+"""STATUSTEXT: only to a ground station, in chunks when long."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def test_texts_longer_than_50_characters_are_chunked() -> None:
 
 
 @given(st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=300))
-def test_chunks_say_the_whole_text_and_end(text: str) -> None:
+def test_chunks_contain_the_whole_text_and_end(text: str) -> None:
     messages = TextWriter().messages(6, text)
     assert "".join(message.text for message in messages) == text
     if len(messages) > 1:

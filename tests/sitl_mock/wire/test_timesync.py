@@ -1,4 +1,4 @@
-"""TIMESYNC: the vehicle answers with its own clock, asks at 10 Hz itself, and drifts."""
+"""TIMESYNC: the vehicle answers with its own clock, sends requests at 10 Hz itself, and drifts."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_a_request_is_answered_with_the_vehicles_nanoseconds() -> None:
     assert offset(bench) == pytest.approx(3.0, abs=0.005)
 
 
-def test_the_vehicle_asks_by_itself_at_ten_hertz() -> None:
+def test_the_vehicle_sends_requests_of_its_own_at_ten_hertz() -> None:
     bench = Bench()
     bench.run(5.0)
     requests = bench.of("TIMESYNC")
