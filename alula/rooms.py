@@ -1,4 +1,4 @@
-"""The rooms: top-level packages beside `alula`, which a user's own folder or file of the same name can hide.
+"""The top-level packages beside `alula` (rooms), which a user's own folder or file of the same name can hide.
 
 A room is hidden when Python would import something of its name from elsewhere: from the folder of the script that runs,
 from the working directory, from PYTHONPATH. Imports nothing but the standard library.

@@ -1,4 +1,4 @@
-"""What needs the workbench, on an install that has none of its libraries."""
+"""Imports of the workbench's libraries, and the error on an install without them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The functions that users call, exported from `alula`; the command line is made of them.
+"""The functions that users call, exported from `alula`; the commands of the same names call them.
 
 Every function takes logs and vehicles as files or as what another function returned, in SI units. Positions are in the
 world frame (east, north, up); the body frame is forward, left, up; attitudes are quaternions from body to world, w

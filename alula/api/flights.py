@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> Vehicle:
-    """A vehicle from its file: body, rotors, limits, and the effects that are known of it.
+    """A vehicle from its file: body, rotors, limits, controller settings and effects.
 
     vehicle: TOML file, or the name of a bundled one such as "arpl_250g".
     effects: Python files with effects of your own that the vehicle file may name.

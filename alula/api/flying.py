@@ -29,11 +29,11 @@ def simulate(
     reference: name, "NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3", or a CSV file of your own.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
     bundle: folder of an exported model that flies, instead of a vehicle.
-    effects: what the vehicle does and its model does not know: "name:key=value,...".
+    effects: effects of the simulated vehicle that the controller's model lacks: "name:key=value,...".
     duration: length of the reference, s; by default its own.
     seed: seed of sensors and gusts.
 
-    Returns a FlownReference: `log` is what the vehicle would have logged, `truth` what was true.
+    Returns a FlownReference: `log` is what the vehicle would have logged, `truth` the ground truth.
     Raises RequestError for a reference that the vehicle cannot fly, VehicleError when it does not reach the start.
 
     Example:

@@ -1,4 +1,4 @@
-"""What users give to the functions of `alula.api`, as the rooms take it."""
+"""Arguments of the public functions, converted to the types of the packages behind them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
 
     if not effects:
         return CATALOGUE
-    # tried on a bundled vehicle: the user's own may name these effects, and cannot be read before they are known
+    # checked on a bundled vehicle: the user's own may name these effects, and cannot be read before they are defined
     return with_effects_of(effects, read_vehicle(FOLDER / "arpl_250g.toml"))
 
 

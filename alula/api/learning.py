@@ -1,4 +1,4 @@
-"""Learned models: trained from flights, evaluated on others, exported as what flies."""
+"""Learned models: trained on flights, evaluated on others, exported as bundles."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def train(
     ensemble: members.
     jobs: processes; by default one a core.
     device: "cpu", "cuda" or "cuda:1".
-    resume: go on with a training that was interrupted.
+    resume: continue a training that was interrupted.
     overwrite: replace an existing checkpoint.
     progress: called with the losses of a member at each of its evaluations.
 
@@ -200,4 +200,4 @@ def _paths(paths: str | Path | Sequence[str | Path]) -> tuple[Path, ...]:
 
 
 def _ignore(_: object) -> None:
-    """The progress that nobody watches."""
+    """A progress callback that does nothing."""

@@ -98,7 +98,7 @@ class DiagnosisResult:
 
 @dataclass(frozen=True, eq=False)
 class AdditionResult:
-    """A vehicle with an effect more, which lowers the error on held-out flights.
+    """A vehicle with one more effect, which lowers the error on held-out flights.
 
     vehicle: with the effect and one more line of history.
     report: the fitted values, errors before and after.
@@ -156,7 +156,7 @@ class EvaluationResult:
 
     @property
     def summary(self) -> Sequence[str]:
-        """Lines for a terminal: the ratios of errors, and what is to be noted."""
+        """Lines for a terminal: the ratios of errors, and notes."""
         from studies.evaluation.tables import summary_lines
 
         return summary_lines(self.report.evaluated)

@@ -1,4 +1,4 @@
-"""The command line: the commands by name, and how a user's mistakes end.
+"""The command line: the commands by name, and the exit codes of errors.
 
 A command's module is imported when the command is called. `alula --help` reads the first paragraph of each command's
 docstring from its source, so that it starts without numpy, CasADi and MAVLink.
@@ -45,7 +45,7 @@ class LazyGroup(TyperGroup):
         self.commands = {name: TyperCommand(name) for name in COMMANDS}
 
     def list_commands(self, ctx: Any) -> list[str]:
-        """The commands in the order of a vehicle's life, not of the alphabet."""
+        """The commands in the order of use, not of the alphabet."""
         return list(self.commands)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:

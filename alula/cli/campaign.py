@@ -23,7 +23,7 @@ def campaign(
         Path,
         typer.Option(help="Folder to write; an unfinished campaign continues there."),
     ],
-    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = ("arpl_250g"),
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = "arpl_250g",
     effect: Annotated[
         list[str] | None,
         typer.Option(

@@ -42,9 +42,7 @@ def demo(
         ),
     ] = None,
     no_effects: Annotated[bool, typer.Option("--no-effects", help="Hide nothing: no effect is missing.")] = False,
-    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = (
-        DEFAULT.vehicle
-    ),
+    vehicle: Annotated[str, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = DEFAULT.vehicle,
     duration: Annotated[
         float | None, typer.Option(min=5.0, help="Seconds of each manoeuvre; by default 10, in lockstep 24.")
     ] = None,

@@ -26,7 +26,7 @@ def fly(
         str, typer.Option(help="NAME or NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3, or a CSV file of your own.")
     ],
     link: LinkOption = LINK,
-    vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = (None),
+    vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = None,
     bundle: Annotated[Path | None, typer.Option(help="Bundle of a learned model, instead of --vehicle.")] = None,
     duration: Annotated[
         float | None, typer.Option(min=1.0, help="Seconds of the reference; by default its own length.")

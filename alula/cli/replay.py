@@ -20,9 +20,9 @@ def replay(
     vehicle: Annotated[
         str | None, typer.Option(help="Fly it with this vehicle file instead of the recorded one.")
     ] = None,
-    bundle: Annotated[Path | None, typer.Option(help="Fly it with this bundle instead of the recorded vehicle.")] = (
-        None
-    ),
+    bundle: Annotated[
+        Path | None, typer.Option(help="Fly it with this bundle instead of the recorded vehicle.")
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(min=0.0, help="Fail when a setpoint differs by more, rad/s or share of thrust; 0: by one bit."),

@@ -35,8 +35,7 @@ class StepLoop:
         scratch = (self._next, arguments, results, integers, work)
         self._scratch = scratch  # keeps the memory alive that the addresses below point to
         wide, pointer = ctypes.c_longlong, ctypes.c_void_p
-        inputs, noise, ring = (wide, pointer, wide, pointer, pointer), (pointer, wide), (pointer, *[wide] * 3)
-        self._advance.argtypes = [*inputs, *noise, *ring, *[pointer] * len(scratch)]
+        self._advance.argtypes = [wide, pointer, wide, *[pointer] * 3, wide, pointer, *[wide] * 3, *[pointer] * 5]
         self._inputs = (self.state.ctypes.data, self.state.size, self.command.ctypes.data, self.constants.ctypes.data)
         self._scratch_addresses = tuple(array.ctypes.data for array in scratch)
         self._records_address = self.records.ctypes.data

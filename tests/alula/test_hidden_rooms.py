@@ -116,7 +116,7 @@ def test_a_script_beside_folders_of_other_names_imports_alula(tmp_path: Path) ->
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_an_interactive_session_gets_an_import_error_and_goes_on(tmp_path: Path) -> None:
+def test_an_interactive_session_gets_an_import_error_and_continues(tmp_path: Path) -> None:
     own_package(tmp_path, "export")
     code = "import sys; sys.ps1 = '>>> '\ntry:\n    import alula\nexcept ImportError as error:\n    print(error)\n"
     done = run(tmp_path, "-c", code)

@@ -1,4 +1,4 @@
-"""`alula link` prints what it found, as a table or as JSON, and ends with an exit code that a script can use."""
+"""`alula link` prints its report as a table or as JSON, and ends with an exit code that a script can use."""
 
 from __future__ import annotations
 

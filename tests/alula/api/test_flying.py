@@ -15,7 +15,7 @@ from alula.api.signals import landing_on_signals
 from simulation.mock_process import free_port
 
 
-def test_a_simulated_flight_has_the_same_bits_for_the_same_seed_and_feels_hidden_effects() -> None:
+def test_a_simulated_flight_has_the_same_bits_for_the_same_seed_and_hidden_effects_change_it() -> None:
     vehicle = alula.load_vehicle("arpl_250g")
     first, again = (alula.simulate("line:laps=1,ramp=1", vehicle=vehicle, seed=3) for _ in range(2))
     dragged = alula.simulate("line:laps=1,ramp=1", vehicle="arpl_250g", seed=3, effects=["wind:x=3"])
@@ -43,7 +43,7 @@ def test_nobody_on_the_link_is_a_vehicle_error() -> None:
         alula.fly("hover", vehicle=alula.load_vehicle("px4_sih"), link=link, timeout=0.3)
 
 
-def test_signals_call_the_daemon_and_are_given_back_afterwards() -> None:
+def test_signals_call_the_daemon_and_are_restored_afterwards() -> None:
     calls: list[str] = []
     before = signal.getsignal(signal.SIGTERM)
     with landing_on_signals(calls.append):
