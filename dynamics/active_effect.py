@@ -20,7 +20,7 @@ class ActiveEffect:
     """An effect in a model.
 
     key: its name there, such as "rotor_drag" or "weak_rotor[2]".
-    rotor: the rotor that it sits on, None for an effect of the whole vehicle.
+    rotor: the rotor on which it acts, None for an effect of the whole vehicle.
     values: of its parameters.
     hidden: places of its hidden states in the state.
     """

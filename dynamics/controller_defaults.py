@@ -1,7 +1,8 @@
-"""Settings of the controller that follow from the vehicle: how far ahead it reads the body rates that it commands.
+"""Settings of the controller that follow from the vehicle: the lookaheads of its body-rate setpoints.
 
-A rate loop of first order with time constant T behind a lag L reaches a setpoint late by T + L. The controller commands
-what its prediction has that much later along its slope, less the rotors' lag where the model itself predicts it.
+A rate loop of first order with time constant T behind a lag L follows a setpoint with the delay T + L. The controller
+therefore commands the body rate that its prediction, extended along its slope, has at that later time; the part of the
+delay that the model itself predicts (the rotors' lag) is subtracted.
 `benchmarks/results/controller_defaults.md` compares this with one pair of lookaheads for all vehicles.
 """
 
@@ -29,7 +30,7 @@ class Lookaheads:
 
 
 def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> Lookaheads:
-    """Those of the vehicle's file, else derived from its rate loop; never beyond the horizon.
+    """The lookaheads of the vehicle file, else those derived from its rate loop; never beyond the horizon.
 
     Raises RequestError for a horizon that is too short for the vehicle's rate loop.
     """

@@ -4,11 +4,11 @@ An effect is one module with an `EFFECT` in it. The same object serves the mock'
 the training prior. Hooks are pure functions of CasADi expressions; an effect has those that it needs:
 
 physics       changes the constants of body and rotors (mass, one rotor's thrust constant, ...)
-rotor_speed   what the rotors do with a commanded speed
+rotor_speed   real rotor speeds, rad/s, from the commanded ones and the hidden states
 wind          velocity of the air, world ENU, m/s
 wrench        force (body FLU, N) and moment about the centre of mass (N m) added to the rigid body's
 derivative    time derivative of the effect's hidden states; `noise` is unit white noise, one entry a hidden state
-measurement   what a sensor reads: faults of sensors are effects that change readings, not motion
+measurement   the sensors' readings: a sensor's fault is an effect that changes readings, not motion
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class Conditions:
     physics: the constants as the effects change them.
     environment: ground and battery.
     has_drag: whether an effect of the model resists the air.
-    rotor: the rotor that a single-rotor effect sits on.
+    rotor: the rotor on which a single-rotor effect acts.
     """
 
     position: Expression
@@ -197,13 +197,13 @@ class Effect:
     min_detectable: size below which it is not claimed where all parameters are on the grid, in their unit.
     caveat: what a fit of it cannot settle; {parameter} stands for a fitted value.
     time_constants: parameters, s, that bound the step with which its hidden states can be integrated.
-    per_rotor: it sits on one rotor, named by index.
+    per_rotor: it acts on one rotor, named by index.
     resists_air: it is a drag, through which wind acts on the vehicle.
     stochastic: noise drives its hidden states, so that no value in a vehicle file predicts them.
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, "rotor_speed_reading" shows only where
         rotor speeds are measured, "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
-    excitation: what a flight must hold to show it; None where that is not stated.
+    excitation: logged quantities and motion that a flight needs to show it; None where that is not stated.
     confounded_with: effects with nearly the same signal in most flights.
 
     Raises ValueError when it contradicts itself.
@@ -243,14 +243,14 @@ class Effect:
 
     @property
     def rotor_speed_state(self) -> str | None:
-        """Name of the hidden state that holds the rotors' real speed: the first one of each rotor, under a lag."""
+        """Name of the hidden state of the real rotor speed: with `rotor_speed`, the first per-rotor state."""
         if self.rotor_speed is None:
             return None
         return next((hidden.name for hidden in self.hidden if hidden.per_rotor), None)
 
 
 def _contradictions(effect: Effect) -> Iterator[str]:
-    """What cannot be true of an effect, one sentence each."""
+    """Contradictions between an effect's fields, one sentence each."""
     names = [parameter.name for parameter in effect.parameters]
     states = [hidden.name for hidden in effect.hidden]
     hooks = (effect.physics, effect.rotor_speed, effect.wind, effect.wrench, effect.measurement)
@@ -277,7 +277,7 @@ def _contradictions(effect: Effect) -> Iterator[str]:
 
 
 def _contradicting_roles(effect: Effect) -> Iterator[str]:
-    """What cannot be true of the fields that steer diagnosis and integration."""
+    """Contradictions between the fields that diagnosis and integration use, one sentence each."""
     for parameter in effect.parameters:
         if parameter.name in effect.time_constants and not parameter.lower > 0:
             yield f"time constant {parameter.name} has the lower bound {parameter.lower} s; it must be above 0"

@@ -18,7 +18,7 @@ from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
 EXAMPLE = "See examples/my_effects.py."
-ROOM = Span((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))  # m, in which a grid is tried
+ROOM = Span((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))  # m, for which an effect's grid is evaluated
 
 
 def read_effects(path: str | Path) -> tuple[Effect, ...]:
@@ -62,7 +62,7 @@ def with_effects_of(files: Iterable[str | Path], vehicle: Vehicle) -> Mapping[st
 
 
 def _try(effect: Effect, vehicle: Vehicle, path: Path) -> None:
-    """Evaluate an effect in hover at its usual values; whatever it does wrong becomes a RequestError."""
+    """Evaluate an effect in hover at its usual values. Raises RequestError when it fails or contradicts itself."""
     use = EffectUse(effect.name, {}, 0 if effect.per_rotor else None)
     with _refusing(effect, path):
         problem = next(_problems_on(effect, vehicle), None)
@@ -90,7 +90,7 @@ def _refusing(effect: Effect, path: Path) -> Iterator[None]:
 
 
 def _problems_on(effect: Effect, vehicle: Vehicle) -> Iterator[str]:
-    """What cannot be true of an effect on a vehicle: the line and a sentence each."""
+    """Values of an effect that are impossible on a vehicle: the line and a sentence each."""
     bounds = {parameter.name: (parameter.lower, parameter.upper) for parameter in effect.parameters}
     for parameter in effect.parameters:
         prior = parameter.prior(vehicle)

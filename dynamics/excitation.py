@@ -1,4 +1,4 @@
-"""What a flight must hold to show an effect: logged quantities, and motion of some size."""
+"""What a flight needs to show an effect: logged quantities, and motion of some size."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ QUICK_TURNS = "quick rolls and pitches: Lemniscate, ExtendedLemniscate"
 
 @dataclass(frozen=True)
 class Excitation:
-    """What a flight must hold to show an effect of usual size above the sensors' noise.
+    """What a flight needs to show an effect of usual size above the sensors' noise.
 
     channels: groups of logged quantities, of each group at least one.
     measure: the motion that shows it, one of MEASURES.
@@ -36,7 +36,7 @@ class Excitation:
     enough: size from which it shows well.
     flight: what to fly where the measure is too small.
     manoeuvre: what separates it from other effects.
-    unlogged: what it depends on and no log holds, such as "where walls are"; no measure is needed then.
+    unlogged: what it depends on and no log contains, such as "where walls are"; no measure is needed then.
     """
 
     channels: tuple[Group, ...]

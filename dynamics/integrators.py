@@ -1,4 +1,4 @@
-"""Steps of a model over time, as CasADi expressions and functions."""
+"""Integration of a model over time, as CasADi expressions and functions."""
 
 from __future__ import annotations
 

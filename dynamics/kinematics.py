@@ -1,4 +1,4 @@
-"""The kinematic step: how accelerations that are held for a time move a rigid body."""
+"""The kinematic step: the motion of a rigid body under accelerations that are constant over the step."""
 
 from __future__ import annotations
 

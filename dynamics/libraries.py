@@ -1,4 +1,4 @@
-"""What lets one formula serve NumPy arrays, CasADi columns and torch tensors.
+"""Operations common to NumPy arrays, CasADi columns and torch tensors, so that one formula serves all three.
 
 Components lie on the last axis of arrays and tensors, and along the column of CasADi matrices. torch is never imported
 here: a tensor can only come from a process that has imported it.

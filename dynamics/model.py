@@ -133,7 +133,7 @@ def build_model(
 
 @dataclass(frozen=True)
 class Accelerations:
-    """What Newton and Euler give: specific force f / m (3,) body, and the time derivatives of v, q and omega."""
+    """Result of Newton and Euler's equations: specific force f / m (3,) body, and the derivatives of v, q and omega."""
 
     specific_force: Expression
     velocity: Expression

@@ -1,8 +1,8 @@
 """Hamilton quaternions, w first, body to world.
 
-The formulas stand once and serve NumPy arrays (components on the last axis, any leading axes) and CasADi column
-vectors alike; torch tensors take the shorter way of `dynamics.tensor_quaternion`. What only data needs (Euler angles,
-sign continuity, matrices to quaternions) is NumPy.
+Each formula is defined once, for NumPy arrays (components on the last axis, any leading axes) and CasADi column
+vectors alike; torch tensors use the fewer operations of `dynamics.tensor_quaternion`. Functions that only data needs
+(Euler angles, sign continuity, matrices to quaternions) are for NumPy alone.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def exponential(rotation_vector: Expression) -> Expression:
 
 
 def logarithm(attitude: ArrayLike) -> Floats:
-    """Rotation vector of the shorter way, rad. attitude: (..., 4)."""
+    """Rotation vector of the smaller angle, rad. attitude: (..., 4)."""
     q = normalise(attitude)
     q = np.where(q[..., :1] < 0, -q, q)
     sine = np.linalg.norm(q[..., 1:], axis=-1, keepdims=True)

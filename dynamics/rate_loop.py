@@ -2,7 +2,7 @@
 
 PX4's default gains suit its SIH quadrotor. On another vehicle they are scaled so that the loop keeps its shape: gain
 times authority over inertia, in units of the lag of motors, gyro filter and actuation, stays that of the SIH quadrotor.
-The mock's autopilot is tuned by this rule, and the controller derives from it how far ahead it reads body rates.
+The mock's autopilot is tuned by this rule, and the controller derives its lookaheads from it.
 
 Source: PX4-Autopilot, defaults of MC_*RATE_P, IMU_GYRO_CUTOFF and MC_YAW_TQ_CUTOFF; SIH's motors lag by 50 ms.
 """
@@ -54,12 +54,12 @@ class RateLoop:
 
     @property
     def tilt_time(self) -> float:
-        """By how much roll and pitch rates follow their setpoints late, s: a loop of first order behind the lag."""
+        """Delay with which roll and pitch rates follow their setpoints, s: a loop of first order behind the lag."""
         return 1 / self.tilt_speed + self.lag
 
     @property
     def yaw_time(self) -> float:
-        """The same of the yaw rate, s; infinite where nothing yaws."""
+        """Delay with which the yaw rate follows its setpoint, s; infinite without yaw authority."""
         speed = self.yaw_gain * self.authority[2]
         return 1 / speed + self.lag + self.yaw_filter if speed > 0 else math.inf
 

@@ -1,4 +1,4 @@
-"""Hamilton quaternions of torch tensors in few operations: training pays for each one, forward and back.
+"""Hamilton quaternions of torch tensors in few operations, each of which costs training time forward and backward.
 
 `dynamics.quaternion` calls these for tensors; a test compares them with its own formulas.
 """

@@ -165,7 +165,12 @@ class HistoryEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A vehicle file's content."""
+    """A vehicle file's content.
+
+    effects: the identified model's, on top of the nominal model.
+    history: how the effects were identified, oldest entry first.
+    source: where the numbers come from, free text.
+    """
 
     name: str
     body: Body

@@ -137,7 +137,7 @@ def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Ef
             )
     if effect.per_rotor and (use.rotor is None or not 0 <= use.rotor < rotor_count):
         raise RequestError(
-            f"effect {use.name} sits on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}."
+            f"effect {use.name} acts on one rotor: give rotor = 0 to {rotor_count - 1}, not {use.rotor}."
         )
     if not effect.per_rotor and use.rotor is not None:
         raise RequestError(f"effect {use.name} acts on the whole vehicle: leave rotor out.")
@@ -153,8 +153,8 @@ def with_settings(
     table: dict[str, Any] = msgspec.to_builtins(vehicle.controller)
     for text in assignments:
         name, equals, value = text.partition("=")
-        room, _, key = name.strip().partition(".")
-        if not equals or room != "controller":
+        section, _, key = name.strip().partition(".")
+        if not equals or section != "controller":
             raise RequestError(f"setting {text!r}: write controller.KEY=VALUE, as in controller.horizon=0.8.")
         try:
             table[key] = tomllib.loads(f"value = {value}")["value"]
@@ -175,12 +175,13 @@ def with_settings(
 
 
 def _check_controller(vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> None:
+    """Raise RequestError for a horizon that is too short for the vehicle; the default one never is."""
     if vehicle.controller != ControllerSettings():
         lookaheads(vehicle, catalogue)
 
 
 def nearest(word: str, valid: Mapping[str, object] | tuple[str, ...]) -> str:
-    """A remark that names the valid word nearest to an unknown one, or nothing."""
+    """A remark that names the valid word nearest to an unknown one; empty when none is near."""
     close = difflib.get_close_matches(word, list(valid), n=1, cutoff=0.5)
     return f"; did you mean {close[0]!r}?" if close else ""
 

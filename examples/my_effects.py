@@ -2,7 +2,7 @@
 
 One file, one `EFFECT` or a list of them, `EFFECTS`. Each formula is written once, in CasADi; diagnosis regresses and
 fits it from here. The first effect below has only what every effect needs. The second has a hidden state and the
-fields that say how diagnosis treats it.
+fields that determine how diagnosis treats it.
 """
 
 from collections.abc import Sequence

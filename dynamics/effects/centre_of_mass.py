@@ -17,7 +17,7 @@ def usual(vehicle: Vehicle) -> Prior:
 
 
 def level(vehicle: Vehicle) -> Prior:
-    """Zero: the height hardly shows in a flight."""
+    """Zero, with the same deviation: the usual offset is forward alone."""
     return Prior(0.0, usual(vehicle).std)
 
 

@@ -1,4 +1,4 @@
-"""Gyro bias: the body rates are measured off by a constant."""
+"""Gyro bias: a constant error of the measured body rates."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
 
 EFFECT = Effect(
     name="gyro_bias",
-    summary="The gyro reads a constant too much",
+    summary="Constant error of the gyro",
     source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2004, eq. 12.1",
     parameters=tuple(
         Parameter(axis, "rad/s", f"bias about body {axis}", -2.0, 2.0, lambda _: Prior(0.02, 0.05)) for axis in AXES

@@ -1,4 +1,4 @@
-"""Accelerometer bias: the specific force is measured off by a constant."""
+"""Accelerometer bias: a constant error of the measured specific force."""
 
 from dataclasses import replace
 
@@ -18,7 +18,7 @@ def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
 
 EFFECT = Effect(
     name="imu_bias",
-    summary="The accelerometer reads a constant too much",
+    summary="Constant error of the accelerometer",
     source="Titterton and Weston, Strapdown Inertial Navigation Technology, 2004, eq. 12.1",
     parameters=tuple(
         Parameter(axis, "m/s^2", f"bias along body {axis}", -20.0, 20.0, lambda _: Prior(0.1, 0.3)) for axis in AXES

@@ -33,7 +33,7 @@ EFFECT = Effect(
     rotor_speed=rotor_speed,
     derivative=derivative,
     grid=grid,
-    min_detectable=0.0025,  # s; less is the clocks' own
+    min_detectable=0.0025,  # s; smaller ones are within the clocks' errors
     time_constants=("time_constant",),
     excitation=Excitation(
         (("rate", "specific_force"), COMMAND),

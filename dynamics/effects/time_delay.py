@@ -27,7 +27,7 @@ EFFECT = Effect(
     parameters=(Parameter("delay", "s", "age of the pose at its stamp", -0.2, 0.5, lambda _: Prior(0.02, 0.02)),),
     measurement=measurement,
     grid=grid,
-    min_detectable=0.003,  # s; less is the clocks' own
+    min_detectable=0.003,  # s; smaller ones are within the clocks' errors
     sensor_prior=SENSOR_PRIOR,
     excitation=Excitation(
         (("rate",), ("attitude",)),

@@ -26,7 +26,7 @@ def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
 
 
 def grid(_: Vehicle, span: Span) -> Sequence[dict[str, float]]:
-    """A wall where the flights came farthest, in each of the four directions of the axes."""
+    """A wall at the boundary of the flights' box, in each of the four directions of the axes."""
     distances = (span.highest[0], span.highest[1], -span.lowest[0], -span.lowest[1])
     return [
         {"heading": heading, "distance": distance, "scale": scale}

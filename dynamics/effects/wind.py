@@ -1,6 +1,6 @@
 """Steady wind: the air moves over the ground at a constant velocity.
 
-The wind acts through the drag effects of the model. A model without drag would not feel it, so the wind has a drag
+The wind acts through the drag effects of the model. In a model without drag it would have no effect, so it has a drag
 coefficient of its own there; a flight shows only the product of the two.
 """
 

@@ -56,8 +56,8 @@ PLAINER = {
     "low_flight_130": "low_flight:speed=1.3",
     "hover": "hover",
 }
-# What the vehicle of the paper's real flights had and its nominal model has not: drags, flapping and inflow of the
-# usual size (DIAGNOSIS and LEARNING measurements), a thrust and an inertia that are a little off, moving air.
+# Effects that stand for what the paper's real vehicle had and its nominal model lacks: drags, flapping and inflow of
+# usual size, thrust and inertia a few per cent off the vehicle file's, and moving air.
 REAL_WORLD = (
     "motor_lag:time_constant=0.035",
     "rotor_drag:coefficient=2.2e-5",

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from dynamics.errors import RequestError
-from dynamics.references.manoeuvres import PAPER, PLAIN, Manoeuvre, plane_axes
+from dynamics.references.manoeuvres import PAPER, PLAIN, Manoeuvre
 from dynamics.references.reference import Reference
 from dynamics.references.table import read_table
 from dynamics.references.time_law import TimeLaw
@@ -60,18 +60,16 @@ def make_reference(name: str, shape: Shape, vehicle: Vehicle, *, duration: float
     _check_shape(name, shape)
     rate = manoeuvre.rate * shape.speed
     laps = shape.laps or _laps(manoeuvre, shape, rate, duration)
+    plane = shape.plane or manoeuvre.plane
     try:
-        plane = shape.plane or manoeuvre.plane
-        axes = plane_axes(plane)
+        centred = manoeuvre.curve(plane, shape.size, np.zeros(3))
     except ValueError as error:
         raise RequestError(
             f"reference {name}: plane {shape.plane!r}: {error}. Give two axes, such as xy or z-x."
         ) from None
-    rows = np.array([*manoeuvre.cosine, *manoeuvre.sine]).reshape(-1, 3) @ axes
-    phase = np.linspace(0, 2 * np.pi, 721)
-    level = manoeuvre.curve(plane, shape.size, np.zeros(3)).derivatives(phase)[:, 0, 2] if rows.size else np.zeros(1)
+    lowest = float(centred.derivatives(np.linspace(0, 2 * np.pi, 721))[:, 0, 2].min())
     height = manoeuvre.height if shape.height is None else shape.height
-    curve = manoeuvre.curve(plane, shape.size, np.array([0.0, 0.0, height - float(level.min())]))
+    curve = manoeuvre.curve(plane, shape.size, np.array([0.0, 0.0, height - lowest]))
     law = TimeLaw(rate, shape.ramp, 2 * np.pi * laps / rate + shape.ramp)
     return Reference(name if shape == Shape() else f"{name}:{_describe(shape)}", curve, law, vehicle)
 

@@ -63,7 +63,7 @@ class Feasibility:
         if self.feasible_speed is None:
             advice = "slower does not help: change its place or shape"
         else:
-            advice = f"at {self.feasible_speed:.2f} of its speed it would do (speed={self.feasible_speed:.2f})"
+            advice = f"at {self.feasible_speed:.2f} of its speed it would be feasible (speed={self.feasible_speed:.2f})"
         raise RequestError(f"the vehicle cannot fly {self.reference}: {listed}; {advice}.")
 
 
@@ -95,6 +95,7 @@ def _feasible_speed(reference: Reference, vehicle: Vehicle, ground: float) -> fl
 
 
 def _bisect(fits: Callable[[float], bool], low: float, high: float) -> float | None:
+    """The greatest value between low and high that fits, rounded down to 0.01; None when low does not."""
     if not fits(low):
         return None
     for _ in range(BISECTIONS):

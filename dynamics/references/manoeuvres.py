@@ -89,7 +89,7 @@ PLAIN: Mapping[str, Manoeuvre] = {
 
 
 def plane_axes(plane: str) -> Floats:
-    """World directions of a curve's own three axes, rows of a proper or mirrored frame. Raises ValueError.
+    """World directions of a curve's own three axes, rows of a right-handed frame. Raises ValueError.
 
     plane: two different letters of x, y, z, each with a minus sign before it to reverse it; the third axis completes
     a right-handed frame.

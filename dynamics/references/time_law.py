@@ -14,7 +14,6 @@ from dynamics.arrays import Floats
 # differentiable, so that position to snap, and with them the rotor speeds, are continuous from hover to hover.
 _STEP = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 _STEP_DERIVATIVES = (_STEP.integ(), _STEP, _STEP.deriv(1), _STEP.deriv(2), _STEP.deriv(3))
-STEP_SLOPE = 2.1875  # steepest slope of that step
 
 
 @dataclass(frozen=True, slots=True)
