@@ -30,14 +30,17 @@ class Calibration(msgspec.Struct, frozen=True):
 
 
 def calibration(model: TrainedModel, data: LabelledRows, label: Floats) -> Calibration | None:
-    """On flights that the model was not trained on; None for a single network. label: (n, 6), NaN where unknown."""
+    """Calibration on flights that the model was not trained on; None for a single network.
+
+    label: (n, 6) body accelerations, NaN where unknown.
+    """
     prediction = predict(model, data)
     if prediction.disagreement is None or prediction.half_width is None or prediction.gate is None:
         return None
     ends = data.ends
     base = None if data.base is None else data.base[ends]
-    required = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, ATTITUDE])
-    error = member_outputs(model, data).mean(axis=0) - required
+    target = outputs_from(model.config, model.vehicle, label[ends], base, data.state[ends, ATTITUDE])
+    error = member_outputs(model, data).mean(axis=0) - target
     labelled = np.isfinite(error).all(axis=1)
     size = np.sqrt(np.mean((error[labelled] / model.scaling.output_std) ** 2, axis=1))
     worst = size > np.quantile(size, 1 - WORST)
@@ -52,11 +55,11 @@ def calibration(model: TrainedModel, data: LabelledRows, label: Floats) -> Calib
 def auroc(score: Floats, positive: NDArray[np.bool_]) -> float:
     """Area under the curve of true over false alarms: the chance that a positive scores above a negative.
 
-    score: (m,), ties counting half. NaN when there is only one kind.
+    score: (m,), ties counting half. NaN when all or none are positive.
     """
-    ordered, inverse, counts = np.unique(score, return_inverse=True, return_counts=True)
+    _, inverse, counts = np.unique(score, return_inverse=True, return_counts=True)
     rank = (np.cumsum(counts) - 0.5 * (counts - 1))[inverse]
     hits = int(positive.sum())
-    if hits in (0, len(ordered[inverse])):
+    if hits in (0, len(score)):
         return float("nan")
     return float((rank[positive].sum() - 0.5 * hits * (hits + 1)) / (hits * (len(score) - hits)))

@@ -40,7 +40,7 @@ from training.networks import build_network
 
 FORMAT, VERSION = "alula model", 2
 IN_KILO_RPM = 1  # the version whose rotor speeds were in thousands of rpm
-MAKE_ANEW = "Copy it again from where it is whole, or train it again."
+REPLACE_IT = "Restore it from an intact copy, or train it again."
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,20 +145,20 @@ def write_atomically(content: dict[str, Any], path: Path) -> None:
 
 
 def read_content(path: Path) -> dict[str, Any]:
-    """What `torch.save` wrote. Raises RequestError when the file is missing or no such thing."""
+    """The dictionary that `torch.save` wrote. Raises RequestError for a file that is missing or cannot be read so."""
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)  # of pickles that are refused in the same breath
+            warnings.simplefilter("ignore", UserWarning)  # about pickles, which are refused below
             content = torch.load(path, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise RequestError(f"there is no {path}. Give a model that `alula train` wrote.") from error
     except OSError as error:
         raise RequestError(
-            f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {MAKE_ANEW}"
+            f"{path} is no checkpoint, or a damaged one: {error.strerror or error}. {REPLACE_IT}"
         ) from error
     except (RuntimeError, EOFError, ValueError, LookupError, TypeError, pickle.UnpicklingError) as error:
-        # torch's own words advise to run the file's code
-        raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {MAKE_ANEW}") from error
+        # torch's message advises weights_only=False, which runs the file's code
+        raise RequestError(f"{path} is no checkpoint, or a damaged one: torch cannot read it. {REPLACE_IT}") from error
     if not isinstance(content, dict):
         raise RequestError(f"{path} is no checkpoint of alula: it holds a {type(content).__name__}.")
     return content
@@ -186,14 +186,14 @@ def load(path: str | Path) -> TrainedModel:
         return model if content["version"] == VERSION else _in_si(model)
     except (KeyError, TypeError, AttributeError, ValueError, msgspec.MsgspecError) as error:
         raise RequestError(
-            f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {MAKE_ANEW}"
+            f"{path} is a damaged model: {type(error).__name__}: {_first_line(error)}. {REPLACE_IT}"
         ) from error
     except RequestError as error:
-        raise RequestError(f"{path} is a damaged model: {error} {MAKE_ANEW}") from error
+        raise RequestError(f"{path} is a damaged model: {error} {REPLACE_IT}") from error
 
 
 def _model(content: dict[str, Any]) -> TrainedModel:
-    """Raises RequestError, and what conversions raise, for entries that make no model."""
+    """The model of a checkpoint's entries. Raises RequestError, and what conversions raise, for invalid ones."""
     config = msgspec.convert(content["config"], ModelConfig)
     card = msgspec.json.decode(content["card"], type=Card)
     scaling = Scaling(**{name: value.double().numpy() for name, value in content["scaling"].items()})

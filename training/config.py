@@ -36,8 +36,8 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     outputs: "world": accelerations in the world frame; "body": specific force and angular acceleration in the body
         frame; "wrench": residual force and torque (supplement eq. 1).
     motors: commanded or measured rotor speeds.
-    label: accelerations at the last row, or their mean over the next dt.
-    filtered_inputs: the paper's zero-phase filter on the inputs, which no flight has.
+    label: accelerations at the newest column, or their mean over the next dt.
+    filtered_inputs: whether the inputs carry the paper's zero-phase filter, which does not exist in flight.
     rotors: of the vehicle.
     dt: s between columns.
     history: T columns of a window.

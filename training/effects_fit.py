@@ -1,7 +1,7 @@
 """Named effects fitted to a network's own labels: Gauss-Newton on the model's mean increments over whole flights.
 
 `alula diagnose` finds which effects a vehicle has; here only their values are estimated, on the same rows, rotor speeds
-and labels that the network on top of them learns from, so that the network's residual holds nothing of theirs.
+and labels that the network on top of them learns from, so that the network's residual does not contain them.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from training.physics import RowModel
 ROUNDS = 6
 NUDGE = 0.02  # relative step of finite differences
 SETTLED = 1e-3  # relative change that ends the rounds
-ROWS = 400_000  # at most, whole flights spread over all; a few brisk flights settle inertia, and none may be missed
+ROWS = 400_000  # about; whole segments spread over all flights, because few brisk ones determine the inertia
 NEGLIGIBLE = 1e-8  # singular values below this share of the largest are noise
 
 
@@ -53,7 +53,7 @@ def fit_effects(
 ) -> Vehicle:
     """The vehicle with its effects at the values that fit the labels best, least squares weighted by the residual.
 
-    Raises RequestError when the vehicle has no effect, DataError when no value of theirs shows in these flights.
+    Raises RequestError when the vehicle has no effect, DataError when no parameter has an influence on these flights.
     """
     if not vehicle.effects:
         raise RequestError(
@@ -82,7 +82,10 @@ def fit_effects(
 def with_rotor_lag(
     config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> Vehicle:
-    """The vehicle as it answers commands: where its file names no lag of the rotors, with one fitted to the flights."""
+    """The vehicle with a lag between commands and rotors: where its file names none, one fitted to the flights.
+
+    The other effects are fitted with it. Unchanged for measured rotor speeds, which have no lag.
+    """
     named = any(catalogue[use.name].rotor_speed is not None for use in vehicle.effects)
     if named or config.motors == "measured":
         return vehicle
@@ -146,12 +149,12 @@ def _slope(problem: _Problem, values: Floats, residual: Floats, place: int) -> F
 def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
     def settled(use: EffectUse) -> EffectUse:
         key = use.name if use.rotor is None else f"{use.name}[{use.rotor}]"
-        mine = {
+        own = {
             name.removeprefix(f"{key}."): float(f"{value:.6g}")
             for name, value in values.items()
             if name.startswith(f"{key}.")
         }
-        return msgspec.structs.replace(use, parameters={**use.parameters, **mine})
+        return msgspec.structs.replace(use, parameters={**use.parameters, **own})
 
     return msgspec.structs.replace(vehicle, effects=tuple(settled(use) for use in vehicle.effects))
 

@@ -22,7 +22,7 @@ def run_folder(out: Path) -> Path:
 
 @contextmanager
 def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterator[None]:
-    """The model's path and the members' folder for this process alone; the folder stays if they can continue from it.
+    """The model's path and the members' folder for this process alone; it stays if members can continue from it.
 
     Raises RequestError for a model that exists, a training that did not end or still runs, and a folder that cannot be
     written to.
@@ -55,7 +55,7 @@ def claimed(out: Path, folder: Path, *, overwrite: bool, resume: bool) -> Iterat
 def require_free(out: Path, *, overwrite: bool) -> None:
     """Raises RequestError for a name that is not a model's, and for a model or a card that is there."""
     if out.suffix != SUFFIX:
-        raise RequestError(f"--out {out}: required is a name in {SUFFIX}, by which other commands know models.")
+        raise RequestError(f"--out {out}: required is a name in {SUFFIX}, by which other commands recognise models.")
     for path in (out, out.with_suffix(CARD_SUFFIX)):
         if path.exists() and not overwrite:
             raise RequestError(f"{path} exists. Give another --out, or --overwrite.")

@@ -2,7 +2,7 @@
 
 Muon (K. Jordan et al., 2024) makes a step of a matrix equally long along all of its directions. The networks here have
 to find accelerations in small differences of neighbouring columns, directions along which gradients are weak: after the
-same steps Muon errs by less than half as much as Adam (docs/decisions.md).
+same steps Muon errs by less than half as much as Adam (docs/decisions/training.md).
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class StepRule:
         self._parts += [(muon, recipe.matrix_rate), (Adam(others, fused=True), 1.0)]
 
     def step(self, learning_rate: float) -> None:
-        """One step along the gradients that are there."""
+        """One step along the current gradients."""
         for optimiser, factor in self._parts:
             for group in optimiser.param_groups:
                 group["lr"] = factor * learning_rate
             optimiser.step()
 
     def clear_gradients(self) -> None:
-        """Forget the last batch."""
+        """Set all gradients to zero."""
         for optimiser, _ in self._parts:
             optimiser.zero_grad()
 
@@ -46,6 +46,6 @@ class StepRule:
         return [optimiser.state_dict() for optimiser, _ in self._parts]
 
     def restore(self, state: list[dict[str, Any]]) -> None:
-        """Go on from a saved state of the same recipe and network."""
+        """Continue from a saved state of the same recipe and network."""
         for (optimiser, _), saved in zip(self._parts, state, strict=True):
             optimiser.load_state_dict(saved)

@@ -1,6 +1,6 @@
-"""A vehicle's model over all rows of a data set, as machine code: the prior of the loss and what residuals add to.
+"""A vehicle's model over all rows of a data set, as machine code: the prior of the loss and the base of residuals.
 
-The formulas are those of `dynamics`; a network never sees them but as numbers.
+The formulas are those of `dynamics`; a network gets their values only, no derivatives.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class ModelRows(NamedTuple):
 
 
 class RowModel:
-    """A vehicle with effects, evaluated row by row; hidden states run along with the rows.
+    """A vehicle with effects, evaluated row by row; hidden states are carried from row to row.
 
     effects: none for the nominal model. motors: with measured rotor speeds there is no lag between them and the rotors.
     label: accelerations at the row, or their mean over the next dt with the input held (RK4). The ground is at z = 0
@@ -52,7 +52,7 @@ class RowModel:
     def __call__(self, state: Floats, rotor_speed: Floats, *, parameters: Floats | None = None) -> ModelRows:
         """Consecutive rows of one flight. state: (n, 13). rotor_speed: (n, rotors) rad/s, held until the next row.
 
-        parameters: instead of the vehicle's own, in the model's order. ModelRows with NaN give NaN from there on.
+        parameters: instead of the vehicle's own, in the model's order. Rows with NaN give NaN from there on.
         """
         p = self.model.parameter_values if parameters is None else parameters
         inputs, outputs = self._code.inputs, self._code.outputs
@@ -71,13 +71,13 @@ class RowModel:
 
 
 class BatchModel:
-    """A vehicle with effects, one row of m flights at a time; hidden states run along from call to call."""
+    """A vehicle with effects, one row of m flights at a time; hidden states are carried from call to call."""
 
     def __init__(
         self, vehicle: Vehicle, effects: Sequence[EffectUse], rotor_speed: Floats, *, dt: float, label: Label,
         motors: Motors, catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> None:  # fmt: skip
-        """rotor_speed: (m, rotors) rad/s at the first row, which the rotors turn at."""
+        """rotor_speed: (m, rotors) rad/s at the first row, with rotors at these speeds."""
         model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         batched = row_function(model, dt, label).map(BLOCK)
         self._code = compile_functions([batched])[batched.name()]
@@ -102,7 +102,7 @@ class BatchModel:
 
 
 def _driven(effects: Sequence[EffectUse], motors: Motors, catalogue: Mapping[str, Effect]) -> list[EffectUse]:
-    """The effects that there are between these motors and the motion: measured rotor speeds have no lag any more."""
+    """The effects that act on these motors: with measured rotor speeds none is a lag of the rotors."""
     return [use for use in effects if motors == "command" or catalogue[use.name].rotor_speed is None]
 
 

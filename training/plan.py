@@ -1,4 +1,4 @@
-"""A training as a whole: what is learned from, what each member of the ensemble gets, what becomes of them."""
+"""The plan of a training: data, scaling and collocation points that all members share, and the assembled model."""
 
 from __future__ import annotations
 
@@ -117,13 +117,15 @@ class Plan:
 def make_plan(
     config: ModelConfig, recipe: Recipe, vehicle: Vehicle, split: Split, *, seed: int, fit: bool = True
 ) -> Plan:
-    """Read nothing, train nothing: labels, models and points for every member.
+    """The plan for flights that are already read.
 
-    seed: of the physics-inspired loss's points. fit: whether a vehicle file's effects are fitted to the training
-    flights, for a model that makes use of them: a grey box, and one that is taught how the vehicle answers pulses.
+    seed: of the collocation points.
+    fit: whether a vehicle file's effects are fitted to the training flights, for a model that uses them: a grey box,
+        and one whose collocation points are pulses.
+
     Raises RequestError for options that contradict each other, DataError for flights that cannot be learned from.
     """
-    _require_sense(config, recipe)
+    _require_consistent(config, recipe)
     everything = (*split.training, *split.validation)
     config = with_logged_motors(msgspec.structs.replace(config, rotors=vehicle.rotors.count), everything, vehicle)
     training = label_rows(config, vehicle, split.training)
@@ -136,20 +138,20 @@ def make_plan(
     scaling = make_scaling(config, recipe, vehicle, training)
     collocation = None
     if recipe.physics_weight > 0:
-        answering = with_rotor_lag(config, vehicle, training) if pulses and config.base != "grey_box" else vehicle
-        collocation = collocation_points(config, recipe, answering, training, seed=seed)
+        responding = with_rotor_lag(config, vehicle, training) if pulses and config.base != "grey_box" else vehicle
+        collocation = collocation_points(config, recipe, responding, training, seed=seed)
     digest = hashlib.sha256(msgspec.json.encode([config, recipe, str(torch.__version__)]))
-    taught = () if collocation is None else (collocation.windows, collocation.targets)
-    for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends, *taught):
+    collocated = () if collocation is None else (collocation.windows, collocation.targets)
+    for values in (training.inputs, training.targets, training.ends, validation.inputs, validation.ends, *collocated):
         digest.update(np.ascontiguousarray(values).tobytes())
     return Plan(config, recipe, vehicle, split, training, validation, scaling, collocation, digest.hexdigest())
 
 
-def _require_sense(config: ModelConfig, recipe: Recipe) -> None:
+def _require_consistent(config: ModelConfig, recipe: Recipe) -> None:
     if recipe.physics_weight > 0 and config.base != "none" and recipe.physics_points != "pulses":
         raise RequestError(
-            f"the physics-inspired loss on {recipe.physics_points} is for models without a base, {config.kind} is "
-            "none. Give --physics-weight 0 or --physics-points pulses."
+            f"the physics-inspired loss on {recipe.physics_points} is for models without a base, {config.kind} has "
+            "one. Give --physics-weight 0 or --physics-points pulses."
         )
     if recipe.rollout > 1 and (recipe.physics_weight > 0 or config.batch_norm or config.filtered_inputs):
         raise RequestError(

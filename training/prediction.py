@@ -16,17 +16,18 @@ from training.data.labelled_rows import LabelledRows
 
 EVALUATED = 8192  # windows at once
 FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
-AGREED = 0.25  # share of the rows, those of least disagreement, whose errors are what is left when members agree
+AGREED = 0.25  # share of the rows, those with the lowest disagreement, whose errors give the error floor
 COVERED = 0.9  # of the errors lie within an interval
 
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """At every one of a data set's `ends`. body: (m, 6) body accelerations.
+    """Prediction at every one of a data set's `ends`; all but body are None for a single network.
 
-    disagreement: (m,) RMS over the outputs of the members' standardised deviation. half_width: (m, 6) of a 90 %
-    interval, in the outputs' units. gate: (m,) share of the network's output that was added to the base. The three
-    are None for a single network.
+    body: (m, 6) body accelerations.
+    disagreement: (m,) RMS over the outputs of the members' standardised deviation.
+    half_width: (m, 6) of a 90 % interval, in the outputs' units.
+    gate: (m,) share of the network's output that was added to the base.
     """
 
     body: Floats
@@ -39,7 +40,7 @@ def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = Non
     """The ensemble's mean, or one member's prediction. data: made with the model's config and vehicle.
 
     gated: whether a grey box's residual fades where the members disagree more than on their own flights; on the
-    nominal model it never does, for that is the worse one to fall back to.
+    nominal model it never does, because that is the worse fallback.
     """
     ends = data.ends
     base = None if data.base is None else data.base[ends]

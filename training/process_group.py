@@ -21,13 +21,13 @@ def join_group(device: torch.device) -> tuple[int, int]:
 
 
 def leave_group() -> None:
-    """The end of what `join_group` began."""
+    """Leave the group that `join_group` joined."""
     if distributed.is_initialized():
         distributed.destroy_process_group()
 
 
 def wait_for_all() -> None:
-    """Until every process is here."""
+    """Block until every process has called this."""
     if distributed.is_initialized():
         distributed.barrier()
 

@@ -1,4 +1,4 @@
-"""How a model is trained. `PAPER` is the paper to the letter, `FAST` what it takes on two cores."""
+"""How a model is trained. `PAPER` is the paper to the letter, `FAST` the default, sized for two cores."""
 
 from __future__ import annotations
 
@@ -17,22 +17,27 @@ Count = Annotated[int, Meta(ge=1)]
 class Recipe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Optimiser, schedule and loss.
 
-    steps: of Adam, or epochs over the training windows instead. learning_rate: the highest; it begins at a tenth of
-    it, rises over `warm_up` (share of a stage) and falls to a thousandth along a cosine, unless it is constant.
-    optimiser: Adam, or Muon for weight matrices (`training.optimiser`), with learning_rate times matrix_rate.
+    steps: of the optimiser.
+    epochs: over the training windows, instead of steps.
+    batch: windows a step.
+    optimiser: Adam, or Muon for weight matrices (`training.optimiser`).
+    learning_rate: the highest; it starts at a tenth, rises over warm_up and falls to a thousandth along a cosine.
+    matrix_rate: factor on learning_rate for the matrices that Muon steps.
+    constant_rate: learning_rate at every step.
+    warm_up: share of a stage.
     standardise: inputs and outputs to mean 0 and deviation 1.
-
-    physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage of physics_start (share of the steps); then optimiser and
-    schedule restart with it. annealed: it then falls to 0 linearly. physics_points: "space", random points of the
-    whole state-input space, as the paper has it, or "plausible", recorded motion scaled by 1 to 1.6 under recorded
-    commands, simulated with the nominal model, or "pulses" on the rotors of recorded motion, which are answered as the
-    vehicle file's model answers them (`training.data.collocation`). physics_batch: points a step. physics_pool: points
-    drawn beforehand, in batches taken in turn; the paper draws one batch.
-
+    physics_weight: lambda of PI-TCN eq. 4, 0 in a first stage; then optimiser and schedule restart with it.
+    physics_start: share of the steps in the first stage.
+    annealed: whether lambda then falls to 0 linearly.
+    physics_points: collocation points (`training.data.collocation`): "space", anywhere in the state-input space, as the
+        paper's; "plausible", recorded motion scaled by 1 to 1.6 under recorded commands, simulated with the nominal
+        model; "pulses" on the rotors of recorded motion, with the response of the vehicle file's model.
+    physics_batch: points a step.
+    physics_pool: points drawn beforehand, in batches taken in turn; the paper draws one batch.
     rollout: steps of dt that the network is streamed over with its own predictions as inputs, 1 for none.
     input_noise: deviation added to the standardised measured state, never to the rotors (`training.data.tensors`).
-    patience: evaluations on the validation flights, evaluate_every steps each, without a better one until a member
-    stops; 0 for never. It keeps the best one.
+    evaluate_every: steps between evaluations on the validation flights.
+    patience: evaluations without a better one after which a member stops, 0 for never; it keeps the best one.
     """
 
     name: str = "fast"

@@ -1,8 +1,8 @@
 """Multi-step training: the streamed network predicts its own inputs over some steps of dt.
 
-Only kinematics are worked out here: velocity, body rates and attitude follow from the predicted accelerations, the
-motors are the recorded ones, and a base stays at its recorded values. What is compared is how far velocity and body
-rates have come since the first step, with what the labels add up to.
+Only kinematics are computed here: velocity, body rates and attitude follow from the predicted accelerations, the motors
+are the recorded ones, and a base stays at its values along the recording. The change of velocity and body rates since
+the first step is compared with the sum of the labels.
 """
 
 from __future__ import annotations
@@ -29,10 +29,15 @@ from training.streaming import Stream
 
 @dataclass(frozen=True, eq=False)
 class RolloutLoss:
-    """Recorded flights as roll-outs need them. state: (n, 13). base, label: (n, 6), world accelerations the latter.
+    """Recorded flights for roll-outs.
 
-    starts: (m,) rows at which a roll-out of `steps` steps may begin. output_unit: (6,) outputs over
-    accelerations. error_std: (6,) unit of their error. noise: deviation added to the standardised state.
+    state: (n, 13).
+    base: (n, 6) body accelerations.
+    label: (n, 6) world accelerations.
+    starts: (m,) rows at which a roll-out of `steps` steps may begin.
+    output_unit: (6,) outputs over accelerations.
+    error_std: (6,) unit of their error.
+    noise: deviation added to the standardised state.
     """
 
     config: ModelConfig

@@ -32,7 +32,7 @@ class Schedule:
         return cls(recipe, steps, restart)
 
     def starts_anew(self, step: int) -> bool:
-        """Whether optimiser and learning rate begin at this step."""
+        """Whether optimiser and learning rate start or restart at this step."""
         return step == 0 or (step == self.restart and step < self.steps)
 
     def learning_rate(self, step: int) -> float:

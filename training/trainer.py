@@ -1,4 +1,4 @@
-"""The trainer that all models share: composite loss of PI-TCN eq. 4 in two stages, Adam, best step by validation.
+"""The trainer that all models share: composite loss of PI-TCN eq. 4 in two stages, best step by validation.
 
 A member of an ensemble is one call of `train` with its own seed. Every `evaluate_every` steps the network is evaluated
 on the validation flights and everything is saved; a run that was killed continues from there, bit for bit.
@@ -91,13 +91,13 @@ def train(task: Task, report: Callable[[Report], None]) -> Member:
     if task.state_file is not None and task.state_file.exists():
         run.resume(task.state_file)
     elif task.config.base != "none":
-        run.keep_best(evaluate(network, task.validation))  # no residual: what must be beaten
+        run.keep_best(evaluate(network, task.validation))  # a residual of zero is the first candidate for the best step
     learner, began = shared(network, size), time.monotonic() - run.seconds
     stopped = run.is_exhausted(recipe.patience) and not run.step < schedule.restart < schedule.steps
     while run.step < schedule.steps and not stopped:
         if schedule.starts_anew(run.step):
             run.rule = StepRule(network, recipe)
-            if run.step:  # a stage with another loss: its own best
+            if run.step:  # a stage with another loss has its own best step
                 run.best, run.without_better = float("inf"), 0
         network.train()
         chosen = torch.randint(len(task.training.ends), (recipe.batch,), generator=generator)[rank::size]

@@ -11,9 +11,9 @@ from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 
 MIN_ROWS = 100  # rows of a flight that can be tested
-MAX_OFF = 2.5  # factor of specific force, or of roll and pitch, by which a vehicle file may err and not be another's
+MAX_OFF = 2.5  # factor by which a vehicle file's specific force, or its roll and pitch accelerations, may err
 MIN_AGREEMENT = 0.2  # correlation of modelled with measured roll and pitch acceleration over all flights
-MAX_OPPOSITION = -0.2  # and of one flight, which may be slow, or all drag: it must not turn the other way
+MAX_OPPOSITION = -0.2  # the minimum for one flight, which may be slow or dominated by drag: not the opposite direction
 EXCITED = 0.5  # rad/s^2 of angular acceleration from which on that can be tested
 
 
@@ -56,7 +56,7 @@ def _require_turning(head: str, label: Floats, nominal: Floats) -> None:
 
 
 def _require_agreement(head: str, label: Floats, nominal: Floats, *, roll_and_pitch: float) -> None:
-    """Yaw must not turn the other way: its torques are too weak to ask for more."""
+    """Yaw torques are weak, so that a yaw acceleration is refused only if it has the opposite direction."""
     for axis, name, bound, check in (
         (3, "roll", roll_and_pitch, "the order and the positions"),
         (4, "pitch", roll_and_pitch, "the order and the positions"),

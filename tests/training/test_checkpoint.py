@@ -97,7 +97,7 @@ def test_a_checkpoint_whose_parts_do_not_fit_is_refused(model: TrainedModel, tmp
         ("card", "{}", "missing required field `kind`"),
     ):
         torch.save({**content, entry: value}, path)
-        with pytest.raises(RequestError, match=rf"m.pt is a damaged model: .*{words}.* Copy it again") as caught:
+        with pytest.raises(RequestError, match=rf"m.pt is a damaged model: .*{words}.* Restore it from") as caught:
             load(path)
         assert "\n" not in str(caught.value)
 
@@ -125,7 +125,7 @@ def test_a_cut_off_checkpoint_is_refused(model: TrainedModel, tmp_path: Path) ->
         load(path)
 
 
-def test_a_full_disk_is_told_and_leaves_the_old_file(model: TrainedModel, tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error_and_leaves_the_old_file(model: TrainedModel, tmp_path: Path) -> None:
     path = tmp_path / "m.pt"
     save(model, path)
     before = path.read_bytes()
@@ -133,4 +133,4 @@ def test_a_full_disk_is_told_and_leaves_the_old_file(model: TrainedModel, tmp_pa
     with pytest.raises(RequestError, match=r"No space left on device|PytorchStreamWriter"):
         save(model, path)
     assert path.read_bytes() == before
-    assert [left.name for left in tmp_path.iterdir()] == ["m.pt"]
+    assert [file.name for file in tmp_path.iterdir()] == ["m.pt"]

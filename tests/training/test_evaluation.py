@@ -1,4 +1,4 @@
-"""Evaluation: what is true is known where it can be, and figures mean what they say."""
+"""Evaluation against the ground truth of a campaign, open loop, pulses and calibration."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def recordings(campaign: Path) -> tuple[LoggedFlight, ...]:
 
 
 def model_of(kind: str, vehicle: Vehicle, *, members: int = 2) -> TrainedModel:
-    """An ensemble with random weights that believes itself."""
+    """An ensemble with random weights whose residual never fades."""
     model = untrained_model(named_kind(kind).config, vehicle, members=members, gain=0.1)
     return dataclasses.replace(model, reliability=Reliability(1e6, np.full(6, 0.1), np.full(6, 2.0)))
 
@@ -92,7 +92,7 @@ def test_a_simulation_begins_with_what_the_model_predicts(
     np.testing.assert_allclose(speed, np.linalg.norm(predicted[:, :3], axis=1), rtol=2e-3, atol=2e-3)
 
 
-def test_what_a_network_adds_to_named_effects_stands_beside_them(
+def test_a_grey_box_is_evaluated_with_and_without_its_network(
     recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     vehicle = arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": 0.035}), EffectUse("rotor_drag"))
@@ -128,7 +128,7 @@ def test_no_segment_is_long_enough_for_open_loop_predictions(
     assert open_loop_errors(model, data, data.state) == ()
 
 
-def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_are_told(
+def test_flights_that_a_model_learned_from_are_refused_and_those_that_chose_it_are_noted(
     recordings: tuple[LoggedFlight, ...], arpl_250g: Vehicle
 ) -> None:
     model = model_of("pi_mlp", arpl_250g)

@@ -159,7 +159,7 @@ def test_only_one_training_at_a_time_writes_a_model(tmp_path: Path) -> None:
     assert not list(tmp_path.iterdir())
 
 
-def test_what_members_can_go_on_from_outlives_a_failure_and_nothing_else_does(tmp_path: Path) -> None:
+def test_only_states_that_members_can_continue_from_outlive_a_failure(tmp_path: Path) -> None:
     out, run = tmp_path / "m.pt", tmp_path / "m.pt.run"
 
     def fail(*files: Path) -> None:
@@ -177,7 +177,7 @@ def test_what_members_can_go_on_from_outlives_a_failure_and_nothing_else_does(tm
 
 
 @pytest.mark.realtime
-def test_a_training_that_was_killed_goes_on_to_the_same_model(folder: Path, tmp_path: Path) -> None:
+def test_a_training_that_was_killed_continues_to_the_same_model(folder: Path, tmp_path: Path) -> None:
     command = [sys.executable, "-m", "alula", "train", str(folder), "--vehicle", "arpl_250g", "--model", "pi_mlp",
                "--steps", "2000", "--batch", "64", "--ensemble", "1"]  # fmt: skip
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}

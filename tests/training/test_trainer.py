@@ -1,4 +1,4 @@
-"""The trainer: what was interrupted goes on bit for bit, what breaks says where, what is planted is learned."""
+"""The trainer: interrupted runs continue bit for bit, errors name the flight, planted effects are learned."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SHORT = {"steps": 60, "batch": 64, "evaluate_every": 10}
 
 
 class KilledError(Exception):
-    """What stands for kill -9 between two evaluations."""
+    """In place of kill -9 between two evaluations."""
 
 
 def quietly(_: Report) -> None:
@@ -74,7 +74,7 @@ def assert_same(one: Member, other: Member) -> None:
     ],
 )
 @pytest.mark.parametrize("step", [20, 50])
-def test_a_killed_training_goes_on_bit_for_bit(
+def test_a_killed_training_continues_bit_for_bit(
     plan_for: MakePlan, tmp_path: Path, kind: str, config: dict[str, object], recipe: dict[str, object], step: int
 ) -> None:
     plan = plan_for(kind, config=config, **{**SHORT, **recipe})
@@ -98,13 +98,13 @@ def test_progress_of_another_training_is_refused(plan_for: MakePlan, tmp_path: P
         train(task_of(plan_for("pi_mlp", **SHORT), tmp_path / "state", seed=1), quietly)
 
 
-def test_a_full_disk_is_told(plan_for: MakePlan, tmp_path: Path) -> None:
+def test_a_full_disk_is_an_error(plan_for: MakePlan, tmp_path: Path) -> None:
     (tmp_path / "state.part").symlink_to("/dev/full")
     with pytest.raises(RequestError, match=r"cannot write .*state"):
         train(task_of(plan_for("pi_mlp", **SHORT), tmp_path / "state"), quietly)
 
 
-def test_the_physics_inspired_loss_sets_in_at_half_time_and_starts_anew(plan_for: MakePlan) -> None:
+def test_the_physics_inspired_loss_starts_at_half_of_the_steps_with_a_restart(plan_for: MakePlan) -> None:
     reports: list[Report] = []
     plan = plan_for("pi_tcn", physics_weight=0.5, physics_pool=128, physics_batch=32, **SHORT)
     train(task_of(plan), reports.append)
@@ -124,7 +124,7 @@ def test_a_loss_that_is_no_number_names_the_flight(plan_for: MakePlan) -> None:
         train(task_of(broken), quietly)
 
 
-def test_weights_that_diverge_are_told_with_the_most_extreme_window(plan_for: MakePlan) -> None:
+def test_weights_that_diverge_are_an_error_with_the_most_extreme_window(plan_for: MakePlan) -> None:
     plan = plan_for("window_mlp", config={"history": 4}, **{**SHORT, "learning_rate": 1e25, "warm_up": 0.0})
     with pytest.raises(DataError, match=r"the weights diverged; .* is of flight_\d.parquet at"):
         train(task_of(plan), quietly)

@@ -20,7 +20,7 @@ from training.data.labelled_rows import LabelledRows
 from training.physics import BatchModel, nominal_model
 from training.recipe import Recipe
 
-PULSE = 60.0  # rad/s, deviation of pulses on the rotors, of 10 ms and more
+PULSE = 60.0  # rad/s, standard deviation of the pulses on rotor speeds; each lasts one column or more
 SINGLE = 0.5  # share of pulses that are on one rotor alone
 MAX_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
@@ -78,9 +78,9 @@ def _of_space(
 def _pulsed(
     config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
 ) -> CollocationPoints:
-    """Recorded histories with a pulse on the rotors and with what the vehicle file's model answers to it, and without.
+    """Recorded histories with and without a pulse on the rotors and the vehicle file's model's response to it.
 
-    All other forces, of the air above all, are those of the recording.
+    All other forces, mainly of the air, are those of the recording.
     """
     ends = random.choice(data.ends, count)
     rows = ends[:, None] + np.arange(1 - config.history, 1)
@@ -96,16 +96,16 @@ def _pulsed(
         speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
     )  # fmt: skip
     first = recorded[:, 0]
-    (still, still_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
-    state = recorded + moved - still
-    turned = quaternion.multiply(quaternion.conjugate(still[..., ATTITUDE]), moved[..., ATTITUDE])
+    (plain, plain_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
+    state = recorded + moved - plain
+    turned = quaternion.multiply(quaternion.conjugate(plain[..., ATTITUDE]), moved[..., ATTITUDE])
     state[..., ATTITUDE] = quaternion.multiply(recorded[..., ATTITUDE], turned)
-    answers = [
+    outputs = [
         outputs_from(config, vehicle, body, _base(config, vehicle, body, last, driven[:, -1]), last[:, ATTITUDE])
-        for body, last, driven in ((moved_body, moved[:, -1], pulsed), (still_body, still[:, -1], speed))
+        for body, last, driven in ((moved_body, moved[:, -1], pulsed), (plain_body, plain[:, -1], speed))
     ]
     windows = columns(config, state, pulsed)
-    return CollocationPoints(windows, answers[0] - answers[1], columns(config, recorded, speed))
+    return CollocationPoints(windows, outputs[0] - outputs[1], columns(config, recorded, speed))
 
 
 def _driven(config: ModelConfig, vehicle: Vehicle, first: Floats, speed: Floats) -> tuple[Floats, Floats]:
@@ -132,9 +132,9 @@ def _base(config: ModelConfig, vehicle: Vehicle, body: Floats, state: Floats, sp
 def _plausible(
     config: ModelConfig, count: int, vehicle: Vehicle, data: LabelledRows, random: np.random.Generator
 ) -> tuple[Floats, Floats]:
-    """The same from recorded motion: velocity and rates times 1 to 1.6, then the nominal model under recorded speeds.
+    """States (T, count, 13) and rotor speeds (T, count, rotors) near the recorded motion, but faster.
 
-    Faster than the flights, but never far from them.
+    Recorded velocity and rates times 1 to 1.6, then the nominal model under recorded rotor speeds.
     """
     first = random.choice(data.ends, count) - (config.history - 1)
     state = data.state[first]

@@ -1,6 +1,6 @@
 """From a flight's state and motors to a network's columns, and between accelerations and a network's outputs.
 
-"Body accelerations", (n, 6), are what everything here is joined in: specific force (m/s^2) and angular acceleration
+"Body accelerations", (n, 6), are the common form of all models here: specific force (m/s^2) and angular acceleration
 (rad/s^2), both in body axes. World acceleration is R f - g.
 """
 
@@ -35,14 +35,14 @@ def world_accelerations(body: Floats, attitude: Floats) -> Floats:
 
 def outputs_from(config: ModelConfig, vehicle: Vehicle, body: Floats, base: Floats | None, attitude: Floats) -> Floats:
     """Outputs (n, 6) of a network whose model gives these body accelerations. base: (n, 6), None for none."""
-    left = body if base is None else body - base
+    residual = body if base is None else body - base
     if config.outputs == "wrench":
-        return left * body_inertia(vehicle)
+        return residual * body_inertia(vehicle)
     if config.outputs == "body":
-        return left
+        return residual
     if base is None:
         return world_accelerations(body, attitude)
-    return np.hstack([quaternion.rotate(attitude, left[:, :3]), left[:, 3:]])
+    return np.hstack([quaternion.rotate(attitude, residual[:, :3]), residual[:, 3:]])
 
 
 def accelerations_from(
@@ -50,14 +50,14 @@ def accelerations_from(
 ) -> Floats:
     """Body accelerations (n, 6) of a model whose network has these outputs: the inverse of `outputs_from`."""
     if config.outputs == "wrench":
-        left = outputs / body_inertia(vehicle)
+        residual = outputs / body_inertia(vehicle)
     elif config.outputs == "body":
-        left = outputs
+        residual = outputs
     elif base is None:
         return body_accelerations(outputs, attitude)
     else:
-        left = np.hstack([quaternion.rotate_inverse(attitude, outputs[:, :3]), outputs[:, 3:]])
-    return left if base is None else base + left
+        residual = np.hstack([quaternion.rotate_inverse(attitude, outputs[:, :3]), outputs[:, 3:]])
+    return residual if base is None else base + residual
 
 
 def body_inertia(vehicle: Vehicle) -> Floats:

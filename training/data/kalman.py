@@ -29,9 +29,9 @@ class KinematicModel:
 
     @classmethod
     def with_cutoff(cls, rate: float, cutoff: float) -> KinematicModel:
-        """The model whose smoother passes half at a cutoff. rate, cutoff: Hz.
+        """The model whose smoother has a gain of one half at the cutoff. rate, cutoff: Hz.
 
-        Raises RequestError for a cutoff that the rate does not reach.
+        Raises RequestError for a cutoff that is not below half the rate.
         """
         if not 0.0 < cutoff < 0.5 * rate:
             raise RequestError(f"a smoother of {cutoff:g} Hz on data of {rate:g} Hz: required is < {0.5 * rate:g}.")

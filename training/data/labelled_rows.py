@@ -29,7 +29,12 @@ MIN_WINDOWS = 500
 
 @dataclass(frozen=True, eq=False)
 class RowNames:
-    """Which flight and time a row is of. flight_of: (n,) place in `flights`. time: (n,) s of the flight's own clock."""
+    """Flight and time of each row.
+
+    flights: names of the flights.
+    flight_of: (n,) index into `flights`.
+    time: (n,) s of the flight's own clock.
+    """
 
     flights: tuple[str, ...]
     flight_of: NDArray[np.intp]
@@ -78,7 +83,7 @@ class LabelledRows:
 
 
 def with_logged_motors(config: ModelConfig, recordings: Sequence[LoggedFlight], vehicle: Vehicle) -> ModelConfig:
-    """The definition with the rotor speeds that these flights log: as the definition has it, unless none logs such.
+    """The definition with the kind of rotor speeds that these flights log: its own kind, unless no flight logs it.
 
     Raises DataError when the flights differ, or one has no motor data.
     """
@@ -100,9 +105,9 @@ def label_rows(
 ) -> LabelledRows:
     """Inputs, labels and models over all flights.
 
-    min_windows: the fewest windows to learn from or to evaluate on.
+    min_windows: minimum number of windows to learn from or to evaluate on.
 
-    Raises DataError when motors or motion are missing, too few windows are left, or the vehicle file does not fit.
+    Raises DataError when motors or motion are missing, there are too few windows, or the vehicle file does not fit.
     """
     nominal = nominal_model(vehicle, dt=config.dt, label=config.label)
     grey_box = config.base == "grey_box"
@@ -156,19 +161,21 @@ def _segment(
 
 
 def labelled(config: ModelConfig, body: Floats, attitude: Floats) -> Floats:
-    """The part of a base's body accelerations (n, 6) that the labels of these rows show; their filters take the rest.
+    """A base's body accelerations (n, 6) after the filters of the labels, for a grey box; otherwise as they are.
 
-    A residual of smooth labels on named effects as they are would take back how fast these answer the rotors. The
-    nominal model's answer lacks the rotors' lag and is better taken back. attitude: (n, 4).
+    If effects were subtracted unfiltered from smooth labels, the residual would cancel their fast response to the
+    rotors. The nominal model's response lacks the rotors' lag, so that there the residual should cancel it.
+
+    attitude: (n, 4).
     """
-    if config.filtered_inputs or config.base != "grey_box":  # smooth inputs are answered smoothly
+    if config.filtered_inputs or config.base != "grey_box":  # the response to filtered inputs is smooth already
         return body
     world = as_labelled(world_accelerations(body, attitude), 1 / config.dt, paper=config.label == "instantaneous")
     return body_accelerations(world, attitude)
 
 
 def _samples(config: ModelConfig, segment: Flight) -> Samples:
-    """Inputs and labels of a segment; filtered inputs and instantaneous labels are the paper's, either without other.
+    """Inputs and labels of a segment; filtered inputs and instantaneous labels are the paper's, independent options.
 
     The attitude's w is positive at the start of a segment and continuous from there on.
     """

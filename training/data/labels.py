@@ -1,7 +1,7 @@
 """Labels and inputs of a flight: accelerations to learn, and the causal inputs to learn them from.
 
-Labels look ahead, because they are made afterwards; inputs never do. `paper_table` is the exception that the paper
-makes, for its own numbers only.
+Labels depend on later rows, inputs never do. `paper_table` is the exception: it filters inputs with their future as the
+paper does, for a comparison with the paper's figures only.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def paper_label(
 
     differentiate: by default the RTS smoother, which errs less than the paper's UKF; pass `kalman.ukf_acceleration`
     for the paper's own. Raises DataError when velocity or rates are missing.
-    """  # fmt: skip
+    """
     motion = np.hstack([segment["velocity"], segment["rate"]])
     return differentiate(motion, segment.rate, cutoff)
 
@@ -67,7 +67,7 @@ def increment_label(
 
 
 def as_labelled(world: Floats, rate: float, *, paper: bool = False) -> Floats:
-    """Accelerations (n, 6) of a model, without what the filters leave out of the labels of the same rows.
+    """A model's accelerations (n, 6) after the filters that the labels of the same rows have.
 
     world: linear acceleration (world, m/s^2), angular acceleration (body, rad/s^2). rate: Hz. paper: `paper_label`'s
     cutoff instead of `increment_label`'s.

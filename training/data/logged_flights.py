@@ -22,7 +22,7 @@ from flights.tables import decode_notes
 CAMPAIGN = "campaign.json"  # lies in a campaign's folder, whose stamps are exact
 VALIDATION_SHARE = 0.1
 VALIDATION_TIME_SHARE = 0.2  # of the only flight
-MIN_SEGMENT = 1.0  # s of a segment worth learning from
+MIN_SEGMENT = 1.0  # s; shorter segments are not used
 SIMULATED = "alula.lockstep"  # reader in the notes of a campaign's flights
 TEST_FLIGHTS = frozenset(flight.name for flight in paper_campaign() if flight.split == "test")
 
@@ -78,7 +78,7 @@ def find_logs(paths: Sequence[str | Path]) -> tuple[Path, ...]:
 def read_logged_flights(
     paths: Sequence[Path], *, dt: float, mapping: Path | None = None, may_be_tests: bool = False
 ) -> tuple[LoggedFlight, ...]:
-    """Flights with a row every dt seconds. Stamps of streams are put right, but for campaigns', which are exact.
+    """Flights with a row every dt seconds. Time stamps of streams are aligned, except a campaign's, which are exact.
 
     may_be_tests: whether the campaign's test flights may be among them, which no training may use. Raises
     RequestError for test flights and for what cannot be found, DataError for logs without free flight.
@@ -164,20 +164,20 @@ def split_flights(
         notes.append(f"held out, not looked at: {', '.join(r.name for r in out)}")
     if validation is not None:
         places = matching([r.name for r in remaining], validation, option="--validation")
-        judges = [r for i, r in enumerate(remaining) if i in places]
+        validating = [r for i, r in enumerate(remaining) if i in places]
         learned = [r for i, r in enumerate(remaining) if i not in places]
-        return Split(tuple(learned), tuple(judges), tuple(notes))
+        return Split(tuple(learned), tuple(validating), tuple(notes))
     if len(remaining) == 1:
         notes.append(
             "one flight only: its last fifth validates, so errors on other flights are unknown. Fly more, and other "
             "manoeuvres."
         )
-        learned_part, judging_part = _cut(remaining[0])
-        return Split((learned_part,), (judging_part,), tuple(notes))
+        first_part, last_part = _cut(remaining[0])
+        return Split((first_part,), (last_part,), tuple(notes))
     count = max(1, round(VALIDATION_SHARE * len(remaining)))
     places = frozenset(round((i + 0.5) * len(remaining) / count) for i in range(count))
-    judges = [r for i, r in enumerate(remaining) if i in places]
-    return Split(tuple(r for r in remaining if r not in judges), tuple(judges), tuple(notes))
+    validating = [r for i, r in enumerate(remaining) if i in places]
+    return Split(tuple(r for r in remaining if r not in validating), tuple(validating), tuple(notes))
 
 
 def _read(name: str, path: Path, rate: float, mapping: Path | None) -> LoggedFlight:

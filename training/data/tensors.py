@@ -23,7 +23,13 @@ PAPER_ROTOR_UNIT = 1000 * RPM  # of the paper's raw inputs (supplementary materi
 
 @dataclass(frozen=True, eq=False)
 class Tensors:
-    """inputs: (n, k). targets: (n, 6). ends: (m,) rows that windows end at. history: T."""
+    """Standardised rows of all flights.
+
+    inputs: (n, k).
+    targets: (n, 6).
+    ends: (m,) rows that windows end at.
+    history: T columns of a window.
+    """
 
     inputs: Tensor
     targets: Tensor
@@ -58,7 +64,7 @@ class CollocationTensors:
         def columns(values: Floats) -> Tensor:
             return torch.from_numpy((values - scaling.input_mean) / scaling.input_std).float().to(device)
 
-        mean = scaling.output_mean if points.unperturbed is None else 0  # of differences none is left
+        mean = scaling.output_mean if points.unperturbed is None else 0  # the mean cancels in differences
         targets = torch.from_numpy((points.targets - mean) / scaling.output_std).float().to(device)
         return cls(
             columns(points.windows), targets, None if points.unperturbed is None else columns(points.unperturbed)
@@ -77,8 +83,8 @@ class CollocationTensors:
 def with_noise(windows: Tensor, measured: int, deviation: float, generator: torch.Generator) -> Tensor:
     """Windows (m, T, k) whose first `measured` entries of every column carry noise; rotor speeds are exact.
 
-    A network that looks back learns from precise recordings to differentiate them. In flight columns are partly
-    predicted, the controller makes use of such slopes, and the closed loop becomes unstable.
+    A network with a history learns from precise recordings to differentiate them. In flight, columns are partly
+    predicted, the controller exploits such slopes, and the closed loop becomes unstable.
     """
     if deviation == 0:
         return windows
@@ -105,6 +111,6 @@ def make_scaling(config: ModelConfig, recipe: Recipe, vehicle: Vehicle, data: La
 
 
 def _deviation(values: np.ndarray) -> np.ndarray:
-    """(k,) standard deviations, 1 where nothing moves."""
+    """(k,) standard deviations, 1 for constant entries."""
     deviation = values.std(axis=0)
     return np.where(deviation > 1e-9 * (1 + np.abs(values).max(axis=0)), deviation, 1.0)

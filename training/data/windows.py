@@ -1,6 +1,6 @@
 """The rows at which a window of a table may end.
 
-A window of T rows ends at the row it is meant for, and never crosses from one segment into the next. Windows are index
+A window of T rows ends at the row that it predicts, and lies in one segment. Windows are index
 arithmetic on one table; they are copied only batch by batch.
 """
 

@@ -1,4 +1,4 @@
-"""A model by name: what it is by default, and what the paper makes of it."""
+"""A kind of model: its default definition and recipe, and those of the paper."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from training.recipe import Recipe
 
 @dataclass(frozen=True)
 class Kind:
-    """config: with causal body-frame inputs, for the recipe "fast". has_physics_loss: in the paper.
+    """A kind of model.
 
-    recipe: what it changes in recipes other than the paper's.
+    config: with causal body-frame inputs, for the recipe "fast".
+    has_physics_loss: in the paper.
+    recipe: overrides of recipes other than the paper's.
     """
 
     name: str

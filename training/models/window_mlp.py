@@ -1,4 +1,4 @@
-"""Window MLP: one perceptron over a whole window, which four columns nearly exhaust (35 ms of motor lag)."""
+"""Window MLP: one perceptron over a whole window of columns."""
 
 from training.config import ModelConfig
 from training.models.kind import Kind

@@ -1,4 +1,4 @@
-"""The networks, which see standardised windows and speak standardised outputs; units live outside."""
+"""The networks, from standardised windows to standardised outputs; `training.checkpoint` converts units."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from training.networks.tcn import TemporalConvolution
 def build_network(config: ModelConfig) -> nn.Module:
     """An untrained network for (m, T, inputs) windows, oldest column first, giving (m, 6). Weights by torch's seed.
 
-    One that adds to a base begins by adding nothing. Raises RequestError for a model without a network.
+    The first output of one that adds to a base is zero. Raises RequestError for a model without a network.
     """
     if config.network == "none":
         raise RequestError(f"{config.kind} has no network: it is evaluated, not trained.")

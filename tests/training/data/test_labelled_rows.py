@@ -1,4 +1,4 @@
-"""Flights as tables: body-frame numbers know no yaw, windows no foreign rows, and misfits are refused by name."""
+"""Flights as tables: body-frame inputs do not depend on yaw, windows lie in one flight, wrong vehicles are refused."""
 
 from __future__ import annotations
 

@@ -92,7 +92,7 @@ def test_patterns_choose_what_validates_and_what_is_not_looked_at(recordings: Se
         split_flights(recordings, hold_out="flight*")
 
 
-def test_of_one_flight_the_last_fifth_validates_and_it_is_said(recordings: Sequence[LoggedFlight]) -> None:
+def test_of_one_flight_the_last_fifth_validates_and_a_note_says_so(recordings: Sequence[LoggedFlight]) -> None:
     split = split_flights(recordings[:1])
     (learned,), (judged,) = split.training, split.validation
     assert judged.rows == pytest.approx(0.2 * recordings[0].rows, abs=1)
@@ -108,7 +108,7 @@ def test_a_log_without_free_flight_is_named(flights: Sequence[Flight], tmp_path:
         read_logged_flights([path], dt=0.01)
 
 
-def test_a_log_that_nothing_is_learned_from_is_told(flights: Sequence[Flight], folder: Path, tmp_path: Path) -> None:
+def test_a_log_that_nothing_is_learned_from_is_noted(flights: Sequence[Flight], folder: Path, tmp_path: Path) -> None:
     flight = flights[0]
     holes = flight["rate_x"].copy()
     holes[::15] = np.nan
