@@ -109,7 +109,7 @@ def _compile(recipes: Sequence[KernelRecipe], texts: dict[str, str]) -> None:
 
 
 def _require_free(folder: Path, options: ExportOptions) -> None:
-    """Raises RequestError for a place that holds something which must not go."""
+    """Raises RequestError for a folder that must not be overwritten."""
     if not folder.exists():
         return
     if not options.overwrite:
@@ -120,7 +120,7 @@ def _require_free(folder: Path, options: ExportOptions) -> None:
 
 @contextmanager
 def _appearing(folder: Path) -> Iterator[Path]:
-    """A folder under a temporary name that gets its own when the block is through; otherwise nothing of it is left.
+    """A folder under a temporary name, renamed when the block succeeds and deleted when it fails.
 
     Raises RequestError when it cannot be written.
     """
@@ -175,7 +175,7 @@ def _prove(
 
 
 def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
-    """The kernel's sources, and the command that compiles them, for who wants to build or read them."""
+    """The kernel's sources, and the command that compiles them, to rebuild or read them."""
     command = f"cc {' '.join(recipe.flags)} $HPIPM_FLAGS {recipe.entry} -o kernel.so $HPIPM_LIBRARIES -lm\n"
     texts = {**recipe.sources, "BUILD": command}
     return {f"{SOURCES}/{name}": text for name, text in texts.items()}

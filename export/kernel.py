@@ -36,7 +36,12 @@ ENTRY = "network.c"
 
 @dataclass(frozen=True)
 class KernelRecipe:
-    """What a kernel is compiled from. sources: text by file name. flags: the compiler's. entry: what it compiles."""
+    """Input of the compiler for a kernel.
+
+    sources: text by file name.
+    flags: the compiler's.
+    entry: name of the source file that is compiled.
+    """
 
     sources: dict[str, str]
     flags: tuple[str, ...]
@@ -57,7 +62,7 @@ def kernel_recipe(
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects of a residual's base.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
-    extrapolated: accelerations are carried on by half a step along their slope, else held over it.
+    extrapolated: accelerations are extrapolated by half a step along their slope, else held over it.
     split: layers that propagate tangents and layers differentiated backwards, by default the cheapest.
 
     Raises RequestError when a node is no whole number of the network's steps.
@@ -110,7 +115,7 @@ def kernel_solver(
     *,
     mean: bool = True,
 ) -> RtiSolver:
-    """A solver on a freshly built kernel, as the runtime makes one of a bundle's.
+    """A solver on a freshly built kernel, as the runtime creates one from a bundle.
 
     mean: the network predicts mean accelerations, else instantaneous ones, which are extrapolated.
     """

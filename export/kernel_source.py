@@ -18,7 +18,7 @@ OUTPUTS = 16
 def network_header(network: Network, split: ReverseSplit, *, extrapolated: bool = False) -> str:
     """Text of network.h, the same for every processor and precision.
 
-    extrapolated: whether accelerations are carried on along their slope, which takes one more column.
+    extrapolated: whether accelerations are extrapolated along their slope, which takes one more column.
     """
     parts = (
         _dimensions(network, split, extrapolated), _layer_lists(network, split), _offset_tables(split),

@@ -43,7 +43,7 @@ class Comparison(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     @property
     def holds(self) -> bool:
-        """Whether the error is within the tolerance; not for what is not a number."""
+        """Whether the error is within the tolerance; false for NaN."""
         return self.error <= self.tolerance
 
 
@@ -123,7 +123,7 @@ def _tolerances(model: ExportedModel) -> dict[str, float]:
     if model.network is not None and model.trained is not None:
         tolerances |= {"torch, double": DOUBLE, "torch, float": SINGLE}
     if model.integrator == "rk4":
-        return tolerances  # its kernel has no accelerations to show, only roll-outs
+        return tolerances  # its kernel computes roll-outs only, no accelerations
     return tolerances | {"kernel, double": DOUBLE, "kernel, float": SINGLE}
 
 

@@ -19,7 +19,7 @@ from export.network import Convolution, Network
 from export.physics import physics_function
 
 if TYPE_CHECKING:
-    from export.trained import ExportedModel  # brings torch, which acados' environment has not
+    from export.trained import ExportedModel  # imports torch, which the environment of the acados benchmark lacks
 
 FORWARD, JACOBIAN = "alula_model", "alula_model_jacobian"
 COLUMN_NAMES = (

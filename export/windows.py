@@ -18,7 +18,7 @@ from training.data.labelled_rows import label_rows, with_logged_motors
 from training.data.logged_flights import find_logs, read_logged_flights
 
 REFERENCES = ("Lemniscate", "TransposedParabola", "WarpedEllipse_1")
-SPEED_NOISE = 0.05  # of hover speed: references ask for smoother rotors than any controller
+SPEED_NOISE = 0.05  # of hover speed: references have smoother rotor speeds than any controller's
 
 
 def recorded_windows(model: ExportedModel, logs: Sequence[Path], count: int, seed: int) -> Floats:
@@ -50,7 +50,7 @@ def reference_windows(model: ExportedModel, count: int, seed: int) -> Floats:
 
 
 def random_windows(model: ExportedModel, count: int, seed: int) -> Floats:
-    """(count, 13 + rotors, `model.window`) windows whose columns have nothing to do with each other."""
+    """(count, 13 + rotors, `model.window`) windows of independent columns."""
     rng = np.random.default_rng(seed)
     rotors = model.vehicle.rotors.count
     scale = np.array([1.0] * 3 + [4.0] * 3 + [0.5] * 4 + [4.0] * 3 + [0.2 * model.vehicle.hover_speed] * rotors)

@@ -1,4 +1,4 @@
-"""A bundle holds what it says, agrees with what was trained, and is refused once it does not."""
+"""A bundle agrees with its manifest and with the trained model, and is refused otherwise."""
 
 import hashlib
 import json
@@ -161,7 +161,7 @@ def test_a_missing_file_and_a_folder_that_is_none_are_refused(bundle_folder: Pat
         read_bundle(tmp_path)
 
 
-def test_an_existing_folder_is_not_overwritten_unless_told(bundle_folder: Path, lagging: Vehicle) -> None:
+def test_an_existing_folder_is_not_overwritten_without_the_option(bundle_folder: Path, lagging: Vehicle) -> None:
     model = exported(untrained_model(KINDS["nominal"].config, lagging))
     with pytest.raises(RequestError, match=r"exists already.*--overwrite"):
         export_bundle(model, bundle_folder, ExportOptions(Problem(), native_processor()))

@@ -69,12 +69,12 @@ def test_a_scheme_that_does_not_fit_is_refused(
         exported(trained, integrator=requested)
 
 
-def test_holding_what_holds_for_an_instant_is_allowed_with_a_word(lagging: Vehicle, tmp_path: Path) -> None:
+def test_holding_instantaneous_accelerations_is_allowed_with_a_note(lagging: Vehicle, tmp_path: Path) -> None:
     bundle = made(lagging, tmp_path, "pi_mlp", "hold")
     assert any("adams_bashforth predicts better" in note for note in bundle.manifest.notes)
 
 
-def test_a_model_that_saw_the_future_is_exported_for_the_desk_and_does_not_fly(
+def test_a_model_on_filtered_inputs_is_exported_for_the_workbench_and_does_not_fly(
     lagging: Vehicle, tmp_path: Path
 ) -> None:
     bundle = made(
