@@ -1,1 +1,1 @@
-"""The main job end to end on a simulated vehicle: fly, diagnose, add, fly again."""
+"""The whole loop on a simulated vehicle: fly, diagnose, add, fly again."""

@@ -112,7 +112,7 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
     body = read_vehicle(find_vehicle(options.vehicle))
     controller = Controller.build(read_vehicle(find_vehicle(vehicle)))
     reference = named_reference(name, controller.trim, duration=options.seconds)
-    if model == NOMINAL:  # by the identified model the vehicle may be at its limits there; it flew it all the same
+    if model == NOMINAL:  # the identified model may call a manoeuvre infeasible that has just been flown
         check_feasibility(reference, controller.trim).require()
     effects = [parse_effect(text, body.rotors.count) for text in options.effects]
     flown = fly_reference(body, reference, effects=effects, seed=options.seed, name=name, controller=controller)

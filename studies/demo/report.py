@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from studies.demo.learning import Learning
 
 LAST_TICKS = 0.03  # s before a phase's end, whose record may hold the next phase's reference already
-INK, SOFT, BEFORE, AFTER = "#1a1a1a", "#9a9a9a", "#d55e00", "#0072b2"  # Okabe and Ito: safe for the colour-blind
+SOFT, BEFORE, AFTER = "#9a9a9a", "#d55e00", "#0072b2"  # Okabe and Ito: safe for the colour-blind
 CHANNELS: Mapping[str, str] = {
     "imu": "force, by the accelerometer",
     "mocap": "force, by the pose",

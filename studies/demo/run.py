@@ -1,5 +1,6 @@
-"""The main job end to end on a simulated vehicle: fly the nominal model on one with a hidden effect, diagnose these
-flights, add the effects, fly the same with them in the controller's model.
+"""The whole loop on a simulated vehicle with a hidden effect.
+
+Fly the nominal model, diagnose these flights, add the effects, fly the same with them in the controller's model.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def _parts_tables(evaluated: EvaluationReport) -> list[Table]:
     title = "Linear and angular accelerations apart, against labels"
     tables = [Table("parts_label", title, ("model", "motors", "inputs", *kinds), label, note)]
     if evaluated.models[0].true:
-        note = "All flights as one. Alone: least and greatest RMSE of a member by itself, each of its own seed."
+        note = "All flights as one. Alone: lowest and highest RMSE of a single member, each of its own seed."
         true = tuple(
             (model.name, *_parts(model.true), len(model.members) or None, min(model.members, default=None),
              max(model.members, default=None))
@@ -130,8 +130,8 @@ def _calibration_table(evaluated: EvaluationReport) -> Table:
     )
     headings = ("model", "members", "AUROC", "covered %", "faded %")
     note = "AUROC: disagreement as a sign of the worst tenth of the rows. Covered: within error bars meant for 90 %. "
-    note += "Faded: rows whose residual is not fully believed."
-    return Table("calibration", "Does the ensemble know where it errs", headings, rows, note)
+    note += "Faded: rows whose residual is not added in full."
+    return Table("calibration", "Calibration of the ensemble", headings, rows, note)
 
 
 def _of_flight(errors: Sequence[FlightError], flight: str) -> FlightError | None:

@@ -134,7 +134,7 @@ STUDIES: Mapping[str, Study] = {
         Study("inertia", "priors with wrong Jxx and Jzz", ("model", "Jxx", "Jzz"), _priors("Jxx", "Jzz")),
         Study("rotors", "priors with wrong k_f and k_tau", ("model", "k_f", "k_tau"), _priors("k_f", "k_tau")),
         Study("lambda", "weights of the physics-inspired loss", ("lambda", "points"), _weight),
-        Study("motors", "networks that never see the motors", ("inputs", "motors"), _motors),
+        Study("motors", "networks without motor inputs", ("inputs", "motors"), _motors),
         Study("regimes", "trained slow, flown fast", ("model", "trained on"), _regimes),
         Study(STARRED, "trained in a simulation without effects", ("model",), _starred),
     )

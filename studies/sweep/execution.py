@@ -44,7 +44,7 @@ def run_cell(work: CellWork) -> Outcome:
             return result
         try:
             result = train_cell(work)
-        except Exception as error:  # of any kind: a night's other trainings go on
+        except Exception as error:  # of any kind: the other trainings continue
             return _failed(work, error)
         _write(work.result_file, result)
         for path in (work.state_file, work.failure_file):

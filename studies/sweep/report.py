@@ -51,7 +51,7 @@ def summary_lines(outcomes: Sequence[Outcome]) -> list[str]:
         errors = pooled(best.best_known)
         words = "the truth" if best.true else "labels"
         lines.append(
-            f"Least error on the test flights: {best.cell.name}, RMSE {errors.combined:.3g} against {words}, "
+            f"Lowest error on the test flights: {best.cell.name}, RMSE {errors.combined:.3g} against {words}, "
             f"{errors.combined / errors.nominal:.3g} of NOM's."
         )
     return [*lines, *(f"failed: {one.cell.name}: {one.message}" for one in failures)]

@@ -22,7 +22,7 @@ from studies.demo.run import check_options, run_demo
 
 
 def ignore(_: str) -> None:
-    """News that nobody reads."""
+    """Discard an announcement."""
 
 
 @pytest.fixture(scope="module")
@@ -135,7 +135,7 @@ def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_pa
     assert files == {"tracking.csv", "tracking.png", "report.html", "report.md", "report.json"}
 
 
-def test_without_the_desks_libraries_the_first_half_says_what_to_install(
+def test_without_the_workbenchs_libraries_the_first_half_names_what_to_install(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(demo_module, "NEEDED", ("scipy", "no_such_library"))
@@ -208,7 +208,7 @@ def test_a_mock_that_dies_is_named_as_the_cause_of_the_flights_end() -> None:
     assert "no vehicle was heard" in str(caught.value.__cause__)
 
 
-def test_a_mock_that_does_not_start_is_an_error_with_its_own_words() -> None:
+def test_a_mock_that_does_not_start_is_an_error_with_its_message() -> None:
     with (
         pytest.raises(VehicleError, match=r"(?s)the mock ended by itself with exit code 2.*rotor_dragg"),
         mock_process("--effect", "rotor_dragg", vehicle="arpl_250g"),

@@ -35,7 +35,7 @@ def start_search(campaign: Path, out: Path, trials: int, steps: int) -> subproce
     )
 
 
-def test_a_search_goes_on_with_what_it_has_tried(campaign: Path, tmp_path: Path) -> None:
+def test_a_search_continues_with_its_earlier_trials(campaign: Path, tmp_path: Path) -> None:
     early = dict(make_sweep(search_options(campaign, tmp_path / "out", 2)).outcomes())
     sweep = make_sweep(search_options(campaign, tmp_path / "out", 4))
     late = dict(sweep.outcomes())

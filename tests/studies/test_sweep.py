@@ -1,4 +1,4 @@
-"""`alula sweep`: a finished cell is a file, what was stopped goes on, and a dead worker costs nothing but time."""
+"""`alula sweep`: a finished cell is a file, stopped ones continue, and a dead worker costs nothing but time."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def test_one_training_under_two_names_is_one(work: MakeWork) -> None:
         assert other.fingerprint != first.fingerprint
 
 
-def test_flights_that_were_flown_anew_are_another_sweep(work: MakeWork, tmp_path: Path) -> None:
+def test_flights_that_were_flown_again_are_another_sweep(work: MakeWork, tmp_path: Path) -> None:
     log = tmp_path / "log.csv"
     log.write_text("before")
     changed = msgspec.structs.replace(work("a"), logs=(log,))
@@ -99,7 +99,7 @@ def test_flights_that_were_flown_anew_are_another_sweep(work: MakeWork, tmp_path
         changed.fingerprint  # noqa: B018
 
 
-def test_a_cell_that_cannot_be_trained_says_why_and_the_others_go_on(work: MakeWork) -> None:
+def test_a_cell_that_cannot_be_trained_gives_its_reason_and_the_others_continue(work: MakeWork) -> None:
     recipe = {"steps": 20, "batch": 32, "physics_weight": 0.0}
     works = [work("diverges", recipe={**recipe, "learning_rate": 1e30}), work("other"), work("none", flights="none*")]
     outcomes = dict(run_cells(works, jobs=1, scheduler=None))
@@ -255,7 +255,7 @@ def test_studies_along_a_number_are_curves(study: str, tmp_path: Path) -> None:
     assert draw(bare_sweep(study), [FailedCell(cells[0], "none", "here")], tmp_path) == []
 
 
-def test_models_of_table_one_stand_beside_the_papers_by_flight() -> None:
+def test_models_of_table_one_are_compared_with_the_papers_by_flight() -> None:
     cells = STUDIES["starred"].cells(StudyOptions((0,)))
     table = tables_of(bare_sweep("starred"), [planted(cell, 1.0) for cell in cells])[1]
     assert table.headings == ("flight", "pi_mlp* / NOM", "paper's", "pi_mlp / NOM", "paper's", "pi_tcn* / NOM",
