@@ -60,14 +60,13 @@ class VehicleClock:
     def reset(self) -> None:
         """Restart without samples, as after a reboot of the vehicle."""
         self._offset, self._drift = 0.0, 0.0
-        self._variance = (1.0, 0.0, self._limits.initial_drift**2)  # of offset, both, drift
+        self._variance = (1.0, 0.0, self._limits.initial_drift**2)  # of the offset, covariance, of the drift
         self._updated = 0.0
         self._latest_sent = float("-inf")
         self._latest_remote = float("-inf")
         self._latest_two_way = float("-inf")
         self._round_trips: deque[float] = deque(maxlen=50)
         self._outliers: list[tuple[float, float]] = []
-        self._last_round_trip = 0.0
         self.samples = 0
         self._valid_until = float("-inf")
 
@@ -81,7 +80,6 @@ class VehicleClock:
             self.samples = 0  # the first exchange replaces all stamps before it, which were late by the link's delay
         middle = (sent + received) / 2
         self._round_trips.append(round_trip)
-        self._last_round_trip = round_trip
         verdict = self._handle_stamp(middle, remote, round_trip / 12**0.5, self._is_slow(round_trip))
         self._latest_two_way = received
         self._valid_until = self._find_valid_until()
@@ -127,9 +125,9 @@ class VehicleClock:
         self.samples = 1
 
     def _start_again(self, ours: float, remote: float, noise: float) -> None:
-        sent, two_way, trips, trip = self._latest_sent, self._latest_two_way, self._round_trips, self._last_round_trip
+        sent, two_way, round_trips = self._latest_sent, self._latest_two_way, self._round_trips
         self.reset()
-        self._latest_sent, self._latest_two_way, self._round_trips, self._last_round_trip = sent, two_way, trips, trip
+        self._latest_sent, self._latest_two_way, self._round_trips = sent, two_way, round_trips
         self._latest_remote = remote
         self._start(ours, remote - ours, noise)
         self.resets += 1
@@ -148,11 +146,11 @@ class VehicleClock:
 
     def _predict(self, ours: float) -> tuple[float, tuple[float, float, float]]:
         step = max(0.0, ours - self._updated)
-        offset, both, drift = self._variance
+        offset, covariance, drift = self._variance
         noise = self._limits.drift_noise**2
         variance = (
-            offset + 2 * step * both + step**2 * drift + noise * step**3 / 3,
-            both + step * drift + noise * step**2 / 2,
+            offset + 2 * step * covariance + step**2 * drift + noise * step**3 / 3,
+            covariance + step * drift + noise * step**2 / 2,
             drift + noise * step,
         )
         return self._offset + self._drift * (ours - self._updated), variance

@@ -13,7 +13,7 @@ import msgspec
 from pymavlink.dialects.v20 import development as mavlink
 from pymavlink.generator.mavcrc import x25crc
 
-__all__ = ["MESSAGE_IDS", "MESSAGE_NAMES", "Definition", "Field", "Message", "mavlink", "message_class", "x25crc"]
+__all__ = ["MESSAGE_IDS", "Definition", "Field", "Message", "mavlink", "message_class", "x25crc"]
 
 Message = Any  # an instance of one of pymavlink's generated classes, whose fields have no common type
 
@@ -125,5 +125,4 @@ def _crc_extra(name: str, wire: list[Field]) -> int:
 for _definition in _MISSING:  # a pymavlink that has them keeps its own
     mavlink.mavlink_map.setdefault(_definition.id, message_class(_definition))
 
-MESSAGE_NAMES: dict[int, str] = {number: kind.msgname for number, kind in mavlink.mavlink_map.items()}
-MESSAGE_IDS: dict[str, int] = {name: number for number, name in MESSAGE_NAMES.items()}
+MESSAGE_IDS: dict[str, int] = {kind.msgname: number for number, kind in mavlink.mavlink_map.items()}

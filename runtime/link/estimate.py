@@ -88,7 +88,7 @@ class EstimateCheck(msgspec.Struct, frozen=True):
 
 
 class EstimateLimits(msgspec.Struct, frozen=True):
-    """What motion and an estimator's noise allow between two samples.
+    """The largest change that motion and an estimator's noise explain between two samples.
 
     position_noise: m.
     velocity_noise: m/s.
@@ -128,10 +128,6 @@ class EstimateMonitor:
         self._jumps: list[StateEstimate] = []
         self._odometry_received = float("-inf")
         self._local_position: tuple[float, Message] | None = None
-
-    def age(self, now: float) -> float:
-        """Age of the latest accepted estimate, s; infinite before the first."""
-        return now - self.latest.time if self.latest is not None else float("inf")
 
     def handle_odometry(self, odometry: Odometry, time: float, received: float, is_synchronised: bool) -> EstimateCheck:
         """Check an ODOMETRY message. time: when its state held, s on our clock."""

@@ -1,4 +1,4 @@
-"""Measured message rates: intervals over a sliding window, whatever was requested."""
+"""Measured message rates and intervals over a sliding window."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from itertools import pairwise
 
 import msgspec
 
-from runtime.link.dialect import MESSAGE_IDS, MESSAGE_NAMES
+from runtime.link.dialect import MESSAGE_IDS
 
 WINDOW = 3.0  # s
-_MAX_WINDOW = 4000  # messages
+_MAX_ARRIVALS = 4000  # of one message within the window
 
 
 class StreamRate(msgspec.Struct, frozen=True):
@@ -42,7 +42,7 @@ class RateMeter:
         """Count a message."""
         arrivals = self._arrivals.get(message_id)
         if arrivals is None:
-            arrivals = self._arrivals[message_id] = deque(maxlen=_MAX_WINDOW)
+            arrivals = self._arrivals[message_id] = deque(maxlen=_MAX_ARRIVALS)
         arrivals.append(received)
         while arrivals[0] < received - self._window:
             arrivals.popleft()
@@ -63,9 +63,3 @@ class RateMeter:
             intervals[-1 - len(intervals) // 100],
             len(times),
         )
-
-    def rates(self, now: float) -> dict[str, StreamRate]:
-        """The rates of all messages of the window before now, by name."""
-        names = sorted(MESSAGE_NAMES.get(number, f"UNKNOWN_{number}") for number in tuple(self._arrivals))
-        rates = {name: self.rate(name, now) for name in names}
-        return {name: rate for name, rate in rates.items() if rate.count}

@@ -6,7 +6,7 @@ Every struct has `time`, when it held, and `received`, when its bytes arrived, b
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import isfinite, nan
+from math import nan
 from typing import Literal
 
 import msgspec
@@ -168,11 +168,6 @@ _DECODERS: dict[str, Callable[[Message, float, ToOurs], Telemetry]] = {
     "BATTERY_STATUS": _battery,
     "SYS_STATUS": _system_battery,
 }
-
-
-def is_finite(sample: ImuSample) -> bool:
-    """Whether all numbers of a sample are finite."""
-    return all(isfinite(value) for value in (*sample.specific_force_body, *sample.rate_body))
 
 
 def landed_state(number: int) -> LandedState:

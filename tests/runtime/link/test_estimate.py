@@ -182,12 +182,6 @@ def test_the_same_sample_twice_is_dropped_silently(monitor: EstimateMonitor) -> 
     assert feed(monitor, 5.0) == EstimateCheck(None)
 
 
-def test_age_grows_until_the_next_estimate(monitor: EstimateMonitor) -> None:
-    assert monitor.age(1.0) == float("inf")
-    feed(monitor, 5.0)
-    assert monitor.age(5.3) == pytest.approx(0.3)
-
-
 def test_the_attitude_s_sign_never_jumps(monitor: EstimateMonitor) -> None:
     previous = None
     for n in range(400):
