@@ -3,9 +3,9 @@
  *   minimise 1/2 v'Hv + g'v   subject to  lower <= v <= upper,   H positive definite.
  *
  * Call box_qp_factor first. Where no bound acts the optimum is -H^-1 g, for two triangular solves with its factor.
- * Else Mehrotra's predictor-corrector method (SIAM J. Optimization 2, 1992) walks from the middle of the box. As soon as
- * two iterations in a row agree which bounds act, the optimum on those bounds is solved for; where it stays in the box
- * and its multipliers have the right sign it is the optimum of the program, to rounding.
+ * Else Mehrotra's predictor-corrector method (SIAM J. Optimization 2, 1992) starts from the middle of the box. As soon
+ * as two consecutive iterations agree which bounds act, the optimum on those bounds is solved for; where it stays in the
+ * box and its multipliers have the right sign it is the optimum of the program, to rounding.
  *
  * Required from the including file: NV, the number of variables, and VECTOR_BYTES. Nothing is allocated. */
 #ifndef ALULA_BOX_QP_H
@@ -45,7 +45,7 @@ typedef struct {
 
 #define BOX_AT(f, column, row) (*(box_vector *)&(f)->columns[column][row])
 
-/* Columns first .. first + BLOCK of a tile of rows, less what the columns before them explain. */
+/* Columns first .. first + BLOCK of a tile of rows, less the contributions of the factored columns before them. */
 static inline __attribute__((always_inline)) void box_tile(box_factor *f, int first, int row, const int vectors,
                                                            box_vector sums[BLOCK][TILE]) {
     _Pragma("GCC unroll 4") for (int c = 0; c < BLOCK; c++)
@@ -249,7 +249,7 @@ static double box_complementarity(const box_qp *q, double primal, double dual) {
 }
 
 /* One iteration of predictor and corrector; returns false when the barrier's Hessian is not positive definite, or the
- * step not finite, as where rounding has left no room to a bound. */
+ * step not finite, as where rounding makes a slack zero. */
 static bool box_iterate(box_qp *q, const double *H) {
     box_factor *f = &q->barrier;
     f->size = NV;
@@ -291,8 +291,8 @@ static bool box_start(box_qp *q, const double *H, const double *g, const double 
     return isfinite(mean);
 }
 
-/* How far v and the multipliers are from an optimum: the largest error of stationarity and complementarity. Leaves the
- * gradient, the room to the bounds, and which of them act: whose multiplier is larger than what would close the room. */
+/* How far v and the multipliers are from an optimum: the largest error of stationarity and complementarity. Writes the
+ * gradient, the slacks, and which bounds act: those whose multiplier exceeds the slack times the curvature. */
 static double box_residual(box_qp *q, const double *H, const double *g, const double *lower, const double *upper) {
     double worst = 0;
     box_gradient(H, g, q->v, q->gradient);

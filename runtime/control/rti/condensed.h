@@ -1,5 +1,5 @@
-/* The condensed problem that a preparation leaves, and the feedback that solves it; the including file rolls out and
- * condenses.
+/* The condensed problem, the result of a preparation, and the feedback that solves it; the including file rolls out
+ * and condenses.
  *
  * With columns z = (dx_0, v_0 .. v_{N-1}) and u_k + SCALE v_k the new inputs, the predicted states move by S_k z. A
  * preparation gives the trajectory (x, u), S, the Hessian H and gradient g of the cost by v, and G, the derivative of g
@@ -53,9 +53,9 @@ typedef struct {
     rti_options options;
     rti_report report;
     bool prepared;
-    bool bounded[NX + 1]; /* quantities whose rows are in the QP: the states, then collective thrust */
+    bool bounded[NX + 1]; /* whether a quantity's rows are in the QP: each state, then collective thrust */
     box_qp box;
-    dense_qp *rows[NX + 2]; /* HPIPM's, with the rows of so many quantities; without any where box_qp fails */
+    dense_qp *rows[NX + 2]; /* HPIPM's, by the number of quantities with rows; without any where box_qp fails */
 } condensed;
 
 static double now(void) {
@@ -234,9 +234,9 @@ static void apply(condensed *r) {
         }
 }
 
-/* x: the state now. Returns 0 when the QP was solved; else the trajectory stays the shifted previous solution,
- * and the status is HPIPM's (1: out of iterations, 2: step too short, 3: NaN) or -1 for an x that is not finite or a
- * preparation that was refused. The last iterate of a QP that ran out of iterations is still used. */
+/* x: the state now. Returns 0 when the QP was solved, 1 when its iterations ran out: the last iterate is used. With
+ * any other status the trajectory stays the shifted previous solution: HPIPM's 2 (step too short) and 3 (NaN), or -1
+ * for an x that is not finite or a preparation that was refused. */
 int rti_feedback(condensed *r, const double *x) {
     double start = now();
     rti_report *report = &r->report;

@@ -290,8 +290,8 @@ void rti_stream(network *r, const double *columns, int count, double *accelerati
     }
 }
 
-/* x: the state expected at the next tick, right after the history. reference: N + 1 states, then N inputs. Returns 0;
- * -1 when a number of them is not finite, -2 when the prediction is not. */
+/* x: the state expected at the next tick, right after the history. x_reference: N + 1 states. u_reference: N inputs.
+ * Returns 0; -1 when one of them, the history or the present inputs is not finite, -2 when the prediction is not. */
 int rti_prepare(network *r, const double *x, const double *x_reference, const double *u_reference) {
     double start = now();
     rti_report *report = &r->ocp.report;

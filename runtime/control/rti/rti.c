@@ -178,8 +178,8 @@ static void condense(rti *r) {
     gradient(r);
 }
 
-/* x: the state expected at the next tick. reference: N + 1 states, then N inputs. Returns 0; -1 when one of them is not
- * finite, -2 when the prediction is not: no feedback follows until the next preparation. */
+/* x: the state expected at the next tick. x_reference: N + 1 states. u_reference: N inputs. Returns 0; -1 when one of
+ * them or of the present inputs is not finite, -2 when the prediction is not: rti_feedback then refuses. */
 int rti_prepare(rti *r, const double *x, const double *x_reference, const double *u_reference) {
     double start = now();
     if (!condensed_begin(&r->ocp, x, x_reference, u_reference)) return -1;
