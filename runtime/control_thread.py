@@ -41,17 +41,17 @@ from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
 HORIZON_EVERY = 10  # ticks between recorded horizons
-MAX_DEFECTS = 10  # ticks in a row that may raise, a defect of ours, until the stream is stopped
-LATE_SHARE = 0.2  # of late ticks, from which lateness is an event
+MAX_DEFECTS = 10  # consecutive ticks that raise, a defect of ours, after which the stream is stopped
+LATE_SHARE = 0.2  # share of late ticks above which DEADLINES_MISSED is present
 Notification = Transition | EventChange | str
 
 
 @dataclass
 class Requests:
-    """What other threads request of the control thread. Plain attributes, each written by one thread only.
+    """Requests of the supervisor to the control thread: plain attributes, which only the supervisor's thread writes.
 
-    engage: to take control; the control thread clears it.
-    leave: why to land, empty while nobody requests it.
+    engage: to take control; the one that the control thread writes as well, to clear it.
+    leave: why to land, empty while no landing is requested.
     stop: to stop streaming at once.
     estimates_keep_up: whether estimates come about as often as ticks.
     slow_findings: events that the supervisor's slow checks found, with details.

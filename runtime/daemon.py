@@ -1,4 +1,4 @@
-"""The daemon: link, control thread, request worker, recorder, and a supervisor for the vehicle and the user.
+"""The daemon: one flight's link, control thread, request worker, recorder, and supervisor.
 
 The supervisor runs in the caller's thread and does whatever may take long: it requests rates, runs the slow
 checks, publishes notifications, and turns SIGINT and SIGTERM into a landing.
@@ -43,7 +43,7 @@ from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import TimingReport
 
 MIN_RATE = 0.9  # of the rate of estimates that the flight requires
-MAX_ESTIMATE_RATE = 100.0  # Hz that are enough for a faster flight too: PX4 sends 124 Hz on a request for 200
+MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 sends 124 Hz on a request for 200
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
@@ -60,8 +60,11 @@ Announce = Callable[[str], None]
 
 
 class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A flight as it is requested.
+    """The daemon's settings for one flight, besides vehicle and reference.
 
+    endpoint: of the link.
+    plan: take-off, transfers and landing.
+    settings: of the flight logic.
     rate: control rate, Hz.
     record: folder for the recording, None for none.
     name: of the recording; the date and time if empty.
@@ -256,7 +259,7 @@ class Daemon:
         """Refuse a reference that leads from here into the ground or far away."""
         estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
         if estimate is None:
-            return  # the check of rates refuses then
+            return  # the check of rates refuses engagement instead
         reason = start_refusal(self._reference, estimate.position_world, on_ground=not link.status.armed)
         if reason:
             self._report_event(Event.REFERENCE_INFEASIBLE, reason)

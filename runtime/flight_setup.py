@@ -1,4 +1,4 @@
-"""A flight put together from the user's options: vehicle, reference, request; and the same from a recording."""
+"""The preparation of a flight from the user's options, or from a recording: vehicle, reference, request."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
 
 
 class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A flight as it is requested; see the options of `alula fly`.
+    """The user's options of a flight, unchecked; see `alula fly`.
 
     link: endpoint of the vehicle.
     reference: name or CSV file.
@@ -121,7 +121,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
 
 def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None, rate: float) -> None:
     """Raises RequestError for a rate that the controller cannot fly, or a horizon that is not the bundle's kernel's."""
-    msgspec.structs.replace(vehicle.controller, rate=rate)
+    msgspec.structs.replace(vehicle.controller, rate=rate)  # its constructor refuses what cannot be flown
     if bundle is None:
         return
     for name in ("nodes", "horizon"):

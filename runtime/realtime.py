@@ -1,4 +1,4 @@
-"""Real-time scheduling on Linux as far as the operating system permits; refusals are reported, the flight goes on."""
+"""Real-time scheduling on Linux as far as the operating system permits; a refusal is reported and ends nothing."""
 
 from __future__ import annotations
 

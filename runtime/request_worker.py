@@ -1,4 +1,4 @@
-"""The request worker: what the flight logic requests of the autopilot, passed on by a thread of its own.
+"""The request worker: a thread that passes the flight logic's requests on to the autopilot.
 
 A request takes as long as the vehicle takes to answer; neither the control thread nor the supervisor waits for it.
 """
@@ -20,7 +20,7 @@ Handlers = Mapping[AutopilotRequest, Callable[[], Confirmation]]
 
 
 def link_handlers(link: Link) -> Handlers:
-    """What carries each request out on a link."""
+    """The functions that carry requests out on a link."""
     return {
         AutopilotRequest.OFFBOARD: lambda: set_mode(link, "OFFBOARD", timeout=TIMEOUT),
         AutopilotRequest.ARM: lambda: set_armed(link, True, timeout=TIMEOUT),

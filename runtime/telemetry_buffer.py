@@ -1,7 +1,7 @@
-"""The telemetry buffer: what the link receives between two ticks, for the control thread and the recorder.
+"""The telemetry buffer: everything that the link receives between two ticks, for the control thread and the recorder.
 
-The link's thread fills it through `callbacks`, the control thread empties it by `take`. No thread waits for another:
-what is handed over are whole immutable objects.
+The link's thread fills it through `callbacks`, the control thread empties it by `take`. No thread waits for another,
+because only immutable objects pass from one to the other.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ LINK_EVENTS: Mapping[str, Event] = {
     "battery_low": Event.BATTERY_LOW,
 }
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}
-STILL = np.zeros(3)
+NO_SHIFT = np.zeros(3)
 RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
-LOW_CHARGE = 0.1  # of the battery
+LOW_CHARGE = 0.1  # remaining charge, 0..1, below which BATTERY_LOW is raised
 
 
 class LinkUpdate(msgspec.Struct, frozen=True):
@@ -103,7 +103,7 @@ class TelemetryBuffer:
         self._resets.append((step.position_world, step.yaw))
 
     def reaction(self, reaction: Reaction) -> None:
-        """What follows from one message."""
+        """The consequences of one message."""
         if reaction.estimate is not None:
             self._estimate(reaction.estimate)
         if reaction.telemetry is not None:
@@ -123,7 +123,7 @@ class TelemetryBuffer:
             event = self._events.popleft()
             if event.name in LINK_EVENTS:
                 events[LINK_EVENTS[event.name]] = event.text
-        reset, position, yaw = bool(self._resets), STILL, 0.0
+        reset, position, yaw = bool(self._resets), NO_SHIFT, 0.0
         while self._resets:
             shift, turn = self._resets.popleft()
             position, yaw = position + shift, yaw + turn

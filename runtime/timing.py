@@ -1,4 +1,4 @@
-"""When a tick is due, whether its setpoint was late, and what made it late. Pure: times are arguments, s."""
+"""When a tick is due, whether its setpoint was late, and the cause of lateness. Pure: times are arguments, s."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ CAPACITY = 400_000  # ticks whose times count for the percentiles: more than hal
 
 
 class Cause(Enum):
-    """What made a setpoint late."""
+    """The cause of a late setpoint."""
 
     NONE = ""
     LINK = "link"  # no estimate came in time: the tick ran on the clock, in time, with an aged one
@@ -45,9 +45,11 @@ class TickTimes(msgspec.Struct, frozen=True):
 class TimingReport(msgspec.Struct, frozen=True):
     """A flight's latencies and late setpoints; times in s.
 
-    ticks_by_clock: ticks without a fresh estimate.
+    ticks: that sent a setpoint.
+    ticks_by_clock: of those, without a fresh estimate.
     missed: late setpoints by cause.
-    worst_late: the greatest lateness, and worst_cause: its cause.
+    worst_late: the greatest lateness.
+    worst_cause: its cause.
     latency: from an estimate's arrival to the setpoint's departure; median, p99, max.
     busy: processor time of the control thread therein; median, p99, max.
     interval: between departures; median, p99, max.
@@ -64,7 +66,7 @@ class TimingReport(msgspec.Struct, frozen=True):
 
 
 class Schedule:
-    """What triggers a tick: the first estimate after half a period, at the latest the clock after one and a half.
+    """The trigger of a tick: the first estimate after half a period, at the latest the clock after one and a half.
 
     While estimates come less often than ticks are due, the clock does not wait beyond the period.
     """

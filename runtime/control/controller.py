@@ -118,7 +118,7 @@ class Controller:
         self._offsets: Floats = options.problem.node * np.arange(options.problem.nodes + 1, dtype=np.float64)
         trim = self.solver.trim
         self.trim = trim.vehicle
-        self._hover, self._shares = trim.rotor_speed, trim.shares
+        self._hover, self._shares = trim.rotor_speed, trim.shares  # rad/s; of the hover speed, by rotor
         self._times = np.full(HISTORY, -np.inf)
         self._inputs = np.tile(self._hover, (HISTORY, 1))
         self._hidden = np.tile(model.hidden_initial, (HISTORY, 1))
@@ -126,8 +126,8 @@ class Controller:
         self._has_hidden = model.hidden_count > 0
         self._state = model.initial_state(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]))
         seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
-        self._lookahead = np.array(seconds) / options.problem.node
-        self._command_states = self.solver.states[: min(2, options.problem.nodes + 1)]
+        self._lookahead = np.array(seconds) / options.problem.node  # in nodes
+        self._command_states = self.solver.states[:2]
 
     @classmethod
     def build(

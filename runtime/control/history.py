@@ -8,8 +8,8 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 
 CAPACITY = 256  # rows; when all are used the newer half moves to the front
-MAX_SPACING = 1.5  # columns between two measurements; over more, the predictions in between stay
-MAX_GAP = 0.1  # s between two measurements; after more, the history restarts
+MAX_SPACING = 1.5  # columns between two measurements; a longer interval keeps the predictions in it
+MAX_GAP = 0.1  # s between two measurements; after a longer one the history restarts
 
 
 class ColumnHistory:
@@ -79,7 +79,7 @@ class ColumnHistory:
         )
 
     def write_columns(self, end: float, out: Floats) -> None:
-        """Write the columns (columns, 13 + rotors) before a time; before the oldest row, that row."""
+        """Write the columns (columns, 13 + rotors) before a time; those before the oldest row repeat it."""
         if not self.columns or self._count == 0:
             return
         times = end + self._offsets

@@ -19,12 +19,12 @@ from runtime.running_mean import RunningMean
 
 
 class FitLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """When a learned model does not fit any more.
+    """Limits beyond which a learned model does not fit the flight.
 
     ratio: of the running error to that in training, above which the model does not fit.
     averaging: time constant of the running error, s.
-    margin: by how much of a range inputs may lie outside of it.
-    linear_resolution: m/s^2, what estimates at 100 Hz cannot resolve; added to the error in training.
+    margin: distance outside of its range in training up to which an input is accepted, as a share of that range.
+    linear_resolution: m/s^2, error that estimates at 100 Hz cannot resolve; added in quadrature to that of training.
     angular_resolution: rad/s^2, the same of angular accelerations.
     """
 
@@ -37,7 +37,7 @@ class FitLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 @dataclass(frozen=True, eq=False)
 class TrainingRange:
-    """Smallest and largest inputs (k,) in training, in SI units, and their names; empty for a model without any."""
+    """Smallest and largest inputs (k,) in training, in SI units, and their names; empty for a model without ranges."""
 
     frame: Frame
     names: tuple[str, ...]

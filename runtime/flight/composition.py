@@ -20,7 +20,7 @@ WARM_UP_AGE = 0.02  # s, of the estimates
 
 
 class Controllers(NamedTuple):
-    """The controllers of a flight. nominal: of the nominal model, to fall back to from a learned model's."""
+    """The controllers of a flight. nominal: of the vehicle file's model, the fallback of a learned one's."""
 
     flying: Controller
     nominal: Controller | None = None

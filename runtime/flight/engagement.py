@@ -1,7 +1,7 @@
 """The daemon's states and the rules by which it takes and gives up control. Pure: facts and time in, transitions out.
 
 The rules follow from PX4's behaviour (docs/px4.md): a mode counts when a HEARTBEAT shows it, not when a command is
-acknowledged; the setpoint stream has to run before OFFBOARD is requested; and PX4 returns to OFFBOARD by itself as
+acknowledged; setpoints have to be streamed before OFFBOARD is requested; and PX4 returns to OFFBOARD by itself as
 soon as a stream resumes, so that nothing may be streamed unless engagement is requested.
 """
 
@@ -39,8 +39,8 @@ class Facts(msgspec.Struct, frozen=True):
 
     connected: whether heartbeats or estimates arrive.
     armed: as of the last HEARTBEAT.
-    offboard: whether the last HEARTBEAT shows OFFBOARD.
-    mode: of the last HEARTBEAT.
+    offboard: whether the mode is OFFBOARD.
+    mode: of the last HEARTBEAT or CURRENT_MODE.
     refusal: why engaging is refused, empty when it is not.
     fallback: that the health checks require.
     reason: for the fallback.
@@ -57,7 +57,7 @@ class Facts(msgspec.Struct, frozen=True):
 
 @dataclass(frozen=True)
 class Transition:
-    """A change of state with its reason."""
+    """A change of state with its reason. time: s."""
 
     time: float
     before: State
@@ -133,7 +133,7 @@ class Engagement:
         self.refusal = ""
 
     def release(self, reason: str, time: float) -> tuple[Transition, ...]:
-        """Give control up on purpose: stop streaming, or never start to."""
+        """Give control up on purpose: stop streaming, or withdraw the request. time: s."""
         self._requested = False
         self.refusal = reason
         return (self._enter(State.STANDBY, reason, time),) if self.streaming else ()
@@ -147,15 +147,15 @@ class Engagement:
         if step is None:
             return ()
         after, reason = step
-        hindered = self.state is State.STREAMING and after is State.STANDBY and bool(facts.refusal)
-        return (self._enter(after, reason, time, keep=hindered),)
+        refused = self.state is State.STREAMING and after is State.STANDBY and bool(facts.refusal)
+        return (self._enter(after, reason, time, keep_request=refused),)
 
-    def _enter(self, after: State, reason: str, time: float, *, keep: bool = False) -> Transition:
-        """Change the state. keep: the request to engage still holds, because control was never taken."""
+    def _enter(self, after: State, reason: str, time: float, *, keep_request: bool = False) -> Transition:
+        """Change the state. keep_request: engagement stays requested, because control was never taken."""
         transition = Transition(time, self.state, after, reason)
         if after in (State.STANDBY, State.DISCONNECTED) and self.streaming:
             # control was given up, on purpose or not: only another request may take it back
-            self._requested = self._requested and keep
+            self._requested = self._requested and keep_request
             self.refusal = reason
         if after is State.STREAMING:
             self.refusal = ""

@@ -23,7 +23,7 @@ class Fallback(IntEnum):
 
 
 class Severity(IntEnum):
-    """MAVLink's severities that are used here."""
+    """Severities of events, with MAVLink's numbers (MAV_SEVERITY)."""
 
     CRITICAL = 2
     ERROR = 3
@@ -132,7 +132,7 @@ POLICIES: Mapping[Event, Policy] = {
     Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),
     Event.RECORDER_OVERRUN: Policy("the recorder fell behind", Severity.WARNING),
-    Event.DISK_FULL: Policy("recording ended, the flight goes on", Severity.ERROR, clear_after=NEVER),
+    Event.DISK_FULL: Policy("recording ended, the flight continues", Severity.ERROR, clear_after=NEVER),
     Event.REFERENCE_INFEASIBLE: Policy(
         "the vehicle cannot fly the reference", Severity.ERROR, clear_after=NEVER, refuses=True
     ),
@@ -144,6 +144,7 @@ POLICIES: Mapping[Event, Policy] = {
 class EventChange:
     """An event raised or cleared.
 
+    time: s.
     active: whether it was raised.
     detail: what the check measured.
     """
@@ -196,7 +197,7 @@ class EventMonitor:
 
     @property
     def landing_reason(self) -> str:
-        """Why the mission has to end with a landing, empty when it may go on."""
+        """Why the mission has to end with a landing, empty when it does not."""
         return self._text_of(lambda policy: policy.lands)
 
     def update(self, present: Mapping[Event, str], time: float) -> tuple[EventChange, ...]:

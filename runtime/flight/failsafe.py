@@ -1,4 +1,4 @@
-"""What to send without a fresh solution: the chain of fallbacks and the level hold. Pure.
+"""Setpoints without a fresh solution: the chain of fallbacks and the level hold. Pure.
 
 Each fallback is bounded: some ticks of the shifted solution, some seconds of level hold; then the stream stops and the
 autopilot's own failsafe acts.
@@ -23,7 +23,7 @@ class FallbackBounds(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     shifted_ticks: ticks of the shifted solution.
     level_hold: s.
-    recovery: s without a fallback that refill both.
+    recovery: s without a fallback, after which both are available in full again.
     """
 
     shifted_ticks: int = 10
@@ -50,7 +50,7 @@ class FallbackChain:
         time: s.
         estimate_usable: whether there is an estimate that the nominal model can fly with.
         solution_left: whether the last prediction still covers this time.
-        nominal_available: whether a nominal controller stands by, or the only controller still solves.
+        nominal_available: whether the controller of the vehicle file's model is ready.
         """
         elapsed = 0.0 if self._last_time is None else max(time - self._last_time, 0.0)
         self._last_time = time
@@ -74,7 +74,7 @@ class FallbackChain:
     def _refill(self, time: float) -> None:
         if self._healthy_since is None:
             self._healthy_since = time
-        # a fault that flickers must not buy a full budget with every healthy tick
+        # an intermittent fault must not get a full budget with every healthy tick
         if time - self._healthy_since >= self._bounds.recovery:
             self._shifted = 0
             self._held = 0.0

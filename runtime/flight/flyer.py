@@ -29,8 +29,8 @@ from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
-SHUTDOWN_TIME = 0.3  # s in which thrust is taken away on the ground
-DISARM_PATIENCE = 5.0  # s until landing is left to the autopilot
+SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
+DISARM_PATIENCE = 5.0  # s until the autopilot is requested to land and disarm
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
 ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is expected
@@ -93,7 +93,7 @@ class Flyer:
         *,
         nominal: Controller | None = None,
     ) -> None:
-        """nominal: controller of the nominal model to fall back to, None when `controller` is nominal already."""
+        """nominal: controller of the vehicle file's model, the fallback of a learned one; None without one."""
         self.engagement = Engagement(settings.engagement)
         self.events = EventMonitor()
         self.mission = mission
@@ -184,11 +184,11 @@ class Flyer:
         self._prepare_nominal(window, time)
 
     def _prepare_nominal(self, window: tuple[Floats, Floats], time: float) -> None:
-        """Keep the nominal controller ready while a learned model flies, and while something is wrong."""
+        """Keep the nominal controller ready while a learned model flies, and while an event requires a fallback."""
         if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
             return
-        # a diverging model's commands are no evidence of what the vehicle did: the nominal model starts without them
+        # after a divergence the nominal controller starts from hover inputs, not from the diverged plan
         diverging = Event.MODEL_OSCILLATES in self._pending and Event.MODEL_OSCILLATES not in self.events.active
         if (diverging or not self._nominal_ready) and self._state is not None:
             self._nominal.reset(self._state, time)
@@ -198,7 +198,7 @@ class Flyer:
         self._nominal_ready = True
 
     def _check_model(self, time: float) -> None:
-        """Whether a learned model may fly the next tick."""
+        """Enter the reasons against flying a learned model at the next tick as events of that tick."""
         waiting, outside, unfit = self._controller.model_faults(time)
         if waiting:
             self._pending[Event.MODEL_WAITING] = waiting
@@ -235,7 +235,7 @@ class Flyer:
         self._health.sent(rate_body, collective_thrust, time)
 
     def _after_departure(self, time: float) -> None:
-        """What can wait until the setpoint has left: store the solution, check the flight, update the effectiveness."""
+        """The work that is not urgent: store the solution, check the flight, update the effectiveness."""
         if self._solution is not None:
             self._shifted.keep(*self._solution)
             self._solution = None
@@ -276,7 +276,7 @@ class Flyer:
             solution_left=self._shifted.reaches(time) or not self.mission.airborne,
             nominal_available=solves,
         )
-        # a flight on the nominal model flies its fallback already
+        # without a learned model the vehicle file's model flies already
         return Fallback.NONE if chosen is Fallback.NOMINAL_MODEL and self._nominal is None else chosen
 
     # --- engagement

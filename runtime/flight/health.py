@@ -18,7 +18,7 @@ from runtime.flight.events import Event
 from runtime.link.estimate import StateEstimate
 from runtime.running_mean import RunningMean
 
-# of the vehicle's largest body rate; measured on a vehicle of 12 rad/s (benchmarks/results/oscillation.md)
+# limits as shares of the largest body rate; measured on a vehicle of 12 rad/s (benchmarks/results/oscillation.md)
 UNFOLLOWED, SWING, CHATTER = 1 / 4, 1 / 6, 1 / 8
 
 
@@ -59,7 +59,7 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class FlightHealth:
-    """Finds events in states and setpoints. Pure: time is an argument, s."""
+    """Events that a flight's states and setpoints show. Pure: time is an argument, s."""
 
     def __init__(self, vehicle: Vehicle, limits: HealthLimits | None = None) -> None:
         self.limits = limits or HealthLimits()
@@ -76,7 +76,7 @@ class FlightHealth:
         self._miss_time: float | None = None
 
     def sent(self, rate_body: Floats, collective_thrust: float, time: float) -> None:
-        """A setpoint went out. rate_body: (3,) rad/s. collective_thrust: N."""
+        """Add a setpoint that was sent. rate_body: (3,) rad/s. collective_thrust: N. time: s."""
         self._thrust = collective_thrust
         if len(self._sent) > 1:
             (_, oldest), (before, last) = self._sent[-2], self._sent[-1]
@@ -89,7 +89,7 @@ class FlightHealth:
         return self._chatter.value, self._swing.value
 
     def rest(self) -> None:
-        """Nothing is flown: forget the setpoints."""
+        """Forget the setpoints, as while nothing is streamed."""
         self._sent.clear()
         self._reset()
         self._thrust = 0.0

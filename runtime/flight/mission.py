@@ -32,8 +32,8 @@ class Phase(Enum):
     SHUTDOWN = "shutdown"
 
 
-STILL = 0.3  # m/s
-MAX_BRAKE = 4.0  # s
+STILL = 0.3  # m/s below which braking is over
+MAX_BRAKE = 4.0  # s of braking, however fast the vehicle still is
 AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.SHUTDOWN})
 
 
@@ -47,8 +47,8 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     yaw_rate: of transfers, rad/s.
     settle: s of hover before and after the reference.
     descent: m/s, of landing.
-    touchdown: m/s, of landing from `low` on.
-    low: m above the ground.
+    touchdown: m/s, of landing below the height `low`.
+    low: height above the ground at which the touch-down begins, m.
     """
 
     height: float = 1.5
@@ -102,7 +102,7 @@ class Mission:
         self._enter(Phase.RAMP, None, time)
 
     def climb(self, state: Floats, time: float) -> None:
-        """The vehicle left the ground: climb to the take-off height above its place there."""
+        """Climb to the take-off height above the place of take-off, once the vehicle has lifted off."""
         self._transfer(Phase.CLIMB, self._takeoff_frame_pose(state), self._home, time)
 
     def take_over(self, state: Floats, time: float) -> None:
@@ -121,11 +121,11 @@ class Mission:
             self._brake(state, time)
 
     def shut_down(self, time: float) -> None:
-        """The vehicle stands on the ground: take the thrust away and disarm."""
+        """Ramp the thrust to zero and disarm, once the vehicle stands on the ground."""
         self._enter(Phase.SHUTDOWN, None, time)
 
     def shift(self, position: Floats, yaw: float) -> None:
-        """Move with an estimator that moved its frame: position (3,) m, yaw rad. The vehicle keeps its motion."""
+        """Move the reference by an estimator's reset: position (3,) m, yaw rad. The vehicle keeps its motion."""
         self._offset = self._offset + position
         self._yaw_offset += yaw
 

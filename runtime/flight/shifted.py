@@ -1,4 +1,4 @@
-"""The shifted solution: the previous one, continued for the few ticks without a new one. Pure."""
+"""The shifted solution: the previous solution, continued for a few ticks without a new one. Pure."""
 
 from __future__ import annotations
 

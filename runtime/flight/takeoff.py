@@ -16,8 +16,8 @@ class RampSettings:
     rise: s from zero thrust to the weight.
     spool: initial thrust per weight.
     max_thrust: per weight.
-    patience: s at the greatest thrust without lift-off.
-    height: m above the ground that counts as lift-off, together with
+    patience: s at the maximum thrust without lift-off.
+    height: m above the ground; lift-off requires more than it and than the climb rate.
     climb_rate: m/s.
     """
 
@@ -32,9 +32,9 @@ class RampSettings:
 class TakeoffRamp:
     """Raises the thrust until the vehicle leaves the ground.
 
-    lifted: whether it has left.
-    failed: whether it stands at the greatest thrust.
-    thrust: the present one, N.
+    lifted: whether it has lifted off.
+    failed: whether it has not, for longer than the patience at the maximum thrust.
+    thrust: the present setpoint, N.
     """
 
     def __init__(self, weight: float, thrust_max: float, settings: RampSettings | None = None) -> None:
@@ -63,8 +63,8 @@ class TakeoffRamp:
         self.thrust = min(ramp, self._max_thrust)
         rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
         self._rising = self._rising + 1 if rising else 0
-        # one estimate may be noise; below half the weight nothing lifts off
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
+        # one estimate may be noise; below half the weight nothing lifts off
         self.lifted = self._rising >= 3 and self.thrust > 0.5 * self._weight
         time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
         self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience

@@ -1,8 +1,8 @@
 """Collective thrust in N to the 0..1 of SET_ATTITUDE_TARGET and back, corrected in flight.
 
 The autopilot turns a thrust setpoint T into each motor's signal s by f s^2 + (1 - f) s = T, f its THR_MDL_FAC. The
-vehicle's thrust is then thrust_max (c s^2 + (1 - c) s), c its file's thrust_curve. What both omit (a sagging battery,
-a wrong mass or constant) is one factor, the effectiveness.
+vehicle's thrust is then thrust_max (c s^2 + (1 - c) s), c its file's thrust_curve. One factor, the effectiveness,
+covers what both omit: a sagging battery, a wrong mass or constant.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ THRUST_CURVE = "THR_MDL_FAC"  # the autopilot's parameter f
 
 
 def curve(signal: float, factor: float) -> float:
-    """Thrust per greatest thrust at a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""
+    """Thrust over maximum thrust at a motor signal, factor s^2 + (1 - factor) s. signal: 0..1."""
     return factor * signal * signal + (1.0 - factor) * signal
 
 
@@ -127,7 +127,7 @@ class EffectivenessEstimator:
         self._commands.clear()
 
     def command(self, modelled_thrust: float, time: float) -> None:
-        """A setpoint was sent. modelled_thrust: its thrust at effectiveness 1, N."""
+        """Add a setpoint that was sent. modelled_thrust: its thrust at effectiveness 1, N. time: s."""
         if not self._commands and self._time is None:
             self._target = self._force = modelled_thrust
         self._commands.append((time + self._settings.delay, modelled_thrust))
@@ -139,20 +139,20 @@ class EffectivenessEstimator:
         self._follow(time)
         self._time = time
         self.variance = min(self.variance + settings.process_noise**2 * elapsed, settings.initial_deviation**2)
-        gain_of_state = self._force / self._mass
-        if not isfinite(specific_force) or gain_of_state < 0.3 * GRAVITY:
+        modelled = self._force / self._mass  # specific force at effectiveness 1: the measurement's derivative
+        if not isfinite(specific_force) or modelled < 0.3 * GRAVITY:
             return False
         uncertain_response = settings.timing * (self._target - self._force) / self._mass
         noise = settings.measurement_noise**2 * (1 + (speed / settings.speed) ** 2) ** 2 + uncertain_response**2
-        innovation = specific_force - gain_of_state * self.value
-        spread = gain_of_state**2 * self.variance + noise
-        if abs(innovation) > settings.gate * sqrt(spread):
+        innovation = specific_force - modelled * self.value
+        innovation_variance = modelled**2 * self.variance + noise
+        if abs(innovation) > settings.gate * sqrt(innovation_variance):
             self._reject(time)
             return False
         self._rejected_since = None
-        gain = self.variance * gain_of_state / spread
+        gain = self.variance * modelled / innovation_variance
         self.value = self._bounded(self.value + gain * innovation)
-        self.variance *= 1 - gain * gain_of_state
+        self.variance *= 1 - gain * modelled
         return True
 
     def _follow(self, time: float) -> None:

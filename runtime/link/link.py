@@ -181,7 +181,7 @@ class Link:
         if self.settings.target_system is not None and heard:
             return (
                 f"No vehicle with system id {self.settings.target_system} on {self.endpoint} within {timeout:g} s. "
-                f"Heard (system/component): {who}. Ask for one of these, or leave the system id out."
+                f"Heard (system/component): {who}. Give one of these, or leave the system id out."
             )
         if heard:
             return f"No autopilot's heartbeat on {self.endpoint} within {timeout:g} s. Heard (system/component): {who}."
@@ -238,7 +238,7 @@ class Link:
 
     @contextlib.contextmanager
     def listening(self, read: Callable[[Message], Answer | None]) -> Iterator[queue.SimpleQueue[Answer]]:
-        """A queue of what `read` makes of the vehicle's messages, None omitted; it runs in the link's thread."""
+        """A queue of the results of `read` for the vehicle's messages, without None; it runs in the link's thread."""
         answers: queue.SimpleQueue[Answer] = queue.SimpleQueue()
 
         def listen(message: Message) -> None:
@@ -322,7 +322,7 @@ class Link:
             self._transport.set_peer(source)
             if not self._vehicle_found.is_set():
                 self._vehicle_found.set()
-                self._next_heartbeat = float("-inf")  # nobody could receive one before
+                self._next_heartbeat = float("-inf")  # before, there was no address to send one to
             for answer in reaction.answers:
                 self.send(answer)
             for listener in self._listeners:

@@ -35,7 +35,9 @@ def check_link(
     streams: Mapping[str, float] = STREAMS,
     window: float = WINDOW,
 ) -> LinkReport:
-    """Listen to a vehicle, request its streams, and restore them. Sends no setpoint and arms nothing.
+    """Listen to a vehicle, request its streams, and reset them to their default rates. Sends no setpoint, arms nothing.
+
+    A disarmed vehicle's present mode is requested once more, to count the acknowledgements.
 
     timeout: s to wait for the vehicle. streams: message name to Hz. window: s over which rates are measured.
     Raises VehicleError when no vehicle is heard, RequestError for a message that does not exist.

@@ -196,7 +196,7 @@ def _parameter_problems(values: Mapping[str, float | str]) -> list[LinkProblem]:
         problems.append(LinkProblem("warning", text))
     loss, action = values.get("COM_OF_LOSS_T"), values.get("COM_OBL_RC_ACT")
     if isinstance(loss, float) and loss > MAX_LOSS_TIME:
-        text = f"COM_OF_LOSS_T is {loss:g} s: that long a dead companion would fly on with its last setpoint."
+        text = f"COM_OF_LOSS_T is {loss:g} s: so long the vehicle keeps to the last setpoint of a dead companion."
         problems.append(LinkProblem("warning", text))
     if action in (6, 7):
         what = "terminates the flight" if action == 6 else "disarms in the air"

@@ -22,7 +22,7 @@ _NOT_AUTOPILOTS = (mavlink.MAV_TYPE_GCS, mavlink.MAV_TYPE_ONBOARD_CONTROLLER, ma
 
 
 class Reaction(msgspec.Struct):
-    """What follows from one message.
+    """The consequences of one message.
 
     estimate: a new one, if it is accepted.
     reset: what an estimator reset moved.
@@ -199,7 +199,7 @@ class Peer:
             return
         sent = message.ts1 * 1e-9
         if not received - 5.0 < sent <= received:
-            return  # an answer to somebody else's request, whose clock is not ours
+            return  # an answer to another system's request, whose clock is not ours
         offset = self.clock.offset(received)
         match self.clock.handle(sent, received, message.tc1 * 1e-9):
             case "jumped":

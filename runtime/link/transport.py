@@ -161,7 +161,7 @@ class TcpTransport:
         self._stream = stream
 
     def receive(self, *, wait: bool = True) -> Received | None:
-        """The next bytes of the stream, or None after PATIENCE or while nobody is connected."""
+        """The next bytes of the stream, or None after PATIENCE or while no peer is connected."""
         source = self._stream or self._listener
         if source is None:
             raise TransportLostError("The TCP connection is closed.")

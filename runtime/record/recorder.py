@@ -1,4 +1,4 @@
-"""The flight recorder: an MCAP file and the link's raw .tlog, written by a thread of their own.
+"""The flight recorder: an MCAP file and the link's raw .tlog, written by a separate thread.
 
 The control thread only appends to a bounded ring. The writer drains it ten times a second and closes the MCAP chunk
 at least twice a second, so that a killed process loses less than a second. A full disk ends the recording, not the

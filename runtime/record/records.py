@@ -70,7 +70,7 @@ class TickRecord(msgspec.Struct, frozen=True):
     solver_status: int
     feedback_seconds: Seconds
     preparation_seconds: Seconds
-    departure_seconds: Annotated[float, Meta(description="s from what set the tick off to the setpoint's departure")]
+    departure_seconds: Annotated[float, Meta(description="s from the tick's trigger to the setpoint's departure")]
     late_cause: str
     model_ratio: Annotated[float, Meta(description="a learned model's error over its error in training, else NaN")] = (
         nan
@@ -82,7 +82,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
 
     estimate_arrival: identifies the estimate, NaN before the first.
     connected: whether the vehicle is heard.
-    armed, offboard, mode: of the last HEARTBEAT.
+    armed, offboard, mode: of the last HEARTBEAT, the mode also of CURRENT_MODE.
     landed: the vehicle's landed state.
     findings: events with their details as a JSON object, empty when there are none.
     reset: whether an estimator was reset, which moved its frame by reset_position and reset_yaw.

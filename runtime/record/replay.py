@@ -127,5 +127,5 @@ def _compare(recording: FlightRecording, decisions: list[tuple[float, Decision]]
 
 
 def _transitions(recording: FlightRecording) -> list[tuple[float, str, str]]:
-    """Time, before and after of each recorded transition; its reason is left out, as prose."""
+    """Time, before and after of each recorded transition; the reason is prose and not compared."""
     return [(row.time, row.before, row.after) for row in recording.records(StateRecord)]

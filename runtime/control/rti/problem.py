@@ -105,7 +105,7 @@ def options_struct(states: int, inputs: int) -> type[ctypes.Structure]:
 
 
 def fill_options(problem: Problem, model: Model, trim: Trim | None = None) -> ctypes.Structure:
-    """The C options of a problem for one model's vehicle. trim: of the model, found where it is left out."""
+    """The C options of a problem for one model's vehicle. trim: of the model, computed if it is None."""
     vehicle, weights = model.vehicle, problem.weights
     hover_speed = (trim or find_trim(model)).vehicle.hover_speed
     states, inputs = model.state_count, model.input_count

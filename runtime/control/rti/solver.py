@@ -132,7 +132,10 @@ class RtiSolver:
         return accelerations
 
     def feedback(self, state: NDArray[np.float64]) -> int:
-        """Solve for the measured state (nx,); 0 when solved, else the trajectory keeps the previous solution."""
+        """Solve for the measured state (nx,). Returns the status, 0 when solved.
+
+        With 1, out of iterations, the trajectory takes the last iterate; with any other it stays the previous solution.
+        """
         self._state[:] = state
         return int(self._code.rti_feedback(self._handle, self._state_at))
 
@@ -227,7 +230,7 @@ def _field(model: Model) -> ca.Function:
 
 
 def _functions(model: Model, field: ca.Function) -> tuple[ca.Function, ca.Function]:
-    """One RK4 step with its Jacobians, carried through the stages as AD of the whole would not, and one without."""
+    """One RK4 step with its Jacobians, propagated through the stages for less code than by AD, and one without."""
     kind: Any = ca.MX if field.is_a("MXFunction") else ca.SX
     x, u, p, e = (kind.sym(field.name_in(i), field.size1_in(i)) for i in range(4))
     dt = kind.sym("dt")

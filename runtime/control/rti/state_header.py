@@ -1,4 +1,4 @@
-"""C macros of the state's layout, for the headers that index it: the numbers stand in dynamics.state alone."""
+"""C macros of the state's layout, generated from dynamics.state for the headers that index it."""
 
 from __future__ import annotations
 
