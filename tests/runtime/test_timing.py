@@ -1,4 +1,4 @@
-"""Ticks are set off by estimates or the clock, and whoever made one late is named."""
+"""Ticks are triggered by estimates or the clock, and the cause of a late one is named."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from runtime.timing import Cause, Deadlines, Schedule, TickTimes, percentiles
 PERIOD = 0.01
 
 
-def test_the_first_estimate_after_half_a_period_sets_the_tick_off() -> None:
+def test_the_first_estimate_after_half_a_period_triggers_the_tick() -> None:
     schedule = Schedule(PERIOD, start=1.0)
     assert not schedule.is_due(1.004)
     assert schedule.is_due(1.006)
@@ -40,7 +40,7 @@ def times(due: float, *, wait: float, work: float, free: float = 0.0, by_clock: 
     return TickTimes(due, due + wait, due + wait + work, free, work, max(free - due, 0.0), by_clock)
 
 
-def test_a_tick_in_time_is_nobody_s_fault() -> None:
+def test_a_tick_in_time_is_not_counted_as_missed() -> None:
     deadlines = Deadlines(PERIOD)
     assert deadlines.add(times(1.0, wait=0.0001, work=0.0004)) is Cause.NONE
     assert deadlines.add(times(1.015, wait=0.0001, work=0.0004, by_clock=True)) is Cause.LINK
@@ -48,7 +48,7 @@ def test_a_tick_in_time_is_nobody_s_fault() -> None:
     assert deadlines.by_clock == 1
 
 
-def test_late_ticks_are_blamed_on_whoever_took_the_time() -> None:
+def test_a_late_tick_is_attributed_to_what_took_the_time() -> None:
     deadlines = Deadlines(PERIOD)
     assert deadlines.add(times(1.0, wait=0.008, work=0.0005)) is Cause.SCHEDULER
     assert deadlines.add(times(2.0, wait=0.0001, work=0.009)) is Cause.OURS

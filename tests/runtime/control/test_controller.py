@@ -24,7 +24,7 @@ def hovering(vehicle: Vehicle, delay: float | None = None) -> Controller:
     return controller
 
 
-def test_in_hover_it_asks_for_no_rates_and_for_the_weight(arpl_250g: Vehicle) -> None:
+def test_in_hover_it_commands_no_rates_and_the_weight(arpl_250g: Vehicle) -> None:
     controller = hovering(arpl_250g)
     command = controller.feedback(HOVER.copy(), 0.0)
     assert command.status == 0
@@ -57,7 +57,7 @@ def test_the_shifted_solution_continues_the_command(arpl_250g: Vehicle) -> None:
 
 
 @pytest.mark.parametrize("effect", [EffectUse("thrust_constant", {"ratio": 0.8}), EffectUse("mass", {"ratio": 1.3})])
-def test_thrust_counts_what_the_effects_make_of_the_rotors(arpl_250g: Vehicle, effect: EffectUse) -> None:
+def test_the_command_s_thrust_includes_the_effects_on_the_rotors(arpl_250g: Vehicle, effect: EffectUse) -> None:
     vehicle = arpl_250g.with_effects(effect)
     controller = hovering(vehicle)
     for tick in range(200):
@@ -68,7 +68,7 @@ def test_thrust_counts_what_the_effects_make_of_the_rotors(arpl_250g: Vehicle, e
     assert command.collective_thrust == pytest.approx(weight, rel=1e-3)
 
 
-def test_a_centre_of_mass_off_the_middle_asks_for_no_rates_in_hover(arpl_250g: Vehicle) -> None:
+def test_a_centre_of_mass_off_the_middle_needs_no_rates_in_hover(arpl_250g: Vehicle) -> None:
     use = EffectUse("centre_of_mass", {"x": 0.006, "y": -0.004, "z": 0.0})
     controller = hovering(arpl_250g.with_effects(use))
     for tick in range(100):
@@ -77,7 +77,7 @@ def test_a_centre_of_mass_off_the_middle_asks_for_no_rates_in_hover(arpl_250g: V
     np.testing.assert_allclose(command.rate_body, 0, atol=0.02)
 
 
-def test_an_old_estimate_is_carried_to_now_through_the_inputs_since(arpl_250g: Vehicle) -> None:
+def test_an_old_estimate_is_propagated_to_now_by_the_inputs_since(arpl_250g: Vehicle) -> None:
     """A truth flown by the controller's own inputs is recovered from estimates 30 ms old."""
     controller = hovering(arpl_250g, delay=0.0)
     reference = named_reference("circle", arpl_250g)
@@ -97,7 +97,7 @@ def test_an_old_estimate_is_carried_to_now_through_the_inputs_since(arpl_250g: V
         past.append(truth)
 
 
-def test_a_delay_is_looked_ahead_by_state_and_reference_alike(arpl_250g: Vehicle) -> None:
+def test_a_delay_shifts_state_and_reference_alike(arpl_250g: Vehicle) -> None:
     late = hovering(arpl_250g, delay=0.02)
     moving = HOVER.copy()
     moving[3] = 2.0
@@ -119,7 +119,7 @@ def test_hidden_states_of_the_model_follow_the_inputs(arpl_250g: Vehicle) -> Non
 
 
 def test_hidden_states_keep_time_between_old_estimates_and_ticks(arpl_250g: Vehicle) -> None:
-    """A load swings for two seconds; nobody measures it, and estimates are 13 ms old at ticks of 10 ms."""
+    """A load swings for two seconds; it is not measured, and estimates are 13 ms old at ticks of 10 ms."""
     vehicle = arpl_250g.with_effects(EffectUse("slung_load", {"mass": 0.02, "length": 0.5}))
     controller = hovering(vehicle, delay=0.0)
     controller.reset(HOVER, 0.0)

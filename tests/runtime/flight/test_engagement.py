@@ -42,7 +42,7 @@ def test_without_a_request_it_never_leaves_standby() -> None:
     assert not machine.streaming
 
 
-def test_it_streams_before_it_asks_for_offboard_and_asks_for_arming_last() -> None:
+def test_it_streams_before_it_requests_offboard_and_requests_arming_last() -> None:
     machine = Engagement(SETTINGS)
     machine.update(GROUND, 0.0)
     machine.engage()

@@ -26,7 +26,7 @@ def test_an_event_is_raised_once_and_cleared_once() -> None:
     assert monitor.counts[Event.ESTIMATE_STALE] == 1
 
 
-def test_an_event_with_an_onset_ignores_a_short_spell() -> None:
+def test_an_event_with_an_onset_ignores_a_short_presence() -> None:
     monitor = EventMonitor()
     onset = POLICIES[Event.THRUST_LIMIT].onset
     assert monitor.update({Event.THRUST_LIMIT: ""}, 0.0) == ()
@@ -37,7 +37,7 @@ def test_an_event_with_an_onset_ignores_a_short_spell() -> None:
 
 
 @pytest.mark.parametrize("event", [Event.MODEL_UNHEALTHY, Event.MODEL_OSCILLATES])
-def test_a_latched_event_clears_only_by_engaging_anew(event: Event) -> None:
+def test_a_latched_event_clears_only_by_engaging_again(event: Event) -> None:
     monitor = EventMonitor()
     assert POLICIES[event].clear_after == NEVER
     monitor.update({event: ""}, 0.0)

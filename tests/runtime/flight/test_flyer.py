@@ -69,9 +69,10 @@ def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Cont
     flight.run(10.0, until=Phase.CLIMB)
     start = len(flight.story.decisions) - 1
     flight.run(1.0)
-    thrust = np.array([decision.collective_thrust for decision in flight.story.decisions[start:]])
-    thrust = np.array([decision.thrust for decision in flight.story.decisions[start - 20 :]])
-    assert np.max(np.abs(np.diff(thrust))) < 0.1 * vehicle.weight
+    decisions = flight.story.decisions[start - 20 :]
+    collective_thrust = np.array([decision.collective_thrust for decision in decisions[20:]])
+    thrust = np.array([decision.thrust for decision in decisions])
+    assert np.max(np.abs(np.diff(collective_thrust))) < 0.1 * vehicle.weight
     assert np.max(np.abs(np.diff(thrust))) < 0.05
     heights = np.array([state[2] for state in flight.story.states[start:]])
     assert np.max(heights) < 0.8
@@ -158,7 +159,7 @@ def test_estimates_that_stop_lead_through_the_fallbacks_to_silence(vehicle: Vehi
     assert flight.story.decisions[-1].rate_body is None
     assert flight.story.after[-1] is State.STANDBY
     assert "failsafe" in flight.story.transitions[-1].reason
-    # the estimates come back, nobody requests engaging: silence
+    # the estimates come back, engaging is not requested: nothing is sent
     flight.frozen = False
     flight.run(3.0)
     assert flight.story.decisions[-1].rate_body is None
@@ -335,7 +336,7 @@ def swinging(vehicle: Vehicle, swing: float) -> Flight:
     return prepare(vehicle, learned, nominal=Controller.build(vehicle))  # type: ignore[arg-type]
 
 
-def test_a_learned_model_that_makes_the_vehicle_oscillate_is_left_to_physics_for_the_rest_of_the_flight(
+def test_a_learned_model_that_makes_the_vehicle_oscillate_is_replaced_for_the_rest_of_the_flight(
     vehicle: Vehicle,
 ) -> None:
     flight = swinging(vehicle, 0.6)

@@ -60,7 +60,7 @@ def test_a_whole_flight_has_its_phases_in_order_and_no_leap_in_its_reference(veh
     assert np.max(steps) < 2.0 * Plan().speed * STEP
     turns = quaternion.angle_between(states[1:, 6:10], states[:-1, 6:10])
     assert np.max(turns) < 0.15
-    # it comes down where it took off, and goes on down until somebody finds the ground
+    # it descends where it took off, and without end: the landing detector ends it
     np.testing.assert_allclose(states[-1, 0:2], [0.5, -0.5], atol=1e-6)
     assert states[-1, 2] < 0.1
 

@@ -1,4 +1,4 @@
-"""A planted clock is recovered: offset, drift and jitter; what is not credible is left out, a reboot starts afresh."""
+"""A planted clock is recovered (offset, drift, jitter), implausible samples are rejected, a reboot is noticed."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_a_lasting_jump_restarts_the_filter_and_is_reported() -> None:
     assert exchange.error(linear(9.0, 0.0)) < 2e-3
 
 
-def test_a_reboot_starts_afresh_at_once() -> None:
+def test_a_reboot_restarts_the_filter_at_once() -> None:
     exchange = Exchange(0.001)
     exchange.run(5.0, linear(5000.0, 0.0))
     rebooted = linear(-100.0, 0.0)
@@ -138,7 +138,7 @@ def test_answers_out_of_order_are_ignored() -> None:
     assert clock.handle(11.0, 10.9, 51.0) == "out_of_order"
 
 
-def test_without_answers_the_vehicle_s_own_stamps_have_to_do() -> None:
+def test_without_answers_the_vehicle_s_own_stamps_are_used() -> None:
     clock, random = VehicleClock(), np.random.default_rng(1)
     for n in range(200):
         sent = 100.0 + 0.1 * n

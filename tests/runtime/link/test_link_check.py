@@ -98,7 +98,7 @@ def test_a_good_link_is_ready(port: int, vehicle: StreamingVehicle) -> None:
     assert report.acknowledgements_of_mode == 1
 
 
-def test_nothing_flies_and_the_streams_are_given_back(port: int, vehicle: StreamingVehicle) -> None:
+def test_nothing_flies_and_the_streams_are_reset_to_their_defaults(port: int, vehicle: StreamingVehicle) -> None:
     check(port)
     assert vehicle.count("SET_ATTITUDE_TARGET") == 0
     commands = [message for message in vehicle.received if message.get_type() == "COMMAND_LONG"]
