@@ -20,7 +20,7 @@ from dynamics.vehicle import Vehicle
 
 
 class Motion(Protocol):
-    """A motion, in time since its start, s."""
+    """A motion, in time since its start, s. The arrays are the caller's, which may change them."""
 
     @property
     def duration(self) -> float:

@@ -1,7 +1,7 @@
-"""A multirotor under an ideal rate loop, for flying the pure flight logic: what the flight tests share.
+"""A multirotor under an ideal rate loop, in lockstep with the flight logic: shared by the flight tests.
 
 Rigid body with first-order body rates and thrust, a ground to stand on, and a planted effectiveness; it arms and
-changes mode as told by requests, and its HEARTBEAT is what the observations say.
+changes mode on request, and the observations show its state without a HEARTBEAT's delay.
 """
 
 from __future__ import annotations
