@@ -18,7 +18,7 @@ from flights import filters
 from flights.log import Log, Origin, Stream
 from flights.quantities import MOTION, ROTORS
 
-GAP_PERIODS = 5.0  # of a stream's own period without a sample are a gap,
+GAP_PERIODS = 5.0  # times a stream's own period without a sample are a gap,
 MIN_GAP = 0.02  # s, but never less than this
 JITTER = 1e-3  # of the period, up to which equal clocks count as uniform and are left as they are
 MAX_RATE = 2000.0  # Hz

@@ -61,7 +61,7 @@ class Assembly:
 
         time: (n,) s.
         values: (n,) or (n, k), in our units and frames.
-        spare: goes behind all others.
+        spare: used only where no other source has the quantity.
 
         Raises DataError when the time stamps cannot be those of one recording.
         """

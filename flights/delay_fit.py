@@ -28,11 +28,11 @@ LAGS = (0.002, 0.25)  # s, limits of the search for lags
 EDGE = 0.5  # s at both ends of a segment that the filters' transients disturb
 BLOCK = 2.0  # s over which scores are summed
 MIN_BLOCKS = 4
-CALIBRATION = 1.1  # on the standard deviation
+CALIBRATION = 1.1  # factor on the standard deviation, by benchmarks/delay_estimation.py
 CONFIDENCE = 0.95
-STAMPS = 0.00015  # s, uncertainty of a sample's middle
+STAMPS = 0.00015  # s, uncertainty of the time to which a sample belongs
 ITERATIONS = 8
-DIFFERENCE = 1e-4  # s, for slopes by the delay
+DIFFERENCE = 1e-4  # s, for derivatives with respect to the delay
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ class FittedDelay:
     seconds, std: the estimate and its standard deviation.
     reach: half of the 95 % interval, s.
     compared: s of flight.
-    explained: share of the answer's variance.
+    explained: share of the answer's variance, 0 to 1.
     """
 
     seconds: float
@@ -160,7 +160,7 @@ def _band(values: Floats, rate: float, band: tuple[float, float]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class _Side:
-    """One answer (n,), its regressors (n, p + q), and their derivatives (n, p) by the delay."""
+    """One answer (n,), its regressors (n, p + q), and their derivatives (n, p) with respect to the delay."""
 
     answer: Floats
     columns: Floats

@@ -48,7 +48,8 @@ class Delay:
     low, high: 95 % interval, s.
     kind: an error of a clock, or the response to a command as a first-order lag or a pure delay.
     seconds_compared: length of the flight that was compared.
-    explained: share of the variance of the stream compared with.
+    std: standard deviation, s.
+    explained: share of the variance of the stream compared with, 0 to 1.
     """
 
     stream: str
@@ -85,10 +86,10 @@ def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[
     if frame is None:
         return ()
     attitude = _attitude(frame)
-    late = attitude.seconds if attitude is not None and attitude.is_known else 0.0
-    velocity = _velocity(frame, late)
-    later = velocity.seconds if velocity is not None and velocity.is_known else 0.0
-    delays = (attitude, velocity, _position(frame), *_rotors(frame, late, later))
+    attitude_late = attitude.seconds if attitude is not None and attitude.is_known else 0.0
+    velocity = _velocity(frame, attitude_late)
+    velocity_late = velocity.seconds if velocity is not None and velocity.is_known else 0.0
+    delays = (attitude, velocity, _position(frame), *_rotors(frame, attitude_late, velocity_late))
     return tuple(delay for delay in delays if delay is not None)
 
 
@@ -159,9 +160,11 @@ def _velocity(frame: _Frame, attitude_late: float) -> Delay | None:
     attitude = frame.get("attitude", late=attitude_late)
     if velocity is None or force is None or attitude is None:
         return None
-    felt = quaternion.rotate(attitude, force)
+    force_world = quaternion.rotate(attitude, force)
     band = frame.band("velocity", "attitude", "specific_force", band=VELOCITY_BAND)
-    return _compare(frame, filters.derivative(velocity, 1 / frame.rate), felt, "velocity", "specific_force", band)
+    return _compare(
+        frame, filters.derivative(velocity, 1 / frame.rate), force_world, "velocity", "specific_force", band
+    )
 
 
 def _position(frame: _Frame) -> Delay | None:

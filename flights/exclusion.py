@@ -1,4 +1,4 @@
-"""Segments that are not free flight: ground contact, impacts, crashes. Mask them before any fit.
+"""Segments that are not free flight (ground contact, impacts, crashes), to be masked before any fit.
 
 They are detected from what the log has: the land detector, effort of the rotors, specific force, motion. A log without
 rotors, accelerometer and motion has no exclusions.
@@ -89,7 +89,10 @@ def free_flight(flight: Flight, *, shortest: float = MIN_SEGMENT) -> tuple[Fligh
 
 
 def effort(flight: Flight) -> Floats | None:
-    """(n,) collective thrust over its usual value in flight, from rotor speeds or commands; None without any."""
+    """(n,) collective thrust over its usual value in flight, from rotor speeds or commands; None without any.
+
+    Thrust is taken for a power of each: of a speed the square, of a rotor command between linear and square.
+    """
     for name, power in (
         ("rotor_speed", 2.0), ("rotor_speed_command", 2.0), ("rotor_thrust_command", 1.0), ("rotor_command", 1.5),
         ("collective_thrust_command", 1.0), ("thrust_setpoint", 1.0),
@@ -156,7 +159,7 @@ class _Indicators:
         return carried | self._at_rest_on(carried, self.still())
 
     def _carried(self) -> Rows:
-        """Idle rotors, and yet no fall."""
+        """Rows in which the ground carries the vehicle: idle rotors without free fall."""
         idle, still = self.idle(), self.still()
         if idle is None:
             return np.zeros(self.count, dtype=bool)

@@ -38,7 +38,7 @@ def lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -
 
 
 def zero_phase(values: Floats, rate: float, cutoff: float, order: int = ORDER) -> Floats:
-    """The same without gaps, however short: scipy's sosfiltfilt without its preparations at every call.
+    """Zero-phase low-pass of values without gaps, of any length: scipy's sosfiltfilt with its preparations cached.
 
     values: (n, ...), finite. rate, cutoff: Hz. Raises RequestError for a cutoff that the rate does not reach.
     """
@@ -56,7 +56,7 @@ def zero_phase(values: Floats, rate: float, cutoff: float, order: int = ORDER) -
 
 
 def causal_lowpass(values: Floats, rate: float, cutoff: float, *, order: int = ORDER) -> Floats:
-    """The same Butterworth low-pass, forward only, as for a network in flight; settled at each segment's first value.
+    """Butterworth low-pass, forward only, as for a network in flight; settled at each segment's first value.
 
     values: (n,) or (n, k); NaN rows split it.
     rate, cutoff: Hz.

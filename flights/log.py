@@ -83,7 +83,7 @@ class Origin:
 
     source: topic or columns.
     rate: at which it was logged, Hz.
-    samples: as logged.
+    samples: their number, as logged.
     """
 
     source: str

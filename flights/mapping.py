@@ -13,6 +13,7 @@ import msgspec
 import numpy as np
 
 from dynamics.errors import RequestError
+from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
 from dynamics.vehicle_file import nearest, refuse_unknown_keys
 from flights.quantities import MAX_ROTORS, QUANTITIES
@@ -23,7 +24,7 @@ TIME_UNITS: Table[str, float] = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Factor from a unit to the quantity's own unit.
 UNITS: Table[str, float] = {
     "m": 1.0, "mm": 1e-3, "cm": 1e-2, "m/s": 1.0, "mm/s": 1e-3, "cm/s": 1e-2, "rad": 1.0, "deg": np.pi / 180,
-    "rad/s": 1.0, "deg/s": np.pi / 180, "m/s^2": 1.0, "g": GRAVITY, "N": 1.0, "N m": 1.0, "rpm": 2 * np.pi / 60,
+    "rad/s": 1.0, "deg/s": np.pi / 180, "m/s^2": 1.0, "g": GRAVITY, "N": 1.0, "N m": 1.0, "rpm": RPM,
     "V": 1.0, "mV": 1e-3, "A": 1.0, "mA": 1e-3, "1": 1.0, "0..1": 1.0, "%": 0.01, "0..65535": 1 / 65_535,
 }  # fmt: skip
 # Units that a mapping may name for each unit of a quantity.

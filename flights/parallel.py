@@ -55,7 +55,7 @@ def _in_processes(
 
 
 def end_with_parent() -> None:
-    """End this process with its parent: it would otherwise go on writing files that a resumed run takes over."""
+    """End this process with its parent: it would otherwise still write files that a resumed run takes over."""
     parent = multiprocessing.parent_process()
     assert parent is not None
 

@@ -54,11 +54,11 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
     contradictions = [
         _too_slow(first),
         _impossible_rates(first),
-        _rates_against_attitude(on_grid, grid),
+        _rates_against_attitude(on_grid),
         _gravity(on_grid),
-        _velocity_against_position(on_grid, grid),
-        _tilt_against_acceleration(on_grid, grid),
-        _force_against_acceleration(on_grid, grid),
+        _velocity_against_position(on_grid),
+        _tilt_against_acceleration(on_grid),
+        _force_against_acceleration(on_grid),
     ]
     return tuple(finding for finding in contradictions if finding is not None)
 
@@ -71,7 +71,7 @@ def _grid(streams: list[Stream]) -> Floats:
 
 
 def _too_slow(first: dict[str, Stream]) -> Contradiction | None:
-    """No log has its attitude or its gyro once a second: such a clock counts a shorter unit."""
+    """Attitude or gyro at the period of no flight log: the time is in a shorter unit than seconds."""
     for name, longest in _MAX_PERIOD.items():
         if name in first and longest < first[name].period < float("inf"):
             return Contradiction(
@@ -95,7 +95,7 @@ def _impossible_rates(first: dict[str, Stream]) -> Contradiction | None:
     )
 
 
-def _rates_against_attitude(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Body rates must be those by which the attitude turns, on every axis that turns."""
     if not {"attitude", "rate"} <= on_grid.keys():
         return None
@@ -155,7 +155,7 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
     return None
 
 
-def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | None:
     if not {"position", "velocity"} <= on_grid.keys():
         return None
     span = max(1, round(_SMOOTHING * _GRID_RATE))
@@ -176,7 +176,7 @@ def _velocity_against_position(on_grid: dict[str, Floats], grid: Floats) -> Cont
     return None
 
 
-def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+def _tilt_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Thrust acts along body z: a multirotor that tilts to the east accelerates east."""
     if not {"attitude", "velocity"} <= on_grid.keys():
         return None
@@ -194,7 +194,7 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Cont
     if agreement < _NO_AGREEMENT and exchanged > _AGREEMENT:
         return Contradiction(
             "attitude_frame",
-            f"the vehicle accelerates along x where its thrust leans along y (agreement {agreement:.2f}, exchanged "
+            f"the vehicle accelerates along x where its thrust tilts along y (agreement {agreement:.2f}, exchanged "
             f"{exchanged:.2f}): attitude and velocity are not in the same axes, as NED labelled as ENU. Wanted ENU and "
             "FLU; convert them, or give a column mapping.",
         )
@@ -207,23 +207,23 @@ def _tilt_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Cont
     )
 
 
-def _force_against_acceleration(on_grid: dict[str, Floats], grid: Floats) -> Contradiction | None:
+def _force_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | None:
     """Vertical acceleration agrees between accelerometer and velocity."""
     if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
         return None
     span = max(1, round(_SMOOTHING * _GRID_RATE))
     climb = on_grid["velocity"][:, 2:]
     acceleration = (climb[span:] - climb[:-span]) / (span / _GRID_RATE)
-    felt = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY, span)
-    valid = np.isfinite(acceleration[:, 0]) & np.isfinite(felt[:, 0])
+    measured = _mean(quaternion.rotate(on_grid["attitude"], on_grid["specific_force"])[:, 2:] - GRAVITY, span)
+    valid = np.isfinite(acceleration[:, 0]) & np.isfinite(measured[:, 0])
     if np.count_nonzero(valid) < 50:
         return None
-    a, b = acceleration[valid], felt[valid] - np.median(felt[valid])
+    a, b = acceleration[valid], measured[valid] - np.median(measured[valid])
     if min(_rms(a), _rms(b)) < _MIN_ACCELERATION or _agreement(a, b) > -_AGREEMENT:
         return None
     return Contradiction(
         "velocity_frame",
-        f"the velocity along z falls when the accelerometer feels the vehicle rise (agreement {_agreement(a, b):.2f}): "
+        f"the velocity along z falls while the specific force exceeds gravity (agreement {_agreement(a, b):.2f}): "
         "position and velocity are NED labelled as ENU. Wanted z up; convert them, or give a column mapping.",
     )
 

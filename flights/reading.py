@@ -63,7 +63,7 @@ def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
         name = _format_name(source)
-        return _judge(source, name, sha256(path), _read(source, name))
+        return _checked_log(source, name, sha256(path), _read(source, name))
 
 
 def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
@@ -84,7 +84,7 @@ def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None 
         while True:
             chunk = _read(replace(source, span=span), name) if content is None else _cut(content, span)
             if chunk.streams or not (span.start or span.more):
-                yield _judge(source, name, digest, chunk)
+                yield _checked_log(source, name, digest, chunk)
             if not span.more:
                 return
             span = span.next(seconds)
@@ -119,7 +119,7 @@ def _cut(content: LogContent, span: TimeSpan) -> LogContent:
     return replace(content, streams=streams, start=content.start + start)
 
 
-def _judge(source: Source, name: str, digest: str, content: LogContent) -> Log:
+def _checked_log(source: Source, name: str, digest: str, content: LogContent) -> Log:
     """The log of a file's content. Raises DataError when it is empty or contradicts its units and frames."""
     form, path = FORMATS[name], source.path
     if not content.streams:
@@ -183,4 +183,5 @@ def logs_below(root: Path) -> Iterator[Path]:
 
 
 def _naming(path: Path, text: str) -> str:
+    """An error's text, with the path in front where it does not name it."""
     return text if str(path) in text else f"{path}: {text}"

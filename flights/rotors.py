@@ -8,6 +8,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.excitation import COMMAND
 from dynamics.vehicle import Rotors, Vehicle
 from flights.flight import Flight
 from flights.quality.advice import faster_rotors
@@ -16,8 +17,7 @@ from flights.quality.inspection import MIN_ROTOR_RATE
 RotorSource = Literal["measured", "speed_command", "command"]  # commanded speeds are taken as reached
 SOURCES: dict[str, RotorSource] = {"rotor_speed": "measured", "rotor_speed_command": "speed_command"}
 
-COMMANDS = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
-QUANTITIES = ("rotor_speed", *COMMANDS)
+QUANTITIES = ("rotor_speed", *COMMAND)
 
 
 def rotor_speeds(
@@ -27,10 +27,10 @@ def rotor_speeds(
 
     prefer: "command" takes commands first, for models whose inputs are commands.
 
-    Raises DataError when there are neither, or none is logged fast enough.
+    Raises DataError when there are neither, none is logged fast enough, or their number is not the vehicle file's.
     """
     name, count, slow = flight.provenance.path, vehicle.rotors.count, []
-    for quantity in QUANTITIES if prefer == "measured" else (*COMMANDS, "rotor_speed"):
+    for quantity in QUANTITIES if prefer == "measured" else (*COMMAND, "rotor_speed"):
         if not flight.has(quantity):
             continue
         origin = flight.origins.get(quantity)

@@ -18,7 +18,7 @@ STUCK_TIME = 10.0  # s for which a moving quantity may keep a value
 STUCK_BATTERY = 20.0  # s of flight in which any battery's reading moves
 MAX_REPEATS = 0.4  # share of samples that equal the one before
 CLIPPED = 0.01  # share of samples that lie exactly at the extreme
-MIN_CLIPPED = 5  # samples in a row
+MIN_CLIPPED = 5  # consecutive samples
 
 
 class Channel(msgspec.Struct, frozen=True):
@@ -160,7 +160,7 @@ def _clipping(stream: Stream, values: Floats) -> list[Finding]:
         if not len(finite) or np.ptp(finite) == 0.0:
             continue
         for extreme in (finite.max(), finite.min()):
-            share = _share_in_rows(finite == extreme)
+            share = _share_in_runs(finite == extreme)
             if share > CLIPPED and (extreme != 0.0 or stream.name not in ROTORS):
                 text = f"{name} stays at {extreme:.6g} {stream.unit} for {share:.1%} of the flight"
                 slower = "fly slower or lighter: at its limit a channel has no information about the model"
@@ -169,7 +169,7 @@ def _clipping(stream: Stream, values: Floats) -> list[Finding]:
     return findings
 
 
-def _share_in_rows(at_extreme: np.ndarray) -> float:
+def _share_in_runs(at_extreme: np.ndarray) -> float:
     """Share of samples in runs of several at the extreme."""
     edges = np.flatnonzero(np.diff(np.concatenate([[0], at_extreme.astype(np.int8), [0]]))).reshape(-1, 2)
     lengths = edges[:, 1] - edges[:, 0]

@@ -15,7 +15,7 @@ from flights.exclusion import effort
 from flights.flight import Flight
 
 SMOOTHING = 8.0  # Hz, as in the equation-error regression
-LOW = 0.5  # m above the ground, where it may act
+LOW = 0.5  # m above the ground, where ground effect may act
 SPEED_EDGES = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 15.0)  # m/s
 EFFORT_EDGES = (0.0, 0.4, 0.7, 0.9, 1.1, 1.3, 1.6, 2.0, 4.0)  # of the usual thrust
 RATE_EDGES = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)  # rad/s
@@ -121,19 +121,19 @@ def _segment_signals(segment: Flight) -> dict[str, Floats]:
         signals["tilt"] = np.arccos(np.clip(upward, -1.0, 1.0))
         signals["yaw"] = quaternion.to_euler(segment["attitude"])[..., 2]
     if segment.has("rate"):
-        rate, turning = segment["rate"], _smooth_slope(segment, segment["rate"])
+        rate, angular_acceleration = segment["rate"], _smooth_slope(segment, segment["rate"])
         for axis, name in enumerate(("roll", "pitch", "yaw")):
-            signals[f"{name}_rate"], signals[f"{name}_acceleration"] = rate[:, axis], turning[:, axis]
+            signals[f"{name}_rate"], signals[f"{name}_acceleration"] = rate[:, axis], angular_acceleration[:, axis]
         signals["tilting_rate"] = np.hypot(rate[:, 0], rate[:, 1])
-        signals["tilting_acceleration"] = np.hypot(turning[:, 0], turning[:, 1])
+        signals["tilting_acceleration"] = np.hypot(angular_acceleration[:, 0], angular_acceleration[:, 1])
         signals["turning"] = np.linalg.norm(rate, axis=1)
     if segment.has("position"):
         signals["height"] = segment["position"][:, 2]
     if "battery_voltage" in segment.columns:
         signals["voltage"] = segment["battery_voltage"]
-    pushed = effort(segment)
-    if pushed is not None:
-        signals["effort"] = pushed
+    thrust = effort(segment)
+    if thrust is not None:
+        signals["effort"] = thrust
     return signals
 
 

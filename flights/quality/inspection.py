@@ -41,9 +41,9 @@ class Inspection(msgspec.Struct, frozen=True):
 
     verdict: unusable when the data identifies no effect.
     sentence: the verdict with its reason.
-    duration: of the log.
-    free_flight: sum of the segments.
-    segments: of free flight, start and end.
+    duration: of the log, s.
+    free_flight: sum of the segments, s.
+    segments: of free flight, start and end, s.
     exclusions: segments that are not free flight.
     delays: of streams and of responses.
     excitation, coverage: how much the flight moves, and where its time was spent.

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.excitation import COMMAND
 from flights.filters import runs
 from flights.flight import Flight
 from flights.quality.findings import Finding
@@ -15,15 +16,13 @@ FAR_OFF = 0.8  # of the peers' speed; with a rotor slower than that no quadrotor
 NEAR = 0.85  # of the peers' command, above which the rotor's command is usual
 DEAD_TIME = 0.5  # s without turning in flight
 
-COMMANDS = ("rotor_speed_command", "rotor_thrust_command", "rotor_command")
-
 
 def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
     """Speeds of single rotors that cannot be true. segments: of free flight."""
     if not segments or not segments[0].has("rotor_speed"):
         return []
     speed = np.concatenate([segment["rotor_speed"] for segment in segments])
-    command = next((np.concatenate([p[name] for p in segments]) for name in COMMANDS if segments[0].has(name)), None)
+    command = next((np.concatenate([p[name] for p in segments]) for name in COMMAND if segments[0].has(name)), None)
     speed_share = _share_of_peers(speed)
     command_share = None if command is None or command.shape != speed.shape else _share_of_peers(command)
     findings = []

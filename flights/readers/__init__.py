@@ -1,1 +1,1 @@
-"""One reader a format: `matches` tells it by its content, `read` makes streams in our units and frames of it."""
+"""One reader a format: `matches` recognises its content, `read` converts it to streams in our units and frames."""

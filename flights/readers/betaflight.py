@@ -1,6 +1,6 @@
 """Betaflight blackbox logs: recognised, and refused with the tool that converts them.
 
-No maintained parser can be installed (orangebox 0.5 is refused by current installers), and the format's predictors are
+No maintained parser can be installed (pip refuses orangebox 0.5), and the format's predictors are
 too many for one of our own.
 """
 

@@ -20,6 +20,7 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.frames import quaternion_from_xyzw
+from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY
 from flights.assembly import Assembly
 from flights.log import LogContent
@@ -271,7 +272,7 @@ _STREAMS: tuple[tuple[str, tuple[str, ...], Callable[[Floats], Floats]], ...] = 
     ("roll", ("stateEstimate.roll",), _scaled(_DEGREE)),
     ("pitch", ("stateEstimate.pitch",), _scaled(-_DEGREE)),
     ("yaw", ("stateEstimate.yaw",), _scaled(_DEGREE)),
-    ("rotor_speed", _group("rpm", *_ROTORS), _scaled(2 * np.pi / 60)),
+    ("rotor_speed", _group("rpm", *_ROTORS), _scaled(RPM)),
     ("rotor_command", _group("motor", *_ROTORS), _scaled(1 / _FULL_COMMAND)),
     ("rotor_command", tuple(f"pwm.{rotor}_pwm" for rotor in _ROTORS), _scaled(1 / _FULL_COMMAND)),
     ("battery_voltage", ("pm.vbat",), _scaled(1.0)),

@@ -100,7 +100,7 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
         if quantity is not None:
             grouped.setdefault(quantity.name, []).append(name)
         elif name not in (TIME, ""):
-            assembly.note(f"column {name!r} is none of a flight and is left out{nearest(name, known_columns())}")
+            assembly.note(f"column {name!r} is no column of a flight and is left out{nearest(name, known_columns())}")
     for name in QUANTITIES:
         if name not in grouped:
             continue

@@ -14,6 +14,7 @@ from pymavlink.DFReader import DFReader_binary
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.units import RPM
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.readers.px4_rotors import QUAD_X, in_our_order
@@ -164,4 +165,4 @@ def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapp
         time = assembly.seconds(np.array(speeds[0].stamps)[:count], 1_000_000)
         rpm = np.stack([speeds[esc].table[:count, 0] for esc in sorted(speeds)], axis=1)
         assembly.note("the ESCs report one after the other: their speeds share the first one's time stamps")
-        assembly.add("rotor_speed", time, in_our_order(rpm * (2 * np.pi / 60), order), "ESC")
+        assembly.add("rotor_speed", time, in_our_order(rpm * RPM, order), "ESC")

@@ -11,6 +11,7 @@ from pymavlink.dialects.v20 import development as mavlink
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
+from dynamics.units import RPM
 from flights.assembly import Assembly
 from flights.readers.px4_rotors import QUAD_X, QUADROTOR, commands_of_pulses, in_our_order, join_groups
 
@@ -106,115 +107,115 @@ def _stamps(fields: NDArray[np.void]) -> NDArray[np.int64] | None:
     return None
 
 
-def _odometry(assembly: Assembly, got: Received) -> None:
-    supported = got["frame_id"] == mavlink.MAV_FRAME_LOCAL_NED
-    child = got["child_frame_id"]
+def _odometry(assembly: Assembly, rows: Received) -> None:
+    supported = rows["frame_id"] == mavlink.MAV_FRAME_LOCAL_NED
+    child = rows["child_frame_id"]
     in_world, in_body = child == mavlink.MAV_FRAME_LOCAL_NED, child == mavlink.MAV_FRAME_BODY_FRD
     if not (supported & (in_world | in_body)).all():
         count = np.count_nonzero(~(supported & (in_world | in_body)))
         assembly.repair("unknown_frame", f"{count} ODOMETRY messages in frames other than NED and FRD dropped")
         keep = supported & (in_world | in_body)
-        got, in_body = Received(got.time[keep], got.fields[keep]), in_body[keep]
-    attitude = frames.attitude_enu_flu(got["q"])
-    velocity_sent = got.stack("vx", "vy", "vz")
+        rows, in_body = Received(rows.time[keep], rows.fields[keep]), in_body[keep]
+    attitude = frames.attitude_enu_flu(rows["q"])
+    velocity_sent = rows.stack("vx", "vy", "vz")
     velocity = frames.enu_from_ned(velocity_sent)
     if in_body.any():
         velocity = np.where(in_body[:, None], quaternion.rotate(attitude, frames.flu_from_frd(velocity_sent)), velocity)
-    assembly.add("position", got.time, frames.enu_from_ned(got.stack("x", "y", "z")), "ODOMETRY")
-    assembly.add("velocity", got.time, velocity, "ODOMETRY")
-    assembly.add("attitude", got.time, attitude, "ODOMETRY")
-    rate = frames.flu_from_frd(got.stack("rollspeed", "pitchspeed", "yawspeed"))
-    assembly.add("rate", got.time, rate, "ODOMETRY")
-    assembly.add("reset_counter", got.time, got["reset_counter"], "ODOMETRY")
+    assembly.add("position", rows.time, frames.enu_from_ned(rows.stack("x", "y", "z")), "ODOMETRY")
+    assembly.add("velocity", rows.time, velocity, "ODOMETRY")
+    assembly.add("attitude", rows.time, attitude, "ODOMETRY")
+    rate = frames.flu_from_frd(rows.stack("rollspeed", "pitchspeed", "yawspeed"))
+    assembly.add("rate", rows.time, rate, "ODOMETRY")
+    assembly.add("reset_counter", rows.time, rows["reset_counter"], "ODOMETRY")
 
 
-def _local_position(assembly: Assembly, got: Received) -> None:
-    assembly.add("position", got.time, frames.enu_from_ned(got.stack("x", "y", "z")), "LOCAL_POSITION_NED")
-    assembly.add("velocity", got.time, frames.enu_from_ned(got.stack("vx", "vy", "vz")), "LOCAL_POSITION_NED")
+def _local_position(assembly: Assembly, rows: Received) -> None:
+    assembly.add("position", rows.time, frames.enu_from_ned(rows.stack("x", "y", "z")), "LOCAL_POSITION_NED")
+    assembly.add("velocity", rows.time, frames.enu_from_ned(rows.stack("vx", "vy", "vz")), "LOCAL_POSITION_NED")
 
 
-def _attitude_quaternion(assembly: Assembly, got: Received) -> None:
-    attitude = frames.attitude_enu_flu(got.stack("q1", "q2", "q3", "q4"))
-    assembly.add("attitude", got.time, attitude, "ATTITUDE_QUATERNION")
-    rate = frames.flu_from_frd(got.stack("rollspeed", "pitchspeed", "yawspeed"))
-    assembly.add("rate", got.time, rate, "ATTITUDE_QUATERNION")
+def _attitude_quaternion(assembly: Assembly, rows: Received) -> None:
+    attitude = frames.attitude_enu_flu(rows.stack("q1", "q2", "q3", "q4"))
+    assembly.add("attitude", rows.time, attitude, "ATTITUDE_QUATERNION")
+    rate = frames.flu_from_frd(rows.stack("rollspeed", "pitchspeed", "yawspeed"))
+    assembly.add("rate", rows.time, rate, "ATTITUDE_QUATERNION")
 
 
-def _attitude(assembly: Assembly, got: Received) -> None:
-    attitude = frames.attitude_enu_flu(quaternion.from_euler(got["roll"], got["pitch"], got["yaw"]))
-    assembly.add("attitude", got.time, attitude, "ATTITUDE")
-    rate = frames.flu_from_frd(got.stack("rollspeed", "pitchspeed", "yawspeed"))
-    assembly.add("rate", got.time, rate, "ATTITUDE")
+def _attitude(assembly: Assembly, rows: Received) -> None:
+    attitude = frames.attitude_enu_flu(quaternion.from_euler(rows["roll"], rows["pitch"], rows["yaw"]))
+    assembly.add("attitude", rows.time, attitude, "ATTITUDE")
+    rate = frames.flu_from_frd(rows.stack("rollspeed", "pitchspeed", "yawspeed"))
+    assembly.add("rate", rows.time, rate, "ATTITUDE")
 
 
-def _highres_imu(assembly: Assembly, got: Received) -> None:
-    force = frames.flu_from_frd(got.stack("xacc", "yacc", "zacc"))
-    assembly.add("specific_force", got.time, force, "HIGHRES_IMU")
-    assembly.add("rate", got.time, frames.flu_from_frd(got.stack("xgyro", "ygyro", "zgyro")), "HIGHRES_IMU")
+def _highres_imu(assembly: Assembly, rows: Received) -> None:
+    force = frames.flu_from_frd(rows.stack("xacc", "yacc", "zacc"))
+    assembly.add("specific_force", rows.time, force, "HIGHRES_IMU")
+    assembly.add("rate", rows.time, frames.flu_from_frd(rows.stack("xgyro", "ygyro", "zgyro")), "HIGHRES_IMU")
 
 
-def _servo_output(assembly: Assembly, got: Received) -> None:
-    pulses = got.stack(*(f"servo{motor}_raw" for motor in range(1, 9)))
+def _servo_output(assembly: Assembly, rows: Received) -> None:
+    pulses = rows.stack(*(f"servo{motor}_raw" for motor in range(1, 9)))
     command, note = commands_of_pulses(pulses)
     assembly.note(note)
     if command.shape[1]:
-        assembly.add("rotor_command", got.time, command, "SERVO_OUTPUT_RAW")
+        assembly.add("rotor_command", rows.time, command, "SERVO_OUTPUT_RAW")
 
 
-def _esc_status(assembly: Assembly, got: Received) -> None:
-    time, rpm = join_groups(got.time, got["index"], np.abs(got["rpm"]))
+def _esc_status(assembly: Assembly, rows: Received) -> None:
+    time, rpm = join_groups(rows.time, rows["index"], np.abs(rows["rpm"]))
     order = QUAD_X if rpm.shape[1] == len(QUAD_X) else None
     assembly.note(
         "rotor speeds are ESC_STATUS's, ESC n taken for motor n"
         + (" and put in our order as PX4's quad x" if order else f", {rpm.shape[1]} motors left in their order")
     )
-    assembly.add("rotor_speed", time, in_our_order(rpm * (2 * np.pi / 60), order), "ESC_STATUS")
+    assembly.add("rotor_speed", time, in_our_order(rpm * RPM, order), "ESC_STATUS")
 
 
-def _sys_status(assembly: Assembly, got: Received) -> None:
-    voltage = got["voltage_battery"]
-    assembly.add("battery_voltage", got.time, np.where(voltage == 65_535, np.nan, voltage * 1e-3), "SYS_STATUS")
-    current = got["current_battery"]
-    assembly.add("battery_current", got.time, np.where(current < 0, np.nan, current * 1e-2), "SYS_STATUS")
+def _sys_status(assembly: Assembly, rows: Received) -> None:
+    voltage = rows["voltage_battery"]
+    assembly.add("battery_voltage", rows.time, np.where(voltage == 65_535, np.nan, voltage * 1e-3), "SYS_STATUS")
+    current = rows["current_battery"]
+    assembly.add("battery_current", rows.time, np.where(current < 0, np.nan, current * 1e-2), "SYS_STATUS")
 
 
-def _heartbeat(assembly: Assembly, got: Received) -> None:
-    armed = (got.fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) != 0
-    assembly.add("armed", got.time, armed, "HEARTBEAT")
-    kind = int(got.fields["type"][0])
+def _heartbeat(assembly: Assembly, rows: Received) -> None:
+    armed = (rows.fields["base_mode"] & mavlink.MAV_MODE_FLAG_SAFETY_ARMED) != 0
+    assembly.add("armed", rows.time, armed, "HEARTBEAT")
+    kind = int(rows.fields["type"][0])
     assembly.metadata["vehicle_type"] = str(kind)
     if kind != QUADROTOR:
         assembly.note(f"the vehicle is of MAV_TYPE {kind}, no quadrotor: its rotors are in no order of ours")
 
 
-def _extended_state(assembly: Assembly, got: Received) -> None:
-    state = got["landed_state"]
+def _extended_state(assembly: Assembly, rows: Received) -> None:
+    state = rows["landed_state"]
     landed = np.where(state == 0, np.nan, state == mavlink.MAV_LANDED_STATE_ON_GROUND)
-    assembly.add("landed", got.time, landed, "EXTENDED_SYS_STATE")
+    assembly.add("landed", rows.time, landed, "EXTENDED_SYS_STATE")
 
 
 def _attitude_target(source: str) -> Callable[[Assembly, Received], None]:
-    def convert(assembly: Assembly, got: Received) -> None:
-        mask = got.fields["type_mask"].astype(int)
-        attitude = np.where((mask & _IGNORE_ATTITUDE)[:, None] != 0, np.nan, frames.attitude_enu_flu(got["q"]))
-        rate = frames.flu_from_frd(got.stack("body_roll_rate", "body_pitch_rate", "body_yaw_rate"))
+    def convert(assembly: Assembly, rows: Received) -> None:
+        mask = rows.fields["type_mask"].astype(int)
+        attitude = np.where((mask & _IGNORE_ATTITUDE)[:, None] != 0, np.nan, frames.attitude_enu_flu(rows["q"]))
+        rate = frames.flu_from_frd(rows.stack("body_roll_rate", "body_pitch_rate", "body_yaw_rate"))
         rate = np.where((mask & _IGNORE_ROLL_PITCH_YAW_RATE)[:, None] != 0, np.nan, rate)
-        thrust = np.where((mask & _IGNORE_THRUST) != 0, np.nan, got["thrust"])
-        assembly.add("attitude_setpoint", got.time, attitude, source)
-        assembly.add("rate_setpoint", got.time, rate, source)
-        assembly.add("thrust_setpoint", got.time, thrust, source)
+        thrust = np.where((mask & _IGNORE_THRUST) != 0, np.nan, rows["thrust"])
+        assembly.add("attitude_setpoint", rows.time, attitude, source)
+        assembly.add("rate_setpoint", rows.time, rate, source)
+        assembly.add("thrust_setpoint", rows.time, thrust, source)
 
     return convert
 
 
 def _position_target(source: str) -> Callable[[Assembly, Received], None]:
-    def convert(assembly: Assembly, got: Received) -> None:
-        mask = got.fields["type_mask"].astype(int)
-        position = frames.enu_from_ned(got.stack("x", "y", "z"))
-        velocity = frames.enu_from_ned(got.stack("vx", "vy", "vz"))
+    def convert(assembly: Assembly, rows: Received) -> None:
+        mask = rows.fields["type_mask"].astype(int)
+        position = frames.enu_from_ned(rows.stack("x", "y", "z"))
+        velocity = frames.enu_from_ned(rows.stack("vx", "vy", "vz"))
         no_position, no_velocity = (mask & _IGNORE_POSITION) != 0, (mask & _IGNORE_VELOCITY) != 0
-        assembly.add("position_setpoint", got.time, np.where(no_position[:, None], np.nan, position), source)
-        assembly.add("velocity_setpoint", got.time, np.where(no_velocity[:, None], np.nan, velocity), source)
+        assembly.add("position_setpoint", rows.time, np.where(no_position[:, None], np.nan, position), source)
+        assembly.add("velocity_setpoint", rows.time, np.where(no_velocity[:, None], np.nan, velocity), source)
 
     return convert
 

@@ -223,4 +223,4 @@ def _parts(source: Source, topics: Mapping[int, str], metadata: Mapping[str, str
                         return
                 place = stream.tell()
         except (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError):
-            return  # the last two from a length that is damage
+            return  # OverflowError and MemoryError: a damaged length field

@@ -11,12 +11,12 @@ import numpy as np
 
 from dynamics import frames
 from dynamics.arrays import Floats
+from dynamics.units import RPM
 from flights.assembly import MAX_VALUE, Assembly
 from flights.velocity_frame import velocity_world
 
 Message = Any  # an instance of a class that rosbags makes of a message's definition
 
-_RPM = 2 * np.pi / 60
 _ROTOR_FIELD = re.compile(r"rpm_?(\d+)$")
 _ON_GROUND = 1  # mavros_msgs/ExtendedState
 _MAVROS_IGNORE_ATTITUDE, _MAVROS_IGNORE_RATES = 128, 7
@@ -68,7 +68,7 @@ class Samples:
         values[~(np.abs(values) < MAX_VALUE)] = np.nan  # before anything is computed with damage
         converter = CONVERTERS.get(self.kind)
         if converter is None:
-            assembly.add("rotor_speed", time, np.abs(values) * _RPM, topic)
+            assembly.add("rotor_speed", time, np.abs(values) * RPM, topic)
             return
         converter[1](assembly, TopicRows(topic, time, values, frozenset(self.frames), is_paper))
 
@@ -119,9 +119,9 @@ def _odometry(assembly: Assembly, rows: TopicRows) -> None:
     if rows.is_paper:
         assembly.add("velocity", rows.time, velocity, rows.topic)
     else:
-        judged = velocity_world(rows.time, position, attitude, velocity)
-        assembly.note(f"{rows.topic}: the velocity is in {judged.frame} ({judged.reason})")
-        assembly.add("velocity", rows.time, judged.velocity, rows.topic)
+        in_world = velocity_world(rows.time, position, attitude, velocity)
+        assembly.note(f"{rows.topic}: the velocity is in {in_world.frame} ({in_world.reason})")
+        assembly.add("velocity", rows.time, in_world.velocity, rows.topic)
     if np.ptp(rate, axis=0).max() > 0:  # mocap often leaves it zero
         assembly.add("rate", rows.time, rate, rows.topic, spare=True)  # a gyroscope's are better
 
@@ -166,8 +166,8 @@ def _of_transform(m: Message) -> Iterable[float]:
 
 
 def _pose(assembly: Assembly, rows: TopicRows) -> None:
-    prefix = "setpoint" in rows.topic or "command" in rows.topic
-    names = ("position_setpoint", "attitude_setpoint") if prefix else ("position", "attitude")
+    is_setpoint = "setpoint" in rows.topic or "command" in rows.topic
+    names = ("position_setpoint", "attitude_setpoint") if is_setpoint else ("position", "attitude")
     assembly.add(names[0], rows.time, rows.values[:, :3], rows.topic)
     assembly.add(names[1], rows.time, rows.values[:, 3:], rows.topic)
 
@@ -236,7 +236,7 @@ def _actuators(assembly: Assembly, rows: TopicRows) -> None:
 
 
 def _of_esc(m: Message) -> Iterable[float]:
-    return [abs(esc.rpm) * _RPM for esc in (m.esc_telemetry if hasattr(m, "esc_telemetry") else m.esc_status)]
+    return [abs(esc.rpm) * RPM for esc in (m.esc_telemetry if hasattr(m, "esc_telemetry") else m.esc_status)]
 
 
 def _esc(assembly: Assembly, rows: TopicRows) -> None:

@@ -124,7 +124,7 @@ def _vehicle(
 ) -> tuple[int, int] | None:
     """The vehicle's address: the first autopilot's, or else that of the sender of most messages."""
     if len(autopilots) > 1:
-        assembly.note(f"{len(autopilots)} vehicles are on this link; read is the first, system {autopilots[0][0]}")
+        assembly.note(f"{len(autopilots)} vehicles are on this link; the first, system {autopilots[0][0]}, is read")
     if autopilots or not collected:
         return autopilots[0] if autopilots else None
     sender = max(collected, key=lambda one: sum(len(kind.arrivals) for kind in collected[one].values()))

@@ -84,7 +84,7 @@ def _parse(source: Source, assembly: Assembly) -> ULog:
             log = ULog(stream, message_name_filter_list=list(_TOPICS))
     except (ULogException, AttributeError, KeyError, IndexError, TypeError, ValueError, OSError) as error:
         raise DataError(f"this ULog cannot be read: {error}. Its header is cut off or damaged.") from None
-    if log.file_corruption or "orrupt" in printed.getvalue():
+    if log.file_corruption or "corrupt" in printed.getvalue().lower():
         assembly.repair("damaged_messages", "parts of the ULog are damaged; read around them")
     if _is_torn(source.file):
         assembly.repair("torn_end", "the ULog ends within a message; read up to there")

@@ -7,6 +7,7 @@ import re
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.units import RPM
 from flights.assembly import Assembly
 from flights.readers.px4_rotors import (
     FIRST_MOTOR_FUNCTION,
@@ -68,7 +69,7 @@ def _esc_speeds(assembly: Assembly, topics: Topics) -> tuple[Topic, Floats] | No
         assembly.note(f"esc_status has the motors {sorted(motors)} only, so its speeds are left out")
         return None
     rpm = np.stack([np.abs(topic[f"esc[{motors[motor]}].esc_rpm"]) for motor in range(len(motors))], axis=1)
-    return topic, rpm * (2 * np.pi / 60)
+    return topic, rpm * RPM
 
 
 def _function(topic: Topic, esc: int) -> int:
