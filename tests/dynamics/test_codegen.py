@@ -1,4 +1,4 @@
-"""Compiled code: the same numbers as interpreted, compiled once, and clear words when it cannot be."""
+"""Compiled code: the same numbers as interpreted, compiled once, and a message with advice when it cannot be."""
 
 import multiprocessing
 import os
@@ -85,7 +85,7 @@ def test_inputs_keep_their_values_and_arrays_between_calls(cache):
     assert out[0] == 4.0
 
 
-def test_the_same_code_is_compiled_once_and_other_code_anew(cache, compilations):
+def test_the_same_code_is_compiled_once_and_other_code_again(cache, compilations):
     for _ in range(2):
         assert_allclose(compile_functions([square_plus()])["square_plus"](x=[1, 2, 3])["y"], [2, 5, 10])
     assert compilations() == 1
@@ -121,7 +121,7 @@ def test_processes_that_compile_at_the_same_time_share_one_compilation(cache, co
     assert compilations() == 1
 
 
-def test_without_a_compiler_it_says_which_to_install(cache, tmp_path, monkeypatch):
+def test_without_a_compiler_the_message_names_one_to_install(cache, tmp_path, monkeypatch):
     monkeypatch.delenv("CC", raising=False)
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(RequestError, match=r"no C compiler was found.*Install one"):
@@ -147,7 +147,7 @@ def test_sparse_outputs_are_refused_because_they_would_be_read_as_dense(cache):
         compile_functions([ca.Function("diagonal", [x], [ca.diag(x)], ["x"], ["d"])])
 
 
-def test_the_cache_lies_where_the_environment_says(monkeypatch):
+def test_the_cache_lies_in_the_environments_folder(monkeypatch):
     monkeypatch.setenv("ALULA_CACHE", "/a")
     assert cache_folder() == Path("/a")
     monkeypatch.delenv("ALULA_CACHE")

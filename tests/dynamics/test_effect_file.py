@@ -18,7 +18,7 @@ from dynamics.vehicle import EffectUse
 EXAMPLE = Path(__file__).parents[2] / "examples" / "my_effects.py"
 
 
-def test_the_documented_example_pulls_as_it_says(arpl_250g):
+def test_the_documented_example_has_the_force_of_its_formula(arpl_250g):
     catalogue = with_effects_of([EXAMPLE], arpl_250g)
     model = build_model(arpl_250g, effects=[EffectUse("tether", {"stiffness": 0.5})], catalogue=catalogue)
     state = np.array([2.0, -1.0, 1, 0, 0, 0, 1.0, 0, 0, 0, 0, 0, 0])

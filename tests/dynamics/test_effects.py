@@ -139,7 +139,7 @@ def centre_of_mass(now, p):
 
 
 def battery_sag(now, p):
-    return summed(now, upwards(2 * p["gain"] * (now.environment[1] - 1) * now.thrusts))
+    return summed(now, upwards(2 * p["gain"] * (now.environment[1] / p["reference"] - 1) * now.thrusts))
 
 
 def linear_drag(now, p):
@@ -202,7 +202,7 @@ EXPECTED = {
     "thrust_constant": (thrust_constant, {"ratio": 0.9}),
     "weak_rotor": (weak_rotor, {"loss": 0.15}),
     "centre_of_mass": (centre_of_mass, {"x": 0.01, "y": -0.004, "z": 0.002}),
-    "battery_sag": (battery_sag, {"gain": 0.7}),
+    "battery_sag": (battery_sag, {"gain": 0.7, "reference": 0.95}),
     "linear_drag": (linear_drag, {"coefficient": 0.06}),
     "rotational_damping": (rotational_damping, {"coefficient": 4e-4}),
     "wall_effect": (wall_effect, {"gain": -0.1, "heading": 0.7, "distance": 2.0, "scale": 0.5}),
@@ -384,7 +384,7 @@ def test_a_sensors_fault_changes_its_reading_and_no_motion(arpl_250g, name):
 
 
 def reading(vehicle, *uses):
-    """What the sensors make of a specific force, a body rate and rotor speeds, and the pose's age."""
+    """The sensors' readings of a specific force, a body rate and rotor speeds, and the pose's age."""
     model = build_model(vehicle, effects=uses)
     read = model.measure([1, 2, 3], [4, 5, 6], [700, 800, 900, 1000], model.parameter_values)
     return [np.array(value).ravel() for value in read[:3]] + [float(read[3])]

@@ -23,6 +23,6 @@ def test_a_full_disk_leaves_the_old_file_and_no_torn_one(tmp_path: Path) -> None
     assert [(file.name, file.read_text()) for file in tmp_path.iterdir()] == [("page.html", "old")]
 
 
-def test_a_folder_that_is_not_there_is_told(tmp_path: Path) -> None:
+def test_a_folder_that_is_not_there_is_named(tmp_path: Path) -> None:
     with pytest.raises(RequestError, match=r"cannot write .*: No such file or directory. Make it."):
         write_whole(tmp_path / "none" / "x", lambda part: part.write_text(""), advice="Make it.")

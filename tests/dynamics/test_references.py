@@ -53,7 +53,7 @@ def test_every_derivative_is_the_slope_of_the_one_before(text: str) -> None:
 
 @settings(max_examples=25)
 @given(text=shapes)
-def test_the_textbook_model_follows_a_reference_with_its_own_inputs(text: str) -> None:
+def test_the_nominal_model_follows_a_reference_with_its_own_inputs(text: str) -> None:
     reference = named_reference(text, VEHICLE)
     model = build_model(VEHICLE)
     times = interior(reference, 12)
@@ -75,8 +75,8 @@ def test_rotor_thrusts_balance_a_centre_of_mass_off_the_middle() -> None:
     samples = named_reference("Lemniscate", vehicle).sample([0.0, 7.3, 11.9])
     for i in range(3):
         state = np.concatenate([samples.position[i], samples.velocity[i], samples.attitude[i], samples.rate_body[i]])
-        got = model.derivative(state, samples.rotor_speed[i], model.parameter_values, ENVIRONMENT_DEFAULT, [])
-        np.testing.assert_allclose(np.array(got).ravel()[10:13], samples.rate_acceleration[i], atol=1e-6)
+        xdot = model.derivative(state, samples.rotor_speed[i], model.parameter_values, ENVIRONMENT_DEFAULT, [])
+        np.testing.assert_allclose(np.array(xdot).ravel()[10:13], samples.rate_acceleration[i], atol=1e-6)
 
 
 @settings(max_examples=25)

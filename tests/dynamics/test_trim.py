@@ -1,4 +1,4 @@
-"""A vehicle's trim: what it weighs and how its rotors share the load, with the effects of its file in force."""
+"""A vehicle's trim: its weight and the share of each rotor, with the effects of its file."""
 
 import numpy as np
 import pytest

@@ -54,7 +54,7 @@ def test_allocation_is_lever_times_thrust_for_any_number_of_rotors(count):
     assert_allclose(layout.allocation @ squared, [squared.sum(), *torque], atol=1e-12)
 
 
-def test_a_tricopters_odd_spin_sum_is_allowed_when_it_can_yaw():
+def test_an_odd_number_of_rotors_is_allowed_when_it_can_yaw():
     five = rotors(ring(5), [1, -1, 1, -1, 1])
     assert np.linalg.matrix_rank(five.allocation) == 4
 
@@ -101,7 +101,7 @@ def test_an_empty_speed_range_is_refused():
         rotors(ring(4), [1, -1, 1, -1], speed_min=10.0)
 
 
-def test_a_vehicle_that_cannot_lift_itself_is_told_to_check_its_units(arpl_250g):
+def test_a_vehicle_that_cannot_lift_itself_is_refused_with_the_units_to_check(arpl_250g):
     with pytest.raises(RequestError, match=r"rad/s, not rpm"):
         msgspec.structs.replace(arpl_250g, body=Body(25.0, arpl_250g.body.inertia))
 

@@ -25,7 +25,7 @@ def refusal(text):
 
 
 def replaced(old, new):
-    """A good vehicle file with one piece replaced."""
+    """A good vehicle file with one part replaced."""
     assert old in GOOD
     return GOOD.replace(old, new)
 
@@ -35,7 +35,7 @@ def with_effect(text):
     return f"{GOOD}\n[[effects]]\n{text}"
 
 
-def test_the_vehicles_that_come_along_can_be_read():
+def test_the_bundled_vehicles_can_be_read():
     names = {read_vehicle(path).name for path in FOLDER.glob("*.toml")}
     assert {"arpl_250g", "px4_sih"} <= names
 

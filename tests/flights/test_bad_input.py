@@ -70,7 +70,7 @@ def test_a_table_whose_columns_mean_nothing(tmp_path: Path) -> None:
         Flight.read(tmp_path / "table.csv")
 
 
-def test_shuffled_columns_are_told_by_their_names(lines: list[str], truth: Truth, tmp_path: Path) -> None:
+def test_shuffled_columns_are_read_by_their_names(lines: list[str], truth: Truth, tmp_path: Path) -> None:
     order = np.random.default_rng(1).permutation(len(lines[0].split(",")))
     log = _read(tmp_path, [",".join(np.array(line.split(","))[order]) for line in lines])
     stream = log.stream("velocity")
@@ -279,7 +279,7 @@ def test_a_tlog_with_noise_between_its_frames(truth: Truth, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("end", [-4, -5, -40])
-def test_a_torn_crazyflie_log_says_that_its_checksum_fails(tmp_path: Path, end: int) -> None:
+def test_a_torn_crazyflie_log_is_repaired_with_a_failed_checksum(tmp_path: Path, end: int) -> None:
     data = crazyflie_log(
         [("gyro.x", "f"), ("gyro.y", "f"), ("gyro.z", "f")], [(i * 1000, (1, 2, 3)) for i in range(99)]
     )

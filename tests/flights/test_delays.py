@@ -51,7 +51,7 @@ def test_a_commands_lag_is_a_response_and_no_delay() -> None:
 
 
 @pytest.mark.parametrize(("kind", "other"), [("lag", "delay"), ("delay", "lag")])
-def test_a_response_is_told_as_what_it_is(kind: str, other: str) -> None:
+def test_a_lag_and_a_pure_delay_are_distinguished(kind: str, other: str) -> None:
     rate, planted = 1000.0, 0.06
     time = np.arange(0.0, 40.0, 1 / rate)
     random = np.random.default_rng(5)

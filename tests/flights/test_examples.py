@@ -1,4 +1,4 @@
-"""What examples/ tells a user to type works as it stands there."""
+"""The commands and code of examples/ work as printed."""
 
 from __future__ import annotations
 

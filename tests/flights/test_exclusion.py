@@ -88,7 +88,7 @@ def test_free_fall_with_idle_rotors_is_flight() -> None:
     assert find_exclusions(flight(columns)) == ()
 
 
-def test_the_land_detectors_word_counts() -> None:
+def test_what_the_land_detector_reports_is_ground() -> None:
     columns = hovering()
     columns["landed"] = np.zeros(3000)
     columns["landed"][rows(20, 30)] = 1.0
@@ -108,7 +108,7 @@ def crash(columns: dict[str, Floats], at: float, *, until: float) -> None:
     stand(columns, at + 0.4, until)
 
 
-def test_a_crash_is_lost_from_the_blow_until_it_flies_again() -> None:
+def test_a_crash_is_excluded_from_the_impact_until_it_flies_again() -> None:
     columns = hovering()
     crash(columns, 12.0, until=17.0)
     item = only(find_exclusions(flight(columns)), "crash")
@@ -119,15 +119,15 @@ def test_a_crash_is_lost_from_the_blow_until_it_flies_again() -> None:
 
 
 def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
-    """As in log16 of the Crazyflie at 1 kHz: a blow of 79 m/s^2 at 39.3 s, motors at 0 until 44 s, then it flies on."""
+    """As in log16 of the Crazyflie at 1 kHz: 79 m/s^2 at 39.3 s, motors at 0 until 44 s, then it flies on."""
     time = np.arange(32.0, 49.0, 1e-3)
     random = np.random.default_rng(7)
     columns = {f"specific_force_{axis}": usual + random.normal(0, 0.6, len(time)) for axis, usual in
                zip("xyz", (0.0, 0.0, 9.81), strict=True)}  # fmt: skip
     columns |= {f"rate_{axis}": random.normal(0, 0.3, len(time)) for axis in "xyz"}
     columns |= {f"rotor_command_{rotor}": 0.6 + random.normal(0, 0.05, len(time)) for rotor in range(4)}
-    blow, lying = (time >= 39.3) & (time < 39.31), (time >= 39.35) & (time < 44.0)
-    columns["specific_force_y"][blow] = -79.0
+    impact, lying = (time >= 39.3) & (time < 39.31), (time >= 39.35) & (time < 44.0)
+    columns["specific_force_y"][impact] = -79.0
     for name in columns:
         columns[name][lying] = 0.0
     columns["specific_force_x"][lying] = 9.81  # on its side
@@ -138,7 +138,7 @@ def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
     assert {other.reason for other in exclusions} <= {"crash", "ground"}  # stands on the ground when it is over
 
 
-def test_idle_rotors_on_the_ground_are_believed_before_a_late_land_detector() -> None:
+def test_idle_rotors_on_the_ground_take_precedence_over_a_late_land_detector() -> None:
     columns = hovering()
     stand(columns, 20.0, 30.0, speed=0.2 * HOVER)
     columns["landed"] = (np.arange(3000) >= 2800).astype(float)
@@ -147,7 +147,7 @@ def test_idle_rotors_on_the_ground_are_believed_before_a_late_land_detector() ->
     assert item.stop == pytest.approx(29.99, abs=0.02)
 
 
-def test_a_crash_that_ends_the_flight_is_lost_to_the_end() -> None:
+def test_a_crash_that_ends_the_flight_is_excluded_to_the_end() -> None:
     columns = hovering()
     crash(columns, 20.0, until=30.0)
     assert only(find_exclusions(flight(columns)), "crash").stop == pytest.approx(29.99, abs=0.02)
@@ -182,6 +182,8 @@ def test_excluded_rows_are_those_between_start_and_stop() -> None:
 
 def test_a_real_flight_of_a_coaxial_vehicle_is_what_lies_between_take_off_and_landing() -> None:
     real = Flight.read(Path("tests/data/acsl_x8copter/log_20240613_115633_cut.log.gz"))
-    for segment in free_flight(real):
+    segments = free_flight(real)
+    assert segments
+    for segment in segments:
         assert segment["position"][:, 2].max() > 0.1
     assert all(item.reason == "ground" for item in find_exclusions(real))

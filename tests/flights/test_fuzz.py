@@ -109,13 +109,13 @@ def test_a_tlog_with_flipped_and_inserted_bytes(
     place = 12 + at % (len(data) - 12)
     log = _read(folder / "noisy.tlog", bytes(data[:place]) + inserted + bytes(data[place : len(data) - cut]))
     if log is not None:
-        _hold_values(log, SHORT)
+        _assert_within(log, SHORT)
 
 
 TLOG = tlog(SHORT)
 
 
-def _hold_values(log: Log, truth: Truth) -> None:
+def _assert_within(log: Log, truth: Truth) -> None:
     """Frames whose checksum holds carry the truth; a flipped byte must not get through as a value."""
     stream = log.stream("position")
     if stream is not None:

@@ -1,4 +1,4 @@
-"""A column mapping says what every column is, or is refused with what is wrong about it."""
+"""A column mapping defines every column, or is refused with its error."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ if __name__ == "__main__":
 
 def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
     """A training that was killed is resumed at once, and nobody else may write its files."""
-    script, folder = tmp_path / "orphans.py", tmp_path / "told"
+    script, folder = tmp_path / "orphans.py", tmp_path / "started"
     script.write_text(ORPHANS)
     folder.mkdir()
     deadline = time.monotonic() + 250

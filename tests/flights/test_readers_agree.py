@@ -30,7 +30,7 @@ def truth() -> Truth:
     return manoeuvre()
 
 
-def _hold(log: Log, truth: Truth, names: tuple[str, ...], tolerance: float = 2e-5) -> None:
+def _assert_equal(log: Log, truth: Truth, names: tuple[str, ...], tolerance: float = 2e-5) -> None:
     for name in names:
         stream = log.stream(name)
         assert stream is not None, f"{name} is missing: {log.names}, {log.provenance.notes}"
@@ -49,20 +49,20 @@ def test_a_flight_csv(truth: Truth, tmp_path: Path) -> None:
     log = read_log(flight_csv(truth, tmp_path / "named_wrongly.bin"))
     assert log.provenance.format == "flight CSV"
     assert not log.provenance.repairs
-    _hold(log, truth, (*MOTION, "rotor_speed"))
+    _assert_equal(log, truth, (*MOTION, "rotor_speed"))
 
 
 def test_the_papers_bag(truth: Truth, tmp_path: Path) -> None:
     log = read_log(paper_bag(truth, tmp_path / "Ellipse_1.bag"))
     assert log.metadata["data_set"] == "PI-TCN"
-    _hold(log, truth, (*MOTION, "rotor_speed"))
+    _assert_equal(log, truth, (*MOTION, "rotor_speed"))
 
 
-def test_a_bag_is_told_by_its_content(truth: Truth, tmp_path: Path) -> None:
+def test_a_bag_is_recognised_by_its_content(truth: Truth, tmp_path: Path) -> None:
     bag = paper_bag(truth, tmp_path / "a.bag")
     packed = tmp_path / "flight.dat"
     packed.write_bytes(gzip.compress(bag.read_bytes(), 1))
-    _hold(read_log(packed), truth, MOTION)
+    _assert_equal(read_log(packed), truth, MOTION)
 
 
 @pytest.mark.parametrize("storage", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
@@ -73,17 +73,17 @@ def test_a_ros2_bag_with_its_velocity_in_either_frame(
     folder = ros2_bag(truth, tmp_path / "bag", body_velocity=body_velocity, storage=storage)
     log = read_log(folder)
     assert any("measured" in note for note in log.provenance.notes)
-    _hold(log, truth, MOTION)
+    _assert_equal(log, truth, MOTION)
     single = next(file for file in folder.iterdir() if file.suffix != ".yaml")
     assert single.rename(tmp_path / "storage_alone").exists()
-    _hold(read_log(tmp_path / "storage_alone"), truth, MOTION)
+    _assert_equal(read_log(tmp_path / "storage_alone"), truth, MOTION)
 
 
 def test_an_ardupilot_log(truth: Truth, tmp_path: Path) -> None:
     path = tmp_path / "00000001.BIN"
     path.write_bytes(dataflash_log(truth))
     log = read_log(path)
-    _hold(log, truth, (*MOTION, "rotor_speed"))
+    _assert_equal(log, truth, (*MOTION, "rotor_speed"))
     assert log.parameters["FRAME_CLASS"] == 1
 
 
@@ -92,7 +92,7 @@ def test_a_tlog_with_its_velocity_in_either_frame(truth: Truth, tmp_path: Path, 
     path = tmp_path / "flight.tlog"
     path.write_bytes(tlog(truth, body_velocity=body_velocity))
     log = read_log(path)
-    _hold(log, truth, MOTION)
+    _assert_equal(log, truth, MOTION)
     assert log.start == pytest.approx(7.0)
 
 
@@ -117,8 +117,8 @@ def test_a_crazyflie_log_of_both_versions(truth: Truth, tmp_path: Path, version:
     path.write_bytes(crazyflie_log(variables, rows, version=version))
     log = read_log(path)
     assert not log.provenance.repairs
-    _hold(log, truth, ("attitude", "rate", "specific_force"))
-    _hold(log, truth, ("position", "velocity"), tolerance=6e-4)
+    _assert_equal(log, truth, ("attitude", "rate", "specific_force"))
+    _assert_equal(log, truth, ("position", "velocity"), tolerance=6e-4)
     command = log.stream("rotor_command")
     assert command is not None
     # motor 4 stands front left, where our rotor 0 is
@@ -141,7 +141,7 @@ def test_crazyflie_packs_its_attitude_and_turns_its_pitch_rate(truth: Truth, tmp
     data = crazyflie_log([(f"stateEstimateZ.{name}", letter) for name, letter in names], rows)
     (tmp_path / "log").write_bytes(data)
     log = read_log(tmp_path / "log")
-    _hold(log, truth, ("rate",), tolerance=6e-4)
+    _assert_equal(log, truth, ("rate",), tolerance=6e-4)
     attitude_stream = log.stream("attitude")
     assert attitude_stream is not None
     assert quaternion.angle_between(attitude_stream.values, truth.attitude).max() < 5e-3

@@ -1,4 +1,4 @@
-"""Logs in foreign formats, made of one flight whose truth is known."""
+"""Logs in foreign formats, made of one flight with ground truth."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Truth(NamedTuple):
 
 
 def manoeuvre(duration: float = 6.0, rate: float = 100.0) -> Truth:
-    """A vehicle that circles while it turns, leaning as its acceleration demands, so that every frame shows."""
+    """A vehicle that circles while it yaws, tilted along its acceleration, so that a wrong frame shows."""
     t = np.arange(round(duration * rate) + 1) / rate
     fine = 1e-5
 
@@ -50,8 +50,8 @@ def manoeuvre(duration: float = 6.0, rate: float = 100.0) -> Truth:
     def attitude(at: Floats) -> Floats:
         force = acceleration(at) + GRAVITY * UP
         yaw = quaternion.from_euler(0 * at, 0 * at, 0.9 + 0.5 * at)
-        leaning = force / np.linalg.norm(force, axis=-1, keepdims=True)
-        axis = np.cross(UP, leaning)
+        thrust_axis = force / np.linalg.norm(force, axis=-1, keepdims=True)
+        axis = np.cross(UP, thrust_axis)
         angle = np.arcsin(np.linalg.norm(axis, axis=-1, keepdims=True))
         tilt = quaternion.exponential(axis / np.maximum(np.linalg.norm(axis, axis=-1, keepdims=True), 1e-12) * angle)
         return np.asarray(quaternion.multiply(tilt, yaw))

@@ -1,4 +1,4 @@
-"""One short flight of the runtime's logic on the mock's vehicle, as a log and its truth, for tests of judgement."""
+"""One short flight of the runtime's logic on the mock's vehicle, as a log with its ground truth."""
 
 from __future__ import annotations
 

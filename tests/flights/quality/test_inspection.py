@@ -1,4 +1,4 @@
-"""The verdict: a healthy log is good, planted faults are named, and what the data cannot answer is said."""
+"""The verdict: a healthy log is good, planted faults are named, and what the data cannot answer is stated."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_motors_at_10_hz_cannot_answer(log: Log) -> None:
     assert {effect.answer for effect in inspection.effects if effect.name in ("inertia", "motor_lag")} == {"no"}
 
 
-def test_px4_is_told_which_profile_to_set(log: Log) -> None:
+def test_advice_for_px4_names_the_profile_to_set(log: Log) -> None:
     slow = thinned(without(log, "rotor_speed"), "rotor_command", 10)
     px4 = replace(slow, provenance=replace(log.provenance, format="PX4 ULog"), parameters={"SDLOG_PROFILE": 131.0})
     assert any("SDLOG_PROFILE from 131 to 155" in advice for advice in judge(px4).advice)
@@ -62,7 +62,7 @@ def test_a_log_without_rotors_cannot_answer(log: Log) -> None:
     assert names(inspection, "error") == {"no_rotors"}
 
 
-def test_a_battery_that_stands_still_is_named_and_says_nothing_about_sag(log: Log) -> None:
+def test_a_battery_that_stands_still_is_named_and_identifies_no_sag(log: Log) -> None:
     stuck = np.full_like(values(log, "battery_voltage"), 11.1)
     inspection = judge(changed(log, "battery_voltage", stuck))
     assert next(f.text for f in inspection.findings if f.name == "frozen_channel").startswith("battery_voltage")
@@ -142,7 +142,7 @@ def test_a_clock_offset_is_noted(log: Log) -> None:
     assert "clock_offset" in names(judge(shifted), "note")
 
 
-def test_what_is_not_excited_says_what_to_fly() -> None:
+def test_an_answer_for_an_effect_that_is_not_excited_names_what_to_fly() -> None:
     answer_of = {answer.name: answer for answer in answers({"rate", "rotor_speed"}, {"yaw_acceleration": 0.1})}
     assert answer_of["torque_constant"].answer == "no"
     assert "fly yaw_spin" in answer_of["torque_constant"].why
