@@ -36,10 +36,10 @@ _VERSION = re.compile(r"\.v(\d+)$")
 class Addition:
     """An effect that was added to a vehicle.
 
-    vehicle: with the effect, its history one line longer.
+    vehicle: with the effect, and one more line of history.
     estimates: by (effect's key, parameter).
     channels: errors by kind, held out, before and after.
-    key: the effect's name in a model.
+    key: the effect's name in a model, the rotor in brackets.
     chi_square: reduced, held out, before and after; 1 where the residuals are noise.
     open_loop: prediction errors, held out, before and after.
     by_output_error: whether that fit was better than equation error.
@@ -114,7 +114,7 @@ def add_effect(
         chi_square=(was, now.chi_square),
         open_loop=(judge.open_loop(vehicle), judge.open_loop(now.fit.vehicle)),
         by_output_error=better is not None,
-        notes=(*notes, *_one_signal(now.fit, candidate)),
+        notes=(*notes, *_caveat(now.fit, candidate)),
     )
 
 
@@ -193,7 +193,8 @@ def top_effect(
     return top.name, top.rotor, tuple(notes)
 
 
-def _one_signal(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:
+def _caveat(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:
+    """The effect's own caveat with the fitted values in it, as a note; none where it has none."""
     if not candidate.effect.caveat:
         return ()
     values = {name: estimate.value for (key, name), estimate in fitted.estimates.items() if key == candidate.key}

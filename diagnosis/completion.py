@@ -1,4 +1,4 @@
-"""Completing a model: diagnose, take over what lowers the held-out error, repeat until nothing more does."""
+"""Completing a model: diagnose, add the effects that lower the held-out error, and repeat while it falls."""
 
 from __future__ import annotations
 

@@ -99,10 +99,11 @@ def _verdict(
     before: list[Floats],
     after: list[Floats],
 ) -> Verdict:
-    """The verdict by the residual tests, and by typical held-out windows where a load does not swing."""
-    at_first = run_residual_tests(regression, regression.residuals_after([])) if accepted.candidates else tests
+    """The verdict by the residual tests, and by typical held-out windows unless the model has a swinging load."""
+    tests_before = run_residual_tests(regression, regression.residuals_after([])) if accepted.candidates else tests
     swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
     typical = None if swinging else (typical_chi_square(before, regression), typical_chi_square(after, regression))
     gust_share = selection.gust.gain / max(regression.total, 1)
     gusty = any(regression.catalogue[effect.name].stochastic for effect in effects)
-    return judge(effects, tests, at_first, typical, gust_share, gusty=gusty, thresholds=regression.thresholds.verdict)
+    thresholds = regression.thresholds.verdict
+    return judge(effects, tests, tests_before, typical, gust_share, gusty=gusty, thresholds=thresholds)

@@ -1,10 +1,10 @@
 """How the rotors share the load in hover, compared with normal flights of the same vehicle.
 
-It needs nothing but the rotors' commands and a measure of hover, so it answers where a log is too poor for the rest.
-A rotor that has to work harder than in the vehicle's normal flights is weak or carries more: mean commands cannot
-tell which. Batteries and propellers are mounted again before each flight, so the spread between normal flights decides
-what is unusual. With few of them it is uncertain: usual spreads of small multirotors are the prior, and Student's t
-allows for the rest.
+It needs only the rotors' commands and a measure of hover, and so works on logs that are too poor for the rest. A rotor
+with a larger command than in the vehicle's normal flights is weak or carries more: mean commands do not distinguish
+these. Batteries and propellers are mounted again before each flight, so the spread between normal flights decides what
+is unusual. With few of them it is uncertain: the prior is the usual spread of small multirotors, and the quantile is
+that of Student's t.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class RotorShare(msgspec.Struct, frozen=True):
     """A rotor's share of the commands in hover, 1 for the mean rotor.
 
     normal, now: mean over the normal flights and over the others.
-    limit: share that is still usual.
+    limit: share above which the rotor is flagged.
     """
 
     rotor: int
@@ -71,7 +71,7 @@ class TrimComparison(msgspec.Struct, frozen=True):
 class HoverShares:
     """Rotors' shares in one flight.
 
-    flight: its log.
+    flight: path of its log.
     shares: (rotors,) means over its hover, 1 for the mean rotor.
     seconds: of hover.
     quantity: of which these are shares.
@@ -194,7 +194,7 @@ def _fast(flight: Flight, quantity: str, thresholds: HoverTrimThresholds) -> boo
 
 
 def _hovering(flight: Flight, thresholds: HoverTrimThresholds) -> NDArray[np.bool_]:
-    """(n,) rows of free flight in which the vehicle stands still in the air, in segments that last."""
+    """(n,) rows of free flight in which the vehicle hovers, in segments of the minimum duration or longer."""
     rows = flight.usable() & ~excluded_rows(flight, find_exclusions(flight))
     if flight.has("velocity"):
         rows &= _smooth_norm(flight["velocity"], flight.rate, thresholds) < thresholds.max_speed
@@ -208,7 +208,7 @@ def _hovering(flight: Flight, thresholds: HoverTrimThresholds) -> NDArray[np.boo
 
 
 def _smooth_norm(values: Floats, rate: float, thresholds: HoverTrimThresholds) -> Floats:
-    """(n,) length of the slow part, so that noise is no motion. values: (n, 3)."""
+    """(n,) norm of the values (n, 3) below the cutoff, so that noise does not count as motion."""
     finite = np.nan_to_num(values)
     if rate > thresholds.min_rotor_rate and len(finite) > rate:
         finite = zero_phase(finite, rate, thresholds.cutoff, 2)
@@ -225,7 +225,7 @@ def _spread(shares: Floats, thresholds: HoverTrimThresholds) -> tuple[float, flo
 
 
 def _weak(rotor: int, before: Floats, after: Floats, error: float, confidence: float) -> MissingEffect:
-    """The weak rotor that would explain the change: with the loss l it needs 1 / (1 - l) of its usual command."""
+    """The weak rotor that would explain the change: with a loss l it needs 1 / (1 - l) times its usual command."""
     was, now = (x[rotor] / np.delete(x, rotor).mean() for x in (before, after))
     loss = float(1 - was / now)
     deviation = float(error * (1 - loss) / after[rotor])

@@ -36,7 +36,7 @@ class Regime:
 
     name: of the quantity, with its unit.
     edges: (b + 1,) of the cells.
-    over_floor: (4, b), NaN where not flown.
+    over_floor: (4, b) RMS of each kind of channel over its noise floor, NaN where not flown.
     """
 
     name: str
@@ -50,7 +50,7 @@ class Plane:
 
     across, up: the quantities, with their units.
     across_edges, up_edges: (b + 1,) and (c + 1,) of the cells.
-    over_floor: (4, c, b), NaN where not flown.
+    over_floor: (4, c, b) RMS of each kind of channel over its noise floor, NaN where not flown.
     """
 
     across: str
@@ -211,7 +211,7 @@ def _quantities(segment: Segment, vehicle: Vehicle, thresholds: RegimeThresholds
 
 
 def _motion(velocity: Floats, min_speed: float) -> dict[str, Floats]:
-    """Of velocity (m, 3); motion slower than min_speed has no direction."""
+    """Quantities of velocity (m, 3), m/s; the heading is NaN below min_speed, m/s."""
     level = np.hypot(velocity[:, 0], velocity[:, 1])
     return {
         "speed m/s": np.linalg.norm(velocity, axis=1),

@@ -1,4 +1,4 @@
-"""The answer, as `alula diagnose --json` writes it."""
+"""A diagnosis as `alula diagnose --json` writes it, and in one sentence."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     """The verdict and its evidence.
 
     effects: that are missing, the most important first.
-    channels: errors by kind.
+    channels: errors by kind of channel.
     not_excited: effects that would not have shown at their usual size.
     fails_where: cells in which the model fails most.
     next_flight: the manoeuvre to fly next.

@@ -36,7 +36,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     """Filters on both sides of the regression. Applied when flights are read.
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
-    slow_cutoff: motion below it is no answer of the controller to turbulence, Hz. [not derived yet]
+    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [not derived yet]
     """
@@ -47,7 +47,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     edge: Positive = 0.3
 
     def __post_init__(self) -> None:
-        """Check that decimation folds nothing back that the filters pass."""
+        """Check that decimation does not alias what the filters pass."""
         if not self.slow_cutoff < self.cutoff < self.rate / 2:
             raise ValueError(
                 f"slow_cutoff {self.slow_cutoff:g}, cutoff {self.cutoff:g} and half the rate {self.rate / 2:g} Hz must "
@@ -357,18 +357,18 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
 
 
 class VerdictThresholds(ThresholdGroup, frozen=True):
-    """From where on the residual tests reject, and how effects are reported.
+    """Limits above which the residual tests reject, and how effects are reported.
 
     max_agreement: of accelerometer and pose at low frequency. [planted truth]
     max_predictable: log-likelihood a residual that a function of the state gains. [planted truth]
     max_line: power of a line over its surroundings. [planted truth]
     max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [not derived yet]
     max_chi_square: reduced, of a typical held-out window. [planted truth]
-    max_share: of any of these before effects were added, the effects' own imperfect form. [not derived yet]
+    max_share: of the same statistic before the effects, which their imperfect form may leave. [not derived yet]
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: a residual that depends
     on the place]
     resamples: of flights, for the confidence. [not derived yet]
-    max_ambiguous: effects in an ambiguous set; a third is as near as they are. [docs/diagnosis.md]
+    max_ambiguous: effects in an ambiguous set. [docs/diagnosis.md]
     """
 
     max_agreement: Score = 5.5
@@ -383,7 +383,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
 
 
 class CompletionThresholds(ThresholdGroup, frozen=True):
-    """How long effects are added.
+    """When the rounds of completion end.
 
     max_rounds: of diagnosis. [not derived yet]
     min_share: of what the first round took off the held-out reduced chi-square, for a further round. [not derived yet]
@@ -402,7 +402,7 @@ class RegimeThresholds(ThresholdGroup, frozen=True):
     min_failing: RMS over floor of a cell that is named. [not derived yet]
     min_failing_share: the same over the median cell. [not derived yet]
     min_speed: below which motion has no direction, m/s. [not derived yet]
-    worst_window: of the worst segment that is named, s. [definition]
+    worst_window: duration of the worst window that is named, s. [definition]
     """
 
     bins: Annotated[int, Meta(ge=2)] = 6
@@ -424,7 +424,7 @@ class HoverTrimThresholds(ThresholdGroup, frozen=True):
     max_rate: of hover, rad/s. [not derived yet]
     cutoff: below which speed and rate count as motion, Hz. [not derived yet]
     prior_spread: of a rotor's share between normal flights. [decisions: normal flights]
-    prior_freedom: degrees of freedom that the prior stands for. [decisions: normal flights]
+    prior_freedom: degrees of freedom of the prior. [decisions: normal flights]
     false_alarms: of normal flights, over all rotors. [convention: 5 %]
     min_spreads: above the normal flight in which the rotor worked hardest. [decisions: normal flights]
     enough_flights: normal flights that need no prior. [decisions: normal flights]
@@ -444,7 +444,7 @@ class HoverTrimThresholds(ThresholdGroup, frozen=True):
 
 
 class Thresholds(ThresholdGroup, frozen=True):
-    """All of them, by subject."""
+    """All thresholds of diagnosis, by subject."""
 
     filters: FilterThresholds = FilterThresholds()
     segment: SegmentThresholds = SegmentThresholds()

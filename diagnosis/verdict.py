@@ -84,14 +84,14 @@ def judge(
     gusty: bool,
     thresholds: VerdictThresholds = DEFAULT.verdict,
 ) -> Verdict:
-    """The verdict. Residuals that no effect explains come before the effects that do explain some.
+    """The verdict: `unknown` where a test of the residuals rejects, whatever effects were named.
 
     after, before: residual tests with the effects and without them.
     chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
         be predicted on wild flights.
     gust_share: gain of a gust over the number of whitened residuals.
-    gusty: a gust is among the effects; it may leave residuals, unless the state predicts them or they repeat at their
-        positions.
+    gusty: whether a gust is among the effects; residuals are then allowed, unless the state predicts them or they
+        repeat at the same positions.
     """
     share = thresholds.max_share
     repeating = max(after.predictable_from_state, after.position_dependent)
@@ -114,7 +114,7 @@ def judge(
 
 
 def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
-    """Effects that would not have shown at their usual size: neither there nor absent."""
+    """Effects that would not have shown at their usual size: these flights neither confirm nor exclude them."""
     search = Search(regression)
     excited: dict[str, bool] = {}
     gram: Floats = np.sum(regression.gram, axis=0)
@@ -125,7 +125,7 @@ def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
             continue
         required = search.thresholds.min_gain + search.penalty(candidate)
         excited[name] = _usual_gain(regression, gram, candidate, chosen.columns) > required
-    return tuple(name for name, shown in excited.items() if not shown)
+    return tuple(name for name, is_excited in excited.items() if not is_excited)
 
 
 def _is_usual(candidate: Candidate, regression: Regression) -> bool:
@@ -162,7 +162,7 @@ def channel_errors(
 ) -> dict[str, ChannelError]:
     """Error of each kind that there is, before and after, over its floor.
 
-    held_out: the segments of before and after, whose floor is theirs; without them it is that of the fitted flights.
+    held_out: the segments of before and after, on which the floor is estimated; without them, on the fitted flights.
     """
     level = held_out_floor(regression, held_out, after) if held_out else regression.noise.floor
     was, now, floor = channels.norms(before), channels.norms(after), floor_norms(level)

@@ -4,7 +4,7 @@ A thrust command in newtons is not thrust (0.63 to 1.7 times of it in one set of
 a curve that vehicle files describe badly, both change with the battery from flight to flight, and motors differ by a
 tenth. The curve is therefore fitted to these flights before anything else: for each flight the gain that carries the
 weight and the motors' gains that keep the vehicle level in the mean; for all flights the curve's constant, linear and
-quadratic term, with the rotors' lag as one more unknown. The lag itself is left for `motor_lag`.
+quadratic term, with the rotors' lag as one more unknown. The lag is not applied: it is the effect `motor_lag`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class FlightGain:
     """Gains of one flight.
 
     mean: thrust over that which the vehicle file gives for the commands.
-    motors: each rotor's over that mean.
+    motors: each rotor's gain over that mean.
     """
 
     mean: float
@@ -38,12 +38,12 @@ class FlightGain:
 
 @dataclass(frozen=True)
 class CommandCurve:
-    """Thrust of a rotor over its share of the weight: a + b s + c s^2 of the same from file and gains, s.
+    """Thrust of a rotor in units of its share of the weight: a + b s + c s^2, where file and gains alone give s.
 
     terms: a, b, c.
-    gains: by log.
-    low, high: range of s that was flown.
-    lag: of the rotors, as far as the vertical force shows it, s.
+    gains: of each flight, by log.
+    low, high: range of s that was flown; beyond it the curve is straight.
+    lag: of the rotors, by the vertical force, in seconds.
     explained, without_lag: shares of that force's variance that the curve explains with and without the lag.
     """
 
@@ -77,8 +77,8 @@ class CommandCurve:
             f"no measured rotor speed: by these flights the rotors give {gain} times the thrust that the vehicle file "
             f"gives for their commands, rotor by rotor {each} of that, followed with a lag of about "
             f"{1e3 * self.lag:.0f} ms ({100 * self.without_lag:.0f} % of the vertical force explained without lag, "
-            f"{100 * self.explained:.0f} % with it). Mass and thrust_constant cannot be told from such a gain, nor a "
-            "weak rotor from a motor's own"
+            f"{100 * self.explained:.0f} % with it). Mass and thrust_constant cannot be distinguished from such a "
+            "gain, nor a weak rotor from a motor's own"
         )
 
 
@@ -90,12 +90,12 @@ def fit_command_curve(
 ) -> CommandCurve:
     """The curve that explains the specific force along body z of the fitted segments best.
 
-    held_out: segments whose flights need their own gains too, when nothing of them is fitted. Raises DataError for
-    gains that no command of this vehicle can have.
+    held_out: segments of flights that need gains too; only the gains of flights without a fitted segment are
+    estimated on them. Raises DataError for gains out of range.
     """
     logs = dict.fromkeys(s.flight for s in (*fitted, *held_out))
-    learned = {s.flight for s in fitted}
-    own = {name: [s for s in (fitted if name in learned else held_out) if s.flight == name] for name in logs}
+    fitted_logs = {s.flight for s in fitted}
+    own = {name: [s for s in (fitted if name in fitted_logs else held_out) if s.flight == name] for name in logs}
     gains = {name: _gain(parts, vehicle, thresholds) for name, parts in own.items()}
     hover, scaled = vehicle.hover_speed, [_scaled(s, gains[s.flight]) for s in fitted]
     commanded = np.concatenate([(s.rotor_speed / hover) ** 2 for s in scaled])
@@ -131,8 +131,8 @@ def _gain(segments: Sequence[Segment], vehicle: Vehicle, thresholds: CommandCurv
     thrust = mean * squares
     missing = np.mean(np.concatenate(moments), axis=0) - allocation[1:] @ thrust
     change = np.linalg.pinv(allocation * thrust) @ np.concatenate([[0.0], missing])
-    healthy = np.max(np.abs(change)) <= thresholds.max_motor_difference
-    motors = 1.0 + change if healthy else np.ones(len(change))
+    plausible = np.max(np.abs(change)) <= thresholds.max_motor_difference
+    motors = 1.0 + change if plausible else np.ones(len(change))
     return FlightGain(mean, tuple(motors.tolist()))
 
 
@@ -157,7 +157,7 @@ def _fit(
 
 
 def _columns(segment: Segment, hover: float, lag: float) -> Floats:
-    """(m, 3 or 5) what a unit of each term gives along body z, m/s^2; drag of climbing and lift of travelling."""
+    """(m, 3 or 5) specific force along body z of a unit of each term, m/s^2: of the curve, and of the air."""
     commanded = (lagged(segment.rotor_speed, segment.rate, lag) / hover) ** 2
     powers = [np.mean(commanded**k, axis=1) * GRAVITY for k in range(3)]
     if segment.has_pose:
@@ -175,7 +175,7 @@ def _vertical(segment: Segment) -> Floats:
 
 
 def lagged(values: Floats, rate: float, lag: float) -> Floats:
-    """values (n, k) through a first-order lag, s, from rest at the first one."""
+    """values (n, k) behind a first-order lag in seconds that has settled at the first one. rate: Hz."""
     if lag == 0.0:
         return values
     decay = float(np.exp(-1.0 / (rate * lag)))

@@ -1,4 +1,4 @@
-"""Whether these flights, with this vehicle file, can answer at all: checked before any model is judged."""
+"""Checks of flights and vehicle file before any model is judged: duration, motion, units, rotors, inertia."""
 
 from __future__ import annotations
 
@@ -114,7 +114,7 @@ def _specific_thrust(segment: Segment) -> Floats:
 
 
 def _require_angular_acceleration(segments: Sequence[Segment], vehicle: Vehicle, limits: DataChecks) -> None:
-    """The rotors must rotate the vehicle as it rotates; if another order of rotors or other units fit, name them."""
+    """The rotors must rotate the vehicle as it rotates; the error names another order or other units that fit."""
     measured, squares = _rotation_and_rotors(segments, vehicle, limits)
     rows = vehicle.rotors.allocation[1:]
     if min(float(np.std(measured[:, 0])), float(np.std(measured[:, 1]))) >= limits.min_angular_acceleration:
@@ -175,7 +175,7 @@ def _require_scale(measured: Floats, modelled: Floats, limits: DataChecks) -> No
 
 
 def _rotation_and_rotors(segments: Sequence[Segment], vehicle: Vehicle, limits: DataChecks) -> tuple[Floats, Floats]:
-    """(m, 3) angular acceleration and (m, rotors) squared speeds, as late behind commands as fits best."""
+    """(m, 3) angular acceleration and (m, rotors) squared speeds, with the lag behind commands that fits best."""
     commanded = segments[0].rotor_source != "measured"
     measured = np.vstack([s.low_pass(difference(s.body_rate, s.rate))[s.decimated] for s in segments])
     responses = []

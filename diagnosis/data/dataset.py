@@ -1,4 +1,4 @@
-"""Logs into the segments that are fitted and those that are held out."""
+"""Data sets: the segments of logs, divided into those that are fitted and those that are held out."""
 
 from __future__ import annotations
 
@@ -96,12 +96,12 @@ def make_dataset(
     fitted = _enough_groups(fitted, limits)
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
     flight_of = tuple(i for i, group in enumerate(fitted) for _ in group)
-    learned, held_out = tuple(s for group in fitted for s in group), tuple(judged)
-    if learned[0].rotor_source == "command":
-        curve = fit_command_curve(learned, held_out, vehicle, thresholds.command_curve)
+    to_fit, held_out = tuple(s for group in fitted for s in group), tuple(judged)
+    if to_fit[0].rotor_source == "command":
+        curve = fit_command_curve(to_fit, held_out, vehicle, thresholds.command_curve)
         notes.append(str(curve))
-        learned, held_out = (tuple(curve.applied(s, vehicle) for s in part) for part in (learned, held_out))
-    return Dataset(learned, flight_of, held_out, hashes, tuple(notes))
+        to_fit, held_out = (tuple(curve.applied(s, vehicle) for s in part) for part in (to_fit, held_out))
+    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes))
 
 
 def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:
@@ -152,14 +152,14 @@ def _require_one_source(parts: Sequence[Sequence[Segment]]) -> None:
 
 
 def _missing(flight: Flight, thresholds: SegmentThresholds) -> list[str]:
-    """Notes on what was not logged, or too slowly."""
+    """Notes on what was not logged, or too slowly, in a flight."""
 
     def usable(*names: str) -> bool:
         return any(fast(flight, name, thresholds) for name in names)
 
     notes = [f"too slow to be used: {', '.join(slow)}" for slow in [slow_quantities(flight, thresholds)] if slow]
     if not usable("specific_force"):
-        notes.append("no accelerometer in the log: a force cannot be told from a fault of the pose")
+        notes.append("no accelerometer in the log: a force cannot be distinguished from a fault of the pose")
     if not usable("rate"):
         notes.append("no gyro in the log: torques show only through the attitude, and gyro and clock stay unchecked")
     if not usable("attitude") or not usable("velocity", "position"):
@@ -178,7 +178,7 @@ def _held_out(names: Sequence[str], pattern: str | None, share: float) -> frozen
 def _split_in_time(
     parts: Sequence[Segment], share: float, min_duration: float
 ) -> tuple[list[list[Segment]], list[Segment]]:
-    """One flight's segments but the last rows, and these."""
+    """One flight's segments up to its held-out end, a group each, and those of that end."""
     fitted, judged = [], []
     for segment, cut in zip(parts, cuts_in_time([len(s) for s in parts], share), strict=True):
         min_rows = min_duration * segment.rate

@@ -23,7 +23,7 @@ def difference(values: Floats, rate: float) -> Floats:
 
 
 def simpson(values: Floats) -> Floats:
-    """Weights (1, 4, 1)/6: what a central difference does to the integral of values, to fourth order. (n, ...)."""
+    """Values (n, ...) weighted (1, 4, 1)/6, which matches `difference` of their integral to fourth order."""
     result = values.copy()
     result[1:-1] = (values[:-2] + 4 * values[1:-1] + values[2:]) / 6
     return result
@@ -38,7 +38,7 @@ def delayed(values: Floats, rate: float, delay: float) -> Floats:
 
 
 def decimation(rate: float, filters: FilterThresholds) -> int:
-    """Rows at rate Hz for each one of the regression."""
+    """Number of rows at rate Hz for each row of the regression."""
     return max(1, round(rate / filters.rate))
 
 

@@ -30,14 +30,14 @@ class Segment:
     start: s in the log's time.
     rate: of the rows, Hz.
     position, velocity: (n, 3) world, m and m/s.
-    attitude: (n, 4).
+    attitude: (n, 4) quaternion w, x, y, z, body to world.
     gyro: (n, 3) rad/s, None if not logged.
     specific_force: (n, 3) m/s^2, None if not logged.
     rotor_speed: (n, rotors) rad/s.
     rotor_source: what the rotor speeds were taken from.
     battery_ratio: (n,) voltage over the full battery's, None if not logged.
-    lacks: which of position, velocity and attitude were not logged; they stand at the origin, at rest, upright.
-    filters: through which both sides of the regression go.
+    lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
+    filters: of both sides of the regression.
     """
 
     flight: str
@@ -64,7 +64,7 @@ class Segment:
 
     @property
     def has_pose(self) -> bool:
-        """Whether the log holds the acceleration of the pose in body axes."""
+        """Whether velocity and attitude were logged, and with them the acceleration of the pose in body axes."""
         return not self.lacks & {"velocity", "attitude"}
 
     @property
@@ -143,7 +143,7 @@ class Segment:
 def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT) -> tuple[Segment, ...]:
     """The parts of a flight in the air without gaps.
 
-    Raises DataError when the flight lacks motion or rotors, or is too slow to tell.
+    Raises DataError when the flight lacks motion or rotors, or was logged too slowly.
     """
     if flight.rate < MIN_ROTOR_RATE:
         raise DataError(
@@ -155,7 +155,7 @@ def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT)
     if not posed and not (fast(flight, "rate", limits) and fast(flight, "specific_force", limits)):
         raise DataError(lacking(flight, limits))
     speed, _ = rotor_speeds(flight, vehicle)
-    parts = flight.segments(exclude=_on_ground(flight, speed, limits), shortest=limits.min_duration)
+    parts = flight.segments(exclude=_unusable(flight, speed, limits), shortest=limits.min_duration)
     return tuple(_segment(part, vehicle, thresholds) for part in parts)
 
 
@@ -175,7 +175,7 @@ def slow_quantities(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segm
 
 
 def lacking(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> str:
-    """What a flight lacks that diagnosis cannot do without, and what can be done."""
+    """The message for a flight without the motion that diagnosis needs: what it lacks and what to do."""
     names = {"attitude": "attitude", "velocity": "velocity", "rate": "gyro", "specific_force": "accelerometer"}
     missing = [text for name, text in names.items() if not flight.has(name)] + slow_quantities(flight, thresholds)
     return (
@@ -186,16 +186,17 @@ def lacking(flight: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> 
     )
 
 
-def _on_ground(flight: Flight, speed: Floats, thresholds: SegmentThresholds) -> NDArray[np.bool_]:
-    ground = ~np.isfinite(speed).all(axis=1)
+def _unusable(flight: Flight, speed: Floats, thresholds: SegmentThresholds) -> NDArray[np.bool_]:
+    """(n,) rows on the ground, in contact, excluded or without rotor speeds, with the margin around them."""
+    unusable = ~np.isfinite(speed).all(axis=1)
     if flight.has("landed"):
-        ground |= flight["landed"] != 0
+        unusable |= flight["landed"] != 0
     if flight.has("specific_force"):
         force = np.linalg.norm(np.nan_to_num(flight["specific_force"]), axis=1)
-        ground |= force > thresholds.max_specific_force
-    ground |= excluded_rows(flight, find_exclusions(flight))
+        unusable |= force > thresholds.max_specific_force
+    unusable |= excluded_rows(flight, find_exclusions(flight))
     width = 2 * round(thresholds.margin * flight.rate) + 1
-    return np.asarray(np.convolve(ground, np.ones(width), mode="same") > 0)
+    return np.asarray(np.convolve(unusable, np.ones(width), mode="same") > 0)
 
 
 def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:

@@ -1,4 +1,4 @@
-"""Backward elimination of the selected effects, by the full model and by flights that were not fitted."""
+"""Acceptance of the selected effects: forward, then backward, in the full model and on held-out flights."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from dynamics.arrays import Floats
 
 
 def accepted_fit(regression: Regression, selection: Selection, dataset: Dataset) -> Fit:
-    """The fit of as many of the selected effects as lower the error on held-out flights, each in its turn."""
+    """The fit of as many of the selected effects as lower the error on held-out flights, added one by one."""
     accepted: list[Candidate] = []
     best = fit(regression, accepted)
     rows = residuals_in(regression, best.vehicle, dataset.held_out)
@@ -36,7 +36,7 @@ def accepted_fit(regression: Regression, selection: Selection, dataset: Dataset)
 def _with_refitted_effects(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
     """The fit with the vehicle file's own effects fitted again beside the new ones, where that helps held-out flights.
 
-    They were fitted without the new ones, and may have stood in for them.
+    They were fitted without the new ones, and may have absorbed a part of them.
     """
     names = {(use.name, use.rotor) for use in regression.vehicle.effects}
     new = {c.key for c in best.candidates}
@@ -98,9 +98,10 @@ def _chi_square(trial: Fit, regression: Regression, segments: Sequence[Segment])
 
 
 def confirmed(before: Sequence[Floats], after: Sequence[Floats], regression: Regression) -> bool:
-    """Whether an addition lowers the held-out error, in all or, where seconds of chaos outweigh it, typically.
+    """Whether an addition lowers the held-out error, in the mean or in a typical window.
 
-    Flights on which it changes next to nothing cannot judge; cross-validation on the fitted flights has decided there.
+    A few chaotic seconds may dominate the mean. Where the addition changes next to nothing it is confirmed, since
+    cross-validation on the fitted flights has selected it.
     before, after: (m, 12) residuals of the held-out segments.
     """
     noise, thresholds = regression.noise, regression.thresholds.acceptance
@@ -113,10 +114,10 @@ def confirmed(before: Sequence[Floats], after: Sequence[Floats], regression: Reg
 
 
 def at_its_bounds(trial: Fit, candidate: Candidate) -> bool:
-    """Whether a fit has driven a candidate's parameter to a physical bound: it then stands in for something else."""
+    """Whether a fit has driven a candidate's parameter to a physical bound, where it likely absorbs another effect."""
     if candidate.effect.measurement is not None:  # a sensor may well be dead
         return False
-    # where the effect vanishes it stands in for nothing: the vehicle file may claim one that is not there
+    # at its neutral value the effect vanishes and absorbs nothing: the vehicle file may name one that does not exist
     limits = {p.name: {p.lower, p.upper} - {p.neutral} for p in candidate.effect.parameters}
     return any(
         estimate.value in limits[name] for (key, name), estimate in trial.estimates.items() if key == candidate.key

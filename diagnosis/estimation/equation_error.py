@@ -179,7 +179,7 @@ class _EquationErrorProblem:
     def step(self, values: Floats) -> tuple[Floats, Floats, float]:
         """Change of the parameters, their covariance, and the cost; every flight's biases are integrated out.
 
-        The covariance is the greater of the noise model's and that of blocks of residuals (White, 1980, by blocks).
+        The covariance is the noise model's, widened to that of blocks of residuals (White, 1980) where that is greater.
         """
         count = len(self.free)
         equations = self._equations(dict(zip(self.names, values.tolist(), strict=True)))
@@ -199,7 +199,7 @@ class _EquationErrorProblem:
         return step, _greater(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T), cost
 
     def _equations(self, changed: Mapping[str, float]) -> _Equations | None:
-        """Normal equations of each flight at values, None where hidden states have diverged."""
+        """Normal equations of each flight at changed parameters, None where hidden states have diverged."""
         r, count = self._regression, len(self.free)
         width = count + len(r.biases.columns)
         grams, instruments = ([np.zeros((width, width)) for _ in r.flights] for _ in range(2))
@@ -219,7 +219,7 @@ class _EquationErrorProblem:
         return _Equations(grams, products, instruments, rows, biases, cost)
 
     def _rows(self, changed: Mapping[str, float]) -> Iterator[tuple[_Rows, tuple[Floats, Floats, Floats]]]:
-        """Each segment's whitened rows, and the change of y, x and z by as much noise again."""
+        """Each segment's whitened rows, and the changes of y, x and z by added noise of the sensors' level."""
         r, off, count = self._regression, list(self._regression.biases.columns), len(self.free)
         for segment, noisier, columns, flight in zip(r.segments, self._noisier, r.columns, r.flight_of, strict=True):
             y, x, z = self._linear(segment, changed)
@@ -233,7 +233,7 @@ class _EquationErrorProblem:
             )
 
     def _blocks(self, equations: _Equations, step: Floats) -> Floats:
-        """(k, k) sum over blocks of time of the squared scores of the parameters, biases taken out."""
+        """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases."""
         count, biases = len(step), equations.biases
         places = list(biases.columns)
         regression = self._regression
@@ -255,7 +255,7 @@ class _EquationErrorProblem:
         return meat
 
     def _linear(self, segment: Segment, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
-        """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at values."""
+        """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at changed parameters."""
         base = channels.predicted(segment, [self._predictor.predict(segment, changed)])[:, :, 0]
         slopes: dict[str, Floats] = {}
         instruments: dict[str, Floats] = {}
@@ -267,7 +267,7 @@ class _EquationErrorProblem:
                 slow = channels.predicted(segment, self._predictor.slopes(segment, changed, rotor_speed=speed))
                 instruments = {name: slow[:, :, i] for i, name in enumerate(self.linear)}
         x, z = [], []
-        for (_, _), name, instrumented in zip(self.free, self.names, self._instrumented, strict=True):
+        for name, instrumented in zip(self.names, self._instrumented, strict=True):
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
@@ -286,7 +286,7 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
 
 
 def _stable(effect: Effect, name: str, min_lag: float) -> tuple[float, float]:
-    """Bounds within which the segment's rows can be integrated. min_lag: least time constant, s."""
+    """Bounds within which the segment's rows can be integrated. min_lag: shortest time constant, s."""
     low, high = bounds(effect, name)
     return (max(low, min_lag) if name in effect.time_constants else low), high
 

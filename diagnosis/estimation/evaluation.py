@@ -1,4 +1,4 @@
-"""How far a model is from flights, channel by channel, over the sensors' noise floor."""
+"""Residuals of a model on flights: channel by channel, over the noise floor, and as reduced chi-square."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def residuals(
 ) -> list[Floats]:
     """(m, 12) measured less modelled of each segment.
 
-    noise: take out each segment's own sensor errors, as far as they are within specification; None for nothing.
+    noise: by which each segment's own sensor errors, within specification, are estimated and removed; None: not.
     """
     measured = segments[0].rotor_source == "measured"
     predictor = Predictor(
@@ -52,8 +52,8 @@ def _without_biases(
     """Rows less the accelerometer's and the gyro's bias and the clock's offset, as far as specification allows."""
     columns = np.zeros((len(rows), channels.CHANNELS, 7))
     for axis in range(3):
-        columns[:, axis, axis] = 1.0
-        columns[:, 9 + axis, 3 + axis] = -1.0
+        columns[:, channels.SPECIFIC_FORCE.start + axis, axis] = 1.0
+        columns[:, channels.ATTITUDE_RATE.start + axis, 3 + axis] = -1.0
     later = replace(prediction, pose_age=prediction.pose_age + CLOCK_OFFSET)
     both = channels.predicted(segment, [prediction, later])
     columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
@@ -77,7 +77,7 @@ def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:
 
 
 def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
-    """The same of a typical window (geometric mean over windows), which a few seconds of chaos do not spoil."""
+    """The same of a typical window (geometric mean over windows), which a few chaotic seconds do not dominate."""
     length = max(1, round(regression.thresholds.acceptance.typical_window * regression.rate))
     squares = [np.mean(regression.noise.whiten(r) ** 2, axis=1) for r in rows]
     means = [np.mean(s[i : i + length]) for s in squares for i in range(0, max(1, len(s) - length // 2), length)]
@@ -85,7 +85,7 @@ def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
 
 
 def held_out_floor(regression: Regression, segments: Sequence[Segment], after: Sequence[Floats]) -> Floats:
-    """(12,) noise floor of segments that were not fitted. after: (m, 12) residuals of the fitted model on them.
+    """(12,) noise floor of held-out segments. after: (m, 12) residuals of the fitted model on them.
 
     Turbulence of the rotors grows with their thrust, so that other flights have another floor. It is that of the
     residuals after all columns of the catalogue, or of the fitted model where that is lower.

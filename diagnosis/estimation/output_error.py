@@ -1,10 +1,11 @@
 """Output error: parameters for which simulated windows of flight end where the vehicle did.
 
 The equation-error fit compares accelerations, one row at a time. Here windows are simulated open loop from measured
-states with all hidden states, and the parameters move until velocity, attitude and body rate agree (Jategaonkar, Flight
-Vehicle System Identification, 2006, ch. 4). Each window's start, gyro's bias and clock are unknowns of its own, which
-are integrated out; errors are whitened by their own covariance along the window, so that accumulated turbulence has
-little weight. Slow columns serve as instruments where feedback correlates a column with the disturbance, as in `fit`.
+states with all hidden states, and the parameters are adjusted until velocity, attitude and body rate agree
+(Jategaonkar, Flight Vehicle System Identification, 2nd ed. 2015, ch. 4). Each window's start, gyro's bias and clock
+are unknowns of its own, which are integrated out; errors are whitened by their own covariance along the window, so
+that accumulated turbulence has little weight. Slow columns are the instruments where feedback correlates a column with
+the disturbance, as in `fit`.
 """
 
 from __future__ import annotations
@@ -38,8 +39,9 @@ START = 9  # unknowns of a window's start; the gyro's bias and the pose's clock 
 class Refit:
     """A fit by output error.
 
-    fit: with its estimates.
-    before, after: squared white error of a held-out window over that of a fitted one, before and after it.
+    fit: the vehicle and the estimates.
+    before, after: squared white error of a held-out window at the first and at the new values, over that of a fitted
+        window at the first values.
     """
 
     fit: Fit
@@ -57,8 +59,8 @@ def refit(
 ) -> Refit | None:
     """Fit all parameters of an equation-error fit again by output error, starting at its estimates.
 
-    vehicle: that the fit began with. None where nothing can be simulated: no pose, too few windows, or faults of
-    sensors alone, which do not move the vehicle.
+    vehicle: with which the first fit began. Returns None where nothing can be simulated: no pose, too few windows, or
+    only faults of sensors, which do not move the vehicle.
     """
     free = [
         (c, name) for c in initial.candidates for key, name in initial.estimates if key == c.key and _moves(c.effect)
@@ -67,17 +69,17 @@ def refit(
         return None
     names = [f"{c.key}.{name}" for c, name in free]
     instrumented = [c.effect.physics is not None for c, _ in free]
-    problem, judge = (
+    problem, held_out_problem = (
         _OutputErrorProblem(initial.vehicle, catalogue, part, names, instrumented, thresholds)
         for part in (fitted, held_out)
     )
-    if not judge.count or problem.count < thresholds.output_error.min_windows:
+    if not held_out_problem.count or problem.count < thresholds.output_error.min_windows:
         return None
     low, high = np.array([bounds(c.effect, name) for c, name in free]).T
     first = np.array([initial.estimates[c.key, name].value for c, name in free])
     white = problem.whitening(first)
     values, covariance = _settle(problem, first, white, (low, high), thresholds)
-    before, after = (judge.cost(v, white) / judge.count for v in (first, values))
+    before, after = (held_out_problem.cost(v, white) / held_out_problem.count for v in (first, values))
     level = problem.cost(first, white) / problem.count
     if not np.isfinite([before, after, level]).all():
         return None
@@ -106,6 +108,7 @@ def _settle(
 
 
 def _moves(effect: Effect) -> bool:
+    """Whether an effect acts on the vehicle's motion, and not on a sensor's reading alone."""
     return effect.measurement is None
 
 

@@ -9,13 +9,14 @@ import numpy as np
 
 from dynamics.arrays import Floats
 
-BLOCK = 256  # rows that are evaluated at once, whatever the segment's length: one function serves all
+BLOCK = 256  # rows that are evaluated at once, whatever the segment's length: one compiled function is enough
 
 
 class RowFunction:
-    """One function evaluated at every row. shared: places of the arguments that are the same for all rows.
+    """One function evaluated at every row.
 
-    chained: the first argument is the state that the first output makes for the next row.
+    shared: places of the arguments that are the same for all rows.
+    chained: whether the first output is the next row's first argument, a state.
     """
 
     def __init__(self, function: ca.Function, *, shared: tuple[int, ...] = (), chained: bool = False) -> None:

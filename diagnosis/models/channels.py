@@ -7,7 +7,7 @@ attitude_rate   body rate from the attitude less the gyro, rad/s
 
 A real force shows alike in imu and mocap, a torque in angular, an accelerometer's bias in imu only, a gyro's in
 attitude_rate only, a clock offset in mocap and attitude_rate. All products are formed at the full rate; then both
-sides go through one filter, and what is not differentiated through Simpson's weights.
+sides pass one filter, and what is not differentiated also Simpson's weights.
 """
 
 from __future__ import annotations
@@ -29,11 +29,6 @@ CHANNELS = len(KINDS) * AXES
 SPECIFIC_FORCE, POSE_ACCELERATION = slice(0, 3), slice(3, 6)
 ANGULAR_ACCELERATION, ATTITUDE_RATE = slice(6, 9), slice(9, 12)
 MOTION = slice(0, 9)  # forces and torques: all but the attitude rate, which shows sensors alone
-
-
-def kind_of(channel: int) -> str:
-    """The kind of a channel by its number."""
-    return KINDS[channel // AXES]
 
 
 def present(segment: Segment) -> tuple[bool, ...]:

@@ -1,4 +1,4 @@
-"""Open-loop prediction: the model runs from a measured state; one right at one step can be wrong at fifty."""
+"""Open-loop prediction errors: the model runs from a measured state without later measurements."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def open_loop_errors(
 ) -> tuple[HorizonError, ...]:
     """Prediction errors of a vehicle's model over each horizon, from starts all along the segments.
 
-    None where the segments hold no pose to start from.
+    Empty where the segments hold no pose to start from.
     """
     if not all(s.has_pose for s in segments):
         return ()

@@ -35,7 +35,7 @@ class Prediction:
     angular_acceleration: (n, 3) body, rad/s^2.
     rate: (n, 3) body, without the gyro's faults, rad/s.
     true_force: (n, 3) specific force without the accelerometer's faults, m/s^2.
-    pose_age: by which the pose lags, s: world acceleration and attitude rate are those of then.
+    pose_age: delay of the pose, s, by which world acceleration and attitude rate are late.
     """
 
     specific_force: Floats
@@ -65,7 +65,7 @@ class Predictor:
 
     uses: the effects in it.
     free: parameters in which slopes are computed, by the model's names.
-    speed_measured: whether the segments hold measured rotor speeds, behind which no lag is left.
+    speed_measured: whether the segments hold measured rotor speeds; the rotors' lag is then not in the model.
     """
 
     def __init__(
@@ -127,7 +127,7 @@ class Predictor:
         return [Prediction.from_outputs(part, age) for part in parts.transpose(1, 0, 2)]
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
-        """(n, nx) measured motion, smoothed, and the hidden states that go with it. p: parameters if not its own."""
+        """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's."""
         values = self.values() if p is None else p
         hidden = self._hidden(segment, values) if self._advance is not None else np.zeros((len(segment), 0))
         return np.hstack([segment.smooth, hidden])
@@ -152,7 +152,7 @@ class Predictor:
 
 
 def _settled(model: Model, segment: Segment) -> Floats:
-    """Hidden states at the start: those of hover, and rotors as fast as commanded then."""
+    """Hidden states at the start: those of hover, and rotors at the speeds commanded there."""
     hidden = model.hidden_initial.copy()
     for place in model.rotor_speed_places:
         hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
@@ -178,7 +178,7 @@ def _age(model: Model, p: Expression) -> Expression:
 
 
 def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
-    """Body rate and rotor speeds behind their readings; sensors read them affinely."""
+    """Body rate and rotor speeds from their readings, which are affine in them."""
 
     def solved(reading: Expression, read: Expression, true: Expression) -> Expression:
         slope = ca.jacobian(read, true)

@@ -1,7 +1,7 @@
 """Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
 
 Between two rows the rotors have the mean speed of both, and accelerate as measured where their speed is measured;
-faults of sensors that the model holds are taken out of the readings first.
+faults of sensors that the model holds are removed from the readings first.
 """
 
 from __future__ import annotations
@@ -82,8 +82,8 @@ class Simulator:
     ) -> Floats:
         """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
 
-        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead. held: the
-        parameters are, and all columns are directions of the start.
+        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead. held:
+        whether the parameters are constant, and all columns are directions of the start.
         """
         count, steps, nx = len(windows.states), windows.inputs.shape[1], windows.states.shape[2]
         half, width = windows.inputs.shape[2] // 2, first.shape[2]
@@ -113,7 +113,7 @@ def healthy(
 
 
 def _without_faults(segment: Segment, model: Model) -> Segment:
-    """Sensors read affinely, each axis and rotor for itself."""
+    """The segment without the model's sensor faults, which are affine in each axis and each rotor."""
     nothing, ones, p = np.zeros(3), np.ones(model.input_count), model.parameter_values
     _, rate, speed, age = (np.array(reading).ravel() for reading in model.measure(nothing, nothing, 0 * ones, p))
     gain = np.array(model.measure(nothing, nothing, ones, p)[2]).ravel() - speed
@@ -128,7 +128,7 @@ def _without_faults(segment: Segment, model: Model) -> Segment:
 
 
 def _with_pose_of(segment: Segment, age: float) -> Segment:
-    """The segment with the pose that arrives `age` s later; the last rows keep theirs."""
+    """The segment with the pose that was logged `age` s later; the last rows repeat the last one."""
     time = np.arange(len(segment)) / segment.rate
 
     def moved(values: Floats) -> Floats:

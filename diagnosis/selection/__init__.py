@@ -1,1 +1,1 @@
-"""Which effects are missing: candidates, the regression over them, search, acceptance, tests of the residuals."""
+"""Which effects are missing: candidates, the regression over them, search, rivals, tests of the residuals."""

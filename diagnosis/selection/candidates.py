@@ -2,11 +2,11 @@
 
 Columns come from the effects' own expressions. An effect that is linear in some of its parameters gives one column
 for each of them and is tried on a grid of the others; an effect whose parameters are all held gives one column, a
-fixed-shape regressor: the difference that it makes, whose coefficient must come out near 1.
+fixed-shape regressor: the difference that it makes, whose coefficient must be near 1.
 
-Under feedback the controller answers turbulence within 30 ms, so rotor speeds are correlated with the disturbance and
-the moments of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the rotors'
-moments from slow measured motion; those for estimation and evaluation are the plain ones.
+Under feedback the controller responds to turbulence within 30 ms, so rotor speeds are correlated with the disturbance
+and the moments of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the
+rotors' moments from slow measured motion; those for estimation and evaluation are the plain ones.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Candidate:
     """An effect at one point of its grid.
 
     effect: of the catalogue.
-    rotor: that it sits on, if it is one rotor's.
+    rotor: that it acts on, if it is an effect of one rotor.
     at: values about which it is linear, of all parameters.
     free: parameters that are regressed.
     columns: places of its columns in the regression.
@@ -55,7 +55,7 @@ class Candidate:
 
     @property
     def values(self) -> dict[str, float]:
-        """The same by the model's names."""
+        """The values about which it is linear, by the model's names."""
         return {f"{self.key}.{name}": value for name, value in self.at.items()}
 
     def use(self) -> EffectUse:
@@ -110,7 +110,7 @@ def make_predictor(
     segment: Segment,
     thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> Predictor:
-    """The model with a candidate in it, with slopes in its free parameters; it serves the effect's whole grid."""
+    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid."""
     return Predictor(
         vehicle,
         [*without(vehicle, candidate), candidate.use()],

@@ -1,4 +1,4 @@
-"""From a segment to residuals and the columns of all candidates, with the models built once.
+"""Residuals and columns of all candidates for any segment, from models that are built once.
 
 Candidates that vanish at their neutral values do not interact there, so that one model with all of them in it gives all
 their slopes at once; those that have a grid, bring hidden states or move the air have models of their own.

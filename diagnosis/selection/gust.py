@@ -1,4 +1,4 @@
-"""Random air motion as one number: the strength of an air with a gust's spectrum that makes the data most likely."""
+"""Random air motion with a gust's spectrum: the strength at which the residuals are most likely."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Gust:
     """A gust as far as flights show it.
 
     gain: twice the log-likelihood gained.
-    score: the same less its penalty.
+    score: the gain less its penalty.
     intensity: m/s, through the usual rotor drag.
     effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
     """

@@ -1,4 +1,4 @@
-"""The noise of the residual channels: coloured, correlated between channels, never redder than sensors are.
+"""The noise of the residual channels: coloured, correlated between channels, with a capped low-frequency part.
 
 Power below 1.5 Hz in excess of that between 1.5 and 3 Hz comes from effects that the model misses, so the spectrum is
 capped there at the latter's level; without the cap a gust would be whitened away.
@@ -26,7 +26,7 @@ class NoiseModel:
     active: the channels that are there.
     filters: (c, order + 1) of the AR models.
     level: (c,) standard deviation of the innovations.
-    mixing: (c, c) by which the innovations become independent.
+    mixing: (c, c) matrix that makes the innovations independent.
     floor: (12,) standard deviation of each channel's noise below the filters' cutoff, zero where a channel is absent.
     """
 
@@ -38,7 +38,7 @@ class NoiseModel:
 
     @property
     def order(self) -> int:
-        """Of the AR models: rows at the start of a segment that whitening uses up."""
+        """Order of the AR models: rows at the start of a segment that whitening needs."""
         return int(self.filters.shape[1]) - 1
 
     def whiten(self, rows: Floats) -> Floats:
@@ -75,7 +75,7 @@ def estimate_noise(
 ) -> NoiseModel:
     """The noise of residuals (m, 12) that hold as little of missing effects as possible. rate: Hz.
 
-    mixed: whether what channels have in common is noise too.
+    mixed: whether correlation between channels is noise, and whitened.
     """
     filters, levels, floor = [], [], np.zeros(residuals[0].shape[1])
     start = thresholds.reference_band[0]
@@ -101,9 +101,9 @@ def noise_floor(
 ) -> Floats:
     """(12,) standard deviation of the noise in residuals (m, 12), zero where a channel is absent.
 
-    Below the reference band the mean of the spectrum counts at most as much as within it, or half as much again for
-    torques, which the rotors' turbulence reddens. A cap bin by bin, as for the filters, would count chance as missing
-    effects.
+    Below the reference band the mean of the spectrum counts at most as much as within it, times `torque_redness` for
+    torques, to which the rotors' turbulence adds low frequencies. A cap bin by bin, as for the filters, would count
+    chance as missing effects.
     """
     floor = np.zeros(residuals[0].shape[1])
     start, stop = thresholds.reference_band

@@ -40,16 +40,14 @@ class Biases:
 class Regression:
     """Normal equations of all candidates, a set for each flight.
 
-    In all but the joint ones the flight's biases are marginalised.
-
     segments, flight_of: what was fitted, and the flight of each segment.
     candidates: all of them; the model that they are added to is the vehicle's.
     noise: by which residuals are whitened.
     rows: (m, 12) residuals of the vehicle's model, a segment each.
     columns: (m, 12, k) for detection, a segment each.
-    gram, product: (k, k) and (k,) a flight, with errors-in-variables correction.
-    plain_gram, plain_product: without that correction.
-    joint_gram, joint_product: corrected, biases not marginalised.
+    gram, product: (k, k) and (k,) a flight, with errors-in-variables correction, biases marginalised.
+    plain_gram, plain_product: biases marginalised, without that correction.
+    joint_gram, joint_product: with that correction, biases not marginalised.
     observations: number of whitened residuals of each flight.
     rate: of the rows, Hz.
     design: makes rows and columns of other segments.
@@ -126,7 +124,7 @@ class Regression:
         return total
 
     def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
-        """(m, 12) residual of each segment with the chosen columns and its flight's biases taken out."""
+        """(m, 12) residual of each segment without the chosen columns and its flight's biases."""
         where, theta = list(chosen), self.solve(chosen)[0]
         off = []
         for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
@@ -194,7 +192,7 @@ def _noise(
     active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
     everything = _everything(rows, columns, active, thresholds.regression.ridge)
     residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
-    # with commands alone the rotors' own errors are in all channels, and what these have in common is no sensor's
+    # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
     mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
     return estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise), everything
 
@@ -238,7 +236,7 @@ def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Seque
 
 
 def sensor_biases(candidates: Sequence[Candidate]) -> Biases:
-    """Columns of the errors that sensors are specified to have: of effects with a sensor prior, one candidate each."""
+    """Columns of sensor errors within specification: of effects with a sensor prior, one candidate each."""
     columns: list[int] = []
     information: list[float] = []
     taken: set[str] = set()

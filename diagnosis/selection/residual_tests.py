@@ -1,7 +1,7 @@
-"""Tests of an identified model's residuals: is something left that no effect of the catalogue explains?
+"""Tests of an identified model's residuals: do they contain more than noise?
 
-Force on which accelerometer and pose agree at low frequency, what a smooth function of state or position could still
-predict, and lines in the spectrum.
+Force on which accelerometer and pose agree at low frequency, what a smooth function of state or position predicts, and
+lines in the spectrum.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def _inside(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArr
 
 
 def _features(states: Sequence[Floats], fineness: float, count: int) -> list[Floats]:
-    """Random Fourier features of states (m, k), and the states themselves."""
+    """Random Fourier features of states (m, k), the scaled states, and a constant."""
     everything = np.vstack(states)
     mean, deviation = everything.mean(axis=0), everything.std(axis=0) + 1e-9
     random = np.random.default_rng(0)

@@ -24,7 +24,7 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
 
 
 def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Scored]) -> list[Scored]:
-    """Those of the rivals that the flights cannot tell from the first, by the linear regression."""
+    """Those of the rivals that the flights cannot distinguish from the first, by the linear regression."""
     own, thresholds = rivals[0], search.regression.thresholds.rivals
     margin = max(thresholds.score_margin, thresholds.gain_share * own.gain)
     if search.regression.segments[0].rotor_source == "command":

@@ -41,7 +41,7 @@ class Scored:
 
 
 def min_score(candidates: Sequence[Candidate], thresholds: SearchThresholds = DEFAULT.search) -> float:
-    """Score below which these are not claimed."""
+    """Score below which candidates are not claimed."""
     faults = all(c.effect.sensor_prior is not None for c in candidates)
     return thresholds.min_fault_gain if faults else thresholds.min_gain
 
@@ -78,7 +78,7 @@ class Search:
         return len(candidate.columns) * self._size + tried
 
     def score(self, candidates: Sequence[Candidate]) -> Scored:
-        """The score of a set of effects, -inf where a coefficient cannot be."""
+        """The score of a set of effects, -inf where a coefficient is physically impossible."""
         columns = [i for c in candidates for i in c.columns]
         theta, gain = self.regression.solve(columns)
         start = 0
@@ -100,7 +100,7 @@ class Search:
         return tuple(sorted(best.values(), key=lambda s: -s.score))
 
     def first(self, singles: Sequence[Scored]) -> Scored:
-        """The best single effect, by flights left out among those that come close, the simpler one when equal."""
+        """The best single effect: cross-validated among those of similar score; the simpler one of equal gain."""
         top, thresholds = singles[0], self.thresholds
         if top.score > thresholds.min_gain:
             near = [
@@ -114,7 +114,7 @@ class Search:
         return top
 
     def grow(self, start: Scored, singles: Sequence[Scored]) -> Scored:
-        """Add effects, or exchange for a better pair, while flights left out agree."""
+        """Add effects, or exchange the first for a better pair, while cross-validation confirms the improvement."""
         chosen, thresholds = start, self.thresholds
         required = max(thresholds.min_gain, thresholds.min_share * start.gain)
         for step in range(thresholds.max_effects - 1):
@@ -128,7 +128,7 @@ class Search:
         return self._on_best_grid_points(chosen)
 
     def _confirmed(self, chosen: Scored, trials: Sequence[Scored], required: float) -> Scored | None:
-        """The best of the trials whose improvement on the chosen set shows on flights left out as well."""
+        """The best of the trials whose improvement on the chosen set is confirmed by cross-validation."""
         before = self.regression.cross_validated_gain(chosen.columns)
         for trial in sorted(trials, key=lambda s: -s.score)[: self.thresholds.max_trials]:
             improvement = trial.score - chosen.score
@@ -147,7 +147,7 @@ class Search:
         return [self.score([*s.candidates, other]) for s in first for other in self._others(s)]
 
     def _ordered(self, chosen: Scored) -> Scored:
-        """The same with the effect first whose loss would cost most."""
+        """The same set, ordered by how much gain is lost without an effect, most first."""
         if len(chosen.candidates) < 2:
             return chosen
         rest = {c.key: self.score([o for o in chosen.candidates if o is not c]).gain for c in chosen.candidates}
@@ -167,7 +167,7 @@ class Search:
 def possible(
     candidate: Candidate, theta: Floats, vehicle: Vehicle, thresholds: SearchThresholds = DEFAULT.search
 ) -> bool:
-    """Whether coefficients lie within the physical bounds of their parameters, but for a little noise."""
+    """Whether coefficients lie within the physical bounds of their parameters, with a slack for noise."""
     if candidate.fixed_shape:
         size = next(iter(candidate.at.values()))
         low, high = thresholds.amplitude
@@ -181,7 +181,7 @@ def possible(
 
 
 def select(regression: Regression) -> Selection:
-    """The effects that are missing, none if nothing gains more than its penalty and the least score."""
+    """The effects that are missing, none where no score reaches its minimum."""
     search, thresholds = Search(regression), regression.thresholds.search
     singles = search.singles()
     before = gust_gain(regression, [])

@@ -18,7 +18,7 @@ ENVIRONMENT, BATTERY = 3, 1  # place among the inputs of `observe` and `derivati
 
 
 def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
-    """Whether the segments hold what the effect acts through."""
+    """Whether the segments hold the signals that the effect acts on."""
     source = segments[0].rotor_source
     if effect.rotor_speed is not None:
         return source != "measured"  # between command and speed, which does not matter where speed is measured
