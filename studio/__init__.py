@@ -1,1 +1,1 @@
-"""What people look at: self-contained HTML pages with their pictures inside, which need no network."""
+"""Reports as self-contained HTML pages with their pictures inside, which need no network."""

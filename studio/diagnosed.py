@@ -23,20 +23,20 @@ NAMES = {
     "angular": "angular acceleration",
     "attitude_rate": "rate of the attitude less the gyro",
 }
-BROKEN = {
+NAMES_WRAPPED = {
     "imu": "specific force<br>(accelerometer)",
     "mocap": "specific force<br>(pose)",
     "angular": "angular<br>acceleration",
     "attitude_rate": "attitude's rate<br>less the gyro",
 }
-AXIS = "xyz"
-ROOM = 1.15  # of the longest bar, for the number behind it
+AXIS_NAMES = "xyz"
+HEADROOM = 1.15  # axis range over the longest bar, for the number behind it
 
 
 def channel_bars(errors: dict[str, ChannelError]) -> Picture:
     """Error of each kind of channel before and after, in units of its noise floor."""
     figure = go.Figure()
-    names = [BROKEN[kind] for kind in errors]
+    names = [NAMES_WRAPPED[kind] for kind in errors]
     for label, colour, values in (
         ("current model", BEFORE, [e.before for e in errors.values()]),
         ("improved model", AFTER, [e.after for e in errors.values()]),
@@ -60,7 +60,7 @@ def channel_bars(errors: dict[str, ChannelError]) -> Picture:
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
     worst = max(max(e.before, e.after) / e.floor for e in errors.values())
     figure.update_layout(barmode="group")
-    figure.update_xaxes(title_text="times the noise floor", range=[0, ROOM * worst])
+    figure.update_xaxes(title_text="times the noise floor", range=[0, HEADROOM * worst])
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 120 + 75 * len(names), "Bars: error of each channel before and after, over its noise floor.")
 
@@ -82,7 +82,7 @@ def axis_bars(axes: Sequence[AxisError]) -> Picture:
         )
     )
     figure.add_vline(x=1, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text="times the noise floor", range=[0, ROOM * max(a.rms / a.floor for a in axes)])
+    figure.update_xaxes(title_text="times the noise floor", range=[0, HEADROOM * max(a.rms / a.floor for a in axes)])
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 90 + 30 * len(names), "Bars: error of each channel over its noise floor.")
 
@@ -107,7 +107,7 @@ def overlay_lines(view: Overlay, *, improved: bool) -> Picture:
         for name, colour, table, width, dash in lines:
             drawn = line(view.time, table[:, channel], name=name, colour=colour, unit=unit, width=width, dash=dash)
             figure.add_trace(drawn)
-        name = f"{NAMES[kind]}, {AXIS[channel % AXES]}"
+        name = f"{NAMES[kind]}, {AXIS_NAMES[channel % AXES]}"
         choices.append(Choice(name, range(first, len(figure.data)), {"yaxis.title.text": f"{name}, {unit}"}))
     choosing(figure, choices, label="channel")
     for begin, name in zip(view.begins, view.names, strict=True):
@@ -148,7 +148,7 @@ def ranking_bars(singles: Sequence[Scored], chosen: Scored, *, min_score: float,
         )
     )
     figure.add_vline(x=min_score, line={"color": FLOOR, "dash": "dash"})
-    figure.update_xaxes(title_text="score (least that is claimed: dashed)", type="log", dtick=1, exponentformat="power")
+    figure.update_xaxes(title_text="score (dashed: minimum for a claim)", type="log", dtick=1, exponentformat="power")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 26 * len(names), "Bars: the score of each effect alone.")
 
@@ -215,7 +215,7 @@ def spectrum_lines(before: Spectrum, after: Spectrum | None) -> Picture:
 
 def agreement_points(agreement: Agreement) -> Picture:
     """Residuals of the accelerometer against those of the pose: a force lies on the diagonal."""
-    titles = [f"{AXIS[axis]}: {agreement.correlation[axis]:.2f}" for axis in range(3)]
+    titles = [f"{AXIS_NAMES[axis]}: {agreement.correlation[axis]:.2f}" for axis in range(3)]
     figure = make_subplots(cols=3, subplot_titles=titles, horizontal_spacing=0.09)
     reach = float(np.quantile(np.abs(np.hstack([agreement.specific_force, agreement.pose_acceleration])), 0.999))
     for axis, colour in enumerate((AFTER, ORANGE, GREEN)):
@@ -226,7 +226,7 @@ def agreement_points(agreement: Agreement) -> Picture:
                 mode="markers",
                 marker={"size": 4, "color": colour, "opacity": 0.4},
                 showlegend=False,
-                name=AXIS[axis],
+                name=AXIS_NAMES[axis],
                 hovertemplate="accelerometer %{x:.3g}, pose %{y:.3g} m/s²<extra></extra>",
             ),
             row=1,
@@ -252,7 +252,7 @@ def agreement_points(agreement: Agreement) -> Picture:
 
 
 def likeness_map(likeness: Likeness) -> Picture:
-    """Which effects look alike on these flights."""
+    """Shares of signal that effects have in common on these flights."""
     figure = go.Figure(
         go.Heatmap(
             z=likeness.shared,

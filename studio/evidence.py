@@ -1,4 +1,4 @@
-"""What the pictures of a diagnosis show, computed from its result."""
+"""Data of the pictures of a diagnosis: overlay, agreement of the forces, likeness of effects."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from dynamics.arrays import Floats
 
 MAX_ROWS = 6000  # of the overlay: four minutes of flight
 SHOWN_CANDIDATES = 14  # of the collinearity matrix
-PAUSE = 0.5  # s between flights that are shown one behind the other
-MAX_POINTS = 1500  # of a panel
+PAUSE = 0.5  # s between flights that are drawn one behind the other
+MAX_POINTS = 1500  # of a panel of the agreement
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,10 +97,10 @@ def _as_many_as_fit(worst_first: Sequence[int], rows: Sequence[Floats]) -> list[
 
 @dataclass(frozen=True, eq=False)
 class Agreement:
-    """Residuals of accelerometer and pose, and how they agree.
+    """Residuals of accelerometer and pose, and their correlation.
 
     specific_force, pose_acceleration: (n, 3) m/s^2.
-    correlation: (3,), one an axis.
+    correlation: (3,), of each axis.
     """
 
     specific_force: Floats
@@ -132,7 +132,7 @@ class Likeness:
 
 
 def likeness(regression: Regression, singles: Sequence[Scored]) -> Likeness:
-    """The largest canonical correlation of each two effects' whitened columns, biases taken out.
+    """The largest canonical correlation of each two effects' whitened columns, without the flights' biases.
 
     singles: each effect at its best grid point, best first; the first ones are shown.
     """

@@ -1,4 +1,4 @@
-"""What all pictures share: colours for the colour-blind, axes with units, lines thinned for the screen."""
+"""Style of all pictures: colours for the colour-blind, axes with units, lines thinned for the screen."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class Choice:
 
 
 def picture(figure: go.Figure, height: int, description: str, *, titles: bool = False) -> Picture:
-    """A figure in the style of all pages. titles: whether its parts have titles, above which the legend stands."""
+    """A figure in the style of all pages. titles: whether its parts have titles, above which the legend is placed."""
     head, foot = (74 if titles else 34), 48
     above = 1 + (26 / (height - head - foot) if titles else 0)
     figure.update_layout(
@@ -72,7 +72,7 @@ def picture(figure: go.Figure, height: int, description: str, *, titles: bool = 
 
 
 def line(x: Floats, y: Floats, *, name: str, colour: str, unit: str, **more: Any) -> go.Scatter:
-    """A line whose values show under the pointer; single precision, which is what a screen needs."""
+    """A line whose values show under the pointer; single precision, which is enough for a screen."""
     return go.Scatter(
         x=x.astype(np.float32),
         y=y.astype(np.float32),
@@ -85,7 +85,7 @@ def line(x: Floats, y: Floats, *, name: str, colour: str, unit: str, **more: Any
 
 
 def thinned(lines: Sequence[Floats], max_points: int = MAX_POINTS) -> NDArray[np.intp]:
-    """Rows that draw lines (n,) of one clock so that every spike still shows: least and greatest of many parts."""
+    """Rows that draw lines (n,) of one clock so that every spike still shows: minimum and maximum of many parts."""
     rows = len(lines[0])
     if rows <= max_points:
         return np.arange(rows)
@@ -100,7 +100,7 @@ def thinned(lines: Sequence[Floats], max_points: int = MAX_POINTS) -> NDArray[np
 
 
 def choosing(figure: go.Figure, choices: Sequence[Choice], *, label: str) -> None:
-    """Let the page choose which lines of a figure show; the first choice shows at first."""
+    """Let the page choose which lines of a figure show; initially the first choice."""
     figure.update_layout(
         meta={
             "label": label,

@@ -1,4 +1,4 @@
-"""Flights of the same references before and after: how far from the reference, and where."""
+"""Pictures of flights of the same references before and after: paths, and position error over time."""
 
 from __future__ import annotations
 

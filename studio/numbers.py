@@ -1,4 +1,4 @@
-"""How numbers are written for people."""
+"""Numbers, units and quantities as pages write them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ UNITS = {"m/s^2": "m/s²", "rad/s^2": "rad/s²", "1": ""}
 
 
 def shown(value: float | None, digits: int = 3) -> str:
-    """A number with so many significant digits: 0.0123, 12.3, 1,230, 2.20 × 10⁻⁵; a dash for none."""
+    """A number with the given count of significant digits: 0.0123, 12.3, 1,230, 2.20 × 10⁻⁵; a dash for none."""
     if value is None or not math.isfinite(value):
         return "–"
     if value == 0:

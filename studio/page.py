@@ -1,4 +1,4 @@
-"""The page kit: one HTML file with style, pictures and provenance in it, readable without a network or JavaScript."""
+"""Rendering of pages: HTML files with style, pictures and provenance, readable without a network or JavaScript."""
 
 from __future__ import annotations
 
@@ -24,9 +24,12 @@ PACKAGES = ("alula", "numpy", "scipy", "casadi")
 
 @dataclass(frozen=True)
 class Origin:
-    """How a page came about. command: that made it. made: date and time. inputs: sha256 of each file that was read.
+    """Origin of a page.
 
-    add: the command that adds the effect that was found, empty where there is none to add.
+    command: that made it.
+    made: date and time, UTC.
+    inputs: sha256 of each file that was read, by path.
+    add: the command that adds the named effect, empty where there is none to add.
     """
 
     command: str = ""
@@ -36,7 +39,7 @@ class Origin:
 
 
 def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:
-    """A page from a template of this room, as HTML."""
+    """A page from a template of `studio/templates`, as HTML."""
     versions = {name: metadata.version(name) for name in PACKAGES}
     page: str = (
         _environment()
@@ -52,7 +55,7 @@ def write_page(text: str, path: Path) -> None:
 
 
 def embedded(value: Any) -> str:
-    """JSON that may stand in a script element, whatever its texts hold."""
+    """JSON that is safe inside a script element, whatever its texts contain."""
     text = value if isinstance(value, str) else json.dumps(value, allow_nan=False)
     return text.replace("<", "\\u003c")
 

@@ -1,4 +1,4 @@
-"""How a page came about: the command, the time, the files that were read."""
+"""Origin of a page made now: the command, the time, the files that were read."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 def origin(inputs: Mapping[str, str], add: str = "") -> Origin:
     """The origin of a page made now by this command. inputs: sha256 by path. add: the command that adds an effect."""
-    from studio.page import Origin  # jinja2 and plotly, which the flight computer has not
+    from studio.page import Origin  # imports jinja2 and plotly, which the base install lacks
 
     made = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
     return Origin(command_line(), made, dict(inputs), add)

@@ -20,7 +20,7 @@ SCALE = "Cividis"
 
 
 def regime_map(maps: Sequence[Regime]) -> Picture:
-    """A row for each quantity, its cells from the least to the greatest value that was flown."""
+    """A row for each quantity, its cells from the lowest to the highest value that was flown."""
     figure, choices = go.Figure(), []
     names = [quantity_shown(regime.name) for regime in maps]
     for kind, top in _kinds([regime.over_floor for regime in maps]):
@@ -41,13 +41,13 @@ def regime_map(maps: Sequence[Regime]) -> Picture:
         )
     choosing(figure, choices, label="channel")
     figure.update_layout(plot_bgcolor=UNFLOWN)
-    figure.update_xaxes(title_text="low to high, in sixths", type="category")
+    figure.update_xaxes(title_text=f"low to high, in {len(maps[0].edges) - 1} equal parts", type="category")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 110 + 34 * len(maps), "Map: error over floor along each quantity.")
 
 
 def plane_map(plane: Plane) -> Picture:
-    """Two quantities at once."""
+    """Error over floor in cells of two quantities."""
     figure, choices = go.Figure(), []
     for kind, top in _kinds([plane.over_floor]):
         values = plane.over_floor[kind]

@@ -19,7 +19,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
 from studio import diagnosed as pictures
-from studio import flown as flights
+from studio import flown as flown_pictures
 from studio import regions
 from studio.evidence import agreement, likeness, overlay
 from studio.flown import FlownComparison
@@ -67,18 +67,18 @@ def demo_page(
     origin: Origin,
     hidden: Sequence[str] = (),
 ) -> str:
-    """The demo's page: tracking and prediction error before and after, the flights, and what diagnosis found between.
+    """The demo's page: tracking and prediction error before and after, the flights, and the diagnosis between them.
 
     result, dataset: of the first flights. hidden: what the simulated vehicle hid, in words.
     """
-    views = [(item, flights.flight_view(item), flights.flight_in_space(item)) for item in flown]
+    views = [(item, flown_pictures.flight_view(item), flown_pictures.flight_in_space(item)) for item in flown]
     vehicle = result.regression.vehicle
     return render(
         "demo.html",
         title="Alula demo: the model before and after diagnosis",
         origin=origin,
         flown=flown,
-        tracking=flights.tracking_bars(flown) if flown else None,
+        tracking=flown_pictures.tracking_bars(flown) if flown else None,
         views=views,
         hidden=hidden,
         vehicle=vehicle,
@@ -90,7 +90,7 @@ def add_command(
     diagnosis: Diagnosis, logs: Sequence[Path], vehicle: str, hold_out: str | None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> str:  # fmt: skip
-    """The command that adds the first effect that was found, empty where there is none that can be added."""
+    """The command that adds the first effect of a diagnosis that can be added, empty where there is none."""
     able = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
     if not able:
         return ""

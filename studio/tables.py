@@ -1,4 +1,4 @@
-"""A page of plain tables and finished pictures, for whatever is measured in numbers alone."""
+"""Pages of plain tables and PNG pictures, for results that are numbers alone."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ Cell = str | int | float | None
 
 @dataclass(frozen=True)
 class PageTable:
-    """title, note: in words. headings: with units. rows: as long as the headings. digits: significant ones."""
+    """A table of a page.
+
+    title, note: texts above and below it.
+    headings: of the columns, with units.
+    rows: cells, one for each heading.
+    digits: significant digits of numbers.
+    """
 
     title: str
     headings: Sequence[str]
@@ -35,7 +41,7 @@ class Image:
 
     @property
     def base64(self) -> str:
-        """For the page's source."""
+        """The bytes as base64, for the page's source."""
         return base64.b64encode(self.png).decode()
 
 

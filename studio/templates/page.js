@@ -1,4 +1,4 @@
-// Inflates plotly.js and draws every picture in its turn. The page's words and tables do without.
+// Inflates plotly.js and draws the pictures one by one. Text and tables need no script.
 function controls(plot, meta) {
   const bar = document.createElement("div");
   bar.className = "controls";
