@@ -1,4 +1,4 @@
-"""Regressions and segments made of a few arrays, whose right answers are known."""
+"""Regressions and segments made of a few arrays, with known solutions."""
 
 from __future__ import annotations
 

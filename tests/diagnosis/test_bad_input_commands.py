@@ -80,7 +80,7 @@ def weighing(vehicle: Vehicle, factor: float) -> Vehicle:
     ],
     ids=["short", "slow", "motors", "lacking", "rpm", "degrees", "g", "millimetres", "frames", "dead"],
 )
-def test_what_cannot_answer_is_said_with_what_to_do(refused, change: Change, words: list[str]) -> None:
+def test_flights_that_cannot_answer_are_refused_with_what_to_do(refused, change: Change, words: list[str]) -> None:
     wrong = refused(change, count=2 if "Fly 20 s or more" in words else 6)
     assert all(word in wrong for word in words), wrong
 
@@ -132,7 +132,7 @@ def test_copies_of_one_flight_are_no_flights(refused, plain_flights: list[Flight
     assert "one and the same" in refused(lambda _: plain_flights[0])
 
 
-def test_one_flight_and_a_log_without_imu_are_answered_with_what_they_cannot_say(
+def test_one_flight_and_a_log_without_imu_are_answered_with_notes_on_what_is_missing(
     run: Run, plain_flights: list[Flight], tmp_path: Path
 ) -> None:
     """One recording with an interruption."""

@@ -26,7 +26,7 @@ from fixtures.rotorpy_flights import (
 SOME = {n: CATALOGUE[n] for n in ("rotor_drag", "mass", "thrust_constant", "gyro_bias", "imu_bias", "time_delay")}
 
 
-def test_every_effect_of_the_catalogue_is_made_or_told_why_not():
+def test_every_effect_of_the_catalogue_is_made_or_listed_as_not_made():
     assert sorted([*MADE, *WINDS, *READ_WRONG, *NOT_MADE]) == sorted(CATALOGUE)
 
 

@@ -197,7 +197,7 @@ def test_px4_motors_at_10_hz_are_answered_with_the_profile_to_set(run: Run) -> N
 
 
 def test_a_hover_is_refused_as_too_gentle(run: Run) -> None:
-    """PX4's flight again, by its telemetry with motors at 50 Hz; what it stood on the ground is left out."""
+    """PX4's flight again, by its telemetry with motors at 50 Hz; the time on the ground is left out."""
     log = DATA / "px4_sih_offboard" / "offboard_hover.tlog.gz"
     code, _, wrong = run("diagnose", log, "--vehicle", "px4_sih")
     assert code == 3
@@ -205,9 +205,9 @@ def test_a_hover_is_refused_as_too_gentle(run: Run) -> None:
     assert "Fly straight accelerations" in wrong
     vehicle = read_vehicle(FOLDER / "px4_sih.toml")
     (flown,) = segments(Flight.read(log), vehicle)
-    assert flown.start + flown.duration < 54  # it touches down at 53.7 s and says so at 62 s
+    assert flown.start + flown.duration < 54  # it touches down at 53.7 s and reports it at 62 s
     (gain,) = fit_command_curve([flown], (), vehicle).gains.values()
-    assert gain.mean == pytest.approx(1.0, abs=0.02)  # SIH's thrust is what the file says
+    assert gain.mean == pytest.approx(1.0, abs=0.02)  # SIH's thrust is that of the file
 
 
 def test_eight_rotors_with_commanded_thrusts_are_read_and_refused_as_too_short(run: Run, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The verdict: residuals that no effect explains come before the effects that do explain some."""
+"""The verdict is `unknown` where a test of the residuals rejects, else that of the effects."""
 
 import numpy as np
 import pytest

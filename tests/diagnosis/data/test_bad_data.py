@@ -147,7 +147,7 @@ def test_of_one_flight_the_last_fifth_is_held_out(plain_flights, arpl_250g):
     assert any("one flight only" in note for note in dataset.notes)
 
 
-def test_a_pattern_says_which_flights_are_held_out(plain_flights, arpl_250g, tmp_path):
+def test_a_pattern_selects_the_flights_that_are_held_out(plain_flights, arpl_250g, tmp_path):
     paths = [flight.to_csv(tmp_path / f"flight_{i}.csv") for i, flight in enumerate(plain_flights[:3])]
     dataset = read_dataset(paths, arpl_250g, hold_out="flight_0*")
     assert {s.flight for s in dataset.held_out} == {str(paths[0])}

@@ -1,4 +1,4 @@
-"""What is planted in simulated flights is named: pairs, effects that held-out flights do not show, and strangers."""
+"""Planted effects are named: pairs, effects that held-out flights do not show; others are called unknown."""
 
 import msgspec
 import numpy as np
@@ -42,7 +42,7 @@ def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
     assert diagnosed(arpl_250g, ("swirling", {"amplitude": 0.04}, None)).verdict == "unknown"
 
 
-def test_commanded_speeds_are_taken_at_their_word(arpl_250g):
+def test_commanded_speeds_are_used_as_they_are(arpl_250g):
     diagnosis = diagnosed(
         arpl_250g, ("motor_lag", {"time_constant": 0.03}, None), ("mass", {"ratio": 1.1}, None), commands=True
     )
@@ -52,7 +52,7 @@ def test_commanded_speeds_are_taken_at_their_word(arpl_250g):
     assert len(first) == 2
 
 
-def test_no_more_than_two_effects_are_named_as_not_told_apart(arpl_250g):
+def test_no_more_than_two_effects_are_named_as_ambiguous(arpl_250g):
     body = msgspec.structs.replace(arpl_250g.body, mass=0.97 * arpl_250g.body.mass)
     flights = compiled_flights(arpl_250g, [], catalogue=CATALOGUE, seed=6)
     light = msgspec.structs.replace(arpl_250g, body=body)

@@ -72,4 +72,6 @@ def test_a_fixed_shape_comes_with_its_own_size(arpl_250g):
     assert not possible(fixed, np.array([0.2]), arpl_250g)
     assert not possible(fixed, np.array([2.5]), arpl_250g)
     short = Candidate(lag, None, {"time_constant": 0.002}, (), (0,))
-    assert not possible(short, np.array([1.0]), arpl_250g)  # less than can be told from the clocks
+    assert not possible(
+        short, np.array([1.0]), arpl_250g
+    )  # shorter than the least detectable, which clock offsets hide
