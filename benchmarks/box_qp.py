@@ -87,7 +87,7 @@ def daqp_solver(size: int, *, warm: bool) -> Solve | None:
 
 
 def qpoases_solver(size: int) -> Solve:
-    """qpOASES 3.2 in CasADi, which starts from the program before; one run, for a second one would be for nothing."""
+    """qpOASES 3.2 in CasADi, started from the program before; one run: a second one would start at the solution."""
     structure = {"h": ca.Sparsity.dense(size, size), "a": ca.Sparsity(0, size)}
     solver = ca.conic("qpoases", "qpoases", structure, {"printLevel": "none", "error_on_fail": False})
 

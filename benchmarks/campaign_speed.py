@@ -72,7 +72,7 @@ def main() -> None:
     lines = ["| | |", "| --- | --- |", *(f"| {name} | {value} |" for name, value in rows)]
     text = (
         f"`alula campaign` in {options.jobs} processes, seed {manifest.recipe.seed}. The machine was shared: load "
-        f"average up to {load:.1f} on {os.cpu_count()} cores, so that the wall time says less than the processor time. "
+        f"average up to {load:.1f} on {os.cpu_count()} cores, so that the processor time is the more reliable one. "
         "True peaks are the vehicle's; labels are made of what it measured by the paper's processing at 5 Hz, as the "
         "paper's peaks must be.\n\n"
     )

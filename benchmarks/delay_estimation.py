@@ -1,8 +1,8 @@
-"""Planted delays of 0 to 80 ms between the streams of simulated flights with noise, and how well they are found.
+"""Planted delays of 0 to 80 ms between the streams of simulated flights with noise, and the errors of their estimates.
 
 Each flight is flown by the runtime's logic on the mock's vehicle with the hidden effects and sensors of a campaign;
-then every stream gets stamps of its own: planted delay, jitter of 0.5 ms, motors at half the rate. Seeds for the
-calibration of the interval are thrown away; the table is of fresh ones.
+then every stream gets stamps of its own: planted delay, jitter of 0.5 ms, motors at half the rate. The interval was
+calibrated on other seeds than the table's.
 
     python -m benchmarks.delay_estimation [--flights N] [--first-seed S] [--jobs J]
 """
@@ -49,7 +49,7 @@ class Answer:
     stream: str
     noise: float
     planted: float
-    estimates: float | None
+    estimate: float | None
     half_width: float
     covered: bool
 
@@ -99,8 +99,8 @@ def rows(answers: list[Answer]) -> list[str]:
     for noise in NOISES:
         for name in ("attitude", "velocity", "position", "rotor_speed"):
             some = [answer for answer in answers if answer.stream == name and answer.noise == noise]
-            answered = [answer for answer in some if answer.estimates is not None]
-            errors = 1e3 * np.abs([answer.estimates - answer.planted for answer in answered])  # type: ignore[operator]
+            answered = [answer for answer in some if answer.estimate is not None]
+            errors = 1e3 * np.abs([answer.estimate - answer.planted for answer in answered])  # type: ignore[operator]
             width = 1e3 * np.median([answer.half_width for answer in answered])
             inside = np.mean([answer.covered for answer in answered])
             lines.append(

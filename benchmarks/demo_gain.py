@@ -54,7 +54,7 @@ def main() -> None:
         demos[name] = DemoOptions(arguments.keep, lockstep=True, effects=(effect,), manoeuvres=CATALOGUE_MANOEUVRES)
     flown_demos = dict(_demos(demos, until=time.monotonic() + 60 * arguments.minutes))
     if len(flown_demos) < len(demos):
-        sys.exit(f"{len(flown_demos)} of {len(demos)} demos are flown; run again to go on.")
+        sys.exit(f"{len(flown_demos)} of {len(demos)} demos are flown; run again to continue.")
     reports = [flown_demos.pop(f"default_{seed}") for seed in seeds]
     body = [f"## The demo's default, seeds 1 to {arguments.seeds}", "", *_default(reports)]
     body += ["", "## Each effect by itself", "", *_catalogue(flown_demos)]

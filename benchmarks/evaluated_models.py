@@ -1,4 +1,4 @@
-"""The models beside the vehicle file on the campaign's test flights: every table of `alula evaluate`.
+"""The bundled models on the campaign's test flights: every table of `alula evaluate`.
 
 Needs `alula campaign --out build/campaign_learning`.
 """
@@ -20,11 +20,11 @@ def main() -> None:
     results = run([*models, CAMPAIGN], None, mapping=None, timed=True, done=print)
     draw(results, PICTURES)
     head = (
-        "Campaign with hidden effects (68 flights): its 8 test flights, of which no model has seen anything. The cards "
-        "beside the models say how they were trained. plant: the model with the hidden effects themselves, moving air "
+        "Campaign with hidden effects (68 flights): its 8 test flights, of which no model has seen anything. Each "
+        "model's card records how it was trained. plant: the model with the hidden effects themselves, moving air "
         "left out."
     )
-    write_result("evaluated_models", "The models that come along", "\n\n".join([head, *map(markdown, results.tables)]))
+    write_result("evaluated_models", "The bundled models", "\n\n".join([head, *map(markdown, results.tables)]))
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the trained models are held against: the paper's pipeline to its best, and training slow to fly fast.
+"""Two goals of the trained models: the ratios of the paper's own pipeline, and training slow to fly fast.
 
 Needs `alula campaign --out build/campaign_learning`. Trains through `alula train`; interrupted, it resumes.
 
@@ -110,7 +110,7 @@ def trained_slow() -> list[Table]:
     return [
         Table("slow", "Trained slow, flown fast: RMSE against the truth", ("flight", "NOM", *errors), tuple(rows)),
         Table(
-            "slow_flags", "Trained slow: what the four members' disagreement says",
+            "slow_flags", "Trained slow: what the four members' disagreement flags",
             ("model", "AUROC, worst tenth", "within 90 % error bars", "residual faded", "s of training, all members"),
             tuple(signs),
         ),

@@ -87,7 +87,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--repeats", type=int, default=5)
     repeats = parser.parse_args().repeats
-    # the frames are read anew, so that no decoded message is kept from one row to the next
+    # frames are parsed again for each row, so that no decoded message is reused
     every = [frame for _, frame in read_tlog(RECORDING)]
     odometry = [frame for frame in every if frame.message_id == mavlink.MAVLINK_MSG_ID_ODOMETRY]
     cases: list[tuple[str, Feeder]] = [

@@ -103,7 +103,7 @@ def collect(vehicle: Vehicle, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def train(config: ModelConfig, vehicle: Vehicle, steps: int, seed: int) -> TrainedModel:
-    """A network on those flights; the last tenth of them judges it."""
+    """A network on those flights; its error is that on the last tenth of them."""
     torch.manual_seed(seed)
     rng = np.random.default_rng(seed)
     states, commands = collect(vehicle, seed)

@@ -1,9 +1,9 @@
-"""How far from the limits at which an oscillating model is left do healthy models fly, and what becomes of sick ones?
+"""Margin of healthy models to the limits at which an oscillating model is replaced, and flights of oscillating ones.
 
-Three brisk manoeuvres in lockstep on the vehicle that hides what the campaign's hides: the nominal model and every
-trained model that comes along, with a vehicle's noise on gyro and estimate and with multiples of it. Of every flight:
-the greatest running means of what setpoints turn back from tick to tick, and of what body rates miss them, while the
-reference was tracked; how often and how long physics flew; the error.
+Three brisk manoeuvres in lockstep on the vehicle with the campaign's hidden effects: the nominal model and every
+bundled trained model, with the usual noise on gyro and estimate and with multiples of it. Of each flight: the maximum
+running means of the setpoints' second difference from tick to tick (turns back) and of the body rates' error against
+them (missed), while the reference was tracked; how often and how long physics flew; the error.
 
     python -m benchmarks.oscillation [--noise 1,2]
 """
@@ -101,7 +101,7 @@ def _row(body: Vehicle, model: str, manoeuvre: str, noise: float, folder: Path) 
 
 
 def _greatest(body: Vehicle, flown: FlownReference) -> tuple[float, float]:
-    """Greatest running means, from the log's setpoints and gyro, the latter as old as an estimate is."""
+    """Maximum running means, from the log's setpoints and gyro, the latter delayed like an estimate."""
     rate_setpoint, gyro = flown.log.stream("rate_setpoint"), flown.log.stream("rate")
     if rate_setpoint is None or gyro is None:
         return float("nan"), float("nan")

@@ -37,7 +37,7 @@ SENSORS = ("imu_bias", "gyro_bias", "time_delay")
 
 @dataclass(frozen=True)
 class Case:
-    """late: s by which a command is heard late, which is as good as more lag."""
+    """late: delay of a command, s, which the fit cannot tell from lag."""
 
     source: str
     use: EffectUse
@@ -83,15 +83,15 @@ def run(case: Case) -> list[str]:
     one_step = [reduced_chi_square(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
                 for f in (first, second.fit)]  # fmt: skip
     try:
-        chosen = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor).by_output_error
+        added = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor)
+        chosen = "output error" if added.by_output_error else "equation error"
     except DataError:
-        chosen = None
+        chosen = "not added"
     rows = []
     for (key, name), estimate in first.estimates.items():
         true = use.parameters[name] + (case.late if name == "time_constant" else 0.0)
         again = second.fit.estimates[key, name]
         listed = [f"{100 * (e.value / true - 1):+.2f} ± {196 * e.std / abs(true):.2f}" for e in (estimate, again)]
-        chosen = {True: "output error", False: "equation error", None: "not added"}[chosen]
         rows.append(
             f"| {case.source} | {key} {name} | {case.noise:g} | {listed[0]} | {listed[1]} | {one_step[0]:.3f}, "
             f"{one_step[1]:.3f} | {second.before:.3f}, {second.after:.3f} | {chosen} |"

@@ -32,8 +32,11 @@ from vehicles import FOLDER
 
 FLOWN = Path("build/planted_truth")
 EVERYTHING = {**CATALOGUE, **FOREIGN}
-BY_COMMAND = ("motor_lag", "battery_sag")  # with measured rotor speeds these have nothing to say
-BY_SPEED = ("rotor_speed_fault", "rotor_gyroscopic")  # a command tells no reading and no acceleration of the rotors
+BY_COMMAND = ("motor_lag", "battery_sag")  # not observable with measured rotor speeds
+BY_SPEED = (
+    "rotor_speed_fault",
+    "rotor_gyroscopic",
+)  # not observable from commands: a reading, and the rotors' acceleration
 COMMANDS_SHARE = 0.15  # of the other cases whose logs hold commands only
 # Effects that no data can separate cannot be a fair pair.
 INSEPARABLE = (
@@ -41,9 +44,9 @@ INSEPARABLE = (
     {"weak_rotor", "centre_of_mass", "rotor_speed_fault"}, {"wind", "gust"}, {"rotor_drag", "linear_drag"},
 )  # fmt: skip
 INSIDE = 0.1  # of a parameter's range that keeps away from its bounds
-MIN_MOTORS = 0.045  # s of lag that the controllers bear
+MIN_MOTORS = 0.045  # s of lag with which the controllers are stable
 MOCK_CANNOT = ("motor_lag", "rotor_speed_fault")  # it always has a lag; its speed sensors fail by option only
-ROTORPY_CANNOT_SIZE = ("wind", "gust")  # they need a drag that the file knows
+ROTORPY_CANNOT_SIZE = ("wind", "gust")  # they need a drag in the vehicle file
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class Case:
 
 @cache
 def vehicle() -> Vehicle:
-    """The vehicle that is flown; its file knows no effect."""
+    """The vehicle that is flown; its file names no effect."""
     return read_vehicle(FOLDER / "arpl_250g.toml")
 
 
@@ -146,7 +149,7 @@ def _parts(flight: Flight) -> tuple[object, ...]:
 
 @cache
 def yardstick(source: str, noise: float, commands: bool) -> Regression:
-    """A regression on flights that hide nothing: it tells how much an effect of a size shows."""
+    """A regression on flights that hide nothing, against which the size of an effect is measured."""
     data = make_dataset(fly(source, [], noise, 9000, commands=commands), vehicle())
     regression = make_regression(vehicle(), CATALOGUE, data.fitted, data.flight_of)
     design = DesignMatrix(vehicle(), CATALOGUE, regression.candidates, data.fitted[0])

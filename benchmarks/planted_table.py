@@ -13,7 +13,7 @@ NOTES = (
     "turbulence add. An effect that is named for one that no data can separate from it (mass and thrust_constant, "
     "torque_constant and inertia) is missed in the first row and right in the second, if that is declared. Offsets of "
     "gyro, accelerometer and clock within specification (0.01 rad/s, 0.02 m/s^2, 1 ms) are hidden as well and count as "
-    "missed, though diagnosis says nothing of them by intention.",
+    "missed, though diagnosis does not report them by design.",
 )
 MAX_SET = 2  # of effects that may be named as ambiguous
 

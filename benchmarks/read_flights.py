@@ -1,4 +1,4 @@
-"""Reads every log of a folder and says what each could and could not give; and how fast a long ULog is read.
+"""Reads every log of a folder and lists the quantities that each has and lacks; and how fast a long ULog is read.
 
     python -m benchmarks.read_flights [FOLDER]
 
@@ -28,13 +28,13 @@ from flights import Flight, Log, read_chunks, read_folder
 ROOT = Path(__file__).resolve().parents[1]
 
 MINUTES, RATE, REPEATS = 10, 250, 5
-HOURS, CHUNK = 3, 1200.0  # of the log that is read in chunks, and s of a piece
+HOURS, CHUNK = 3, 1200.0  # of the log that is read in chunks, and s of a chunk
 QUANTITIES = ("position", "velocity", "attitude", "rate", "specific_force", "rotor_speed")
 INSTEAD = {"rotor_speed": ("rotor_speed_command", "rotor_command", "rotor_thrust_command", "collective_thrust_command")}
 
 
 def long_ulog(path: Path) -> int:
-    """A synthetic ULog of MINUTES at RATE, with topics beside that nobody reads. Returns its size, bytes."""
+    """A synthetic ULog of MINUTES at RATE, with topics that no reader uses. Returns its size, bytes."""
     count = MINUTES * 60 * RATE
     stamps = (1_000_000 + np.arange(count) * (1_000_000 // RATE)).astype("<u8")
     swing = np.sin(np.arange(count) / 40.0)
@@ -72,7 +72,7 @@ def long_csv(path: Path) -> int:
 
 
 def peak_memory() -> float:
-    """Most memory that this process ever had, MB; not ru_maxrss, which begins with the parent's."""
+    """Peak memory of this process, MB; not ru_maxrss, which begins with the parent's."""
     lines = Path("/proc/self/status").read_text().splitlines()
     return next(float(line.split()[1]) for line in lines if line.startswith("VmHWM")) / 1024
 
@@ -92,7 +92,7 @@ def reading_in_chunks() -> str:
         done = subprocess.run(command, capture_output=True, text=True, check=True)
     data, chunks, memory = (float(word) for word in done.stdout.split())
     return (
-        f"A flight CSV of {HOURS} h, {size / 1e6:.0f} MB, read in {chunks:.0f} pieces of {CHUNK:.0f} s "
+        f"A flight CSV of {HOURS} h, {size / 1e6:.0f} MB, read in {chunks:.0f} chunks of {CHUNK:.0f} s "
         f"({data / 3600:.2f} h in all): peak memory {memory:.0f} MB."
     )
 

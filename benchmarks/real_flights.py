@@ -1,4 +1,4 @@
-"""What diagnosis says of real flights, and of what is known about them. Writes results/real_flights.md.
+"""Diagnosis of real flights, some with known faults. Writes results/real_flights.md.
 
     python -m benchmarks.real_flights
 
@@ -90,7 +90,7 @@ def command_curve(logs: Sequence[Path], vehicle: Vehicle) -> CommandCurve:
 
 
 def effects_table(findings: DiagnosisDetails) -> str:
-    """The effects found, with 95 % intervals."""
+    """The named effects with 95 % intervals."""
     lines = ["| effect | values | resamples that agree | ambiguous with |", "| --- | --- | --- | --- |"]
     for effect in findings.diagnosis.effects:
         values = ", ".join(f"{n} {p.value:.3g} ± {1.96 * p.std:.1g} {p.unit}" for n, p in effect.parameters.items())
@@ -118,9 +118,9 @@ def lateral_drag(vehicle: Vehicle) -> str:
             if np.std(velocity[:, axis]) < 0.2:
                 continue
             columns = np.column_stack([-velocity[:, axis], np.ones(len(velocity))])
-            felt = row[:, 3 + axis]
-            theta = np.linalg.lstsq(columns, felt, rcond=None)[0]
-            explained = 1 - np.var(felt - columns @ theta) / np.var(felt)
+            acceleration = row[:, 3 + axis]
+            theta = np.linalg.lstsq(columns, acceleration, rcond=None)[0]
+            explained = 1 - np.var(acceleration - columns @ theta) / np.var(acceleration)
             lines.append(f"| {Path(segment.flight).name} | {'xy'[axis]} | {theta[0]:.3f} | {explained:.2f} |")
     return "\n".join(lines)
 

@@ -100,8 +100,8 @@ def fly(
 ) -> tuple[float, np.ndarray, np.ndarray]:
     """RMSE (cm, after 2 s), seconds of each iteration's parts (n, 5) and QP iterations (n,).
 
-    jumps: m by which the reference leaps every 0.3 s, so that motors saturate. watch: is given the solver, its
-    references and history filled in, and the state, before every iteration.
+    jumps: m by which the reference leaps every 0.3 s, so that motors saturate. watch: called
+    before every iteration with the solver, its references and history filled in, and the state.
     """
     vehicle = solver.model.vehicle
     states, thrusts = lemniscate(period)
