@@ -19,7 +19,7 @@ from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_toml, with_settings
 from dynamics.version import __version__
-from runtime.control.bundle import MANIFEST, ONNX, Bundle, read_bundle
+from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, read_bundle
 from runtime.daemon import FlightRequest
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.flyer import FlyerSettings
@@ -29,7 +29,7 @@ from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
 
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
-VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"
+VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
 
 
 class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -152,7 +152,7 @@ def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
         raise RequestError("nothing to fly: give either --vehicle V.toml or --bundle B.")
     if isinstance(vehicle, Vehicle):
         return vehicle_toml(vehicle)
-    path = bundle / VEHICLE_TEXT if bundle is not None else find_vehicle(vehicle or "")
+    path = bundle / VEHICLE if bundle is not None else find_vehicle(vehicle or "")
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:

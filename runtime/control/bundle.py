@@ -27,8 +27,8 @@ from runtime.control.rti.processor import PROCESSORS
 
 FORMAT, VERSION = "alula bundle", 1
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
-Integrator = Literal["hold", "adams_bashforth", "rk4"]
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
+Integrator = Literal["hold", "adams_bashforth", "rk4"]
 
 
 class InputRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True):

@@ -186,8 +186,8 @@ class Engagement:
         if self._initially_armed and not self._settings.resume:
             self._requested = False
             self.refusal = (
-                f"the vehicle was already armed when it was first heard (mode {facts.mode}); control is not taken from "
-                "whoever has it. Land and disarm it, or give --resume"
+                f"the vehicle was already armed when it was first heard (mode {facts.mode}); control stays with the "
+                "pilot or program that has it. Land and disarm it, or give --resume"
             )
             return None
         if facts.refusal:

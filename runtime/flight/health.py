@@ -23,17 +23,17 @@ UNFOLLOWED, SWING, CHATTER = 1 / 4, 1 / 6, 1 / 8
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Limits of the health checks. The last three end a learned model's flight before the loop diverges.
+    """Limits of the health checks. `swing` and `chatter` replace a learned model before the loop diverges.
 
     stale: s without an estimate.
-    oldest: s, age of an estimate, by its way over the link or by a clock that slipped.
-    margin: m outside of the box until control is given up.
-    unfollowed: rad/s, mean error of body rates against their setpoints.
-    following_time: s of that mean.
-    rate_delay: s by which body rates follow their setpoints.
+    oldest: s, age of an estimate, because of the link's delay or a clock that slipped.
+    margin: m outside of the box beyond which control is given up.
+    unfollowed: rad/s, mean error of body rates against their setpoints beyond which control is given up.
+    following_time: s, time constant of that mean.
+    rate_delay: s after which body rates have followed their setpoints.
     swing: rad/s, mean error of body rates against a learned model's setpoints.
     chatter: rad/s, mean second difference of a learned model's setpoints from tick to tick (norm).
-    swing_time: s of these two means.
+    swing_time: s, time constant of these two means.
     """
 
     stale: float = 0.06
@@ -120,7 +120,7 @@ class FlightHealth:
             present[Event.SETPOINT_REFUSED] = detail
         chatter, swing = self.oscillation
         if learned and chatter > self.limits.chatter:
-            present[Event.MODEL_OSCILLATES] = f"setpoints turn back by {chatter:.1f} rad/s from tick to tick"
+            present[Event.MODEL_OSCILLATES] = f"setpoints alternate by {chatter:.1f} rad/s from tick to tick"
         elif learned and swing > self.limits.swing:
             present[Event.MODEL_OSCILLATES] = f"body rates miss its setpoints by {swing:.1f} rad/s"
         return present

@@ -315,7 +315,7 @@ def test_a_model_that_stopped_fitting_is_replaced_by_the_nominal_one(vehicle: Ve
 
 
 class Swinging:
-    """A learned model's controller whose body rates turn back and forth from tick to tick."""
+    """A learned model's controller whose body rates alternate from tick to tick."""
 
     is_learned = True
 
@@ -360,7 +360,7 @@ def test_a_learned_model_that_makes_the_vehicle_oscillate_is_replaced_for_the_re
 
 
 def test_a_learned_model_flies_on_with_setpoints_as_rough_as_healthy_ones_become(vehicle: Vehicle) -> None:
-    story = swinging(vehicle, 0.15).run(60.0)  # turns back by 0.6 rad/s, as the roughest brisk flight measured
+    story = swinging(vehicle, 0.15).run(60.0)  # alternates by 0.6 rad/s, as the roughest fast flight measured
     assert story.phases == FULL
     assert Event.MODEL_OSCILLATES not in story.raised
 

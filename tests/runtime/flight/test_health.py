@@ -44,7 +44,7 @@ def test_without_a_learned_model_rates_may_miss_as_much(arpl_250g: Vehicle) -> N
 
 
 @pytest.mark.parametrize(("jump", "events"), [(0.9, set()), (1.1, {Event.MODEL_OSCILLATES})])
-def test_setpoints_that_turn_back_from_tick_to_tick_are_detected_at_the_limit(
+def test_setpoints_that_alternate_from_tick_to_tick_are_detected_at_the_limit(
     arpl_250g: Vehicle, jump: float, events: set[Event]
 ) -> None:
     health = FlightHealth(arpl_250g)
