@@ -27,7 +27,7 @@ SINGLE, DOUBLE = 1e-5, 1e-12
 DERIVATIVE, SINGLE_DERIVATIVE = 1e-5, 1e-3
 ROLL_OUTS = 20
 INPUT_SPREAD = 0.02  # of hover speed
-PUSH = 1e-7  # of the scaled inputs: central differences must not step over a ReLU's kink
+DIFFERENCE_STEP = 1e-7  # of the scaled inputs: central differences must not step over a ReLU's kink
 Backend = Callable[[Floats, Floats], Floats]
 
 
@@ -300,11 +300,11 @@ def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, prec
     for _ in range(5):
         direction = rng.normal(size=hover.shape)
         costs = []
-        for step in (PUSH, -PUSH):
+        for step in (DIFFERENCE_STEP, -DIFFERENCE_STEP):
             exact.inputs[:] = inputs + step * scale * direction
             exact.prepare(state)
             costs.append(_cost(exact))
-        exact_slopes.append((costs[0] - costs[1]) / (2 * PUSH))
+        exact_slopes.append((costs[0] - costs[1]) / (2 * DIFFERENCE_STEP))
         slopes.append(float(gradient @ direction.ravel()))
     pair = np.array(slopes)[:, None], np.array(exact_slopes)[:, None]
     tolerance = DERIVATIVE if precision == "double" else SINGLE_DERIVATIVE

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from export.network import Network
 
 ROWS = 6
-RECOMPUTED = 0.5  # share of the backward pass that a substep recomputes: 0.1 in calm flight, more where motors saturate
+RECOMPUTED_SHARE = 0.5  # of the backward pass, by a substep: 0.1 in calm flight, more where motors saturate
 
 
 @dataclass(frozen=True)
@@ -59,4 +59,4 @@ def _cost(network: Network, split: ReverseSplit, directions: float) -> float:
     width = network.convolutions[count - 1].weight.shape[0] if count else moving
     forward = sum(sizes[:count]) + ROWS * width * len(split.offsets[0])
     backward = sum(ROWS * size * len(above) for size, above in zip(sizes[count:], split.offsets[1:], strict=True))
-    return directions * forward + RECOMPUTED * backward
+    return directions * forward + RECOMPUTED_SHARE * backward

@@ -13,7 +13,7 @@ from training.data.features import outputs_from
 from training.data.labelled_rows import LabelledRows
 from training.prediction import member_outputs, predict
 
-WORST = 0.1  # share of the rows that disagreement should find
+WORST_SHARE = 0.1  # share of the rows that disagreement should find
 
 
 class Calibration(msgspec.Struct, frozen=True):
@@ -43,7 +43,7 @@ def calibration(model: TrainedModel, data: LabelledRows, label: Floats) -> Calib
     error = member_outputs(model, data).mean(axis=0) - target
     labelled = np.isfinite(error).all(axis=1)
     size = np.sqrt(np.mean((error[labelled] / model.scaling.output_std) ** 2, axis=1))
-    worst = size > np.quantile(size, 1 - WORST)
+    worst = size > np.quantile(size, 1 - WORST_SHARE)
     covered = np.abs(error[labelled]) <= prediction.half_width[labelled]
     return Calibration(
         auroc(prediction.disagreement[labelled], worst),

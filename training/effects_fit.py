@@ -23,9 +23,9 @@ from training.config import ModelConfig
 from training.data.labelled_rows import LabelledRows, labelled
 from training.physics import RowModel
 
-ROUNDS = 6
-NUDGE = 0.02  # relative step of finite differences
-SETTLED = 1e-3  # relative change that ends the rounds
+MAX_ITERATIONS = 6
+RELATIVE_STEP = 0.02  # relative step of finite differences
+TOLERANCE = 1e-3  # relative change of the parameters that ends the iterations
 ROWS = 400_000  # about; whole segments spread over all flights, because few brisk ones determine the inertia
 NEGLIGIBLE = 1e-8  # singular values below this share of the largest are noise
 
@@ -63,7 +63,7 @@ def fit_effects(
     problem = _problem(msgspec.structs.replace(config, base="grey_box"), vehicle, data, catalogue)
     model = problem.model.model
     values = np.array([model.parameter_values[model.parameter_index(name)] for name in problem.names])
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ITERATIONS):
         residual = _residual(problem, values)
         weight = 1 / residual.std(axis=0)
         slopes = np.stack([_slope(problem, values, residual, place) for place in range(len(values))], axis=2)
@@ -74,7 +74,7 @@ def fit_effects(
         matrix = matrix / np.where(size > 0, size, 1.0)
         step = np.linalg.lstsq(matrix, (residual * weight).ravel(), rcond=NEGLIGIBLE)[0] / np.where(size > 0, size, 1.0)
         before, values = values, np.clip(values + step, problem.lower, problem.upper)
-        if np.all(np.abs(values - before) <= SETTLED * problem.scale):
+        if np.all(np.abs(values - before) <= TOLERANCE * problem.scale):
             break
     return _with_values(vehicle, dict(zip(problem.names, values.tolist(), strict=True)))
 
@@ -138,7 +138,7 @@ def _residual(problem: _Problem, values: Floats) -> Floats:
 
 def _slope(problem: _Problem, values: Floats, residual: Floats, place: int) -> Floats:
     """(m, 6) change of the model by one parameter."""
-    step = NUDGE * problem.scale[place]
+    step = RELATIVE_STEP * problem.scale[place]
     if values[place] + step > problem.upper[place]:
         step = -step
     moved = values.copy()

@@ -14,10 +14,10 @@ from training.checkpoint import Reliability, TrainedModel
 from training.data.features import accelerations_from
 from training.data.labelled_rows import LabelledRows
 
-EVALUATED = 8192  # windows at once
-FLAGGED = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
-AGREED = 0.25  # share of the rows, those with the lowest disagreement, whose errors give the error floor
-COVERED = 0.9  # of the errors lie within an interval
+EVALUATION_BATCH = 8192  # windows
+FADE_QUANTILE = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
+FLOOR_SHARE = 0.25  # share of the rows, those with the lowest disagreement, whose errors give the error floor
+COVERAGE = 0.9  # of the errors lie within an interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +71,8 @@ def member_outputs(model: TrainedModel, data: LabelledRows, *, member: int | Non
     """(members, m, 6) outputs of the networks at the data set's ends, in their units."""
     offsets = np.arange(1 - model.config.history, 1)
     parts = [
-        model.outputs(data.inputs[data.ends[start : start + EVALUATED, None] + offsets], member=member)
-        for start in range(0, len(data.ends), EVALUATED)
+        model.outputs(data.inputs[data.ends[start : start + EVALUATION_BATCH, None] + offsets], member=member)
+        for start in range(0, len(data.ends), EVALUATION_BATCH)
     ]
     return np.concatenate(parts, axis=1)
 
@@ -87,11 +87,11 @@ def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> R
     deviation = outputs.std(axis=0, ddof=1)
     disagreement = np.sqrt(np.mean((deviation / output_std) ** 2, axis=1))
     error = np.abs(outputs.mean(axis=0) - targets)
-    agreed = disagreement <= np.quantile(disagreement, AGREED)
-    floor = np.quantile(error[agreed], COVERED, axis=0)
+    agreed = disagreement <= np.quantile(disagreement, FLOOR_SHARE)
+    floor = np.quantile(error[agreed], COVERAGE, axis=0)
     beyond = np.sqrt(np.maximum(error**2 - floor**2, 0.0)) / np.maximum(deviation, 1e-12 * output_std)
-    scale = np.quantile(beyond, COVERED, axis=0)
-    return Reliability(float(np.quantile(disagreement, FLAGGED)), floor, scale)
+    scale = np.quantile(beyond, COVERAGE, axis=0)
+    return Reliability(float(np.quantile(disagreement, FADE_QUANTILE)), floor, scale)
 
 
 def flight_errors(data: LabelledRows, body: Floats, label: Floats | None = None) -> tuple[FlightError, ...]:

@@ -27,7 +27,7 @@ from training.recipe import Recipe
 from training.rollout_loss import RolloutLoss
 from training.schedule import Schedule
 
-EVALUATED = 8192  # windows at once
+EVALUATION_BATCH = 8192  # windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def evaluate(network: nn.Module, data: Tensors) -> float:
     network.eval()
     total = 0.0
     with torch.no_grad():
-        for ends in torch.split(data.ends, EVALUATED):
+        for ends in torch.split(data.ends, EVALUATION_BATCH):
             total += float((network(data.windows(ends)) - data.targets[ends]).square().sum())
     return total / (6 * len(data.ends))
 

@@ -20,8 +20,8 @@ from training.data.labelled_rows import LabelledRows
 from training.physics import BatchModel, nominal_model
 from training.recipe import Recipe
 
-PULSE = 60.0  # rad/s, standard deviation of the pulses on rotor speeds; each lasts one column or more
-SINGLE = 0.5  # share of pulses that are on one rotor alone
+PULSE_DEVIATION = 60.0  # rad/s, standard deviation of the pulses on rotor speeds; each lasts one column or more
+SINGLE_ROTOR_SHARE = 0.5  # share of pulses that are on one rotor alone
 MAX_SCALING = 1.6  # of recorded velocity and rates in plausible histories
 
 
@@ -85,9 +85,9 @@ def _pulsed(
     ends = random.choice(data.ends, count)
     rows = ends[:, None] + np.arange(1 - config.history, 1)
     recorded, speed = data.state[rows], data.rotor_speed[rows]
-    size = random.normal(0, PULSE, (count, vehicle.rotors.count))
+    size = random.normal(0, PULSE_DEVIATION, (count, vehicle.rotors.count))
     alone = np.eye(vehicle.rotors.count)[random.integers(vehicle.rotors.count, size=count)]
-    size = np.where(random.random((count, 1)) < SINGLE, size * alone, size)
+    size = np.where(random.random((count, 1)) < SINGLE_ROTOR_SHARE, size * alone, size)
     begin = random.integers(0, config.history, (count, 1))
     until = begin + random.integers(1, max(config.history, 2), (count, 1))
     column = np.arange(config.history)
