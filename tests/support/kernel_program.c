@@ -17,7 +17,7 @@ static void push(const void *from, size_t bytes) { fwrite(from, 1, bytes, stdout
 
 int main(void) {
     static rti_options options;
-    static double x[NX], u[N][NU], x_reference[N + 1][NX], u_reference[N][NU];
+    static double x[NX], u[NODES][NU], x_reference[NODES + 1][NX], u_reference[NODES][NU];
     pull(&options, sizeof options);
     network *r = rti_create(&options);
     pull(rti_parameters(r), sizeof(double) * NP), pull(rti_environment(r), sizeof(double) * NE);
@@ -25,9 +25,9 @@ int main(void) {
     pull(x, sizeof x), pull(u, sizeof u), pull(x_reference, sizeof x_reference), pull(u_reference, sizeof u_reference);
     memcpy(rti_inputs((condensed *)r), u, sizeof u);
     const int prepared = rti_prepare(r, x, &x_reference[0][0], &u_reference[0][0]);
-    push(rti_states((condensed *)r), sizeof(double) * (N + 1) * NX);
-    push(rti_hessian((condensed *)r), sizeof(double) * V * V);
-    push(rti_gradient((condensed *)r), sizeof(double) * V);
+    push(rti_states((condensed *)r), sizeof(double) * (NODES + 1) * NX);
+    push(rti_hessian((condensed *)r), sizeof(double) * NV * NV);
+    push(rti_gradient((condensed *)r), sizeof(double) * NV);
     const int solved = rti_feedback((condensed *)r, x);
     push(rti_inputs((condensed *)r), sizeof u);
     rti_free((condensed *)r);
