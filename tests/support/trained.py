@@ -19,16 +19,18 @@ from training.recipe import FAST
 def untrained_model(
     config: ModelConfig, vehicle: Vehicle, *, seed: int = 0, members: int = 1, gain: float = 1.0
 ) -> TrainedModel:
-    """A model whose scaling and ranges are those of brisk flight; batch norms have seen something.
+    """A model whose scaling and ranges are those of brisk flight; batch norms are not the identity.
 
-    gain: factor on what the network says.
+    gain: factor on the network's output.
     """
     networks = []
     for member in range(members if config.network != "none" else 0):
         torch.manual_seed(seed + member)
         network = build_network(config).eval()
         for module in network.modules():
-            if isinstance(module, torch.nn.Linear):  # residuals begin at zero, and default weights shrink what they see
+            if isinstance(
+                module, torch.nn.Linear
+            ):  # residuals start at zero, and torch's default weights shrink their inputs
                 torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
             if isinstance(module, torch.nn.BatchNorm1d):
                 module.running_mean.uniform_(0.1, 0.5)  # type: ignore[union-attr, operator]
