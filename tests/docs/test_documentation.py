@@ -122,6 +122,7 @@ def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Pat
     body = msgspec.structs.replace(arpl_250g.body, mass=1.06 * arpl_250g.body.mass)
     for name in ("heavy.toml", "my_quad.toml"):
         write_vehicle(msgspec.structs.replace(arpl_250g, body=body), folder / name)
+    (folder / "fleet.toml").write_text("[search]\nmin_gain = 60.0\n")
     (folder / "vehicles").symlink_to(ROOT / "vehicles")
     effects = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
     fly_campaign(folder / "build" / "campaign_learning", arpl_250g, effects, {"test/Line": "line:laps=3,ramp=1"})
