@@ -49,7 +49,7 @@ def find_device(name: str) -> torch.device:
     if device.type not in ("cpu", "cuda"):
         raise RequestError(f"--device {name}: networks train on a CPU or a CUDA GPU. Give cpu, cuda or cuda:0.")
     if device.type == "cuda" and not torch.cuda.is_available():
-        raise RequestError(f"--device {name}: this torch sees no GPU. Give --device cpu, or install torch with CUDA.")
+        raise RequestError(f"--device {name}: torch finds no GPU. Give --device cpu, or install torch with CUDA.")
     if device.index is not None and device.type == "cuda" and device.index >= torch.cuda.device_count():
         raise RequestError(f"--device {name}: this machine has {torch.cuda.device_count()} GPUs, numbered from 0.")
     if name == "cuda":

@@ -28,9 +28,7 @@ def untrained_model(
         torch.manual_seed(seed + member)
         network = build_network(config).eval()
         for module in network.modules():
-            if isinstance(
-                module, torch.nn.Linear
-            ):  # residuals start at zero, and torch's default weights shrink their inputs
+            if isinstance(module, torch.nn.Linear):  # residuals start at zero, torch's default weights shrink inputs
                 torch.nn.init.kaiming_normal_(module.weight, nonlinearity="relu")
             if isinstance(module, torch.nn.BatchNorm1d):
                 module.running_mean.uniform_(0.1, 0.5)  # type: ignore[union-attr, operator]

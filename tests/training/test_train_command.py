@@ -130,7 +130,7 @@ def test_what_makes_no_sense_is_refused(
 
 def test_a_gpu_that_is_not_there_is_refused(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
-    with pytest.raises(RequestError, match="--device cuda: this torch sees no GPU"):
+    with pytest.raises(RequestError, match="--device cuda: torch finds no GPU"):
         train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--device", "cuda", "--out", tmp_path / "m.pt")
 
 
