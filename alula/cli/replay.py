@@ -11,8 +11,8 @@ from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
 from runtime.record.recording import read_recording
-from runtime.record.replay import ReplayReport
-from runtime.record.replay import replay as replay_recording
+from runtime.replay import ReplayReport
+from runtime.replay import replay as replay_recording
 
 
 def replay(

@@ -33,7 +33,7 @@ from runtime.flight.motion import Transfer
 from runtime.link.connection import parse_endpoint
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
-from runtime.record.replay import replay
+from runtime.replay import replay
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 

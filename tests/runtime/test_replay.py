@@ -18,7 +18,7 @@ from runtime.flight.motion import Transfer
 from runtime.record.recorder import Recorder
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import EstimateRecord, SetpointRecord, StateRecord
-from runtime.record.replay import replay
+from runtime.replay import replay
 from tests.support.rate_controlled_vehicle import Flight
 
 
