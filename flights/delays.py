@@ -82,14 +82,14 @@ class Delay:
 
 def estimate_delays(log: Log, *, exclusions: Sequence[Exclusion] = ()) -> tuple[Delay, ...]:
     """Every delay that the log's streams determine. exclusions: segments to leave out, of the log's time."""
-    frame = _Frame.of(log, exclusions)
-    if frame is None:
+    grid = _Grid.of(log, exclusions)
+    if grid is None:
         return ()
-    attitude = _attitude(frame)
+    attitude = _attitude(grid)
     attitude_late = attitude.seconds if attitude is not None and attitude.is_known else 0.0
-    velocity = _velocity(frame, attitude_late)
+    velocity = _velocity(grid, attitude_late)
     velocity_late = velocity.seconds if velocity is not None and velocity.is_known else 0.0
-    delays = (attitude, velocity, _position(frame), *_rotors(frame, attitude_late, velocity_late))
+    delays = (attitude, velocity, _position(grid), *_rotors(grid, attitude_late, velocity_late))
     return tuple(delay for delay in delays if delay is not None)
 
 
@@ -114,7 +114,7 @@ def remove_delays(log: Log, delays: Sequence[Delay]) -> Log:
 
 
 @dataclass(frozen=True, eq=False)
-class _Frame:
+class _Grid:
     """The log's streams on the grid of the comparisons. usable: (n,) rows outside of exclusions."""
 
     time: Floats
@@ -123,7 +123,7 @@ class _Frame:
     usable: NDArray[np.bool_]
 
     @classmethod
-    def of(cls, log: Log, exclusions: Sequence[Exclusion]) -> _Frame | None:
+    def of(cls, log: Log, exclusions: Sequence[Exclusion]) -> _Grid | None:
         streams = {name: stream for name in log.names if (stream := log.stream(name)) is not None}
         if "rate" not in streams:
             return None
@@ -145,75 +145,73 @@ class _Frame:
         return band[0], min(band[1], *(0.25 * self.streams[name].rate for name in names))
 
 
-def _attitude(frame: _Frame) -> Delay | None:
-    attitude, rate = frame.get("attitude"), frame.get("rate")
+def _attitude(grid: _Grid) -> Delay | None:
+    attitude, rate = grid.get("attitude"), grid.get("rate")
     if attitude is None or rate is None:
         return None
     turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-2]), attitude[2:]))
     turning = np.full_like(rate, np.nan)
-    turning[1:-1] = turned * (0.5 * frame.rate)
-    return _compare(frame, turning, rate, "attitude", "rate", frame.band("attitude", "rate"))
+    turning[1:-1] = turned * (0.5 * grid.rate)
+    return _compare(grid, turning, rate, "attitude", "rate", grid.band("attitude", "rate"))
 
 
-def _velocity(frame: _Frame, attitude_late: float) -> Delay | None:
-    velocity, force = frame.get("velocity"), frame.get("specific_force")
-    attitude = frame.get("attitude", late=attitude_late)
+def _velocity(grid: _Grid, attitude_late: float) -> Delay | None:
+    velocity, force = grid.get("velocity"), grid.get("specific_force")
+    attitude = grid.get("attitude", late=attitude_late)
     if velocity is None or force is None or attitude is None:
         return None
     force_world = quaternion.rotate(attitude, force)
-    band = frame.band("velocity", "attitude", "specific_force", band=VELOCITY_BAND)
-    return _compare(
-        frame, filters.derivative(velocity, 1 / frame.rate), force_world, "velocity", "specific_force", band
-    )
+    band = grid.band("velocity", "attitude", "specific_force", band=VELOCITY_BAND)
+    return _compare(grid, filters.derivative(velocity, 1 / grid.rate), force_world, "velocity", "specific_force", band)
 
 
-def _position(frame: _Frame) -> Delay | None:
-    position, velocity = frame.get("position"), frame.get("velocity")
+def _position(grid: _Grid) -> Delay | None:
+    position, velocity = grid.get("position"), grid.get("velocity")
     if position is None or velocity is None:
         return None
-    band = frame.band("position", "velocity", band=POSITION_BAND)
-    return _compare(frame, filters.derivative(position, 1 / frame.rate), velocity, "position", "velocity", band)
+    band = grid.band("position", "velocity", band=POSITION_BAND)
+    return _compare(grid, filters.derivative(position, 1 / grid.rate), velocity, "position", "velocity", band)
 
 
-def _rotors(frame: _Frame, attitude_late: float, velocity_late: float) -> tuple[Delay | None, ...]:
-    rate, force = frame.get("rate"), frame.get("specific_force")
+def _rotors(grid: _Grid, attitude_late: float, velocity_late: float) -> tuple[Delay | None, ...]:
+    rate, force = grid.get("rate"), grid.get("specific_force")
     if rate is None:
         return ()
     undelayed = _rotorless_regressors(
-        rate, frame.get("velocity", late=velocity_late), frame.get("attitude", late=attitude_late)
+        rate, grid.get("velocity", late=velocity_late), grid.get("attitude", late=attitude_late)
     )
-    answers = {"angular acceleration": filters.derivative(rate, 1 / frame.rate)}
+    answers = {"angular acceleration": filters.derivative(rate, 1 / grid.rate)}
     if force is not None:
         answers = {"thrust": force[:, 2:3], **answers}
     return (
-        _rotor_clock(frame, answers, undelayed),
-        *(delay for name in _CURVES for delay in _responses(frame, name, answers, undelayed)),
+        _rotor_clock(grid, answers, undelayed),
+        *(delay for name in _CURVES for delay in _responses(grid, name, answers, undelayed)),
     )
 
 
-def _rotor_clock(frame: _Frame, answers: Mapping[str, Floats], undelayed: Floats) -> Delay | None:
-    speed = frame.get("rotor_speed")
+def _rotor_clock(grid: _Grid, answers: Mapping[str, Floats], undelayed: Floats) -> Delay | None:
+    speed = grid.get("rotor_speed")
     if speed is None:
         return None
     against = "IMU" if len(answers) > 1 else next(iter(answers))
-    band = frame.band("rotor_speed", "rate", band=ROTOR_BAND)
+    band = grid.band("rotor_speed", "rate", band=ROTOR_BAND)
     answer = np.hstack(list(answers.values()))
-    delay = _compare(frame, answer, speed**2, "rotor_speed", against, band, undelayed=undelayed)
+    delay = _compare(grid, answer, speed**2, "rotor_speed", against, band, undelayed=undelayed)
     if delay is None:
         return None
     # the IMU is what is compared: it is late when the rotors are early
     return replace(delay, seconds=-delay.seconds, low=-delay.high, high=-delay.low)
 
 
-def _responses(frame: _Frame, name: str, answers: Mapping[str, Floats], undelayed: Floats) -> list[Delay | None]:
+def _responses(grid: _Grid, name: str, answers: Mapping[str, Floats], undelayed: Floats) -> list[Delay | None]:
     """How thrust and angular acceleration follow a command, as a lag and as a delay each."""
-    command = frame.get(name)
-    if command is None or frame.streams[name].rate < MIN_COMMANDS:
+    command = grid.get(name)
+    if command is None or grid.streams[name].rate < MIN_COMMANDS:
         return []
-    curve, band, delays = _CURVES[name], frame.band(name, "rate", band=RESPONSE_BAND), []
+    curve, band, delays = _CURVES[name], grid.band(name, "rate", band=RESPONSE_BAND), []
     for against, answer in answers.items():
-        delays.append(_compare(frame, answer, command, name, against, band, undelayed=undelayed, lagged=curve))
-        delays.append(_compare(frame, answer, curve(command), name, against, band, undelayed=undelayed))
+        delays.append(_compare(grid, answer, command, name, against, band, undelayed=undelayed, lagged=curve))
+        delays.append(_compare(grid, answer, curve(command), name, against, band, undelayed=undelayed))
     return delays
 
 
@@ -235,7 +233,7 @@ def _rotorless_regressors(rate: Floats, velocity: Floats | None, attitude: Float
 
 
 def _compare(
-    frame: _Frame, answer: Floats, drive: Floats, name: str, against: str, band: Band,
+    grid: _Grid, answer: Floats, drive: Floats, name: str, against: str, band: Band,
     *, undelayed: Floats | None = None, lagged: ThrustCurve | None = None,
 ) -> Delay | None:  # fmt: skip
     undelayed = np.empty((len(answer), 0)) if undelayed is None else undelayed
@@ -243,7 +241,7 @@ def _compare(
     closed_loop = VELOCITY_LOOP if name == "velocity" else 0.0 if paired else ROTOR_LOOP
     kind: Literal["clock", "lag", "delay"] = "clock" if name not in _CURVES else "delay" if lagged is None else "lag"
     fit = fit_delay(
-        answer, drive, undelayed, frame.rate, band, frame.usable,
+        answer, drive, undelayed, grid.rate, band, grid.usable,
         paired=paired, lagged=lagged, whiten=kind == "clock", closed_loop=closed_loop,
     )  # fmt: skip
     if fit is None:

@@ -30,7 +30,7 @@ class EffectAnswer(msgspec.Struct, frozen=True):
     """Whether an effect can be identified.
 
     why: the measure or channel that decides.
-    ambiguous_with: an effect that no data of this kind separates it from.
+    ambiguous_with: effects with nearly the same signal in most flights, separated by commas; empty for none.
     """
 
     name: str
