@@ -123,10 +123,10 @@ def make_predictor(
 
 @dataclass(frozen=True, eq=False)
 class Instruments:
-    """Rotor speeds that give the measured thrust and the moment that slow measured motion needs.
+    """Rotor speeds with the thrust of the logged ones and the moment of slow measured motion.
 
     rotor_speed: (n, rotors) rad/s.
-    rotor_acceleration: (n, rotors) rad/s^2.
+    rotor_acceleration: (n, rotors) of the logged speeds, below the slow cutoff, rad/s^2.
     """
 
     rotor_speed: Floats
