@@ -1,7 +1,7 @@
-# make demo   fly the embedded mock, find its hidden effect, write the report
+# make demo   fly the mock, diagnose its hidden effect, write the report
 # make test   the whole test suite
 # make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
-# make study  the slow measurements in benchmarks/, each of which writes its own table; -k goes on after a failure,
+# make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and

@@ -19,7 +19,7 @@ from sitl_mock.vehicle.vehicle import VehicleOptions
 
 
 class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Steady wind and gusts: the effects of those names, for scenarios that need no more. World ENU, m/s."""
+    """Steady wind, world ENU, m/s: short for the effect of that name."""
 
     x: float = 0.0
     y: float = 0.0

@@ -1,7 +1,7 @@
 """PX4's commander: arming, modes, failsafe and automatic disarming, as rules over time.
 
-Every method takes the simulated time in s; links, messages and the vehicle are elsewhere. `docs/mock.md` lists
-where each rule was measured.
+Every method takes the simulated time in s; links, messages and the vehicle are elsewhere. `docs/px4.md` has the
+measurements behind each rule.
 """
 
 from __future__ import annotations

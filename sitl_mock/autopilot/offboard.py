@@ -1,7 +1,7 @@
 """Offboard setpoints: the setpoint of a message by its type mask, and whether the stream of them is alive.
 
-Measured on PX4 and described in the manual page of the mock: attitude (mask 7 or 3), body rates (mask 128), both (0,
-where the attitude wins because its loop overwrites the rates every step), nothing usable (7 + 128, no sign of life).
+Measured on PX4 (`docs/px4.md`): attitude (mask 7 or 3), body rates (mask 128), both (0, where the attitude wins because
+its loop overwrites the rates every step), nothing usable (7 + 128, no sign of life).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Rule = Literal["documented", "measured"]
 
 
 def attitude_target(message: Message) -> ControlSetpoint | None:
-    """The setpoint of a SET_ATTITUDE_TARGET, None where PX4 takes nothing from it and sees no sign of life."""
+    """The setpoint of a SET_ATTITUDE_TARGET, None where PX4 uses nothing of it and it is no sign of life."""
     mask = message.type_mask
     thrust = _thrust(message, mask)
     rates = np.array([message.body_roll_rate, message.body_pitch_rate, message.body_yaw_rate], dtype=float)
@@ -57,7 +57,7 @@ def _thrust(message: Message, mask: int) -> float:
 def _attitude_setpoint(attitude_frd_ned: Floats, yaw_rate_frd: float, thrust: float) -> ControlSetpoint:
     length = math.sqrt(float(attitude_frd_ned @ attitude_frd_ned))
     if not math.isfinite(length) or length < 1e-6:
-        # PX4's attitude loop then puts out NaN rates, which its rate loop takes for no control at all
+        # PX4's attitude loop then outputs NaN rates, which its rate loop treats as no control at all
         return ControlSetpoint("rates", rate_body=np.full(3, math.nan), thrust=thrust)
     feed_forward = -yaw_rate_frd if math.isfinite(yaw_rate_frd) else 0.0
     return ControlSetpoint(

@@ -1,6 +1,6 @@
 """The parameters of the mock: PX4's names, types and defaults (its SIH quadrotor's where they differ).
 
-Those marked in `docs/mock.md` change what the mock does; the others are there because clients read them on connecting.
+Those listed in `docs/mock.md` change what the mock does; the others are there because clients read them on connecting.
 """
 
 from __future__ import annotations

@@ -33,9 +33,6 @@ class Parameters:
     def __getitem__(self, name: str) -> float:
         return self._values[name]
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._values
-
     def __len__(self) -> int:
         return len(self._values)
 

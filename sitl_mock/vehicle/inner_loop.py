@@ -63,7 +63,7 @@ def next_integral(
 ) -> Expression:
     """Integrators after dt: not wound further into a saturated axis, and hardly at large errors.
 
-    unallocated: (3,) torque that the allocation could not give. gains: rate_gain_i, integral_limit.
+    unallocated: (3,) torque demand less allocated torque. gains: rate_gain_i, integral_limit.
     """
     usable = ca.if_else(unallocated > 1e-7, ca.fmin(error, 0), error)
     usable = ca.if_else(unallocated < -1e-7, ca.fmax(usable, 0), usable)
