@@ -50,7 +50,7 @@ def residuals(solver: RtiSolver) -> ca.Function:
     """Weighted residuals of the horizon as a function of the scaled inputs and the first state, by single shooting."""
     model, problem = solver.model, solver.problem
     options = fill_options(problem, model)
-    lags = [item.values["time_constant"] for item in model.effects if "time_constant" in item.values]
+    lags = [item.values[name] for item in model.effects for name in item.effect.time_constants]
     substeps = max([1, *(int(np.ceil(problem.node / lag)) for lag in lags)])
     x0, v = ca.MX.sym("x0", model.state_count), ca.MX.sym("v", model.input_count * problem.nodes)
     x, parts = x0, []
