@@ -211,6 +211,4 @@ def _locked(path: Path, *, wait: bool = True) -> Iterator[bool]:
         except BlockingIOError:
             yield False
         else:
-            yield True
-            if not wait:
-                path.unlink(missing_ok=True)
+            yield True  # the file stays: whoever opened it before it was removed would lock a file of no name

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import subprocess
 import sys
@@ -81,7 +82,9 @@ def test_an_interrupted_search_resumes_its_open_trial(
     outcomes = dict(make_sweep(search_options(campaign, tmp_path, 1)).outcomes())
     assert [outcome.cell for outcome in outcomes.values()] == tried
     assert isinstance(outcomes[0], CellResult)
-    assert not list(tmp_path.glob("trial_*.lock"))
+    for path in tmp_path.glob("trial_*.lock"):
+        with path.open() as file:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # raises BlockingIOError where a trial is still held
 
 
 def test_two_processes_share_a_search(campaign: Path, tmp_path: Path) -> None:
