@@ -63,8 +63,15 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--jobs", type=int, default=None)
     options = parser.parse_args()
-    heads = ("method", "linear: best cutoff Hz", "RMSE m/s^2", "at 5 Hz", "angular: best cutoff Hz", "RMSE rad/s^2",
-             "at 5 Hz")  # fmt: skip
+    heads = (
+        "method",
+        "linear: best cutoff Hz",
+        "RMSE m/s^2",
+        "at 5 Hz",
+        "angular: best cutoff Hz",
+        "RMSE rad/s^2",
+        "at 5 Hz",
+    )
     lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)

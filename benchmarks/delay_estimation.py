@@ -27,9 +27,15 @@ from sitl_mock.vehicle.vehicle import VehicleOptions
 from vehicles import FOLDER
 
 REFERENCES = (
-    "Ellipse_2", "WarpedEllipse_1", "WarpedEllipse_2:speed=0.9", "Lemniscate:speed=0.8", "ExtendedLemniscate",
-    "Parabola", "circle:plane=yz", "line:plane=yx",
-)  # fmt: skip
+    "Ellipse_2",
+    "WarpedEllipse_1",
+    "WarpedEllipse_2:speed=0.9",
+    "Lemniscate:speed=0.8",
+    "ExtendedLemniscate",
+    "Parabola",
+    "circle:plane=yz",
+    "line:plane=yx",
+)
 DURATION = 24.0  # s
 JITTER = 0.0005  # s
 MAX_DELAY = 0.08  # s
@@ -93,8 +99,15 @@ def judge(case: Case) -> list[Answer]:
 
 
 def rows(answers: list[Answer]) -> list[str]:
-    heads = ("stream", "sensor noise", "flights", "median error ms", "90th percentile ms", "half interval, median ms",
-             "inside the 95 % interval")  # fmt: skip
+    heads = (
+        "stream",
+        "sensor noise",
+        "flights",
+        "median error ms",
+        "90th percentile ms",
+        "half interval, median ms",
+        "inside the 95 % interval",
+    )
     lines = [f"| {' | '.join(heads)} |", "|" + " --- |" * len(heads)]
     for noise in NOISES:
         for name in ("attitude", "velocity", "position", "rotor_speed"):

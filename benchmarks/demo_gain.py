@@ -103,9 +103,13 @@ def _default(reports: Sequence[DemoReport]) -> list[str]:
 
 def _catalogue(flown_demos: Mapping[str, DemoReport | str]) -> list[str]:
     names = ", ".join(CATALOGUE_MANOEUVRES)
-    rows = [f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the nominal model over that with "
-            "what was learned, for each.", "", "| hidden | verdict | added | prediction of force | ratios |",
-            "| --- " * 5 + "|"]  # fmt: skip
+    rows = [
+        f"Manoeuvres: {names}; the last is held out. Ratio: tracking RMSE with the nominal model over that with "
+        "what was learned, for each.",
+        "",
+        "| hidden | verdict | added | prediction of force | ratios |",
+        "| --- " * 5 + "|",
+    ]
     for effect in EFFECTS:
         if (name := effect.partition(":")[0]) not in flown_demos:
             continue

@@ -33,8 +33,10 @@ def main() -> None:
         os.environ["OPENBLAS_NUM_THREADS"] = "1"
         os.execv(sys.executable, sys.orig_argv)
     vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
-    lines = ["| flight | hidden | seconds of flight | processor seconds, median | by the clock | goal |",
-             "| --- | --- | --- | --- | --- | --- |"]  # fmt: skip
+    lines = [
+        "| flight | hidden | seconds of flight | processor seconds, median | by the clock | goal |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
     for name, (sets, goal) in SETS.items():
         for hidden, uses in HIDDEN.items():
             flights = [

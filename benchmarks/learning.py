@@ -73,11 +73,19 @@ def sweep_of(name: str) -> Sweep:
     plan = PLANS[name]
     sweep = make_sweep(
         SweepOptions(
-            study=plan.study or name, logs=(CAMPAIGN,), vehicle="arpl_250g", out=CELLS / name,
-            simulated=(SIMULATED,) if name == STARRED else (), seeds=plan.seeds, steps=plan.steps,
-            batch=PAPER.batch if plan.recipe == "paper" else BATCH, recipe=plan.recipe, grid=plan.grid, jobs=1,
+            study=plan.study or name,
+            logs=(CAMPAIGN,),
+            vehicle="arpl_250g",
+            out=CELLS / name,
+            simulated=(SIMULATED,) if name == STARRED else (),
+            seeds=plan.seeds,
+            steps=plan.steps,
+            batch=PAPER.batch if plan.recipe == "paper" else BATCH,
+            recipe=plan.recipe,
+            grid=plan.grid,
+            jobs=1,
         )
-    )  # fmt: skip
+    )
     works = tuple(work for work in sweep.works if any(fnmatchcase(work.cell.name, pattern) for pattern in plan.only))
     return dataclasses.replace(sweep, count=len(works), works=works)
 
@@ -124,8 +132,13 @@ def paper_recipe(result: CellResult) -> Table:
     epoch = result.processor / result.steps * steps
     assert PAPER.epochs is not None
     headings = (
-        "windows", "steps an epoch", "steps done", "epochs done", "processor s an epoch", "days of 10,000 epochs",
-    )  # fmt: skip
+        "windows",
+        "steps an epoch",
+        "steps done",
+        "epochs done",
+        "processor s an epoch",
+        "days of 10,000 epochs",
+    )
     row = (rows, steps, result.steps, result.steps / steps, epoch, epoch * PAPER.epochs / 86400)
     return Table("paper_recipe", "The paper's recipe: its time on one core", headings, (row,))
 

@@ -32,9 +32,15 @@ from training.prediction import flight_errors, pooled, predict
 ROOT = Path(__file__).resolve().parents[1]
 CAMPAIGN, BUILD = ROOT / "build" / "campaign_learning", ROOT / "build" / "learning_goals"
 EFFECTS = (
-    "motor_lag", "rotor_drag", "parasitic_drag", "blade_flapping", "axial_inflow", "translational_lift",
-    "thrust_constant", "inertia",
-)  # fmt: skip
+    "motor_lag",
+    "rotor_drag",
+    "parasitic_drag",
+    "blade_flapping",
+    "axial_inflow",
+    "translational_lift",
+    "thrust_constant",
+    "inertia",
+)
 NAMED = tuple(word for effect in EFFECTS for word in ("--effect", effect))
 FILTERED = ("--filtered-inputs", "--label", "instantaneous", "--motors", "measured")
 PAPER_STEPS, PAPER_BATCH = 30_000, 512
@@ -47,9 +53,20 @@ def trained(name: str, logs: list[Path], *arguments: str, jobs: int = 2) -> Trai
     if not file.exists():
         file.parent.mkdir(parents=True, exist_ok=True)
         command = [
-            sys.executable, "-m", "alula", "train", *map(str, logs), "--vehicle", "arpl_250g", "--out", str(file),
-            "--resume", "--jobs", str(jobs), *arguments,
-        ]  # fmt: skip
+            sys.executable,
+            "-m",
+            "alula",
+            "train",
+            *map(str, logs),
+            "--vehicle",
+            "arpl_250g",
+            "--out",
+            str(file),
+            "--resume",
+            "--jobs",
+            str(jobs),
+            *arguments,
+        ]
         subprocess.run(command, check=True, env={**os.environ, "OMP_NUM_THREADS": "1"})
     return checkpoint.load(file)
 
@@ -63,9 +80,20 @@ def judged(model: TrainedModel) -> LabelledRows:
 def paper_pipeline() -> Table:
     """RMSE over NOM's against the filtered labels, every seed by itself, beside the paper's."""
     model = trained(
-        "paper_pipeline", [CAMPAIGN], "--model", "pi_tcn", "--ensemble", "2", "--steps", str(PAPER_STEPS),
-        "--batch", str(PAPER_BATCH), "--physics-weight", "0", *FILTERED,
-    )  # fmt: skip
+        "paper_pipeline",
+        [CAMPAIGN],
+        "--model",
+        "pi_tcn",
+        "--ensemble",
+        "2",
+        "--steps",
+        str(PAPER_STEPS),
+        "--batch",
+        str(PAPER_BATCH),
+        "--physics-weight",
+        "0",
+        *FILTERED,
+    )
     data = judged(model)
     seeds = [flight_errors(data, predict(model, data, member=place).body) for place in range(len(model.networks))]
     rows = []
@@ -110,11 +138,12 @@ def trained_slow() -> list[Table]:
     return [
         Table("slow", "Trained slow, flown fast: RMSE against the truth", ("flight", "NOM", *errors), tuple(rows)),
         Table(
-            "slow_flags", "Trained slow: what the four members' disagreement flags",
+            "slow_flags",
+            "Trained slow: what the four members' disagreement flags",
             ("model", "AUROC, worst tenth", "within 90 % error bars", "residual faded", "s of training, all members"),
             tuple(signs),
         ),
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:

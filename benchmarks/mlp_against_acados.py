@@ -69,9 +69,12 @@ def table(workers: list[Worker]) -> str:
             f"{unsolved} of {step.size} | {fastest / np.median(step):.1f} |"
         )
     first, last = (np.array(workers[i].answers["inputs"]) for i in (1, -1))
-    rows += ["", f"First inputs of the kernel's MLP and of acados' differ by {np.median(np.abs(first - last)):.2g} "
-             "rad/s in the median: the kernel's substeps hold the network's mean accelerations over 10 ms, acados' RK4 "
-             "takes them as instantaneous."]  # fmt: skip
+    rows += [
+        "",
+        f"First inputs of the kernel's MLP and of acados' differ by {np.median(np.abs(first - last)):.2g} "
+        "rad/s in the median: the kernel's substeps hold the network's mean accelerations over 10 ms, acados' RK4 "
+        "takes them as instantaneous.",
+    ]
     return "\n".join(rows)
 
 

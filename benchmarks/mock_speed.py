@@ -24,10 +24,17 @@ from vehicles import FOLDER
 
 PERIOD = 0.010  # s
 EVERY_EFFECT = [
-    EffectUse("rotor_drag"), EffectUse("parasitic_drag"), EffectUse("blade_flapping"), EffectUse("wind"),
-    EffectUse("gust"), EffectUse("ground_effect"), EffectUse("axial_inflow"), EffectUse("translational_lift"),
-    EffectUse("centre_of_mass"), EffectUse("battery_sag"),
-]  # fmt: skip
+    EffectUse("rotor_drag"),
+    EffectUse("parasitic_drag"),
+    EffectUse("blade_flapping"),
+    EffectUse("wind"),
+    EffectUse("gust"),
+    EffectUse("ground_effect"),
+    EffectUse("axial_inflow"),
+    EffectUse("translational_lift"),
+    EffectUse("centre_of_mass"),
+    EffectUse("battery_sag"),
+]
 
 
 def hovering(vehicle: Vehicle, effects: list[EffectUse]) -> SimulatedVehicle:

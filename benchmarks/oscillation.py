@@ -86,9 +86,13 @@ def _row(body: Vehicle, model: str, manoeuvre: str, noise: float, folder: Path) 
     usual = SensorErrors()
     sensors = dataclasses.replace(usual, **{name: noise * getattr(usual, name) for name in SHAKEN})
     flown = fly_reference(
-        body, named_reference(manoeuvre, controller.trim, duration=DURATION), options=VehicleOptions(sensors=sensors),
-        effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD], controller=controller, nominal=nominal,
-    )  # fmt: skip
+        body,
+        named_reference(manoeuvre, controller.trim, duration=DURATION),
+        options=VehicleOptions(sensors=sensors),
+        effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD],
+        controller=controller,
+        nominal=nominal,
+    )
     chatter, swing = _greatest(body, flown)
     left = flown.events.get(Event.MODEL_OSCILLATES.value, 0)
     share = flown.fallback_seconds / flown.seconds if flown.seconds else 1.0

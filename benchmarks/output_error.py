@@ -80,8 +80,10 @@ def run(case: Case) -> list[str]:
     first = fit(regression, [max(mine, key=lambda c: search.score([c]).score)])
     second = refit(first, vehicle, some, data.fitted, data.held_out)
     assert second is not None
-    one_step = [reduced_chi_square(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
-                for f in (first, second.fit)]  # fmt: skip
+    one_step = [
+        reduced_chi_square(residuals(f.vehicle, some, data.held_out, regression.noise), regression.noise)
+        for f in (first, second.fit)
+    ]
     try:
         added = add_effect(use.name, data, vehicle, some, date="2026-01-01", rotor=use.rotor)
         chosen = "output error" if added.by_output_error else "equation error"

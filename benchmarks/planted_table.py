@@ -113,7 +113,7 @@ def _after(single: Sequence[Result]) -> list[tuple[str, str, str]]:
     return [
         ("held-out RMSE over floor after adding, worst channel, median", median, "<= 1.03"),
         ("the same, worst effect", f"{medians[worst]:.2f} ({worst})", "<= 1.3"),
-    ]  # fmt: skip
+    ]
 
 
 def _worst(r: Result) -> float:
@@ -126,9 +126,12 @@ def _by_strength(single: Sequence[Result]) -> str:
     for strength, noise in sorted({(r["strength"], r["noise"]) for r in single}):
         some = [r for r in single if (r["strength"], r["noise"]) == (strength, noise)]
         counts = [
-            sum(map(right, some)), sum(map(near, some)), sum(not r["names"] for r in some),
-            sum(bool(r["names"]) and not near(r) for r in some), sum(map(_unknown, some)),
-        ]  # fmt: skip
+            sum(map(right, some)),
+            sum(map(near, some)),
+            sum(not r["names"] for r in some),
+            sum(bool(r["names"]) and not near(r) for r in some),
+            sum(map(_unknown, some)),
+        ]
         lines.append(f"| {strength:g} | {noise:g} | {len(some)} | " + " | ".join(map(str, counts)) + " |")
     return "\n".join(lines)
 

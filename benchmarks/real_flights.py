@@ -36,9 +36,11 @@ LEE_MASS = 0.037  # kg
 TRIM = DATA / "crazypad_trim"
 NORMAL = {"E8": ("normal_flight_E8_log00", "normal_flight_E8_log03"), "E9": ("normal_flight_E9_log00",)}
 FAULTY = (
-    ("tape_on_propeller_M3_E8_log00", "E8"), ("cut_propeller_M3_3mm_E8_log01", "E8"),
-    ("cut_propeller_M3_3mm_E9_log00", "E9"), ("add_weight_W3_near_M3_E9_log02", "E9"),
-)  # fmt: skip
+    ("tape_on_propeller_M3_E8_log00", "E8"),
+    ("cut_propeller_M3_3mm_E8_log01", "E8"),
+    ("cut_propeller_M3_3mm_E9_log00", "E9"),
+    ("add_weight_W3_near_M3_E9_log02", "E9"),
+)
 REFUSED = (
     ("CrazyPAD, no gyro, no pitch", DATA / "crazyflie" / "E8_log00.gz", "crazyflie"),
     ("PX4, motors at 10 Hz", DATA / "px4_sih_offboard" / "offboard_hover_topics.ulg.gz", "px4_sih"),

@@ -156,8 +156,10 @@ def table(workers: list[Worker]) -> str:
         step = prepare + feedback
         medians[worker.name] = float(np.median(step))
         unsolved = int(np.count_nonzero(worker.answers["status"]))
-        rows.append(f"| {worker.name} | {np.median(prepare):.0f} | {np.median(feedback):.0f} | {np.median(step):.0f} | "
-                    f"{np.percentile(step, 99):.0f} | {unsolved} of {step.size} |")  # fmt: skip
+        rows.append(
+            f"| {worker.name} | {np.median(prepare):.0f} | {np.median(feedback):.0f} | {np.median(step):.0f} | "
+            f"{np.percentile(step, 99):.0f} | {unsolved} of {step.size} |"
+        )
     first = np.array(workers[0].answers["inputs"])
     notes = []
     for worker in workers[1:]:

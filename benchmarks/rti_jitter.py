@@ -103,8 +103,12 @@ def table(periods: dict[str, np.ndarray], period: float) -> list[str]:
             rows.append(f"| {name} | {marks} |")
     missed = periods["woke late by"] + periods["step"] > period
     own = missed & (periods["processor time of the step"] > period)
-    return [*rows, "", f"{missed.size} ticks at {1 / period:g} Hz: {own.sum()} misses of our making, "
-            f"{(missed & ~own).sum()} by the scheduler, {np.count_nonzero(periods['status'])} unsolved."]  # fmt: skip
+    return [
+        *rows,
+        "",
+        f"{missed.size} ticks at {1 / period:g} Hz: {own.sum()} misses of our making, "
+        f"{(missed & ~own).sum()} by the scheduler, {np.count_nonzero(periods['status'])} unsolved.",
+    ]
 
 
 def main() -> None:

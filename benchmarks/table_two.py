@@ -41,9 +41,16 @@ BUILD = Path(__file__).parent.parent / "build"
 MODELS = ("nominal", "effects", "pi_mlp", "pi_tcn", "grey_box")
 FIRST_SEED = 9001  # the campaign's flights were flown with others
 DIAGNOSED = (
-    "circle_xy_wide", "line_x_wide", "line_z_wide", "yaw_spin_130", "TransposedParabola_wide", "WarpedEllipse_1_xz",
-    "Lemniscate_xz_60", "ExtendedLemniscate_xy_60", "WarpedEllipse_2_yz_60",
-)  # fmt: skip
+    "circle_xy_wide",
+    "line_x_wide",
+    "line_z_wide",
+    "yaw_spin_130",
+    "TransposedParabola_wide",
+    "WarpedEllipse_1_xz",
+    "Lemniscate_xz_60",
+    "ExtendedLemniscate_xy_60",
+    "WarpedEllipse_2_yz_60",
+)
 
 
 def main() -> None:

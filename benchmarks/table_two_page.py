@@ -16,12 +16,19 @@ from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 PICTURE = Path(__file__).parent.parent / "docs" / "pictures" / "table_two.png"
 SHOWN = "Lemniscate"  # as in the paper's first figure
 NAMES = {
-    "nominal": "nominal", "effects": "nominal + effects", "pi_mlp": "PI-MLP, T = 1", "pi_tcn": "PI-TCN",
+    "nominal": "nominal",
+    "effects": "nominal + effects",
+    "pi_mlp": "PI-MLP, T = 1",
+    "pi_tcn": "PI-TCN",
     "grey_box": "grey box + residual",
-}  # fmt: skip
+}
 COLOURS = {  # Okabe and Ito
-    "nominal": "#d55e00", "effects": "#009e73", "pi_mlp": "#cc79a7", "pi_tcn": "#0072b2", "grey_box": "#e69f00",
-}  # fmt: skip
+    "nominal": "#d55e00",
+    "effects": "#009e73",
+    "pi_mlp": "#cc79a7",
+    "pi_tcn": "#0072b2",
+    "grey_box": "#e69f00",
+}
 INK, SOFT = "#1a1a1a", "#9a9a9a"
 
 
@@ -30,10 +37,15 @@ def body(flights: Sequence[Flown], quick: Sequence[Flown], effects: Path) -> str
     parts = [
         f"Position RMSE in m, mean ± standard deviation over runs; {DURATION - RAMP:g} s of each flight, after the "
         f"ramp of {RAMP:g} s. Ratio: of means, nominal over it.",
-        _errors(flights), "## Beside the paper", _paper(flights), "## How they flew", _conduct(flights),
+        _errors(flights),
+        "## Beside the paper",
+        _paper(flights),
+        "## How they flew",
+        _conduct(flights),
         "Repeated: the machine held up the mock, so that estimates were older than 60 ms; nothing else is repeated.",
-        "## Peaks", _peaks(flights),
-    ]  # fmt: skip
+        "## Peaks",
+        _peaks(flights),
+    ]
     if quick:
         parts += ["## The same in lockstep, without link, threads and clocks", _errors(quick)]
     if effects.exists():
@@ -89,8 +101,15 @@ def _paper(flights: Sequence[Flown]) -> str:
     for name, (nominal, deviation) in TRACKING_NOMINAL.items():
         learned, other = TRACKING_LEARNED[name]
         ours = [f"{ratio(flights, model, name):.1f}" for model in _models(flights) if model != "nominal"]
-        rows.append([name, f"{nominal:.3f} ± {deviation:.3f}", f"{learned:.3f} ± {other:.3f}",
-                     f"{nominal / learned:.1f}", *ours])  # fmt: skip
+        rows.append(
+            [
+                name,
+                f"{nominal:.3f} ± {deviation:.3f}",
+                f"{learned:.3f} ± {other:.3f}",
+                f"{nominal / learned:.1f}",
+                *ours,
+            ]
+        )
     heads = [f"ratio here, {NAMES[model]}" for model in _models(flights) if model != "nominal"]
     return _table(["manoeuvre", "the paper: nominal", "the paper: PI-MLP, T = 1", "its ratio", *heads], rows)
 
@@ -102,13 +121,18 @@ def _conduct(flights: Sequence[Flown]) -> str:
         late = {cause: sum(f.late.get(cause, 0) for f in mine) for cause in ("ours", "scheduler", "link")}
         ticks = max(sum(flown.ticks for flown in mine), 1)
         ratios = [flown.model_ratio for flown in mine if flown.model_ratio is not None]
-        rows.append([
-            NAMES[model], mine[0].run.key, str(len(mine)), str(sum(bool(flown.ended) for flown in mine)),
-            str(sum(flown.repeats for flown in mine)),
-            f"{sum(f.fallbacks for f in mine)}, {sum(f.fallback_seconds for f in mine):.1f} s",
-            f"{max(ratios):.1f}" if ratios else "",
-            ", ".join(f"{count} {cause}" for cause, count in late.items()) + f" of {ticks}",
-        ])  # fmt: skip
+        rows.append(
+            [
+                NAMES[model],
+                mine[0].run.key,
+                str(len(mine)),
+                str(sum(bool(flown.ended) for flown in mine)),
+                str(sum(flown.repeats for flown in mine)),
+                f"{sum(f.fallbacks for f in mine)}, {sum(f.fallback_seconds for f in mine):.1f} s",
+                f"{max(ratios):.1f}" if ratios else "",
+                ", ".join(f"{count} {cause}" for cause, count in late.items()) + f" of {ticks}",
+            ]
+        )
     heads = [
         "model",
         "sha256",
@@ -192,8 +216,15 @@ def _draw_errors(axes: Any, flights: Sequence[Flown]) -> None:
         means = [values.mean() if len(values) else np.nan for values in errors]
         deviations = [values.std(ddof=1) if len(values) > 1 else 0.0 for values in errors]
         at = places + (number - (len(models) - 1) / 2) * width
-        axes.bar(at, means, 0.92 * width, yerr=deviations, color=COLOURS[model], label=NAMES[model],
-                 error_kw={"elinewidth": 0.8, "ecolor": INK})  # fmt: skip
+        axes.bar(
+            at,
+            means,
+            0.92 * width,
+            yerr=deviations,
+            color=COLOURS[model],
+            label=NAMES[model],
+            error_kw={"elinewidth": 0.8, "ecolor": INK},
+        )
     for marker, label, table in (("_", "paper, nominal", TRACKING_NOMINAL), ("x", "paper, learned", TRACKING_LEARNED)):
         values = [100 * mean for mean, _ in table.values()]
         axes.plot(places, values, marker, color=INK, markersize=9 if marker == "_" else 5, label=label)

@@ -118,10 +118,16 @@ def _over_link(run: Run) -> Flown:
             mock = stack.enter_context(mock_process(*hidden, "--seed", str(run.seed), vehicle=VEHICLE))
         bundled = Path(run.path).is_dir()
         setup = FlightSetup(
-            link=mock.url, reference=run.manoeuvre, duration=DURATION, rate=RATE, record=Path(folder),
-            timeout=FINDING_PATIENCE, priority=PRIORITY, vehicle=None if bundled else run.path,
+            link=mock.url,
+            reference=run.manoeuvre,
+            duration=DURATION,
+            rate=RATE,
+            record=Path(folder),
+            timeout=FINDING_PATIENCE,
+            priority=PRIORITY,
+            vehicle=None if bundled else run.path,
             bundle=Path(run.path) if bundled else None,
-        )  # fmt: skip
+        )
         flight = prepare_flight(setup, flown_before=run.model != "nominal")
         request = msgspec.structs.replace(flight.request, plan=msgspec.structs.replace(BRISK, duration=DURATION))
         daemon = Daemon(request, flight.vehicle, flight.reference, lambda _: None, bundle=flight.bundle)
@@ -130,9 +136,12 @@ def _over_link(run: Run) -> Flown:
             return Flown(run, f"{report.outcome} {report.landing_reason}".strip(), events=report.events)
         recording = read_recording(Path(report.recording or ""))
     return msgspec.structs.replace(
-        _judged(run, *_of_recording(recording)), events=report.events, late=report.timing.missed,
-        ticks=report.timing.ticks, **_fallbacks(recording),
-    )  # fmt: skip
+        _judged(run, *_of_recording(recording)),
+        events=report.events,
+        late=report.timing.missed,
+        ticks=report.timing.ticks,
+        **_fallbacks(recording),
+    )
 
 
 def _of_recording(recording: FlightRecording) -> tuple[Floats, Floats, Floats, Floats, Floats]:
@@ -172,9 +181,13 @@ def in_lockstep(run: Run) -> Flown:
     controller = Controller.build(read_vehicle(Path(run.path))) if bundle is None else Controller.from_bundle(bundle)
     reference = named_reference(run.manoeuvre, controller.trim, duration=DURATION)
     flown = fly_reference(
-        body, reference, effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD], seed=run.seed,
-        controller=controller, nominal=None if bundle is None else Controller.fallback_from_bundle(bundle),
-    )  # fmt: skip
+        body,
+        reference,
+        effects=[parse_effect(text, body.rotors.count) for text in REAL_WORLD],
+        seed=run.seed,
+        controller=controller,
+        nominal=None if bundle is None else Controller.fallback_from_bundle(bundle),
+    )
     if flown.aborted:
         return Flown(run, flown.aborted)
     flight = Flight.from_log(flown.log, rate=RATE)
@@ -198,12 +211,19 @@ def _judged(
     error = np.linalg.norm(position - reference_position, axis=1)[rows]
     linear, angular = (peaks[rows] for peaks in accelerations(velocity, rate))
     return Flown(
-        run, "", seconds=float(grid[-1] - RAMP), position_rmse=float(np.sqrt(np.mean(error**2))),
-        position_max=float(error.max()), speed_max=float(np.linalg.norm(velocity, axis=1).max()),
-        peak_linear=float(linear.max()), peak_angular=float(angular.max()),
-        linear=counts(linear, LINEAR_BINS), angular=counts(angular, ANGULAR_BINS),
-        path=_thinned(position[rows]), reference_position=_thinned(reference_position[rows]),
-    )  # fmt: skip
+        run,
+        "",
+        seconds=float(grid[-1] - RAMP),
+        position_rmse=float(np.sqrt(np.mean(error**2))),
+        position_max=float(error.max()),
+        speed_max=float(np.linalg.norm(velocity, axis=1).max()),
+        peak_linear=float(linear.max()),
+        peak_angular=float(angular.max()),
+        linear=counts(linear, LINEAR_BINS),
+        angular=counts(angular, ANGULAR_BINS),
+        path=_thinned(position[rows]),
+        reference_position=_thinned(reference_position[rows]),
+    )
 
 
 def accelerations(velocity: Floats, rate: Floats) -> tuple[Floats, Floats]:

@@ -146,9 +146,14 @@ def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: Prec
     if model.integrator == "rk4":
         return _physics_recipe(model.flight_model, options, field_function(model))
     return kernel_recipe(
-        model.network, model.flight_model, options.problem, options.processor, precision, mean=model.mean,
+        model.network,
+        model.flight_model,
+        options.problem,
+        options.processor,
+        precision,
+        mean=model.mean,
         extrapolated=model.extrapolated,
-    )  # fmt: skip
+    )
 
 
 def _physics_recipe(model: Model, options: ExportOptions, field: ca.Function | None = None) -> KernelRecipe:
@@ -207,18 +212,31 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manif
     if model.hidden_count:
         shapes |= {"hidden": ("batch", model.hidden_count), "hidden_rate": ("batch", model.hidden_count)}
     return Manifest(
-        kind=config.kind, learned=model.network is not None,
+        kind=config.kind,
+        learned=model.network is not None,
         physics={"none": "none", "nominal": "nominal", "grey_box": "vehicle"}[config.base],  # type: ignore[arg-type]
-        motors=config.motors, label=config.label, filtered_inputs=config.filtered_inputs,
-        integrator=model.integrator, rotors=config.rotors, history=model.history, dt=config.dt,
-        frame=config.inputs, ranges=_ranges(model), errors=_errors(model), shapes=shapes,
+        motors=config.motors,
+        label=config.label,
+        filtered_inputs=config.filtered_inputs,
+        integrator=model.integrator,
+        rotors=config.rotors,
+        history=model.history,
+        dt=config.dt,
+        frame=config.inputs,
+        ranges=_ranges(model),
+        errors=_errors(model),
+        shapes=shapes,
         units=dict(zip(column_names(config.rotors), column_units(config.rotors), strict=True)),
-        problem=options.problem, processor=options.processor.name,
-        precision="double" if model.integrator == "rk4" else "float", files=files,
-        command=options.command, date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
+        problem=options.problem,
+        processor=options.processor.name,
+        precision="double" if model.integrator == "rk4" else "float",
+        files=files,
+        command=options.command,
+        date=datetime.datetime.now(tz=datetime.UTC).date().isoformat(),
         versions={name: metadata.version(name) for name in LIBRARIES},
-        provenance=_provenance(model, options), notes=cautions(config, model.integrator),
-    )  # fmt: skip
+        provenance=_provenance(model, options),
+        notes=cautions(config, model.integrator),
+    )
 
 
 def _ranges(model: ExportedModel) -> tuple[InputRange, ...]:
@@ -260,11 +278,13 @@ def _provenance(model: ExportedModel, options: ExportOptions) -> dict[str, str]:
     if model.trained is not None:
         card = model.trained.card
         provenance |= {
-            "trained": card.date, "training": card.command,
+            "trained": card.date,
+            "training": card.command,
             "member": f"{model.member} of {len(model.trained.networks)}",
-            "seeds": ", ".join(map(str, card.seeds)), "recipe": card.recipe.name,
+            "seeds": ", ".join(map(str, card.seeds)),
+            "recipe": card.recipe.name,
             "flights_sha256": hashlib.sha256(repr(sorted(card.flights.items())).encode()).hexdigest(),
-        }  # fmt: skip
+        }
     return provenance
 
 

@@ -88,10 +88,13 @@ def kernel_recipe(
         physics = physics_function(model, dt=network.dt, mean=mean)
         sources["physics.c"] = generate_c([physics])
         defines |= {
-            "PHYSICS": NAME, "PHYSICS_ARG": physics.sz_arg(), "PHYSICS_RES": physics.sz_res(),
-            "PHYSICS_IW": physics.sz_iw(), "PHYSICS_W": physics.sz_w(),
+            "PHYSICS": NAME,
+            "PHYSICS_ARG": physics.sz_arg(),
+            "PHYSICS_RES": physics.sz_res(),
+            "PHYSICS_IW": physics.sz_iw(),
+            "PHYSICS_W": physics.sz_w(),
             "FREE": 0 if depends_on_position(physics) else 3,
-        }  # fmt: skip
+        }
     elif model.hidden_count:
         raise RequestError(
             "a network that replaces the model has no use for effects with hidden states; leave them out."

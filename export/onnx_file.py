@@ -75,8 +75,10 @@ class Graph:
         outputs = [[""] * function.numel_out(i) for i in range(function.n_out())]
         for k in range(function.n_instructions()):
             code, taken, results = (
-                function.instruction_id(k), function.instruction_input(k), function.instruction_output(k),
-            )  # fmt: skip
+                function.instruction_id(k),
+                function.instruction_input(k),
+                function.instruction_output(k),
+            )
             if code == ca.OP_INPUT:
                 work[results[0]] = inputs[taken[0]][taken[1]]
             elif code == ca.OP_OUTPUT:

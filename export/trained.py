@@ -142,11 +142,19 @@ def network_of(trained: TrainedModel, module: nn.Module) -> Network:
         convolutions, perceptron = (), _perceptron(weights, "decoder.", None)
     share = 1 / body_inertia(trained.vehicle) if config.outputs == "wrench" else np.ones(6)
     return Network(
-        convolutions, perceptron, scaling.input_mean, scaling.input_std,
-        scaling.output_mean * share, scaling.output_std * share, config.inputs,
-        "world" if config.outputs == "world" else "body", config.base != "none", config.rotors, config.dt,
+        convolutions,
+        perceptron,
+        scaling.input_mean,
+        scaling.input_std,
+        scaling.output_mean * share,
+        scaling.output_std * share,
+        config.inputs,
+        "world" if config.outputs == "world" else "body",
+        config.base != "none",
+        config.rotors,
+        config.dt,
         config.history,
-    )  # fmt: skip
+    )
 
 
 def _convolutions(

@@ -53,9 +53,18 @@ class FittedDelay:
 
 
 def fit_delay(
-    answer: Floats, drive: Floats, undelayed: Floats, rate: float, band: Band, usable: NDArray[np.bool_],
-    *, paired: bool = False, lagged: ThrustCurve | None = None, whiten: bool = True, closed_loop: float = 0.0,
-) -> FittedDelay | None:  # fmt: skip
+    answer: Floats,
+    drive: Floats,
+    undelayed: Floats,
+    rate: float,
+    band: Band,
+    usable: NDArray[np.bool_],
+    *,
+    paired: bool = False,
+    lagged: ThrustCurve | None = None,
+    whiten: bool = True,
+    closed_loop: float = 0.0,
+) -> FittedDelay | None:
     """The delay of `answer` behind `drive`; None with too little flight, or with no optimum inside the search limits.
 
     answer, drive, undelayed: (n, m), (n, p), (n, q) on one grid; NaN where missing. undelayed: further regressors.

@@ -233,17 +233,32 @@ def _rotorless_regressors(rate: Floats, velocity: Floats | None, attitude: Float
 
 
 def _compare(
-    grid: _Grid, answer: Floats, drive: Floats, name: str, against: str, band: Band,
-    *, undelayed: Floats | None = None, lagged: ThrustCurve | None = None,
-) -> Delay | None:  # fmt: skip
+    grid: _Grid,
+    answer: Floats,
+    drive: Floats,
+    name: str,
+    against: str,
+    band: Band,
+    *,
+    undelayed: Floats | None = None,
+    lagged: ThrustCurve | None = None,
+) -> Delay | None:
     undelayed = np.empty((len(answer), 0)) if undelayed is None else undelayed
     paired = name not in ROTORS
     closed_loop = VELOCITY_LOOP if name == "velocity" else 0.0 if paired else ROTOR_LOOP
     kind: Literal["clock", "lag", "delay"] = "clock" if name not in _CURVES else "delay" if lagged is None else "lag"
     fit = fit_delay(
-        answer, drive, undelayed, grid.rate, band, grid.usable,
-        paired=paired, lagged=lagged, whiten=kind == "clock", closed_loop=closed_loop,
-    )  # fmt: skip
+        answer,
+        drive,
+        undelayed,
+        grid.rate,
+        band,
+        grid.usable,
+        paired=paired,
+        lagged=lagged,
+        whiten=kind == "clock",
+        closed_loop=closed_loop,
+    )
     if fit is None:
         return None
     low, high = fit.seconds - fit.reach, fit.seconds + fit.reach

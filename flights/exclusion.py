@@ -94,9 +94,13 @@ def effort(flight: Flight) -> Floats | None:
     Thrust is taken for a power of each: of a speed the square, of a rotor command between linear and square.
     """
     for name, power in (
-        ("rotor_speed", 2.0), ("rotor_speed_command", 2.0), ("rotor_thrust_command", 1.0), ("rotor_command", 1.5),
-        ("collective_thrust_command", 1.0), ("thrust_setpoint", 1.0),
-    ):  # fmt: skip
+        ("rotor_speed", 2.0),
+        ("rotor_speed_command", 2.0),
+        ("rotor_thrust_command", 1.0),
+        ("rotor_command", 1.5),
+        ("collective_thrust_command", 1.0),
+        ("thrust_setpoint", 1.0),
+    ):
         if not flight.has(name):
             continue
         total = np.sum(np.abs(flight[name].reshape(len(flight), -1)) ** power, axis=1)

@@ -22,7 +22,7 @@ QUANTITIES = ("rotor_speed", *COMMAND)
 
 def rotor_speeds(
     flight: Flight, vehicle: Vehicle, *, prefer: Literal["measured", "command"] = "measured"
-) -> tuple[Floats, RotorSource]:  # fmt: skip
+) -> tuple[Floats, RotorSource]:
     """(n, rotors) rad/s: measured, or else those that the commands give by the vehicle file.
 
     prefer: "command" takes commands first, for models whose inputs are commands.

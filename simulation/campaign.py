@@ -169,10 +169,16 @@ class Campaign:
         text, scenario = self._texts
         seeds = np.random.SeedSequence([self.options.seed, zlib.crc32(flight.name.encode())])
         return FlightTask(
-            name=flight.name, reference=flight.reference, split=flight.split, folder=self.options.folder,
-            vehicle_text=text, scenario_text=scenario, effects=self._uses, seed=int(seeds.generate_state(1)[0]),
+            name=flight.name,
+            reference=flight.reference,
+            split=flight.split,
+            folder=self.options.folder,
+            vehicle_text=text,
+            scenario_text=scenario,
+            effects=self._uses,
+            seed=int(seeds.generate_state(1)[0]),
             csv=self.options.csv,
-        )  # fmt: skip
+        )
 
     def _compile(self) -> None:
         """Fill the cache of compiled code, so that processes do not wait for each other."""

@@ -93,13 +93,19 @@ def fly_task(task: FlightTask) -> FlightSummary:
         reference = full if speed == 1.0 else slowed(full, speed)
         start = reference.states(np.zeros(1))[0]
         options = dataclasses.replace(
-            scenario.vehicle_options(), position=(float(start[0]), float(start[1])),
+            scenario.vehicle_options(),
+            position=(float(start[0]), float(start[1])),
             yaw=float(2 * np.arctan2(start[9], start[6])),
-        )  # fmt: skip
+        )
         flown = fly_reference(
-            vehicle, reference, effects=task.effects, options=options, seed=task.seed, name=task.name,
+            vehicle,
+            reference,
+            effects=task.effects,
+            options=options,
+            seed=task.seed,
+            name=task.name,
             controller=_controller(task.vehicle_text),
-        )  # fmt: skip
+        )
         if not flown.aborted:
             return _write(task, flown, reference)
     raise VehicleError(f"{task.name} cannot be flown even at half its speed: {flown.aborted}. Hide fewer effects.")

@@ -105,9 +105,13 @@ def check_flight(bundle: Bundle) -> FlightCheck:
         return FlightCheck(reference.name, ended=str(error))
     seconds = flown.seconds
     return FlightCheck(
-        reference.name, seconds, flown.position_rmse if seconds else None,
-        flown.fallback_seconds / seconds if seconds else 1.0, dict(flown.events), flown.aborted,
-    )  # fmt: skip
+        reference.name,
+        seconds,
+        flown.position_rmse if seconds else None,
+        flown.fallback_seconds / seconds if seconds else 1.0,
+        dict(flown.events),
+        flown.aborted,
+    )
 
 
 def _gentle(vehicle: Vehicle) -> Reference:

@@ -87,10 +87,17 @@ class FlownReference:
 
 
 def fly_reference(
-    vehicle: Vehicle, reference: Reference, *, effects: Sequence[EffectUse] = (), options: VehicleOptions | None = None,
-    seed: int = 0, name: str = "", controller: Controller | None = None, nominal: Controller | None = None,
+    vehicle: Vehicle,
+    reference: Reference,
+    *,
+    effects: Sequence[EffectUse] = (),
+    options: VehicleOptions | None = None,
+    seed: int = 0,
+    name: str = "",
+    controller: Controller | None = None,
+    nominal: Controller | None = None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
-) -> FlownReference:  # fmt: skip
+) -> FlownReference:
     """Fly a reference from its start to its end.
 
     effects: hidden from the controller.
@@ -167,10 +174,22 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
     state = np.concatenate(parts)
     estimate = StateEstimate(round(1000 * estimated.time) / 1000, now, state, 0, True, "ODOMETRY")
     observation = ObservationRecord(
-        tick=tick, time=now, estimate_arrival=now, connected=True, armed=True, offboard=True, mode="OFFBOARD",
-        landed=plant.on_ground, findings="", reset=False, reset_position=np.zeros(3), reset_yaw=0.0,
-        specific_force_z=float(plant.imu.specific_force_body[2]), engage=tick == 0, leave="",
-    )  # fmt: skip
+        tick=tick,
+        time=now,
+        estimate_arrival=now,
+        connected=True,
+        armed=True,
+        offboard=True,
+        mode="OFFBOARD",
+        landed=plant.on_ground,
+        findings="",
+        reset=False,
+        reset_position=np.zeros(3),
+        reset_yaw=0.0,
+        specific_force_z=float(plant.imu.specific_force_body[2]),
+        engage=tick == 0,
+        leave="",
+    )
     decision = flyer.step(observation, estimate)
     flyer.prepare(now)
     return decision

@@ -63,8 +63,12 @@ PREDICTION: Mapping[str, Mapping[str, float]] = {
 }  # fmt: skip
 # Table I, time of one prediction, ms, on the authors' laptop.
 INFERENCE: Mapping[str, float] = {
-    "nominal": 0.001, "res_tcn": 1.735, "mse_tcn": 1.735, "pi_mlp": 0.229, "pi_tcn": 1.735,
-}  # fmt: skip
+    "nominal": 0.001,
+    "res_tcn": 1.735,
+    "mse_tcn": 1.735,
+    "pi_mlp": 0.229,
+    "pi_tcn": 1.735,
+}
 # Ablation: (history, physics-inspired loss) -> RMSE, mean and deviation over the test flights.
 ABLATION: Mapping[tuple[bool, bool], tuple[float, float]] = {
     (True, True): (0.22, 0.15),

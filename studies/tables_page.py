@@ -15,9 +15,14 @@ from studio.tables import Image, PageTable, tables_page
 
 
 def write_tables_page(
-    path: Path, title: str, lines: Sequence[str], tables: Sequence[Table], pictures: Sequence[tuple[Figure, str]], *,
+    path: Path,
+    title: str,
+    lines: Sequence[str],
+    tables: Sequence[Table],
+    pictures: Sequence[tuple[Figure, str]],
+    *,
     inputs: Mapping[str, str],
-) -> None:  # fmt: skip
+) -> None:
     """Write a page.
 
     lines: the summary, a sentence each.

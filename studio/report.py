@@ -87,9 +87,12 @@ def demo_page(
 
 
 def add_command(
-    diagnosis: Diagnosis, logs: Sequence[Path], vehicle: str, hold_out: str | None,
+    diagnosis: Diagnosis,
+    logs: Sequence[Path],
+    vehicle: str,
+    hold_out: str | None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
-) -> str:  # fmt: skip
+) -> str:
     """The command that adds the first effect of a diagnosis that can be added, empty where there is none."""
     able = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
     if not able:

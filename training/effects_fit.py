@@ -104,9 +104,15 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogu
     ]
     scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in free]
     return _Problem(
-        config, model, data, _whole_segments(data), tuple(name for name, _, _ in free),
-        np.array([p.lower for _, p, _ in free]), np.array([p.upper for _, p, _ in free]), np.array(scale),
-    )  # fmt: skip
+        config,
+        model,
+        data,
+        _whole_segments(data),
+        tuple(name for name, _, _ in free),
+        np.array([p.lower for _, p, _ in free]),
+        np.array([p.upper for _, p, _ in free]),
+        np.array(scale),
+    )
 
 
 def _whole_segments(data: LabelledRows) -> tuple[tuple[int, int], ...]:
@@ -161,7 +167,9 @@ def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
 
 def named_effects(vehicle: Vehicle, uses: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
     """The vehicle with further effects, at their usual values where none are given."""
-    return vehicle.with_effects(*[
-        msgspec.structs.replace(use, parameters={**catalogue[use.name].defaults(vehicle), **use.parameters})
-        for use in uses
-    ])  # fmt: skip
+    return vehicle.with_effects(
+        *[
+            msgspec.structs.replace(use, parameters={**catalogue[use.name].defaults(vehicle), **use.parameters})
+            for use in uses
+        ]
+    )

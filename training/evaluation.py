@@ -144,9 +144,14 @@ def physical_model(kind: str, vehicle: Vehicle, like: ModelConfig) -> TrainedMod
     inputs = len(config.input_names)
     card = Card(kind, "", "", FAST, {}, {}, vehicle.name, "")
     return TrainedModel(
-        config, (), Scaling(np.zeros(inputs), np.ones(inputs), np.zeros(6), np.ones(6)),
-        Ranges(np.full(inputs, -np.inf), np.full(inputs, np.inf)), vehicle, vehicle_toml(vehicle), card,
-    )  # fmt: skip
+        config,
+        (),
+        Scaling(np.zeros(inputs), np.ones(inputs), np.zeros(6), np.ones(6)),
+        Ranges(np.full(inputs, -np.inf), np.full(inputs, np.inf)),
+        vehicle,
+        vehicle_toml(vehicle),
+        card,
+    )
 
 
 def rows_for(model: TrainedModel, recordings: Sequence[LoggedFlight]) -> LabelledRows:
@@ -193,14 +198,18 @@ def _evaluated(
         for place in range(len(model.networks))
     )
     evaluation = Evaluation(
-        named.name, config.kind, config.history, config.motors, config.filtered_inputs,
+        named.name,
+        config.kind,
+        config.history,
+        config.motors,
+        config.filtered_inputs,
         label=flight_errors(data, body),
         true=() if truth is None else flight_errors(data, body, truth),
         members=members,
         open_loop=open_loop_errors(model, data, states),
         pulses=() if plant is None else pulse_responses(model, plant, data),
         calibration=calibration(model, data, reference),
-    )  # fmt: skip
+    )
     return EvaluatedModel(evaluation, model, data, body)
 
 

@@ -41,9 +41,15 @@ class RowModel:
     """
 
     def __init__(
-        self, vehicle: Vehicle, effects: Sequence[EffectUse], *, dt: float, label: Label, motors: Motors,
+        self,
+        vehicle: Vehicle,
+        effects: Sequence[EffectUse],
+        *,
+        dt: float,
+        label: Label,
+        motors: Motors,
         catalogue: Mapping[str, Effect] = CATALOGUE,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         function = row_function(self.model, dt, label)
         # the carried state is only handed from row to row within one call
@@ -74,9 +80,16 @@ class BatchModel:
     """A vehicle with effects, one row of m flights at a time; hidden states are carried from call to call."""
 
     def __init__(
-        self, vehicle: Vehicle, effects: Sequence[EffectUse], rotor_speed: Floats, *, dt: float, label: Label,
-        motors: Motors, catalogue: Mapping[str, Effect] = CATALOGUE,
-    ) -> None:  # fmt: skip
+        self,
+        vehicle: Vehicle,
+        effects: Sequence[EffectUse],
+        rotor_speed: Floats,
+        *,
+        dt: float,
+        label: Label,
+        motors: Motors,
+        catalogue: Mapping[str, Effect] = CATALOGUE,
+    ) -> None:
         """rotor_speed: (m, rotors) rad/s at the first row, with rotors at these speeds."""
         model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         batched = row_function(model, dt, label).map(BLOCK)

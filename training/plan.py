@@ -58,15 +58,27 @@ class Plan:
         rollout = None
         if self.recipe.rollout > 1:
             rollout = RolloutLoss.of(
-                self.config, self.vehicle, self.training, training, self.scaling, self.recipe.rollout,
+                self.config,
+                self.vehicle,
+                self.training,
+                training,
+                self.scaling,
+                self.recipe.rollout,
                 self.recipe.input_noise,
-            )  # fmt: skip
+            )
         return Task(
-            config=self.config, recipe=self.recipe, training=training,
-            validation=Tensors.of(self.validation, self.scaling, self.config.history, device), collocation=collocation,
-            rollout=rollout, rows=self.training.names, fingerprint=self.fingerprint, member=member, seed=seed,
+            config=self.config,
+            recipe=self.recipe,
+            training=training,
+            validation=Tensors.of(self.validation, self.scaling, self.config.history, device),
+            collocation=collocation,
+            rollout=rollout,
+            rows=self.training.names,
+            fingerprint=self.fingerprint,
+            member=member,
+            seed=seed,
             state_file=state_file,
-        )  # fmt: skip
+        )
 
     def assemble(self, members: Sequence[Member], seeds: Sequence[int], *, command: str) -> TrainedModel:
         """The model of the trained members, judged on the validation flights."""

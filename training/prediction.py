@@ -111,10 +111,15 @@ def flight_errors(data: LabelledRows, body: Floats, label: Floats | None = None)
         linear, angular, combined = rmse(body[rows] - reference[rows])
         errors.append(
             FlightError(
-                name, int(rows.sum()), linear, angular, combined, rmse(nominal[rows] - reference[rows])[2],
+                name,
+                int(rows.sum()),
+                linear,
+                angular,
+                combined,
+                rmse(nominal[rows] - reference[rows])[2],
                 None if base is None else rmse(base[rows] - reference[rows])[2],
             )
-        )  # fmt: skip
+        )
     return tuple(errors)
 
 
@@ -134,7 +139,11 @@ def pooled(errors: Sequence[FlightError]) -> FlightError:
 
     bases = [error.base for error in errors if error.base is not None]
     return FlightError(
-        "all", int(rows.sum()), over_all([e.linear for e in errors]), over_all([e.angular for e in errors]),
-        over_all([e.combined for e in errors]), over_all([e.nominal for e in errors]),
+        "all",
+        int(rows.sum()),
+        over_all([e.linear for e in errors]),
+        over_all([e.angular for e in errors]),
+        over_all([e.combined for e in errors]),
+        over_all([e.nominal for e in errors]),
         over_all(bases) if len(bases) == len(errors) else None,
-    )  # fmt: skip
+    )

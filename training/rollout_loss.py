@@ -54,9 +54,15 @@ class RolloutLoss:
 
     @classmethod
     def of(
-        cls, config: ModelConfig, vehicle: Vehicle, data: LabelledRows, tensors: Tensors, scaling: Scaling, steps: int,
+        cls,
+        config: ModelConfig,
+        vehicle: Vehicle,
+        data: LabelledRows,
+        tensors: Tensors,
+        scaling: Scaling,
+        steps: int,
         noise: float,
-    ) -> RolloutLoss:  # fmt: skip
+    ) -> RolloutLoss:
         """Raises DataError when no segment of the flights is as long as a roll-out."""
         device = tensors.inputs.device
         last_rows = data.ends + (steps - 1)
@@ -72,10 +78,18 @@ class RolloutLoss:
         output_unit = body_inertia(vehicle) if config.outputs == "wrench" else np.ones(6)
         scales = {name: tensor(getattr(scaling, name)) for name in Scaling.__dataclass_fields__}
         return cls(
-            config, tensors, scales, tensor(data.state), tensor(base), tensor(world),
-            torch.from_numpy(starts).to(device), tensor(output_unit), tensor(scaling.output_std / output_unit), steps,
+            config,
+            tensors,
+            scales,
+            tensor(data.state),
+            tensor(base),
+            tensor(world),
+            torch.from_numpy(starts).to(device),
+            tensor(output_unit),
+            tensor(scaling.output_std / output_unit),
+            steps,
             noise,
-        )  # fmt: skip
+        )
 
     def loss(self, network: nn.Module, chosen: Tensor, generator: torch.Generator) -> Tensor:
         """Mean over the steps of the squared error of the mean acceleration up to each, in standardised units.

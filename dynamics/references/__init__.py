@@ -6,6 +6,13 @@ from dynamics.references.manoeuvres import PAPER, PLAIN
 from dynamics.references.reference import Reference
 
 __all__ = [
-    "MANOEUVRES", "PAPER", "PLAIN", "Feasibility", "Reference", "Shape", "check_feasibility", "make_reference",
+    "MANOEUVRES",
+    "PAPER",
+    "PLAIN",
+    "Feasibility",
+    "Reference",
+    "Shape",
+    "check_feasibility",
+    "make_reference",
     "named_reference",
-]  # fmt: skip
+]

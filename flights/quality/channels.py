@@ -106,20 +106,32 @@ def _timing(channel: Channel) -> list[Finding]:
     findings = []
     name, where = channel.quantity, f"{channel.quantity} ({channel.source})"
     if channel.gaps:
-        findings.append(Finding(
-            "warning", "gaps", f"{where} has {channel.gaps} gaps, the longest of {channel.longest_gap:.2f} s",
-            "they are masked; a faster card or fewer topics avoids them",
-        ))  # fmt: skip
+        findings.append(
+            Finding(
+                "warning",
+                "gaps",
+                f"{where} has {channel.gaps} gaps, the longest of {channel.longest_gap:.2f} s",
+                "they are masked; a faster card or fewer topics avoids them",
+            )
+        )
     if channel.jitter * channel.rate > MAX_JITTER:
-        findings.append(Finding(
-            "warning", "jitter", f"{where}: 1 in 20 periods is off by {1e3 * channel.jitter:.1f} ms at "
-            f"{channel.rate:.0f} Hz", "use the stamps of the samples, not those of their arrival",
-        ))  # fmt: skip
+        findings.append(
+            Finding(
+                "warning",
+                "jitter",
+                f"{where}: 1 in 20 periods is off by {1e3 * channel.jitter:.1f} ms at {channel.rate:.0f} Hz",
+                "use the stamps of the samples, not those of their arrival",
+            )
+        )
     if channel.renewed < (1 - MAX_REPEATS) * channel.rate and name in MOTION:
-        findings.append(Finding(
-            "warning", "repeated_samples", f"{where} is logged at {channel.rate:.0f} Hz but changes only "
-            f"{channel.renewed:.0f} times a second", "log it when it is measured",
-        ))  # fmt: skip
+        findings.append(
+            Finding(
+                "warning",
+                "repeated_samples",
+                f"{where} is logged at {channel.rate:.0f} Hz but changes only {channel.renewed:.0f} times a second",
+                "log it when it is measured",
+            )
+        )
     return findings
 
 
@@ -143,10 +155,14 @@ def _standing_still(stream: Stream, values: Floats) -> list[Finding]:
         longest = int(np.diff(np.concatenate([[-1], steps, [len(finite) - 1]])).max())
         if longest >= min_samples:
             text = f"{name} stands at {finite[0] if not len(steps) else finite[steps[-1]]:.6g} {stream.unit}"
-            findings.append(Finding(
-                "warning", "frozen_channel", f"{text} for {longest * stream.period:.0f} s of flight",
-                "it is no measurement there; check its sensor, and leave the column out until it works",
-            ))  # fmt: skip
+            findings.append(
+                Finding(
+                    "warning",
+                    "frozen_channel",
+                    f"{text} for {longest * stream.period:.0f} s of flight",
+                    "it is no measurement there; check its sensor, and leave the column out until it works",
+                )
+            )
     return findings
 
 

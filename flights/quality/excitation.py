@@ -97,9 +97,14 @@ def _joined_signals(parts: Sequence[dict[str, Floats]]) -> dict[str, Floats]:
 
 
 def _map(
-    row: str, rows: Floats, row_edges: tuple[float, ...], column: str, columns: Floats,
-    column_edges: tuple[float, ...], period: float,
-) -> Coverage:  # fmt: skip
+    row: str,
+    rows: Floats,
+    row_edges: tuple[float, ...],
+    column: str,
+    columns: Floats,
+    column_edges: tuple[float, ...],
+    period: float,
+) -> Coverage:
     finite = np.isfinite(rows) & np.isfinite(columns)
     counts, _, _ = np.histogram2d(rows[finite], columns[finite], bins=[np.array(row_edges), np.array(column_edges)])
     seconds = tuple(tuple(round(float(value) * period, 3) for value in line) for line in counts)

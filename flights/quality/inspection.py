@@ -87,9 +87,14 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
     measured = measures(segments, ground=_ground_height(flight, exclusions))
     usable = _usable(log)
     findings = [
-        *_framed(log), *_actuation(log), *_amount(measured), *_clocks(delays), *_resets(log),
-        *rotor_findings(segments), *channel_findings(log, flying),
-    ]  # fmt: skip
+        *_framed(log),
+        *_actuation(log),
+        *_amount(measured),
+        *_clocks(delays),
+        *_resets(log),
+        *rotor_findings(segments),
+        *channel_findings(log, flying),
+    ]
     effects = answers(_trusted(usable, findings), measured, catalogue)
     verdict = _verdict(findings, effects)
     return Inspection(
@@ -150,28 +155,41 @@ def _actuation(log: Log) -> list[Finding]:
     best = max(rates, key=lambda name: rates[name])
     text = f"{best} is logged at {rates[best]:.0f} Hz"
     if rates[best] < MIN_ROTOR_RATE:
-        return [Finding(
-            "error", "rotors_too_slow", f"{text}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
-            "moments can be estimated from it", faster,
-        )]  # fmt: skip
+        return [
+            Finding(
+                "error",
+                "rotors_too_slow",
+                f"{text}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
+                "moments can be estimated from it",
+                faster,
+            )
+        ]
     findings = []
     if rates[best] < GOOD_ROTOR_RATE:
         findings.append(Finding("warning", "rotors_slow", f"{text}; 100 Hz or more would identify more", faster))
     if "rotor_speed" not in rates and best in DRIVE:
-        findings.append(Finding(
-            "note", "commands_only", f"{best} is a command: its gain and lag are further unknowns of every fit",
-            advice.measured_speeds(form),
-        ))  # fmt: skip
+        findings.append(
+            Finding(
+                "note",
+                "commands_only",
+                f"{best} is a command: its gain and lag are further unknowns of every fit",
+                advice.measured_speeds(form),
+            )
+        )
     return findings
 
 
 def _amount(measured: dict[str, float]) -> list[Finding]:
     if measured["duration"] >= MIN_FLIGHT:
         return []
-    return [Finding(
-        "error", "no_flight", f"only {measured['duration']:.1f} s of free flight are in this log, wanted "
-        f"{MIN_FLIGHT:.0f} s at least", "fly longer, and log velocity, attitude and body rates without gaps",
-    )]  # fmt: skip
+    return [
+        Finding(
+            "error",
+            "no_flight",
+            f"only {measured['duration']:.1f} s of free flight are in this log, wanted {MIN_FLIGHT:.0f} s at least",
+            "fly longer, and log velocity, attitude and body rates without gaps",
+        )
+    ]
 
 
 def _clocks(delays: Sequence[Delay]) -> list[Finding]:
@@ -183,12 +201,14 @@ def _clocks(delays: Sequence[Delay]) -> list[Finding]:
     ]
     return findings + [
         Finding(
-            "note", "uncertain_delay", f"{delay}: less certain than {1e3 * MAX_REACH:.0f} ms, so that it is "
-            "not removed", "fly more briskly, and where the air is still: gusts mask the rotors' response",
+            "note",
+            "uncertain_delay",
+            f"{delay}: less certain than {1e3 * MAX_REACH:.0f} ms, so that it is not removed",
+            "fly more briskly, and where the air is still: gusts mask the rotors' response",
         )
         for delay in clocks
         if not delay.is_known
-    ]  # fmt: skip
+    ]
 
 
 def _resets(log: Log) -> list[Finding]:

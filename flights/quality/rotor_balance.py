@@ -40,9 +40,11 @@ def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
 
 def _fault(rotor: int, evidence: str) -> Finding:
     return Finding(
-        "error", "rotor_speed_fault", f"rotor {rotor} {evidence}: its measurement is wrong, not the rotor",
+        "error",
+        "rotor_speed_fault",
+        f"rotor {rotor} {evidence}: its measurement is wrong, not the rotor",
         f"do not use rotor_speed_{rotor}; check the ESC's telemetry, its pole count and its mapping to the motor",
-    )  # fmt: skip
+    )
 
 
 def _dropouts(segments: Sequence[Flight]) -> list[Finding]:

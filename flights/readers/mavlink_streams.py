@@ -65,9 +65,10 @@ class _VehicleClock:
 
     def __init__(self, arrived: Arrived) -> None:
         references = [
-            (arrival, stamps) for number, (arrival, fields) in arrived.items()
+            (arrival, stamps)
+            for number, (arrival, fields) in arrived.items()
             if number in _CLOCK_SOURCES and (stamps := _stamps(fields)) is not None and (stamps > 0).any()
-        ]  # fmt: skip
+        ]
         self.is_known = bool(references)
         if not references:
             return

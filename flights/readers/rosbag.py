@@ -35,9 +35,21 @@ _SQLITE = b"SQLite format 3\0"
 _MCAP = b"\x89MCAP0\r\n"
 _SUFFIXES = {_ROS1: ".bag", _SQLITE: ".db3", _MCAP: ".mcap"}
 _BROKEN = (
-    AnyReaderError, Reader1Error, Reader2Error, SerdeError, TypesysError, sqlite3.Error, struct.error, ValueError,
-    KeyError, IndexError, EOFError, AssertionError, UnicodeDecodeError, NotImplementedError,
-)  # fmt: skip
+    AnyReaderError,
+    Reader1Error,
+    Reader2Error,
+    SerdeError,
+    TypesysError,
+    sqlite3.Error,
+    struct.error,
+    ValueError,
+    KeyError,
+    IndexError,
+    EOFError,
+    AssertionError,
+    UnicodeDecodeError,
+    NotImplementedError,
+)
 _PAPER_TOPICS = ("odom", "imu", "motor_rpm")
 
 

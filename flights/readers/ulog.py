@@ -125,14 +125,18 @@ def _local_position(assembly: Assembly, topics: Topics) -> None:
     topic = topics.get("vehicle_local_position")
     if topic is None:
         return
-    for name, parts, flags in (("position", "xyz", ("xy_valid", "z_valid")),
-                               ("velocity", ("vx", "vy", "vz"), ("v_xy_valid", "v_z_valid"))):  # fmt: skip
+    for name, parts, flags in (
+        ("position", "xyz", ("xy_valid", "z_valid")),
+        ("velocity", ("vx", "vy", "vz"), ("v_xy_valid", "v_z_valid")),
+    ):
         if topic.has(*parts):
             valid = [topic.flag(flag) for flag in (flags[0], *flags)]
             ned = np.stack([np.where(ok, topic[part], np.nan) for part, ok in zip(parts, valid, strict=True)], axis=1)
             assembly.add(name, topic.time, frames.enu_from_ned(ned), topic.name)
-    for name, counters in (("position", ("xy_reset_counter", "z_reset_counter")),
-                           ("velocity", ("vxy_reset_counter", "vz_reset_counter"))):  # fmt: skip
+    for name, counters in (
+        ("position", ("xy_reset_counter", "z_reset_counter")),
+        ("velocity", ("vxy_reset_counter", "vz_reset_counter")),
+    ):
         if topic.has(*counters):
             # as one number that changes whenever either does
             assembly.add(f"{name}_reset_counter", topic.time, topic[counters[0]] * 256 + topic[counters[1]], topic.name)

@@ -20,9 +20,18 @@ from runtime.link.telemetry import ImuSample, LinkEvent
 
 STREAMS: Mapping[str, float] = {"ODOMETRY": 100.0, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
 PARAMETERS = (
-    "MPC_THR_HOVER", "THR_MDL_FAC", "COM_OF_LOSS_T", "COM_OBL_RC_ACT", "COM_DISARM_PRFLT",
-    "MC_ROLLRATE_MAX", "MC_PITCHRATE_MAX", "MC_YAWRATE_MAX", "MC_ROLL_P", "MC_PITCH_P", "MC_YAW_P",
-)  # fmt: skip
+    "MPC_THR_HOVER",
+    "THR_MDL_FAC",
+    "COM_OF_LOSS_T",
+    "COM_OBL_RC_ACT",
+    "COM_DISARM_PRFLT",
+    "MC_ROLLRATE_MAX",
+    "MC_PITCHRATE_MAX",
+    "MC_YAWRATE_MAX",
+    "MC_ROLL_P",
+    "MC_PITCH_P",
+    "MC_YAW_P",
+)
 _REST = 0.3  # m/s and rad/s below which the accelerometer shows gravity alone
 _ACK_WINDOW = 0.3  # s in which a second acknowledgement follows the first
 

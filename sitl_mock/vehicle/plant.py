@@ -134,9 +134,12 @@ def _control(count: int, state: Values, command: Values, constants: Values) -> t
     """The inner loop's own states after the step, and the motor signals that it commands."""
     attitude = _estimated_attitude(state["plant"], state["estimate_error"])
     rates = inner_loop.rate_setpoint(
-        attitude, command["attitude"], command["yaw_rate"],
-        gain=constants["attitude_gain"], yaw_weight=constants["yaw_weight"],
-    )  # fmt: skip
+        attitude,
+        command["attitude"],
+        command["yaw_rate"],
+        gain=constants["attitude_gain"],
+        yaw_weight=constants["yaw_weight"],
+    )
     limited = ca.fmin(ca.fmax(rates, -constants["rate_limit"]), constants["rate_limit"])
     setpoint = ca.if_else(command["holds_attitude"], state["rate_setpoint_queue"][-3:], command["rate"])
     setpoint = ca.if_else(command["axis_free"], state["rate"], setpoint)
@@ -200,9 +203,13 @@ def _measure(
     )
     force = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
     states = {
-        "gyro_memory": memory, "rate": rate, "rate_acceleration": acceleration, "estimate_error": error,
-        "force_integral": state["force_integral"] + force * DT, "gyro_integral": state["gyro_integral"] + gyro * DT,
-    }  # fmt: skip
+        "gyro_memory": memory,
+        "rate": rate,
+        "rate_acceleration": acceleration,
+        "estimate_error": error,
+        "force_integral": state["force_integral"] + force * DT,
+        "gyro_integral": state["gyro_integral"] + gyro * DT,
+    }
     return states, ca.vertcat(x[POSITION] + error[0:3], x[VELOCITY] + error[3:6], _estimated_attitude(x, error), rate)
 
 

@@ -91,9 +91,22 @@ def gps_raw(s: Snapshot) -> Message:
     speed = min(round(math.hypot(north, east) * 100), 65534)
     course = round(math.degrees(math.atan2(east, north)) % 360.0 * 100) % 36000
     return mavlink.MAVLink_gps_raw_int_message(
-        s.estimate_us, 3, *latitude_longitude(s.motion.position), altitude, 70, 110, speed, course, 10,
-        altitude, 900, 1780, 400, 0, 0,
-    )  # fmt: skip
+        s.estimate_us,
+        3,
+        *latitude_longitude(s.motion.position),
+        altitude,
+        70,
+        110,
+        speed,
+        course,
+        10,
+        altitude,
+        900,
+        1780,
+        400,
+        0,
+        0,
+    )
 
 
 def highres_imu(s: Snapshot) -> Message:

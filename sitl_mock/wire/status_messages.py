@@ -52,10 +52,15 @@ def esc_status(s: Snapshot) -> list[Message]:
     rpm = [round(speed * RPM_PER_RADIAN) for speed in s.rotor_speed]
     share = s.battery.current / max(len(rpm), 1)
     return [
-        EscStatus(first, s.now_us, rpm[first : first + 4], [s.battery.voltage] * len(rpm[first : first + 4]),
-                  [share] * len(rpm[first : first + 4]))
+        EscStatus(
+            first,
+            s.now_us,
+            rpm[first : first + 4],
+            [s.battery.voltage] * len(rpm[first : first + 4]),
+            [share] * len(rpm[first : first + 4]),
+        )
         for first in range(0, len(rpm), 4)
-    ]  # fmt: skip
+    ]
 
 
 def esc_info(s: Snapshot) -> list[Message]:
@@ -84,9 +89,23 @@ def sys_status(s: Snapshot) -> Message:
     healthy = (SENSORS if s.estimate_valid else SENSORS & ~1) | ALSO_HEALTHY
     healthy |= PREARM_CHECK if s.status.armable else 0
     return mavlink.MAVLink_sys_status_message(
-        SENSORS, SENSORS | RADIO, healthy, 140, _millivolts(s), round(s.battery.current * 100), _percent(s),
-        0, 0, 0, 0, 0, 0, 0, 0, 1,
-    )  # fmt: skip
+        SENSORS,
+        SENSORS | RADIO,
+        healthy,
+        140,
+        _millivolts(s),
+        round(s.battery.current * 100),
+        _percent(s),
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+    )
 
 
 def extended_sys_state(s: Snapshot) -> Message:

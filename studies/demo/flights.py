@@ -90,9 +90,14 @@ def _over_link(
     name: str, vehicle: str, model: str, link: str, options: DemoOptions, announce: Announce
 ) -> FlownManoeuvre:
     setup = FlightSetup(
-        link=link, reference=name, vehicle=vehicle, duration=options.seconds, rate=options.rate,
-        record=_recordings(options), timeout=FINDING_PATIENCE,
-    )  # fmt: skip
+        link=link,
+        reference=name,
+        vehicle=vehicle,
+        duration=options.seconds,
+        rate=options.rate,
+        record=_recordings(options),
+        timeout=FINDING_PATIENCE,
+    )
     flight = prepare_flight(setup, flown_before=model == LEARNED)
     plan = msgspec.structs.replace(BRISK, duration=options.seconds)
     request = msgspec.structs.replace(flight.request, name=_file_name(name, model), plan=plan)

@@ -15,9 +15,11 @@ from training.prediction import pooled
 def evaluation_tables(evaluated: EvaluationReport, timings: Sequence[Inference]) -> tuple[Table, ...]:
     """Every table that has rows."""
     further = (
-        _timing_table(timings, evaluated), _open_loop_table(evaluated), _pulse_table(evaluated),
+        _timing_table(timings, evaluated),
+        _open_loop_table(evaluated),
+        _pulse_table(evaluated),
         _calibration_table(evaluated),
-    )  # fmt: skip
+    )
     return (*_table_one(evaluated), *_parts_tables(evaluated), *(table for table in further if table.rows))
 
 
@@ -73,10 +75,15 @@ def _parts_tables(evaluated: EvaluationReport) -> list[Table]:
     if evaluated.models[0].true:
         note = "All flights as one. Alone: lowest and highest RMSE of a single member, each of its own seed."
         true = tuple(
-            (model.name, *_parts(model.true), len(model.members) or None, min(model.members, default=None),
-             max(model.members, default=None))
+            (
+                model.name,
+                *_parts(model.true),
+                len(model.members) or None,
+                min(model.members, default=None),
+                max(model.members, default=None),
+            )
             for model in evaluated.models
-        )  # fmt: skip
+        )
         headings = ("model", *kinds, "members", "best alone", "worst alone")
         tables.append(Table("parts_true", title.replace("labels", "the truth"), headings, true, note))
     return tables
@@ -101,10 +108,18 @@ def _timing_table(timings: Sequence[Inference], evaluated: EvaluationReport) -> 
 def _open_loop_table(evaluated: EvaluationReport) -> Table:
     plant = {e.horizon: e for model in evaluated.models if model.name == PLANT for e in model.open_loop}
     rows = tuple(
-        (model.name, e.horizon, e.position, e.velocity, e.attitude, e.rate,
-         e.position / plant[e.horizon].position if e.horizon in plant else None)
-        for model in evaluated.models for e in model.open_loop
-    )  # fmt: skip
+        (
+            model.name,
+            e.horizon,
+            e.position,
+            e.velocity,
+            e.attitude,
+            e.rate,
+            e.position / plant[e.horizon].position if e.horizon in plant else None,
+        )
+        for model in evaluated.models
+        for e in model.open_loop
+    )
     headings = ("model", "after s", "position m", "velocity m/s", "attitude rad", "rates rad/s", "position / plant's")
     note = "RMS distance of the model run by itself from logged states with logged motors. The plant errs by the noise "
     note += "of the state that it starts from and by moving air."
@@ -113,10 +128,17 @@ def _open_loop_table(evaluated: EvaluationReport) -> Table:
 
 def _pulse_table(evaluated: EvaluationReport) -> Table:
     rows = tuple(
-        (model.name, pulse.name, None if pulse.rate is None else 100 * pulse.rate, 100 * pulse.velocity,
-         100 * pulse.thrust)
-        for model in evaluated.models if model.name != PLANT for pulse in model.pulses
-    )  # fmt: skip
+        (
+            model.name,
+            pulse.name,
+            None if pulse.rate is None else 100 * pulse.rate,
+            100 * pulse.velocity,
+            100 * pulse.thrust,
+        )
+        for model in evaluated.models
+        if model.name != PLANT
+        for pulse in model.pulses
+    )
     headings = ("model", "pulse on", "body rates %", "velocity %", "velocity along z %")
     note = "Error of the response over the true response, 100 ms after +200 rpm for 10 ms, along the flights."
     return Table("pulses", "Pulse responses against the true plant", headings, rows, note)

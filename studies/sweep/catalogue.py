@@ -84,10 +84,13 @@ def _weight(options: StudyOptions) -> tuple[Cell, ...]:
         for weight in WEIGHTS
         if weight > 0 or points == "plausible"
         for cell in repeated(
-            options, f"lambda_{weight:g}_{points}", {"lambda": weight, "points": points}, "pi_tcn",
+            options,
+            f"lambda_{weight:g}_{points}",
+            {"lambda": weight, "points": points},
+            "pi_tcn",
             recipe={"physics_weight": weight, "physics_points": points},
         )
-    )  # fmt: skip
+    )
 
 
 def _motors(options: StudyOptions) -> tuple[Cell, ...]:
@@ -97,9 +100,7 @@ def _motors(options: StudyOptions) -> tuple[Cell, ...]:
     for (inputs, config), hidden in itertools.product((("logged", {}), ("filtered", filtered)), (False, True)):
         motors = "hidden" if hidden else "seen"
         at = {"inputs": inputs, "motors": motors}
-        cells += repeated(
-            options, f"{inputs}_motors_{motors}", at, "mse_tcn", config=config, hide_motors=hidden
-        )  # fmt: skip
+        cells += repeated(options, f"{inputs}_motors_{motors}", at, "mse_tcn", config=config, hide_motors=hidden)
     return tuple(cells)
 
 

@@ -50,11 +50,17 @@ def train_cell(work: CellWork) -> CellResult:
     shown = _blind(data, plan.config.rotors) if cell.hide_motors else data
     body = predict(model, shown).body
     return CellResult(
-        cell, work.fingerprint, flight_errors(data, body),
-        () if truth is None else flight_errors(data, body, truth), member.validation, member.steps,
-        round(member.seconds, 2), time_network(model, data), this_worker(),
+        cell,
+        work.fingerprint,
+        flight_errors(data, body),
+        () if truth is None else flight_errors(data, body, truth),
+        member.validation,
+        member.steps,
+        round(member.seconds, 2),
+        time_network(model, data),
+        this_worker(),
         round(time.process_time() - began, 2),
-    )  # fmt: skip
+    )
 
 
 def this_worker() -> str:

@@ -67,10 +67,16 @@ class CellWork(msgspec.Struct, frozen=True):
         cell = self.cell
         return settled(
             TrainOptions(
-                logs=self.learned, vehicle="", model=cell.model, out=self.model_file, recipe=self.recipe,
-                config=cell.config, recipe_overrides=cell.recipe, ensemble=1,
+                logs=self.learned,
+                vehicle="",
+                model=cell.model,
+                out=self.model_file,
+                recipe=self.recipe,
+                config=cell.config,
+                recipe_overrides=cell.recipe,
+                ensemble=1,
             )
-        )  # fmt: skip
+        )
 
     @property
     def fingerprint(self) -> str:

@@ -61,8 +61,12 @@ def history_figure(
         _draw(left, placed, COLOURS[1], "here, ± seeds")
         right.plot(placed.places, milliseconds, "o-", color=COLOURS[1], label="here, torch, one thread")
         for axes, which in ((left, 1), (right, 0)):
-            axes.plot([at[length] for length in shown], [paper[length][which] for length in shown], label="the paper's",
-                      **PAPERS)  # fmt: skip
+            axes.plot(
+                [at[length] for length in shown],
+                [paper[length][which] for length in shown],
+                label="the paper's",
+                **PAPERS,
+            )
             axes.set_xticks(list(at.values()), [f"{length:g}" for length in at])
             axes.set_xlabel("past columns of 10 ms")
             axes.set_ylim(0, None)
@@ -86,4 +90,4 @@ def search_figure(name: str, tried: Sequence[float], validation: Sequence[float]
 def _draw(axes: Axes, curve: ErrorCurve, colour: str, label: str) -> None:
     axes.errorbar(
         curve.places, curve.values, yerr=curve.deviation, color=colour, marker="o", markersize=4, capsize=3, label=label
-    )  # fmt: skip
+    )

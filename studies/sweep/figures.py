@@ -74,7 +74,7 @@ def _words(along: Sequence[str], place: Sequence[float | str]) -> str:
     return ", ".join(
         f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
         for key, value in zip(along, place, strict=True)
-    )  # fmt: skip
+    )
 
 
 def _lambda(results: Sequence[CellResult]) -> Figure:

@@ -68,9 +68,15 @@ def require_all_trained(outcomes: Sequence[Outcome]) -> None:
 
 
 def show(
-    sweep: Sweep, outcomes: Sequence[Outcome], console: Console, *, json_file: Path | None, csv: Path | None,
-    pictures: Path | None, html: Path | None,
-) -> None:  # fmt: skip
+    sweep: Sweep,
+    outcomes: Sequence[Outcome],
+    console: Console,
+    *,
+    json_file: Path | None,
+    csv: Path | None,
+    pictures: Path | None,
+    html: Path | None,
+) -> None:
     """Print tables and summary, and write the requested files. Raises RequestError for one that cannot be written.
 
     json_file: - for standard output.

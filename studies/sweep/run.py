@@ -98,11 +98,14 @@ def make_sweep(options: SweepOptions) -> Sweep:
     for one in works:
         one.settled()  # an invalid value ends the sweep before its first training
     return Sweep(
-        options.study, along, len(works),
+        options.study,
+        along,
+        len(works),
         outcomes=lambda: run_cells(works, jobs=options.jobs, scheduler=options.scheduler),
         finished=lambda: finished_cells(works),
-        flights=_hashes(works[0]), works=works,
-    )  # fmt: skip
+        flights=_hashes(works[0]),
+        works=works,
+    )
 
 
 def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
@@ -123,9 +126,7 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     logs, judged, simulated, out = (
         tuple(path.resolve() for path in paths) for paths in (logs, judged, simulated, (options.out,))
     )  # for workers in other folders
-    return lambda cell: CellWork(
-        cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated
-    )  # fmt: skip
+    return lambda cell: CellWork(cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated)
 
 
 def _simulated(options: SweepOptions) -> tuple[Path, ...]:
@@ -152,10 +153,13 @@ def _search(options: SweepOptions, work: Callable[[Cell], CellWork], overrides: 
     example = work(Cell(SEARCH, {}, options.model, 0, recipe=overrides))
     example.settled()
     return Sweep(
-        SEARCH, tuple(item.name for item in ranges), options.trials,
+        SEARCH,
+        tuple(item.name for item in ranges),
+        options.trials,
         outcomes=lambda: search.run(jobs=jobs, scheduler=options.scheduler),
-        finished=search.finished, flights=_hashes(example),
-    )  # fmt: skip
+        finished=search.finished,
+        flights=_hashes(example),
+    )
 
 
 def _grid_values(texts: Sequence[str]) -> tuple[dict[str, list[Any]], dict[str, list[Any]]]:

@@ -53,13 +53,17 @@ def _numbers(results: Sequence[CellResult]) -> tuple[TableCell, ...]:
     both = np.array([error.combined for error in best])
     flights = np.mean([[e.combined for e in result.best_known] for result in results], axis=0)
     return (
-        float(both.mean()), float(both.std(ddof=1)) if len(both) > 1 else None,
-        float(np.mean([error.linear for error in best])), float(np.mean([error.angular for error in best])),
+        float(both.mean()),
+        float(both.std(ddof=1)) if len(both) > 1 else None,
+        float(np.mean([error.linear for error in best])),
+        float(np.mean([error.angular for error in best])),
         float(np.mean([pooled(result.label).combined for result in results])),
-        float(np.mean([error.combined / error.nominal for error in best])), float(flights.std()),
-        float(1000 * np.median([result.inference for result in results])), max(result.steps for result in results),
+        float(np.mean([error.combined / error.nominal for error in best])),
+        float(flights.std()),
+        float(1000 * np.median([result.inference for result in results])),
+        max(result.steps for result in results),
         float(np.mean([result.seconds for result in results])),
-    )  # fmt: skip
+    )
 
 
 def _papers(study: str, place: tuple[float | str, ...]) -> tuple[TableCell, ...]:
@@ -95,13 +99,18 @@ def search_table(names: Sequence[str], outcomes: Sequence[Outcome]) -> Table:
     """Trials, the best on the validation flights first, those that failed last."""
     ordered = sorted(trained(outcomes), key=lambda result: result.validation)
     rows: list[tuple[TableCell, ...]] = [
-        (result.cell.name, *(result.cell.at[name] for name in names), result.validation,
-         pooled(result.best_known).combined)
+        (
+            result.cell.name,
+            *(result.cell.at[name] for name in names),
+            result.validation,
+            pooled(result.best_known).combined,
+        )
         for result in ordered
-    ]  # fmt: skip
+    ]
     rows += [
         (outcome.cell.name, *(outcome.cell.at[name] for name in names), None, None)
-        for outcome in outcomes if outcome not in ordered
-    ]  # fmt: skip
+        for outcome in outcomes
+        if outcome not in ordered
+    ]
     note = "Ordered by the error on the validation flights, by which the best is chosen."
     return Table("search", "Search", ("trial", *names, "validation", "test RMSE"), tuple(rows), note)

@@ -9,9 +9,18 @@ from dynamics.effects import CATALOGUE
 
 ROOT = Path(__file__).parents[2]
 ROOMS = (
-    "alula", "diagnosis", "dynamics", "export", "flights", "runtime", "simulation", "sitl_mock", "studies", "studio",
+    "alula",
+    "diagnosis",
+    "dynamics",
+    "export",
+    "flights",
+    "runtime",
+    "simulation",
+    "sitl_mock",
+    "studies",
+    "studio",
     "training",
-)  # fmt: skip
+)
 
 # Words that are an effect's name as well, and what they are there.
 ALLOWED = {

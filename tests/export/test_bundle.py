@@ -283,8 +283,12 @@ def test_without_a_compiler_it_says_what_to_install(
 
 def test_a_kernel_finds_hpipm_where_it_lies_here(arpl_250g: Vehicle) -> None:
     """A bundle from another machine remembers that machine's folders."""
-    recipe = kernel_recipe(random_network(channels=(), dilations=(), hidden=(8,)), build_model(arpl_250g, effects=()),
-                           Problem(nodes=2, horizon=0.02), native_processor())  # fmt: skip
+    recipe = kernel_recipe(
+        random_network(channels=(), dilations=(), hidden=(8,)),
+        build_model(arpl_250g, effects=()),
+        Problem(nodes=2, horizon=0.02),
+        native_processor(),
+    )
     hpipm = find_hpipm()
     flags = (*recipe.flags, *hpipm.compiler_flags)
     library = build_library(recipe.sources, flags=flags, libraries=(str(hpipm.hpipm), str(hpipm.blasfeo)), entry=ENTRY)

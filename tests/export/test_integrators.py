@@ -78,9 +78,17 @@ def test_a_model_on_filtered_inputs_is_exported_for_the_workbench_and_does_not_f
     lagging: Vehicle, tmp_path: Path
 ) -> None:
     bundle = made(
-        lagging, tmp_path, "pi_tcn", None, inputs="world", outputs="world", motors="measured", filtered_inputs=True,
-        batch_norm=True, dropout=0.1,
-    )  # fmt: skip
+        lagging,
+        tmp_path,
+        "pi_tcn",
+        None,
+        inputs="world",
+        outputs="world",
+        motors="measured",
+        filtered_inputs=True,
+        batch_norm=True,
+        dropout=0.1,
+    )
     assert all(comparison.holds for comparison in bundle.parity.comparisons)
     assert any("measured rotor speeds" in note for note in bundle.manifest.notes)
     with pytest.raises(RequestError, match=r"filtered with their future.*--causal-inputs"):

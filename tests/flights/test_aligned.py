@@ -15,9 +15,12 @@ from tests.support.simulated_flight import flown, table, values
 
 def test_a_late_attitude_is_put_right_in_the_table(tmp_path: Path) -> None:
     log = flown().log
-    late = replace(log, streams=tuple(
-        Stream(s.name, s.time + 0.04, s.values, s.source) if s.name == "attitude" else s for s in log.streams
-    ))  # fmt: skip
+    late = replace(
+        log,
+        streams=tuple(
+            Stream(s.name, s.time + 0.04, s.values, s.source) if s.name == "attitude" else s for s in log.streams
+        ),
+    )
     as_logged = table(late)
     path = as_logged.to_csv(tmp_path / "late.csv")
     aligned = read_aligned(path)

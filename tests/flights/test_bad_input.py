@@ -231,11 +231,15 @@ def test_ned_labelled_as_enu_without_an_imu_is_refused(truth: Truth, tmp_path: P
     with pytest.raises(DataError, match="NED labelled as ENU"):
         read_log(
             flight_csv(
-                truth, tmp_path / "flight.csv", rate=nothing, specific_force=nothing,
-                position=frames.enu_from_ned(truth.position), velocity=frames.enu_from_ned(truth.velocity),
+                truth,
+                tmp_path / "flight.csv",
+                rate=nothing,
+                specific_force=nothing,
+                position=frames.enu_from_ned(truth.position),
+                velocity=frames.enu_from_ned(truth.velocity),
                 attitude=frames.attitude_ned_frd(truth.attitude),
             )
-        )  # fmt: skip
+        )
 
 
 def test_a_truncated_ulog_is_read_up_to_where_it_ends(tmp_path: Path) -> None:

@@ -55,9 +55,13 @@ def test_chunks_are_the_log(make: Callable[[Truth, Path], Path], tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "name", ["crazyflie/log20.csv.gz", "acsl_x8copter/log_20240613_115633_cut.log.gz",
-             "pyulog_samples/sample_px4_events.ulg.gz"]
-)  # fmt: skip
+    "name",
+    [
+        "crazyflie/log20.csv.gz",
+        "acsl_x8copter/log_20240613_115633_cut.log.gz",
+        "pyulog_samples/sample_px4_events.ulg.gz",
+    ],
+)
 def test_real_logs_in_chunks(name: str) -> None:
     log = read_log(DATA / name)
     position = log.stream("position")

@@ -42,8 +42,11 @@ def test_a_planted_delay_is_found_within_its_interval(estimates: dict[str, Delay
 
 def test_a_commands_lag_is_a_response_and_no_delay() -> None:
     estimates = estimate_delays(late(flown().log, PLANTED))
-    (lag,) = [delay for delay in estimates if delay.stream == "rotor_command" and delay.against == "thrust"
-              and delay.kind == "lag"]  # fmt: skip
+    (lag,) = [
+        delay
+        for delay in estimates
+        if delay.stream == "rotor_command" and delay.against == "thrust" and delay.kind == "lag"
+    ]
     assert lag.is_response
     assert lag.seconds == pytest.approx(0.041, abs=0.004)  # planted: 35 ms of motor lag and 6 ms of the autopilot
     assert lag.explained > 0.98
@@ -64,11 +67,15 @@ def test_a_lag_and_a_pure_delay_are_distinguished(kind: str, other: str) -> None
     thrust = 4.0 + 3.0 * speed + 12.0 * speed**2 + random.normal(0, 0.1, len(time))
     force = np.stack([0 * time, 0 * time, thrust], axis=1)
     streams = (
-        Stream("rate", time, random.normal(0, 0.01, (len(time), 3)), "gyro"), Stream("specific_force", time, force, ""),
+        Stream("rate", time, random.normal(0, 0.01, (len(time), 3)), "gyro"),
+        Stream("specific_force", time, force, ""),
         Stream("rotor_command", time, np.tile(command[:, None], 4), "motors"),
-    )  # fmt: skip
-    estimates = {delay.kind: delay for delay in estimate_delays(Log(streams, Provenance("planted", "", "", "")))
-             if delay.against == "thrust"}  # fmt: skip
+    )
+    estimates = {
+        delay.kind: delay
+        for delay in estimate_delays(Log(streams, Provenance("planted", "", "", "")))
+        if delay.against == "thrust"
+    }
     assert estimates[kind].seconds == pytest.approx(planted, abs=0.001)
     assert estimates[kind].explained > estimates[other].explained
 

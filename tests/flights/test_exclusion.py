@@ -122,8 +122,10 @@ def test_a_crash_shows_in_gyro_accelerometer_and_commands_alone() -> None:
     """As in log16 of the Crazyflie at 1 kHz: 79 m/s^2 at 39.3 s, motors at 0 until 44 s, then it flies on."""
     time = np.arange(32.0, 49.0, 1e-3)
     random = np.random.default_rng(7)
-    columns = {f"specific_force_{axis}": usual + random.normal(0, 0.6, len(time)) for axis, usual in
-               zip("xyz", (0.0, 0.0, 9.81), strict=True)}  # fmt: skip
+    columns = {
+        f"specific_force_{axis}": usual + random.normal(0, 0.6, len(time))
+        for axis, usual in zip("xyz", (0.0, 0.0, 9.81), strict=True)
+    }
     columns |= {f"rate_{axis}": random.normal(0, 0.3, len(time)) for axis in "xyz"}
     columns |= {f"rotor_command_{rotor}": 0.6 + random.normal(0, 0.05, len(time)) for rotor in range(4)}
     impact, lying = (time >= 39.3) & (time < 39.31), (time >= 39.35) & (time < 44.0)

@@ -53,11 +53,13 @@ def test_units_frames_and_orders_are_turned_into_ours(tmp_path: Path) -> None:
     names = "stamp;x;y;z;qx;qy;qz;qw;p;q;r;n1;n2;n3;n4"
     table = np.column_stack(
         [
-            1000 * truth.time + 1.7e12, 1000 * frames.enu_from_ned(truth.position),
+            1000 * truth.time + 1.7e12,
+            1000 * frames.enu_from_ned(truth.position),
             np.roll(frames.attitude_ned_frd(truth.attitude), -1, axis=1),
-            np.degrees(frames.flu_from_frd(truth.rate)), truth.rotor_speed * 60 / (2 * np.pi),
+            np.degrees(frames.flu_from_frd(truth.rate)),
+            truth.rotor_speed * 60 / (2 * np.pi),
         ]
-    )  # fmt: skip
+    )
     np.savetxt(tmp_path / "log.txt", table, delimiter=";", header=names, comments="", fmt="%.12g")
     log = read_log(tmp_path / "log.txt", mapping=_write(tmp_path, MAPPING))
     for name in ("position", "rate", "rotor_speed"):

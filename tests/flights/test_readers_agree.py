@@ -109,9 +109,15 @@ def test_a_crazyflie_log_of_both_versions(truth: Truth, tmp_path: Path, version:
     for i, t in enumerate(truth.time):
         xyzw = np.roll(truth.attitude[i], -1)
         numbers = (
-            *(round(1000 * value) for value in (*truth.position[i], *truth.velocity[i])), *xyzw,
-            *np.degrees(truth.rate[i]), *truth.specific_force[i] / 9.81, 1000, 2000, 3000, 4000,
-        )  # fmt: skip
+            *(round(1000 * value) for value in (*truth.position[i], *truth.velocity[i])),
+            *xyzw,
+            *np.degrees(truth.rate[i]),
+            *truth.specific_force[i] / 9.81,
+            1000,
+            2000,
+            3000,
+            4000,
+        )
         rows.append((round(t * {1: 1e3, 2: 1e6}[version]), numbers))
     path = tmp_path / "log00"
     path.write_bytes(crazyflie_log(variables, rows, version=version))

@@ -50,10 +50,13 @@ def _values(log: Log, name: str) -> Floats:
 def _odometry(truth: Truth, **changed: Any) -> Topic:
     stamps = _stamps(truth)
     fields = {
-        "timestamp": stamps + 2000, "timestamp_sample": stamps,
-        "position": _f(frames.enu_from_ned(truth.position)), "q": _f(frames.attitude_ned_frd(truth.attitude)),
-        "velocity": _f(frames.enu_from_ned(truth.velocity)), "velocity_frame": np.full(len(stamps), 1, dtype="u1"),
-    }  # fmt: skip
+        "timestamp": stamps + 2000,
+        "timestamp_sample": stamps,
+        "position": _f(frames.enu_from_ned(truth.position)),
+        "q": _f(frames.attitude_ned_frd(truth.attitude)),
+        "velocity": _f(frames.enu_from_ned(truth.velocity)),
+        "velocity_frame": np.full(len(stamps), 1, dtype="u1"),
+    }
     return Topic("vehicle_odometry", {**fields, **changed})
 
 

@@ -26,9 +26,11 @@ def test_the_rate_is_the_vehicles_unless_the_user_gives_one() -> None:
     assert prepare_flight(setup).request.rate == 200.0
     assert prepare_flight(FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g")).request.rate == 100.0
     with pytest.raises(RequestError, match="longer than a node"):
-        prepare_flight(FlightSetup(
-            link=LINK, reference="circle", vehicle="arpl_250g", rate=20.0, settings=("controller.nodes=40",)
-        ))  # fmt: skip
+        prepare_flight(
+            FlightSetup(
+                link=LINK, reference="circle", vehicle="arpl_250g", rate=20.0, settings=("controller.nodes=40",)
+            )
+        )
 
 
 def test_health_limits_follow_the_vehicles_rates() -> None:

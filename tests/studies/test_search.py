@@ -21,9 +21,17 @@ from studies.sweep.search import JOURNAL
 
 def search_options(campaign: Path, out: Path, trials: int, **fields: object) -> SweepOptions:
     options = SweepOptions(
-        study="search", logs=(campaign,), vehicle="arpl_250g", out=out, steps=20, batch=32, model="mse_tcn",
-        over=("learning_rate=1e-4:1e-2",), trials=trials, jobs=1,
-    )  # fmt: skip
+        study="search",
+        logs=(campaign,),
+        vehicle="arpl_250g",
+        out=out,
+        steps=20,
+        batch=32,
+        model="mse_tcn",
+        over=("learning_rate=1e-4:1e-2",),
+        trials=trials,
+        jobs=1,
+    )
     return msgspec.structs.replace(options, **fields)
 
 

@@ -214,9 +214,16 @@ def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(
 def test_studies_vary_what_they_say() -> None:
     cells = {name: study.cells(StudyOptions((0, 1), {"steps": 10})) for name, study in STUDIES.items()}
     assert {name: len(outcomes) for name, outcomes in cells.items()} == {
-        "kinds": 10, "ablation": 8, "history": 10, "inertia": 100, "rotors": 100, "lambda": 18, "motors": 8,
-        "regimes": 12, "starred": 8,
-    }  # fmt: skip
+        "kinds": 10,
+        "ablation": 8,
+        "history": 10,
+        "inertia": 100,
+        "rotors": 100,
+        "lambda": 18,
+        "motors": 8,
+        "regimes": 12,
+        "starred": 8,
+    }
     for name, outcomes in cells.items():
         assert len({cell.name for cell in outcomes}) == len(outcomes)
         assert all(cell.recipe["steps"] == 10 for cell in outcomes)
@@ -258,8 +265,17 @@ def test_studies_along_a_number_are_curves(study: str, tmp_path: Path) -> None:
 def test_models_of_table_one_are_compared_with_the_papers_by_flight() -> None:
     cells = STUDIES["starred"].cells(StudyOptions((0,)))
     table = tables_of(bare_sweep("starred"), [planted(cell, 1.0) for cell in cells])[1]
-    assert table.headings == ("flight", "pi_mlp* / NOM", "paper's", "pi_mlp / NOM", "paper's", "pi_tcn* / NOM",
-                              "paper's", "pi_tcn / NOM", "paper's")  # fmt: skip
+    assert table.headings == (
+        "flight",
+        "pi_mlp* / NOM",
+        "paper's",
+        "pi_mlp / NOM",
+        "paper's",
+        "pi_tcn* / NOM",
+        "paper's",
+        "pi_tcn / NOM",
+        "paper's",
+    )
     assert table.rows[0][:3] == ("Lemniscate", 0.5, pytest.approx(9.19 / 9.16))
 
 

@@ -95,8 +95,10 @@ def paper_bag(truth: Truth, path: Path, *, space: str = "/dragonfly17") -> Path:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(get_types_from_msg(MOTOR_RPM, "quadrotor_msgs/msg/MotorRPM"))
     kinds = {
-        "odom": "nav_msgs/msg/Odometry", "imu": "sensor_msgs/msg/Imu", "motor_rpm": "quadrotor_msgs/msg/MotorRPM",
-    }  # fmt: skip
+        "odom": "nav_msgs/msg/Odometry",
+        "imu": "sensor_msgs/msg/Imu",
+        "motor_rpm": "quadrotor_msgs/msg/MotorRPM",
+    }
     with Writer1(path) as bag:
         topics = {name: bag.add_connection(f"{space}/{name}", kind, typestore=store) for name, kind in kinds.items()}
         rates = frames.flu_from_frd(truth.rate)
@@ -149,19 +151,25 @@ def _odometry(store: Any, i: int, stamp: int, truth: Truth, velocity: Floats) ->
     )
     twist = types["geometry_msgs/msg/Twist"](_vector(store, velocity), _vector(store, np.zeros(3)))
     return types["nav_msgs/msg/Odometry"](
-        _header(store, i, stamp), "base_link",
+        _header(store, i, stamp),
+        "base_link",
         types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
         types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
-    )  # fmt: skip
+    )
 
 
 def _imu(store: Any, i: int, stamp: int, rate: Floats, force: Floats) -> Any:
     """An IMU with an orientation of its own, whose heading nobody may take for the vehicle's."""
     types = store.types
     return types["sensor_msgs/msg/Imu"](
-        _header(store, i, stamp), types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0), np.zeros(9),
-        _vector(store, rate), np.zeros(9), _vector(store, force), np.zeros(9),
-    )  # fmt: skip
+        _header(store, i, stamp),
+        types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 1.0, 0.0),
+        np.zeros(9),
+        _vector(store, rate),
+        np.zeros(9),
+        _vector(store, force),
+        np.zeros(9),
+    )
 
 
 def dataflash_log(truth: Truth) -> bytes:
@@ -216,11 +224,19 @@ def tlog(truth: Truth, *, body_velocity: bool = False) -> bytes:
         us, stamp = 7_000_000 + round(t * 1e6), struct.pack(">Q", 1_700_000_000_000_000 + round(t * 1e6) + 3000)
         messages = [
             mavlink.MAVLink_odometry_message(
-                us, mavlink.MAV_FRAME_LOCAL_NED, child, *position[i], [float(c) for c in q[i]], *velocity[i], *rate[i],
-                unknown, unknown, 9,
+                us,
+                mavlink.MAV_FRAME_LOCAL_NED,
+                child,
+                *position[i],
+                [float(c) for c in q[i]],
+                *velocity[i],
+                *rate[i],
+                unknown,
+                unknown,
+                9,
             ),
             mavlink.MAVLink_highres_imu_message(us, *force[i], *rate[i], 0, 0, 0, 0, 0, 0, 0, 63),
-        ]  # fmt: skip
+        ]
         if i % 100 == 0:
             messages.insert(0, mavlink.MAVLink_heartbeat_message(2, 12, 129, 0, 4, 3))
         data += b"".join(stamp + message.pack(link) for message in messages)

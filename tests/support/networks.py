@@ -41,11 +41,19 @@ def random_network(
     state_std = [2.0] * 3 + [0.3] * 3 + [2.0] * 3 if inputs == "body" else [2.0] * 3 + [0.3] * 4 + [2.0] * 3
     gravity = 9.81 if outputs == "body" and not residual else 0.0
     return Network(
-        tuple(convolutions), tuple(perceptron),
-        np.array([*state_mean, *[HOVER_SPEED] * rotors]), np.array([*state_std, *[100.0] * rotors]),
-        np.array([0.0, 0.0, gravity, 0.0, 0.0, 0.0]), np.array([0.3, 0.3, 0.5, 2.0, 2.0, 0.5]),
-        inputs, outputs, residual, rotors, 0.01, 1 + (taps - 1) * sum(dilations),
-    )  # fmt: skip
+        tuple(convolutions),
+        tuple(perceptron),
+        np.array([*state_mean, *[HOVER_SPEED] * rotors]),
+        np.array([*state_std, *[100.0] * rotors]),
+        np.array([0.0, 0.0, gravity, 0.0, 0.0, 0.0]),
+        np.array([0.3, 0.3, 0.5, 2.0, 2.0, 0.5]),
+        inputs,
+        outputs,
+        residual,
+        rotors,
+        0.01,
+        1 + (taps - 1) * sum(dilations),
+    )
 
 
 def features(network: Network, columns: Floats) -> Floats:

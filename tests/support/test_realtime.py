@@ -172,10 +172,11 @@ def test_the_meter_sees_that_strangers_keep_us_waiting() -> None:
         # not our descendants: the shell that starts them ends at once
         subprocess.run(
             ["sh", "-c", f"timeout 20 {sys.executable} -c 'while True: pass' >/dev/null 2>&1 & echo $!"],
-            stdout=subprocess.PIPE, check=True,
+            stdout=subprocess.PIPE,
+            check=True,
         )
         for _ in range(2 * (os.cpu_count() or 1))
-    ]  # fmt: skip
+    ]
     meter = StarvationMeter()
     start = time.monotonic()
     meter.start()

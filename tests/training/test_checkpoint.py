@@ -81,9 +81,9 @@ def test_a_checkpoint_whose_parts_do_not_fit_is_refused(model: TrainedModel, tmp
     save(model, intact)
     content = torch.load(intact, weights_only=True)
     (first, *_) = content["members"]
-    six = model.vehicle_text.replace(
-        "spin = [1, -1, 1, -1]", "spin = [1, -1, 1, -1, 1, -1]"
-    ).replace("[0.076, -0.076, 0.0]]", "[0.076, -0.076, 0.0], [0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]")  # fmt: skip
+    six = model.vehicle_text.replace("spin = [1, -1, 1, -1]", "spin = [1, -1, 1, -1, 1, -1]").replace(
+        "[0.076, -0.076, 0.0]]", "[0.076, -0.076, 0.0], [0.1, 0.0, 0.0], [-0.1, 0.0, 0.0]]"
+    )
     for entry, value, words in (
         ("members", [], "it has 0 networks and is a pi_tcn model"),
         ("members", None, "TypeError"),

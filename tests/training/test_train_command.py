@@ -36,8 +36,17 @@ def test_a_folder_of_flights_becomes_a_checkpoint_with_its_card(folder: Path, tm
     out = tmp_path / "m.pt"
     curves = tmp_path / "curves"
     done = train(
-        folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--out", out, *QUICK, "--tensorboard", curves,
-    )  # fmt: skip
+        folder,
+        "--vehicle",
+        "arpl_250g",
+        "--model",
+        "pi_tcn",
+        "--out",
+        out,
+        *QUICK,
+        "--tensorboard",
+        curves,
+    )
     model = checkpoint.load(out)
     card = json.loads((tmp_path / "m.json").read_text())
     assert len(model.networks) == 2
@@ -57,9 +66,20 @@ def test_a_folder_of_flights_becomes_a_checkpoint_with_its_card(folder: Path, tm
 def test_a_grey_box_brings_its_fitted_effects_along(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "g.pt"
     done = train(
-        folder, "--vehicle", "arpl_250g", "--model", "grey_box", "--effect", "motor_lag", "--effect", "rotor_drag",
-        "--out", out, *QUICK, "--json",
-    )  # fmt: skip
+        folder,
+        "--vehicle",
+        "arpl_250g",
+        "--model",
+        "grey_box",
+        "--effect",
+        "motor_lag",
+        "--effect",
+        "rotor_drag",
+        "--out",
+        out,
+        *QUICK,
+        "--json",
+    )
     card = json.loads(done.stdout)
     model = checkpoint.load(out)
     lag, drag = model.vehicle.effects
@@ -72,8 +92,21 @@ def test_a_grey_box_brings_its_fitted_effects_along(folder: Path, tmp_path: Path
 
 def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "p.pt"
-    train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--recipe", "paper", "--out", out, "--steps", 4,
-          "--ensemble", 1)  # fmt: skip
+    train(
+        folder,
+        "--vehicle",
+        "arpl_250g",
+        "--model",
+        "pi_tcn",
+        "--recipe",
+        "paper",
+        "--out",
+        out,
+        "--steps",
+        4,
+        "--ensemble",
+        1,
+    )
     model = checkpoint.load(out)
     assert (model.config.inputs, model.config.label, model.config.batch_norm) == ("world", "instantaneous", True)
     assert (model.config.dropout, model.config.filtered_inputs, model.config.motors) == (0.1, True, "measured")

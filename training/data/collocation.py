@@ -92,9 +92,7 @@ def _pulsed(
     until = begin + random.integers(1, max(config.history, 2), (count, 1))
     column = np.arange(config.history)
     during = (begin <= column) & (column < until)
-    pulsed = np.clip(
-        speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max
-    )  # fmt: skip
+    pulsed = np.clip(speed + during[:, :, None] * size[:, None], vehicle.rotors.speed_min, vehicle.rotors.speed_max)
     first = recorded[:, 0]
     (plain, plain_body), (moved, moved_body) = (_driven(config, vehicle, first, driven) for driven in (speed, pulsed))
     state = recorded + moved - plain

@@ -154,10 +154,17 @@ def _segment(
     label = body_accelerations(rows.label, attitude)
     targets = outputs_from(config, vehicle, label, None if config.base == "none" else base_labelled, attitude)
     return {
-        "time": rows.time, "flight_of": np.full(len(segment), float(place)), "state": rows.state,
-        "rotor_speed": rows.rotor_speed, "label": label, "nominal": nominal_body, "base": base_body,
-        "base_labelled": base_labelled, "inputs": columns(config, rows.state, rows.rotor_speed), "targets": targets,
-    }  # fmt: skip
+        "time": rows.time,
+        "flight_of": np.full(len(segment), float(place)),
+        "state": rows.state,
+        "rotor_speed": rows.rotor_speed,
+        "label": label,
+        "nominal": nominal_body,
+        "base": base_body,
+        "base_labelled": base_labelled,
+        "inputs": columns(config, rows.state, rows.rotor_speed),
+        "targets": targets,
+    }
 
 
 def labelled(config: ModelConfig, body: Floats, attitude: Floats) -> Floats:

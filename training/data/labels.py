@@ -53,9 +53,12 @@ def paper_label(
 
 
 def increment_label(
-    segment: Flight, *, horizon: float = HORIZON, velocity_cutoff: float = VELOCITY_CUTOFF,
+    segment: Flight,
+    *,
+    horizon: float = HORIZON,
+    velocity_cutoff: float = VELOCITY_CUTOFF,
     rate_cutoff: float = RATE_CUTOFF,
-) -> Floats:  # fmt: skip
+) -> Floats:
     """Mean accelerations (n, 6) over the next `horizon` seconds, from zero-phase filtered velocity and rates.
 
     It is what a controller that holds its input for that long needs to predict. The last rows are NaN. Raises

@@ -36,10 +36,15 @@ class Kind:
             return self.config
         convolutional = self.config.network == "tcn"
         return msgspec.structs.replace(
-            self.config, inputs="world", outputs="wrench" if self.config.outputs == "wrench" else "world",
-            motors="measured", label="instantaneous", filtered_inputs=True, batch_norm=convolutional,
+            self.config,
+            inputs="world",
+            outputs="wrench" if self.config.outputs == "wrench" else "world",
+            motors="measured",
+            label="instantaneous",
+            filtered_inputs=True,
+            batch_norm=convolutional,
             dropout=0.1 if convolutional else 0.0,
-        )  # fmt: skip
+        )
 
     def recipe_for(self, recipe: Recipe) -> Recipe:
         """The recipe as this model takes it: the paper's without the physics-inspired loss where the model has none."""

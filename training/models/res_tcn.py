@@ -4,6 +4,7 @@ from training.config import ModelConfig
 from training.models.kind import Kind
 
 MODEL = Kind(
-    "res_tcn", "residual force and torque on the nominal model",
+    "res_tcn",
+    "residual force and torque on the nominal model",
     ModelConfig("res_tcn", "tcn", base="nominal", outputs="wrench"),
-)  # fmt: skip
+)

@@ -24,8 +24,16 @@ from runtime.control.rti.processor import Processor, native_processor
 
 ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
-    "states", "inputs", "nodes", "parameters", "environment", "history", "substeps", "vector_bytes", "options_bytes",
-)  # fmt: skip
+    "states",
+    "inputs",
+    "nodes",
+    "parameters",
+    "environment",
+    "history",
+    "substeps",
+    "vector_bytes",
+    "options_bytes",
+)
 
 
 class RtiReport(ctypes.Structure):
@@ -158,10 +166,13 @@ class RtiSolver:
         self._code.rti_dimensions(dimensions)
         built = dict(zip(KERNEL_DIMENSIONS, dimensions, strict=True))
         required = {
-            "states": self.model.state_count, "inputs": self.model.input_count, "nodes": self.problem.nodes,
-            "parameters": self.model.parameter_values.size, "environment": ENVIRONMENT_DEFAULT.size,
+            "states": self.model.state_count,
+            "inputs": self.model.input_count,
+            "nodes": self.problem.nodes,
+            "parameters": self.model.parameter_values.size,
+            "environment": ENVIRONMENT_DEFAULT.size,
             "options_bytes": options_bytes,
-        }  # fmt: skip
+        }
         if wrong := [
             f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size
         ]:
@@ -205,16 +216,23 @@ def solver_recipe(
     """
     node, step = _functions(model, field or _field(model))
     defines: dict[str, int | str] = {
-        "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
-        "NP": model.parameter_values.size, "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": required_steps(model, problem.node), "VECTOR_BYTES": (processor or native_processor()).vector,
+        "NX": model.state_count,
+        "NU": model.input_count,
+        "NODES": problem.nodes,
+        "NP": model.parameter_values.size,
+        "NE": ENVIRONMENT_DEFAULT.size,
+        "SUBSTEPS": required_steps(model, problem.node),
+        "VECTOR_BYTES": (processor or native_processor()).vector,
         "LOOPS": int(node.is_a("MXFunction")),
-    }  # fmt: skip
+    }
     for name, function in (("NODE", node), ("STEP", step)):
         defines |= {
-            name: function.name(), f"{name}_ARG": function.sz_arg(), f"{name}_RES": function.sz_res(),
-            f"{name}_IW": function.sz_iw(), f"{name}_W": function.sz_w(),
-        }  # fmt: skip
+            name: function.name(),
+            f"{name}_ARG": function.sz_arg(),
+            f"{name}_RES": function.sz_res(),
+            f"{name}_IW": function.sz_iw(),
+            f"{name}_W": function.sz_w(),
+        }
     folder = resources.files("runtime.control.rti")
     sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "box_qp.h", "dense_qp.h")}
     sources["model.c"] = generate_c([node, step])

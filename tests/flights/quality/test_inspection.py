@@ -115,9 +115,12 @@ def test_gaps_and_repeated_samples_are_counted(log: Log) -> None:
     stream = log.stream("velocity")
     assert stream is not None
     rows = (stream.time < 5) | (stream.time > 6)
-    gapped = replace(log, streams=tuple(
-        Stream(s.name, s.time[rows], s.values[rows], s.source) if s.name == "velocity" else s for s in log.streams
-    ))  # fmt: skip
+    gapped = replace(
+        log,
+        streams=tuple(
+            Stream(s.name, s.time[rows], s.values[rows], s.source) if s.name == "velocity" else s for s in log.streams
+        ),
+    )
     inspection = judge(gapped)
     channel = next(channel for channel in inspection.channels if channel.quantity == "velocity")
     assert channel.gaps == 1
@@ -136,9 +139,12 @@ def test_wrong_frames_cannot_answer(log: Log) -> None:
 
 
 def test_a_clock_offset_is_noted(log: Log) -> None:
-    shifted = replace(log, streams=tuple(
-        Stream(s.name, s.time + (0.03 if s.name == "attitude" else 0.0), s.values, s.source) for s in log.streams
-    ))  # fmt: skip
+    shifted = replace(
+        log,
+        streams=tuple(
+            Stream(s.name, s.time + (0.03 if s.name == "attitude" else 0.0), s.values, s.source) for s in log.streams
+        ),
+    )
     assert "clock_offset" in names(judge(shifted), "note")
 
 

@@ -23,9 +23,16 @@ from tests.support.rate_controlled_vehicle import Flight
 
 PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)
 FULL = [
-    Phase.GROUND, Phase.RAMP, Phase.CLIMB, Phase.APPROACH, Phase.TRACK, Phase.RETURN, Phase.DESCEND, Phase.TOUCHDOWN,
+    Phase.GROUND,
+    Phase.RAMP,
+    Phase.CLIMB,
+    Phase.APPROACH,
+    Phase.TRACK,
+    Phase.RETURN,
+    Phase.DESCEND,
+    Phase.TOUCHDOWN,
     Phase.SHUTDOWN,
-]  # fmt: skip
+]
 
 
 @pytest.fixture(scope="module")

@@ -34,13 +34,15 @@ from runtime.link.connection import DEFAULT_BAUD, Endpoint, parse_endpoint
         ("udpbcast:192.168.1.255:14550", Endpoint("udpout", "192.168.1.255", 14550)),
         ("/dev/ttyACM0", Endpoint("serial", device="/dev/ttyACM0", baud=DEFAULT_BAUD)),
         ("/dev/ttyACM0,57600", Endpoint("serial", device="/dev/ttyACM0", baud=57600)),
-        ("/dev/serial/by-id/usb-Auterion_PX4_FMU_v6x-if00,57600",
-         Endpoint("serial", device="/dev/serial/by-id/usb-Auterion_PX4_FMU_v6x-if00", baud=57600)),
+        (
+            "/dev/serial/by-id/usb-Auterion_PX4_FMU_v6x-if00,57600",
+            Endpoint("serial", device="/dev/serial/by-id/usb-Auterion_PX4_FMU_v6x-if00", baud=57600),
+        ),
         ("COM3,57600", Endpoint("serial", device="COM3", baud=57600)),
         ("udpout:[::1]:14580", Endpoint("udpout", "::1", 14580)),
         (" UDPIN:0.0.0.0:14540 ", Endpoint("udpin", "0.0.0.0", 14540)),
     ],
-)  # fmt: skip
+)
 def test_every_spelling_is_understood(text: str, expected: Endpoint) -> None:
     assert parse_endpoint(text) == expected
 
@@ -48,11 +50,23 @@ def test_every_spelling_is_understood(text: str, expected: Endpoint) -> None:
 @pytest.mark.parametrize(
     "text",
     [
-        "", "14540", "udpin", "localhost:14540", "http://localhost:80", "udpout::14580", "udpout:127.0.0.1",
-        "tcp:127.0.0.1:99999", "udpin:0.0.0.0:port", "serial:", "serial:/dev/ttyACM0:0", "serial:/dev/a b",
-        "udpin:a:b:c:1", "udpout:127.0.0.1:0", "tcpin:0.0.0.0",
+        "",
+        "14540",
+        "udpin",
+        "localhost:14540",
+        "http://localhost:80",
+        "udpout::14580",
+        "udpout:127.0.0.1",
+        "tcp:127.0.0.1:99999",
+        "udpin:0.0.0.0:port",
+        "serial:",
+        "serial:/dev/ttyACM0:0",
+        "serial:/dev/a b",
+        "udpin:a:b:c:1",
+        "udpout:127.0.0.1:0",
+        "tcpin:0.0.0.0",
     ],
-)  # fmt: skip
+)
 def test_anything_else_is_refused_with_what_is_accepted(text: str) -> None:
     with pytest.raises(RequestError, match=r"udpin:0\.0\.0\.0:14540") as refusal:
         parse_endpoint(text)

@@ -84,10 +84,15 @@ def test_an_unknown_message_is_passed_over() -> None:
 @pytest.mark.parametrize(
     ("name", "checksum"),
     [
-        ("LINK_NODE_STATUS", 117), ("ESC_INFO", 251), ("ESC_STATUS", 10), ("TIME_ESTIMATE_TO_TARGET", 232),
-        ("EVENT", 160), ("CURRENT_EVENT_SEQUENCE", 106), ("CURRENT_MODE", 193),
+        ("LINK_NODE_STATUS", 117),
+        ("ESC_INFO", 251),
+        ("ESC_STATUS", 10),
+        ("TIME_ESTIMATE_TO_TARGET", 232),
+        ("EVENT", 160),
+        ("CURRENT_EVENT_SEQUENCE", 106),
+        ("CURRENT_MODE", 193),
     ],
-)  # fmt: skip
+)
 def test_messages_added_to_pymavlink_have_the_checksum_of_common_xml(name: str, checksum: int) -> None:
     assert mavlink.mavlink_map[MESSAGE_IDS[name]].crc_extra == checksum
 

@@ -42,9 +42,12 @@ def test_the_physics_inspired_loss_of_the_nominal_model_is_zero(
     plan_for: MakePlan, arpl_250g: Vehicle, points: str, frame: str
 ) -> None:
     plan = plan_for(
-        "pi_tcn", config={"inputs": frame, "outputs": frame}, physics_weight=0.01, physics_points=points,
+        "pi_tcn",
+        config={"inputs": frame, "outputs": frame},
+        physics_weight=0.01,
+        physics_points=points,
         physics_pool=64,
-    )  # fmt: skip
+    )
     assert plan.collocation is not None
     state, speed = states_of(plan, plan.collocation.windows[:, -1])
     nominal = nominal_model(arpl_250g, dt=0.01, label="mean_increment")(state, speed).body
@@ -81,7 +84,7 @@ def test_points_of_the_whole_space_lie_far_from_the_flights_and_plausible_ones_n
 def test_the_same_seed_draws_the_same_points(plan_for: MakePlan) -> None:
     one, same, other = (
         plan_for("pi_mlp", physics_weight=0.01, physics_pool=16, seed=seed).collocation for seed in (1, 1, 2)
-    )  # fmt: skip
+    )
     assert one is not None
     assert same is not None
     assert other is not None
@@ -116,9 +119,12 @@ def test_a_pulse_changes_motors_while_it_lasts_and_motion_from_then_on(plan_for:
 
 def test_a_pulse_turns_the_vehicle_as_its_rotors_stand(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
     plan = plan_for(
-        "grey_box", vehicle=with_effect(arpl_250g, "rotor_drag"), physics_weight=1.0, physics_points="pulses",
+        "grey_box",
+        vehicle=with_effect(arpl_250g, "rotor_drag"),
+        physics_weight=1.0,
+        physics_points="pulses",
         physics_pool=256,
-    )  # fmt: skip
+    )
     assert plan.collocation is not None
     assert plan.collocation.unperturbed is not None
     changed, unperturbed = plan.collocation.windows - plan.collocation.unperturbed, plan.collocation.unperturbed
