@@ -239,8 +239,8 @@ def _sentence(
     yes = sum(effect.answer == "yes" for effect in effects)
     weakly = sum(effect.answer == "weakly" for effect in effects)
     summary = (
-        f"{measured['duration']:.0f} s of free flight can identify {yes} of {len(effects)} effects, {weakly} more "
-        "of them weakly"
+        f"{measured['duration']:.0f} s of free flight can identify {yes} of {len(effects)} effects, and {weakly} "
+        "more weakly"
     )
     worst = next((finding for finding in findings if finding.severity == "error"), None)
     if verdict == "unusable":
