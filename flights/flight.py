@@ -16,6 +16,7 @@ from dynamics.errors import DataError, RequestError
 from flights import tables
 from flights.alignment import align
 from flights.log import Log, Origin, Provenance
+from flights.pose_source import PoseSource, source_of
 from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
 from flights.reading import read_log
 
@@ -93,6 +94,11 @@ class Flight:
     def quantities(self) -> tuple[str, ...]:
         """The quantities it has, in the order of the flight CSV."""
         return tuple(dict.fromkeys(kind.name for name in self.columns if (kind := quantity_of(name)) is not None))
+
+    @property
+    def pose_source(self) -> PoseSource:
+        """Where its pose comes from, as far as the log or the user told."""
+        return source_of(self.metadata)
 
     def has(self, *names: str) -> bool:
         """Whether it has all of these quantities."""

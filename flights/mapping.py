@@ -113,13 +113,17 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Mapping(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A column mapping."""
+    """A column mapping.
+
+    pose: where position, velocity and attitude come from; empty where the tool writes either.
+    """
 
     name: str
     time: TimeColumn
     frames: Frames
     streams: tuple[MappedStream, ...]
     description: str = ""
+    pose: Literal["", "motion_capture", "estimator"] = ""
     file: FileLayout = FileLayout()
 
     @property

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from dynamics.errors import AlulaError, DataError, RequestError
-from flights import plausibility
+from flights import plausibility, pose_source
 from flights.log import Log, LogContent, Provenance, Stream
 from flights.readers import (
     betaflight,
@@ -54,16 +54,20 @@ FORMATS: Mapping[str, Format] = {
 }
 
 
-def read_log(path: str | Path, *, mapping: str | Path | None = None) -> Log:
-    """The streams of any log, gzipped or not. mapping: column-mapping TOML for a foreign CSV.
+def read_log(path: str | Path, *, mapping: str | Path | None = None, pose: str | None = None) -> Log:
+    """The streams of any log, gzipped or not.
 
-    Raises RequestError for a path or mapping that is wrong or an unknown format, DataError for a log that cannot be
-    read or contradicts its units and frames.
+    mapping: column-mapping TOML for a foreign CSV.
+    pose: where the pose comes from, "mocap" or "estimator"; by default as the log tells.
+
+    Raises RequestError for a path, mapping or pose that is wrong or an unknown format, DataError for a log that cannot
+    be read or contradicts its units and frames.
     """
     path = Path(path)
     with opened(path, None if mapping is None else Path(mapping)) as source:
         name = _format_name(source)
-        return _checked_log(source, name, sha256(path), _read(source, name))
+        log = _checked_log(source, name, sha256(path), _read(source, name))
+    return replace(log, metadata=pose_source.with_source(log.metadata, pose))
 
 
 def read_chunks(path: str | Path, seconds: float, *, mapping: str | Path | None = None) -> Iterator[Log]:
@@ -132,7 +136,8 @@ def _checked_log(source: Source, name: str, digest: str, content: LogContent) ->
     provenance = Provenance(
         str(path), digest, form.label, f"flights.readers.{name}", tuple(notes), source.repairs + content.repairs
     )
-    return Log(content.streams, provenance, content.start, content.metadata, content.parameters)
+    metadata = {**content.metadata, pose_source.KEY: pose_source.known_source(name, content)}
+    return Log(content.streams, provenance, content.start, metadata, content.parameters)
 
 
 def read_folder(folder: str | Path) -> Iterator[tuple[Path, Log | AlulaError]]:

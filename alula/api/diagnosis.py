@@ -25,6 +25,7 @@ def compare(
     *,
     effects: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
+    pose: str | None = None,
 ) -> ComparisonResult:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest.
 
@@ -32,6 +33,7 @@ def compare(
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
     effects: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
+    pose: where the pose comes from, "mocap" or "estimator"; by default as the logs tell.
 
     Returns a ComparisonResult.
     Raises RequestError for logs or a vehicle that cannot be used, DataError for flights that cannot answer.
@@ -46,7 +48,7 @@ def compare(
         from diagnosis.comparison import compare_dataset
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
-    dataset = dataset_of(flights, loaded, None, mapping)
+    dataset = dataset_of(flights, loaded, None, mapping, pose)
     details = compare_dataset(dataset, loaded, catalogue)
     return ComparisonResult(details.comparison, loaded, dataset, details)
 
@@ -58,6 +60,7 @@ def diagnose(
     hold_out: str | None = None,
     effects: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
+    pose: str | None = None,
 ) -> DiagnosisResult:
     """Name the physical effect that is missing from a vehicle's model, or that the model explains the flights.
 
@@ -66,6 +69,7 @@ def diagnose(
     hold_out: pattern of the file names to evaluate on, such as "hold_*"; by default the last fifth of the flights.
     effects: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
+    pose: as for `compare`.
 
     Returns a DiagnosisResult: `report.verdict` is "explained", "effect", "ambiguous" or "unknown".
     Raises RequestError for logs, a vehicle or a pattern that cannot be used, DataError for flights that cannot answer.
@@ -79,7 +83,7 @@ def diagnose(
         from diagnosis.diagnose import diagnose_dataset
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
-    dataset = dataset_of(flights, loaded, hold_out, mapping)
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     details = diagnose_dataset(dataset, loaded, catalogue)
     return DiagnosisResult(details.diagnosis, loaded, dataset, details)
 
@@ -122,13 +126,14 @@ def add_effect(
     hold_out: str | None = None,
     effects: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
+    pose: str | None = None,
 ) -> AdditionResult:
     """Fit an effect and add it to a vehicle, if that lowers the error on held-out flights.
 
     flights, vehicle: as for `compare`.
     effect: name in the catalogue; by default the first effect of the diagnosis.
     rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
-    hold_out, effects, mapping: as for `diagnose`.
+    hold_out, effects, mapping, pose: as for `diagnose`.
 
     Returns an AdditionResult, whose vehicle has the effect; nothing is written yet.
     Raises RequestError for an unknown effect, DataError when the error on held-out flights does not fall.
@@ -145,7 +150,7 @@ def add_effect(
         from diagnosis.addition_report import report
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
-    dataset = dataset_of(flights, loaded, hold_out, mapping)
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)
     return AdditionResult(details.vehicle, report(details), details)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -52,6 +53,7 @@ def dataset_of(
     vehicle: Vehicle,
     hold_out: str | None,
     mapping: str | Path | None,
+    pose: str | None = None,
 ) -> Dataset:
     """Flights, read where they are logs, divided into those to fit and those held out.
 
@@ -60,6 +62,7 @@ def dataset_of(
     """
     from diagnosis.data.dataset import make_dataset, read_dataset
     from flights import Flight
+    from flights.pose_source import with_source
 
     items = list(logs) if isinstance(logs, Sequence) and not isinstance(logs, str) else [logs]
     flights = [item for item in items if isinstance(item, Flight)]
@@ -67,8 +70,9 @@ def dataset_of(
     if flights and paths:
         raise RequestError("logs and flights are mixed. Give paths, or what `alula.read_flights` returned.")
     if flights:
+        flights = [replace(f, metadata=with_source(f.metadata, pose)) for f in flights]
         return make_dataset(flights, vehicle, hold_out=hold_out)
-    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping)
+    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping, pose=pose)
 
 
 def _files(path: Path) -> Sequence[Path]:

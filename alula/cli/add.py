@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import Effects, HoldOut, Mapping, VehicleOption
+from alula.cli.options import Effects, HoldOut, Mapping, Pose, VehicleOption
 from dynamics.effects import CATALOGUE
 from dynamics.files import STANDARD_OUTPUT, write_json
 
@@ -31,6 +31,7 @@ def add(
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
+    pose: Pose = None,
     rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect; by default the best fit.")] = None,
     out: Annotated[Path | None, typer.Option(help="File to write instead of the next version.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the addition as JSON; - for standard output.")] = None,
@@ -38,7 +39,7 @@ def add(
     """Fit an effect and write the next vehicle file, if the error on held-out flights falls."""
     effect, logs = _effect_and_logs(arguments)
     result = alula.add_effect(
-        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping
+        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping, pose=pose
     )
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:

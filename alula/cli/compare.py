@@ -10,7 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import Effects, Logs, Mapping, Page, VehicleOption
+from alula.cli.options import Effects, Logs, Mapping, Page, Pose, VehicleOption
 from dynamics.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -22,11 +22,12 @@ def compare(
     vehicle: VehicleOption,
     effects: Effects = None,
     mapping: Mapping = None,
+    pose: Pose = None,
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
     html: Page = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
-    result = alula.compare(logs, vehicle, effects=effects or (), mapping=mapping)
+    result = alula.compare(logs, vehicle, effects=effects or (), mapping=mapping, pose=pose)
     if json is not None:
         result.write_json(json)
     if html is not None:

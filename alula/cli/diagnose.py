@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, VehicleOption
+from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, Pose, VehicleOption
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ def diagnose(
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
+    pose: Pose = None,
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
     html: Page = None,
@@ -42,7 +43,7 @@ def diagnose(
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return
-    result = alula.diagnose(logs, vehicle, hold_out=hold_out, effects=effects or (), mapping=mapping)
+    result = alula.diagnose(logs, vehicle, hold_out=hold_out, effects=effects or (), mapping=mapping, pose=pose)
     if json is not None:
         result.write_json(json)
     if html is not None:

@@ -13,7 +13,7 @@ from rich.table import Table
 
 import alula
 from alula.api.inputs import log_paths
-from alula.cli.options import Effects, Mapping
+from alula.cli.options import Effects, Mapping, Pose
 from dynamics.errors import AlulaError, DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from studio.provenance import origin
@@ -31,6 +31,10 @@ MINOR = (
     "velocity_reset_counter",
     "attitude_reset_counter",
 )
+POSES = {
+    "motion_capture": "from motion capture",
+    "estimator": "from an estimator that used the accelerometer, so that their agreement proves nothing",
+}
 COLOURS = {
     "good": "green",
     "limited": "yellow",
@@ -47,6 +51,7 @@ COLOURS = {
 def inspect(
     log: Annotated[list[Path], typer.Argument(help="Logs of any known format, or folders of them.", metavar="LOG...")],
     mapping: Mapping = None,
+    pose: Pose = None,
     effects: Effects = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the verdicts as JSON.")] = False,
     html: Annotated[Path | None, typer.Option(help="Write a page with plots, which needs no network.")] = None,
@@ -59,7 +64,7 @@ def inspect(
     paths = log_paths(log)
     for path in paths:
         try:
-            streams = alula.read_log(path, mapping=mapping)
+            streams = alula.read_log(path, mapping=mapping, pose=pose)
             inspections.append(alula.inspect(streams, effects=effects or ()))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
@@ -109,6 +114,8 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
         f"{len(inspection.segments)} segments",
         highlight=False,
     )
+    if inspection.pose_source != "unknown":
+        console.print(f"pose: {POSES[inspection.pose_source]}", highlight=False)
     for item in inspection.exclusions:
         console.print(f"left out: {item}", style="dim", highlight=False)
     _print_channels(inspection, console, everything=everything)

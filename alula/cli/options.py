@@ -17,6 +17,10 @@ HoldOut = Annotated[
 Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Mapping = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
+Pose = Annotated[
+    str | None,
+    typer.Option(help="Where the pose comes from, mocap or estimator; by default as the logs tell.", metavar="SOURCE"),
+]
 
 # Of a link to a vehicle.
 LINK = "udpin:0.0.0.0:14540"

@@ -46,14 +46,17 @@ def read_dataset(
     *,
     hold_out: str | None = None,
     mapping: str | Path | None = None,
+    pose: str | None = None,
     thresholds: Thresholds = DEFAULT,
 ) -> Dataset:
     """Read logs and set some aside: those whose file name matches hold_out, or the last fifth.
 
+    pose: where their pose comes from, "mocap" or "estimator"; None: as the logs tell.
+
     Raises RequestError for logs that do not exist or a pattern that matches none or all of them, DataError when
     they hold too little.
     """
-    flights = read_flights(logs, mapping=mapping, thresholds=thresholds.segment)
+    flights = read_flights(logs, mapping=mapping, pose=pose, thresholds=thresholds.segment)
     return make_dataset(flights, vehicle, hold_out=hold_out, thresholds=thresholds)
 
 
@@ -61,12 +64,16 @@ def read_flights(
     logs: Sequence[str | Path],
     *,
     mapping: str | Path | None = None,
+    pose: str | None = None,
     thresholds: SegmentThresholds = DEFAULT.segment,
 ) -> list[Flight]:
-    """The flights of logs at one rate, that of the slowest. Raises RequestError and DataError as reading does."""
+    """The flights of logs at one rate, that of the slowest. Raises RequestError and DataError as reading does.
+
+    pose: as for `read_dataset`.
+    """
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
-    streams = [read_log(path, mapping=mapping) for path in logs]
+    streams = [read_log(path, mapping=mapping, pose=pose) for path in logs]
     flights = [_flight(log, thresholds) for log in streams]
     rate = round(min(flight.rate for flight in flights), 3)
     same = [abs(flight.rate - rate) < 0.01 * rate for flight in flights]

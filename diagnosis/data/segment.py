@@ -18,6 +18,7 @@ from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
 from flights.filters import zero_phase
+from flights.pose_source import PoseSource
 from flights.quality.inspection import MIN_ROTOR_RATE
 from flights.rotors import RotorSource, rotor_speeds
 
@@ -36,6 +37,7 @@ class Segment:
     rotor_speed: (n, rotors) rad/s.
     rotor_source: what the rotor speeds were taken from.
     battery_ratio: (n,) voltage over the full battery's, None if not logged.
+    pose_source: whether the pose is motion capture's or an estimator's, which used the accelerometer.
     lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
     filters: of both sides of the regression.
     """
@@ -52,6 +54,7 @@ class Segment:
     rotor_source: RotorSource
     battery_ratio: Floats | None
     lacks: frozenset[str] = frozenset()
+    pose_source: PoseSource = "unknown"
     filters: FilterThresholds = DEFAULT.filters
 
     def __len__(self) -> int:
@@ -228,6 +231,7 @@ def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:
         rotor_source=source,
         battery_ratio=_battery_ratio(part, thresholds.segment),
         lacks=frozenset(name for name, there in logged.items() if not there),
+        pose_source=part.pose_source,
         filters=thresholds.filters,
     )
 

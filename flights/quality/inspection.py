@@ -17,6 +17,7 @@ from flights.delays import MAX_REACH, Delay, estimate_delays
 from flights.exclusion import Exclusion, excluded_rows, find_exclusions
 from flights.flight import Flight
 from flights.log import Log, Repair
+from flights.pose_source import PoseSource
 from flights.quality import advice
 from flights.quality.channels import Channel, channel_findings, channels_of
 from flights.quality.excitation import Coverage, Measure, coverages, measures
@@ -46,6 +47,7 @@ class Inspection(msgspec.Struct, frozen=True):
     segments: of free flight, start and end, s.
     exclusions: segments that are not free flight.
     delays: of streams and of responses.
+    pose_source: whether the pose is motion capture's or an estimator's, as far as the log tells.
     excitation, coverage: how much the flight moves, and where its time was spent.
     """
 
@@ -60,6 +62,7 @@ class Inspection(msgspec.Struct, frozen=True):
     exclusions: tuple[Exclusion, ...]
     channels: tuple[Channel, ...]
     delays: tuple[Delay, ...]
+    pose_source: PoseSource
     excitation: tuple[Measure, ...]
     coverage: tuple[Coverage, ...]
     effects: tuple[EffectAnswer, ...]
@@ -109,6 +112,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
         exclusions=exclusions,
         channels=channels_of(log),
         delays=delays,
+        pose_source=flight.pose_source,
         excitation=tuple(Measure(name, value, MEASURES[name]) for name, value in measured.items()),
         coverage=coverages(segments),
         effects=effects,

@@ -13,6 +13,7 @@ from dynamics import frames, quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from flights import mapping as mappings
+from flights import pose_source
 from flights.assembly import Assembly
 from flights.log import LogContent
 from flights.mapping import MappedStream, Mapping
@@ -53,6 +54,8 @@ def read(source: Source) -> LogContent:
         )
     assembly = Assembly()
     assembly.metadata["mapping"] = mapping.name
+    if mapping.pose:
+        assembly.metadata[pose_source.KEY] = mapping.pose
     assembly.note(f"columns by the mapping {mapping.name!r}")
     columns = _columns(source, names, mapping, assembly)
     time = _time(columns[mapping.time.column], mapping)

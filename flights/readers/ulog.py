@@ -20,6 +20,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from flights.assembly import Assembly
 from flights.log import LogContent
+from flights.pose_source import AIDING
 from flights.readers import ulog_rotors
 from flights.readers.ulog_topics import TOPIC_ALIASES, Topic, Topics
 from flights.source import Source
@@ -32,6 +33,9 @@ _ARMED_STATE = 2
 _NO_OFFSET = 2_147_483_647  # accelerometer_timestamp_relative of a sample that is none
 # vehicle_odometry.velocity_frame since PX4 1.14 and before; 3 has been body FRD all along
 _VELOCITY_NED, _OLD_VELOCITY_NED, _VELOCITY_BODY = 1, 0, 3
+_EXTERNAL = ("vehicle_visual_odometry", "vehicle_mocap_odometry")
+# parameters whose bits say what of it is fused: today's, and vision's position, yaw and velocity before PX4 1.14
+_EXTERNAL_AIDING = {"EKF2_EV_CTRL": 0b1111, "EKF2_AID_MASK": 0b1_0001_1000}
 _TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
     "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
@@ -270,6 +274,14 @@ def _setpoints(assembly: Assembly, topics: Topics) -> None:
         assembly.add("thrust_setpoint", topic.time, thrust, topic.name)
 
 
+def _aiding(assembly: Assembly, topics: Topics) -> None:
+    """What of vision and motion capture the estimator used: it stays an estimator."""
+    topic = next((name for name in _EXTERNAL if topics.get(name) is not None), None)
+    used = any(int(assembly.parameters.get(name, 0)) & mask for name, mask in _EXTERNAL_AIDING.items())
+    if topic is not None and used:
+        assembly.metadata[AIDING] = f"an external pose ({topic})"
+
+
 _Add = Callable[[Assembly, Topics], None]
 _MOTION: Sequence[_Add] = (_local_position, _attitude, _rates, _specific_force, _odometry)
-_REST: Sequence[_Add] = (_battery, _setpoints, _armed, _landed)
+_REST: Sequence[_Add] = (_battery, _setpoints, _armed, _landed, _aiding)
