@@ -263,12 +263,16 @@ class GustThresholds(ThresholdGroup, frozen=True):
 
     max_frequency: of the cosines that make it up, Hz. [not derived yet]
     corner: of its spectrum, Hz. [not derived yet]
-    strengths: that are tried. [not derived yet]
+    intensity: range of its strength that is tried, m/s. [definition: from nothing to a storm]
+    strengths: that are tried in it. [formula: neighbours differ by a third]
+    part: of a segment whose air is independent of that of the others, s. [formula: many correlation times]
     """
 
     max_frequency: Positive = 0.7
     corner: Positive = 0.15
-    strengths: Annotated[int, Meta(ge=2)] = 25
+    intensity: tuple[Positive, Positive] = (0.01, 15.0)
+    strengths: Annotated[int, Meta(ge=3)] = 26
+    part: Positive = 30.0
 
 
 class ResidualTestThresholds(ThresholdGroup, frozen=True):

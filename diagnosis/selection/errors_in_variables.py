@@ -6,37 +6,31 @@ order, the bias that the sensors' noise had caused in them (SIMEX).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.noise import NoiseModel
 from dynamics import quaternion
 from dynamics.arrays import Floats
 
 SEED = 1  # of the added noise, so that the same flights have the same answer
 
 
-def normal_equation_biases(
-    segments: Sequence[Segment],
-    design: DesignMatrix,
-    noise: NoiseModel,
-    rows: Sequence[Floats],
-    columns: Sequence[Floats],
-) -> list[tuple[Floats, Floats]]:
-    """(k, k) and (k,) of each segment: what noise in its columns adds to X'X and X'y.
+def design_errors(
+    segments: Sequence[Segment], design: DesignMatrix, rows: Sequence[Floats], columns: Sequence[Floats]
+) -> Iterator[tuple[Floats, Floats]]:
+    """(m, 12) and (m, 12, k) changes of each segment's rows and columns by added noise.
 
+    What they add to X'X and X'y is what the sensors' noise has added already.
     rows, columns: (m, 12) and (m, 12, k) of each segment, as the design evaluates them.
     """
     random = np.random.default_rng(SEED)
-    biases = []
     for segment, y, x in zip(segments, rows, columns, strict=True):
         noisier_y, noisier_x = design.evaluate(perturbed(segment, random))
-        biases.append(noise.normal_equations(noisier_x - x, noisier_y - y))
-    return biases
+        yield noisier_y - y, noisier_x - x
 
 
 def perturbed(segment: Segment, random: np.random.Generator) -> Segment:

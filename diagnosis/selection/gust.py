@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression import GustProfile, Regression
 from diagnosis.thresholds import GustThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
@@ -19,62 +19,78 @@ class Gust:
 
     gain: twice the log-likelihood gained.
     score: the gain less its penalty.
-    intensity: m/s, through the usual rotor drag.
+    intensity: m/s, through the drag of the model, or a usual rotor drag where it has none.
+    std: of the intensity, m/s, from the likelihood's profile.
+    share: of flight resamples in which a gust is more likely than none.
     effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
     """
 
     gain: float
     score: float
     intensity: float
+    std: float = 0.0
+    share: float = 0.0
     effect: Effect | None = None
 
-
-def gust_gain(regression: Regression, chosen: Sequence[int]) -> Gust:
-    """A random-effects likelihood of one strength, maximised over it, on the residuals after the chosen columns."""
-    thresholds = regression.thresholds.gust
-    wind = next((c for c in regression.candidates if c.effect.wind is not None), None)
-    effect = next((e for e in regression.catalogue.values() if e.stochastic and e.wind is not None), None)
-    if wind is None or effect is None:
-        return Gust(0.0, -np.inf, 0.0)
-    parts: list[tuple[Floats, Floats]] = []
-    residuals = regression.residuals_after(chosen)
-    for rows, columns in zip(residuals, regression.columns, strict=True):
-        basis, weight = _cosines(len(rows), regression.rate, thresholds)
-        waves = columns[:, :, list(wind.columns), None] * basis[:, None, None, :]
-        white = regression.noise.whiten(waves.reshape(len(rows), rows.shape[1], -1))
-        white = white * np.sqrt(np.tile(weight, len(wind.columns)))
-        flat = white.reshape(-1, white.shape[2])
-        parts.append((flat.T @ flat, flat.T @ regression.noise.whiten(rows).ravel()))
-    scale = float(np.mean([np.trace(gram) / len(gram) for gram, _ in parts]))
-    if scale <= 0:
-        return Gust(0.0, -np.inf, 0.0)
-    gain, variance = _best_strength(parts, np.geomspace(1e-3, 1e6, thresholds.strengths) / scale)
-    penalty = np.log(regression.independent) + 2 * np.log(thresholds.strengths)
-    _, weight = _cosines(len(residuals[0]), regression.rate, thresholds)
-    return Gust(gain, gain - float(penalty), float(np.sqrt(variance * weight.sum() / 2)), effect)
+    @property
+    def variance(self) -> float:
+        """Of the air's velocity along each horizontal axis, (m/s)^2."""
+        return self.intensity**2
 
 
-def _best_strength(parts: Sequence[tuple[Floats, Floats]], variances: Floats) -> tuple[float, float]:
-    """Twice the greatest log-likelihood gained, and the variance of the amplitudes there; zeros where none gains.
+NO_GUST = Gust(0.0, -np.inf, 0.0)
 
-    parts: normal equations (k, k) and (k,) of each segment's amplitudes.
+
+def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool = True) -> Gust:
+    """The gust of greatest likelihood beside the chosen columns.
+
+    measured: whether its interval and its share of resamples are computed, too.
     """
-    eigen = [(values, vectors.T @ product) for (gram, product) in parts for values, vectors in [np.linalg.eigh(gram)]]
-    best = (0.0, 0.0)
-    for variance in variances:
-        gain = 0.0
-        for values, product in eigen:
-            inverse = 1 / (1 + variance * np.maximum(values, 0.0))
-            gain += variance * float(np.sum(product**2 * inverse)) + float(np.sum(np.log(inverse)))
-        if gain > best[0]:
-            best = (gain, float(variance))
-    return best
+    effect = next((e for e in regression.catalogue.values() if e.stochastic and e.wind is not None), None)
+    if effect is None or not regression.feels_air:
+        return NO_GUST
+    thresholds = regression.thresholds.gust
+    strengths = np.geomspace(*thresholds.intensity, thresholds.strengths)
+    profile = regression.gust_profile(chosen, [0.0, *(strengths**2).tolist()])
+    total = profile.total()
+    gain, intensity, std = _peak(strengths, total[1:] - total[0])
+    penalty = _penalty(regression, thresholds)
+    share = _share(profile, penalty, regression.thresholds.verdict.resamples) if measured else 0.0
+    return Gust(gain, gain - penalty, intensity, std, share, effect)
 
 
-def _cosines(count: int, rate: float, thresholds: GustThresholds) -> tuple[Floats, Floats]:
-    """(m, k) half-wave cosines, and the weight (k,) that a gust's spectrum gives to each."""
-    duration = count / rate
-    order = np.arange(int(2 * duration * thresholds.max_frequency) + 1)
-    basis = np.cos(np.pi * np.outer((np.arange(count) + 0.5) / count, order))
-    weight = np.where(order == 0, 0.5, 1.0) / (1 + (order / (2 * duration) / thresholds.corner) ** 2)
-    return basis, weight
+def _penalty(regression: Regression, thresholds: GustThresholds) -> float:
+    """The criterion's penalty of one more parameter that was sought among several values."""
+    return float(np.log(regression.independent) + 2 * np.log(thresholds.strengths))
+
+
+def _peak(strengths: Floats, gains: Floats) -> tuple[float, float, float]:
+    """Greatest gain over still air, strength there and its standard deviation; zeros where still air is likelier.
+
+    The deviation is half the range in which the gain, twice a log-likelihood, is within 1 of its greatest value.
+    """
+    best = int(np.argmax(gains))
+    if gains[best] <= 0:
+        return 0.0, 0.0, 0.0
+    fine = np.geomspace(strengths[0], strengths[-1], 100 * len(strengths))
+    curve = np.interp(np.log(fine), np.log(strengths), gains)
+    if 0 < best < len(strengths) - 1:  # the parabola through the greatest value and its neighbours
+        around = slice(best - 1, best + 2)
+        near = (fine > strengths[best - 1]) & (fine < strengths[best + 1])
+        parabola = np.polyfit(np.log(strengths[around] / strengths[best]), gains[around], 2)
+        curve[near] = np.polyval(parabola, np.log(fine[near] / strengths[best]))
+    top = int(np.argmax(curve))
+    inside = fine[curve > curve[top] - 1]
+    low = 0.0 if curve[top] < 1 else float(inside[0])
+    return float(curve[top]), float(fine[top]), max((float(inside[-1]) - low) / 2, 0.0)
+
+
+def _share(profile: GustProfile, penalty: float, resamples: int) -> float:
+    """Share of flight resamples in which some gust gains more than its penalty."""
+    random, flights = np.random.default_rng(0), profile.gains.shape[1]
+    wins = 0
+    for _ in range(resamples):
+        counts = np.bincount(random.choice(flights, flights), minlength=flights).astype(float)
+        total = profile.total(counts)
+        wins += bool(total.max() - total[0] > penalty)
+    return wins / resamples

@@ -2,23 +2,24 @@
 
 Every flight has its own clock offset, gyro's bias and accelerometer's bias, with the sensors' specification as their
 prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a fault
-of a sensor is what all flights share beyond them.
+of a sensor is what all flights share beyond them. So is a gust of a given strength (`Regression.in_gust`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
+from diagnosis.selection.air_motion import Waves, Whitened, make_waves
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.errors_in_variables import normal_equation_biases
+from diagnosis.selection.errors_in_variables import design_errors
 from diagnosis.selection.noise import NoiseModel, estimate_noise
-from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.thresholds import DEFAULT, GustThresholds, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -34,6 +35,31 @@ class Biases:
 
     columns: tuple[int, ...]
     information: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FlightEquations:
+    """One flight's normal equations in still air, its biases among the columns, and its waves of random air motion.
+
+    gram, product: (k, k) and (k,) with errors-in-variables correction.
+    plain_gram, plain_product: without.
+    waves: None where no wind is regressed.
+    """
+
+    gram: Floats
+    product: Floats
+    plain_gram: Floats
+    plain_product: Floats
+    waves: Waves | None = None
+
+    def beside_gust(self, variance: float, places: Sequence[int], *, corrected: bool = True) -> tuple[Floats, Floats]:
+        """(p, p) and (p,) normal equations of the columns at some places beside a gust of this variance, (m/s)^2."""
+        gram, product = (self.gram, self.product) if corrected else (self.plain_gram, self.plain_product)
+        gram, product = gram[np.ix_(places, places)], product[places]
+        if self.waves is None or variance == 0:
+            return gram, product
+        less, less_product = self.waves.reduction(variance, places, corrected=corrected)
+        return gram - less, product - less_product
 
 
 @dataclass(eq=False)
@@ -52,7 +78,9 @@ class Regression:
     rate: of the rows, Hz.
     design: makes rows and columns of other segments.
     everything: (k,) ridge coefficients of all columns at once.
+    equations: of each flight in still air.
     thresholds: for all that is built on this regression.
+    gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     """
 
     vehicle: Vehicle
@@ -74,7 +102,9 @@ class Regression:
     biases: Biases
     design: DesignMatrix
     everything: Floats
+    equations: Sequence[FlightEquations]
     thresholds: Thresholds = DEFAULT
+    gust_variance: float = 0.0
 
     @property
     def flights(self) -> range:
@@ -101,14 +131,17 @@ class Regression:
         where = list(chosen)
         if not where:
             return np.zeros(0), 0.0
-        flights = self.flights if flights is None else flights
+        gram, product = self.summed(flights, plain=plain)
+        theta, gain = solved(gram[np.ix_(where, where)], product[where])
+        return theta, float(gain)
+
+    def summed(self, flights: Sequence[int] | None = None, *, plain: bool = False) -> tuple[Floats, Floats]:
+        """(k, k) and (k,) normal equations of all columns, summed over flights, by default all of them."""
         grams, products = (self.plain_gram, self.plain_product) if plain else (self.gram, self.product)
-        gram: Floats = sum((grams[f][np.ix_(where, where)] for f in flights), np.zeros((len(where), len(where))))
-        product: Floats = sum((products[f][where] for f in flights), np.zeros(len(where)))
-        scale = np.sqrt(np.maximum(np.diag(gram), 1e-9))
-        matrix = gram / np.outer(scale, scale) + 1e-8 * np.eye(len(where))
-        theta = np.linalg.solve(matrix, product / scale) / scale
-        return theta, float(theta @ product)
+        width, flights = len(products[0]), self.flights if flights is None else flights
+        gram: Floats = sum((grams[f] for f in flights), np.zeros((width, width)))
+        product: Floats = sum((products[f] for f in flights), np.zeros(width))
+        return gram, product
 
     def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
         """Twice the log-likelihood that the chosen columns gain beyond the biases."""
@@ -116,12 +149,59 @@ class Regression:
 
     def cross_validated_gain(self, chosen: Sequence[int]) -> float:
         """The same on each flight with coefficients from the others, without errors-in-variables correction."""
-        total, where = 0.0, list(chosen)
-        for flight in self.flights:
-            theta, _ = self.solve(where, [f for f in self.flights if f != flight])
-            quadratic = theta @ self.plain_gram[flight][np.ix_(where, where)] @ theta
-            total += float(2 * theta @ self.plain_product[flight][where] - quadratic)
-        return total
+        where = list(chosen)
+        if not where:
+            return 0.0
+        grams = np.array([gram[np.ix_(where, where)] for gram in self.plain_gram])
+        products = np.array([product[where] for product in self.plain_product])
+        theta, _ = solved(grams.sum(axis=0) - grams, products.sum(axis=0) - products)
+        quadratic = np.einsum("fi,fij,fj->", theta, grams, theta)
+        return float(2 * np.sum(theta * products) - quadratic)
+
+    @property
+    def feels_air(self) -> bool:
+        """Whether random air motion would show."""
+        return all(one.waves is not None for one in self.equations)
+
+    def in_gust(self, variance: float) -> Regression:
+        """The same flights in a random air motion of this variance, (m/s)^2, which is marginalised."""
+        if variance == self.gust_variance or not self.feels_air:
+            return self
+        everywhere = range(len(self.product[0]))
+        (joint_gram, joint_product), plain = (
+            _unzipped(one.beside_gust(variance, everywhere, corrected=corrected) for one in self.equations)
+            for corrected in (True, False)
+        )
+        gram, product = _marginals(joint_gram, joint_product, self.biases)
+        plain_gram, plain_product = _marginals(*plain, self.biases)
+        return replace(
+            self,
+            gram=gram,
+            product=product,
+            plain_gram=plain_gram,
+            plain_product=plain_product,
+            joint_gram=joint_gram,
+            joint_product=joint_product,
+            gust_variance=variance,
+        )
+
+    def gust_profile(self, chosen: Sequence[int], variances: Sequence[float]) -> GustProfile:
+        """The likelihood of gusts of these variances beside the chosen columns."""
+        off = list(self.biases.columns)
+        own = [i for i in chosen if i not in off]
+        alike = [own.index(i) if i in own else len(own) + off.index(i) for i in chosen]
+        gains = np.zeros((len(variances), len(self.equations)))
+        grams = np.zeros((*gains.shape, len(chosen), len(chosen)))
+        products = np.zeros((*gains.shape, len(chosen)))
+        biases = Biases(tuple(range(len(own), len(own) + len(off))), self.biases.information)
+        for v, variance in enumerate(variances):
+            for f, one in enumerate(self.equations):
+                gram, product = one.beside_gust(variance, [*own, *off])
+                free, free_product = marginal(gram, product, biases)
+                grams[v, f], products[v, f] = free[np.ix_(alike, alike)], free_product[alike]
+                gains[v, f] = explained_by_biases(gram, product, biases)
+                gains[v, f] += 0.0 if one.waves is None else one.waves.gain(variance)
+        return GustProfile(tuple(variances), gains, grams, products)
 
     def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
         """(m, 12) residual of each segment without the chosen columns and its flight's biases."""
@@ -137,6 +217,37 @@ class Regression:
         ]
 
 
+@dataclass(frozen=True, eq=False)
+class GustProfile:
+    """The likelihood of gusts of some variances beside some columns, flight by flight, up to a constant.
+
+    variances: (v,) (m/s)^2.
+    gains: (v, f) twice the log-likelihood gained by the gust and the flight's biases.
+    grams, products: (v, f, p, p) and (v, f, p) normal equations of the columns.
+    """
+
+    variances: tuple[float, ...]
+    gains: Floats
+    grams: Floats
+    products: Floats
+
+    def total(self, weights: Floats | None = None) -> Floats:
+        """(v,) twice the log-likelihood, columns included. weights: (f,) how often each flight counts."""
+        counts = np.ones(self.gains.shape[1]) if weights is None else weights
+        total = self.gains @ counts
+        if self.products.shape[2]:
+            total = total + solved(np.einsum("vfij,f->vij", self.grams, counts), counts @ self.products)[1]
+        return np.asarray(total)
+
+
+def solved(gram: Floats, product: Floats) -> tuple[Floats, Floats]:
+    """Solutions (..., p) of normal equations (..., p, p) and (..., p), and their gains (...)."""
+    scale = np.sqrt(np.maximum(np.diagonal(gram, axis1=-2, axis2=-1), 1e-9))
+    matrix = gram / (scale[..., :, None] * scale[..., None, :]) + 1e-8 * np.eye(gram.shape[-1])
+    theta = np.linalg.solve(matrix, (product / scale)[..., None])[..., 0] / scale
+    return theta, np.sum(theta * product, axis=-1)
+
+
 def make_regression(
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
@@ -149,14 +260,14 @@ def make_regression(
     design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
     rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
     noise, everything = _noise(segments, rows, columns, thresholds)
-    plain = [noise.normal_equations(x, y) for x, y in zip(columns, rows, strict=True)]
-    errors = normal_equation_biases(segments, design, noise, rows, columns)
-    corrected = [(a - da, b - db) for (a, b), (da, db) in zip(plain, errors, strict=True)]
-    plain_gram, plain_product = _by_flight(plain, flight_of)
-    joint_gram, joint_product = _by_flight(corrected, flight_of)
+    errors = design_errors(segments, design, rows, columns)
+    equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
+    joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
     biases = sensor_biases(candidates)
     gram, product = _marginals(joint_gram, joint_product, biases)
-    plain_gram, plain_product = _marginals(plain_gram, plain_product, biases)
+    plain_gram, plain_product = _marginals(
+        [one.plain_gram for one in equations], [one.plain_product for one in equations], biases
+    )
     observations = [0] * len(gram)
     for flight, y in zip(flight_of, rows, strict=True):
         observations[flight] += (len(y) - noise.order) * len(noise.active)
@@ -180,8 +291,48 @@ def make_regression(
         biases=biases,
         design=design,
         everything=everything,
+        equations=equations,
         thresholds=thresholds,
     )
+
+
+def _equations(
+    candidates: Sequence[Candidate],
+    flight_of: Sequence[int],
+    noise: NoiseModel,
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+    errors: Iterable[tuple[Floats, Floats]],
+    rate: float,
+    thresholds: Thresholds,
+) -> list[FlightEquations]:
+    """The normal equations of each flight. errors: of rows (m, 12) and columns (m, 12, k), a segment each."""
+    wind = next((list(c.columns) for c in candidates if c.effect.wind is not None), None)
+    flights: list[list[tuple[Whitened, Floats]]] = [[] for _ in range(max(flight_of) + 1)]
+    for flight, y, x, (y_error, x_error) in zip(flight_of, rows, columns, errors, strict=True):
+        white = Whitened(noise.whiten(x), noise.whiten(y), noise.whiten(x_error), noise.whiten(y_error))
+        flights[flight].append((white, x[:, :, wind or []]))
+    return [
+        flight_equations([one for one, _ in parts], [air for _, air in parts], noise, rate, thresholds.gust)
+        for parts in flights
+    ]
+
+
+def flight_equations(
+    segments: Sequence[Whitened], wind: Sequence[Floats], noise: NoiseModel, rate: float, thresholds: GustThresholds
+) -> FlightEquations:
+    """The normal equations of one flight. wind: (m, 12, a) regressors of a steady wind, a segment each."""
+    width = segments[0].columns.shape[2]
+    gram, correction = np.zeros((width, width)), np.zeros((width, width))
+    product, product_correction = np.zeros(width), np.zeros(width)
+    for segment in segments:
+        x, y, x_error, y_error = segment.flat()
+        gram += x.T @ x
+        product += x.T @ y
+        correction += x_error.T @ x_error
+        product_correction += x_error.T @ y_error
+    waves = make_waves(segments, wind, noise, rate, thresholds) if wind[0].shape[2] else None
+    return FlightEquations(gram - correction, product - product_correction, gram, product, waves)
 
 
 def _noise(
@@ -197,23 +348,15 @@ def _noise(
     return estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise), everything
 
 
-def _by_flight(
-    equations: Sequence[tuple[Floats, Floats]], flight_of: Sequence[int]
-) -> tuple[list[Floats], list[Floats]]:
-    """Normal equations of segments, summed over each flight."""
-    count, width = max(flight_of) + 1, len(equations[0][1])
-    grams, products = [np.zeros((width, width)) for _ in range(count)], [np.zeros(width) for _ in range(count)]
-    for (gram, product), flight in zip(equations, flight_of, strict=True):
-        grams[flight] += gram
-        products[flight] += product
-    return grams, products
-
-
 def _marginals(
     grams: Sequence[Floats], products: Sequence[Floats], biases: Biases
 ) -> tuple[list[Floats], list[Floats]]:
-    free = [marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True)]
-    return [gram for gram, _ in free], [product for _, product in free]
+    return _unzipped(marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True))
+
+
+def _unzipped(pairs: Iterable[tuple[Floats, Floats]]) -> tuple[list[Floats], list[Floats]]:
+    first, second = zip(*pairs, strict=True)
+    return list(first), list(second)
 
 
 def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Floats]:
@@ -222,6 +365,15 @@ def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Flo
     inner = gram[np.ix_(places, places)] + np.diag(biases.information)
     solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places]]))
     return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
+
+
+def explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:
+    """Twice the log-likelihood that one flight's biases gain, less what a gust takes off their certainty."""
+    places = list(biases.columns)
+    if not places:
+        return 0.0
+    inner = gram[np.ix_(places, places)] + np.diag(biases.information)
+    return float(product[places] @ np.linalg.solve(inner, product[places]) - np.linalg.slogdet(inner)[1])
 
 
 def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:

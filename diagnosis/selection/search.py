@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.gust import Gust, gust_gain
+from diagnosis.selection.gust import Gust, gust_beside
 from diagnosis.selection.regression import Regression
 from diagnosis.thresholds import DEFAULT, SearchThresholds
 from dynamics.arrays import Floats
@@ -184,13 +184,13 @@ def select(regression: Regression) -> Selection:
     """The effects that are missing, none where no score reaches its minimum."""
     search, thresholds = Search(regression), regression.thresholds.search
     singles = search.singles()
-    before = gust_gain(regression, [])
+    before = gust_beside(regression, [])
     top = search.first(singles)
     gust_first = before.score > max(top.score, thresholds.min_gain)
     nothing = top.score < min_score(top.candidates, thresholds) and before.score < thresholds.min_gain
     if nothing or (gust_first and top.score < thresholds.min_share_beside_gust * before.score):
         return Selection(Scored((), 0.0, 0.0), singles, before, before, gust_first)
     chosen = search.grow(top, singles)
-    after = gust_gain(regression, chosen.columns)
+    after = gust_beside(regression, chosen.columns)
     gust_detected = after.score > max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain)
     return Selection(chosen, singles, before, after, gust_detected)

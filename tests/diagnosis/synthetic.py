@@ -7,15 +7,17 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.selection.air_motion import Whitened
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.noise import NoiseModel
-from diagnosis.selection.regression import Biases, Regression, marginal
+from diagnosis.selection.regression import Biases, Regression, flight_equations, marginal
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Parameter, Prior, Wrench
 from dynamics.vehicle import GRAVITY, Vehicle
 
 CHANNELS = 12
+RATE = 25.0
 NO_BIASES = Biases((), np.zeros(0))
 
 
@@ -52,8 +54,18 @@ def regression(
 ) -> Regression:
     """A regression of rows (m, 12) on columns (m, 12, k), a flight each, under white noise of unit size."""
     noise = white()
-    equations = [noise.normal_equations(x, y) for x, y in zip(columns, rows, strict=True)]
-    free = [marginal(gram, product, biases) for gram, product in equations]
+    wind = [i for c in candidates if c.effect.wind is not None for i in c.columns]
+    flights = [
+        flight_equations(
+            [Whitened(noise.whiten(x), noise.whiten(y), np.zeros_like(x), np.zeros_like(y))],
+            [x[:, :, wind]],
+            noise,
+            RATE,
+            thresholds.gust,
+        )
+        for x, y in zip(columns, rows, strict=True)
+    ]
+    free = [marginal(one.gram, one.product, biases) for one in flights]
     grams, products = [gram for gram, _ in free], [product for _, product in free]
     return Regression(
         vehicle=vehicle,
@@ -68,13 +80,14 @@ def regression(
         product=products,
         plain_gram=grams,
         plain_product=products,
-        joint_gram=[gram for gram, _ in equations],
-        joint_product=[product for _, product in equations],
+        joint_gram=[one.gram for one in flights],
+        joint_product=[one.product for one in flights],
         observations=[y.size for y in rows],
-        rate=25.0,
+        rate=RATE,
         biases=biases,
         design=None,  # type: ignore[arg-type]
         everything=np.zeros(columns[0].shape[2]),
+        equations=flights,
         thresholds=thresholds,
     )
 

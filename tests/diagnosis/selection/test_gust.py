@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.selection.gust import gust_gain
+from diagnosis.selection.gust import gust_beside
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
 
@@ -29,23 +29,25 @@ def blown(vehicle, *, intensity: float, seed: int, catalogue=CATALOGUE):
     return regression(vehicle, [wind], [column] * FLIGHTS, rows, catalogue=catalogue)
 
 
-def test_a_planted_gust_gains_and_shows_its_strength(arpl_250g):
-    gust = gust_gain(blown(arpl_250g, intensity=1.0, seed=0), [])
+def test_a_planted_gust_besides_and_shows_its_strength(arpl_250g):
+    gust = gust_beside(blown(arpl_250g, intensity=1.0, seed=0), [])
     assert gust.score > 40
-    assert gust.intensity == pytest.approx(1.0, rel=0.5)
+    assert gust.intensity == pytest.approx(1.0, rel=0.2)
+    assert gust.share == 1.0
+    assert 0.02 < gust.std < 0.3
     assert gust.effect is CATALOGUE["gust"]
-    assert gust_gain(blown(arpl_250g, intensity=2.0, seed=0), []).gain > gust.gain
+    assert gust_beside(blown(arpl_250g, intensity=2.0, seed=0), []).gain > gust.gain
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_white_noise_is_no_gust(arpl_250g, seed):
-    assert gust_gain(blown(arpl_250g, intensity=0.0, seed=seed), []).score < 0
+    assert gust_beside(blown(arpl_250g, intensity=0.0, seed=seed), []).score < 0
 
 
 def test_without_wind_or_without_a_stochastic_effect_there_is_no_gust(arpl_250g):
     only_wind = blown(arpl_250g, intensity=1.0, seed=0, catalogue={"wind": CATALOGUE["wind"]})
-    assert gust_gain(only_wind, []).effect is None
+    assert gust_beside(only_wind, []).effect is None
     random = np.random.default_rng(0)
     columns = [random.standard_normal((50, CHANNELS, 1))]
     other = regression(arpl_250g, [candidate(effect("a"), 0)], columns, [columns[0][:, :, 0]], catalogue=CATALOGUE)
-    assert gust_gain(other, []).score == -np.inf
+    assert gust_beside(other, []).score == -np.inf

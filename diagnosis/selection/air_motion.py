@@ -1,0 +1,125 @@
+"""Random air motion as a nuisance: half-wave cosines of air velocity, a random effect of one strength, marginalised.
+
+The cosines act through the regressors of a steady wind. Segments are cut into parts, whose cosines are independent.
+Their products with rows and columns are kept along the eigenvectors of their own Gram matrix, so that the normal
+equations beside a gust of any strength are a few products.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from diagnosis.selection.noise import NoiseModel
+from diagnosis.thresholds import GustThresholds
+from dynamics.arrays import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """A segment's whitened columns (m, c, k) and rows (m, c), and the errors of both that sensors' noise causes."""
+
+    columns: Floats
+    rows: Floats
+    column_errors: Floats
+    row_errors: Floats
+
+    def flat(self) -> tuple[Floats, Floats, Floats, Floats]:
+        """The same with time and channels in one: (m c, k), (m c,), twice."""
+        width = self.columns.shape[2]
+        return (
+            self.columns.reshape(-1, width),
+            self.rows.ravel(),
+            self.column_errors.reshape(-1, width),
+            self.row_errors.ravel(),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Waves:
+    """One flight's cosines along the eigenvectors of their whitened Gram matrix, and what they share with the rest.
+
+    eigenvalues: (w,) of the cosines, each weighted by a gust's spectrum, 1/(m/s)^2.
+    columns, rows: (k, w) and (w,) their products with the whitened columns and rows.
+    column_errors, row_errors: the same with the errors in these that noise added to the segments causes.
+    """
+
+    eigenvalues: Floats
+    columns: Floats
+    rows: Floats
+    column_errors: Floats
+    row_errors: Floats
+
+    def reduction(self, variance: float, places: Sequence[int], *, corrected: bool) -> tuple[Floats, Floats]:
+        """(p, p) and (p,) what a gust of this variance takes off the normal equations of the columns at some places.
+
+        corrected: whether errors in variables are taken off.
+        """
+        weight = variance / (1 + variance * self.eigenvalues)
+        x = self.columns[places]
+        gram, product = (x * weight) @ x.T, (x * weight) @ self.rows
+        if corrected:
+            e = self.column_errors[places]
+            gram, product = gram - (e * weight) @ e.T, product - (e * weight) @ self.row_errors
+        return gram, product
+
+    def gain(self, variance: float) -> float:
+        """Twice the log-likelihood that a gust of this variance gains in the rows, without any column."""
+        grown = 1 + variance * self.eigenvalues
+        return float(np.sum(variance / grown * self.rows**2) - np.sum(np.log(grown)))
+
+
+def make_waves(
+    segments: Sequence[Whitened],
+    wind: Sequence[Floats],
+    noise: NoiseModel,
+    rate: float,
+    thresholds: GustThresholds,
+) -> Waves:
+    """The waves of one flight. wind: (m + order, 12, a) regressors of a steady wind, a segment each, per m/s."""
+    parts = [
+        part for one, air in zip(segments, wind, strict=True) for part in _parts(one, air, noise, rate, thresholds)
+    ]
+    return Waves(
+        np.concatenate([part.eigenvalues for part in parts]),
+        np.concatenate([part.columns for part in parts], axis=1),
+        np.concatenate([part.rows for part in parts]),
+        np.concatenate([part.column_errors for part in parts], axis=1),
+        np.concatenate([part.row_errors for part in parts]),
+    )
+
+
+def _parts(
+    segment: Whitened, wind: Floats, noise: NoiseModel, rate: float, thresholds: GustThresholds
+) -> Iterator[Waves]:
+    """The waves of each part of a segment."""
+    count = len(segment.rows)
+    edges = np.linspace(0, count, max(1, round(count / (thresholds.part * rate))) + 1).astype(int).tolist()
+    for start, stop in itertools.pairwise(edges):
+        air = wind[start : stop + noise.order]
+        basis, weight = cosines(len(air), rate, thresholds)
+        waves = air[:, :, :, None] * (basis * np.sqrt(weight))[:, None, None, :]
+        flat = noise.whiten(waves.reshape(*air.shape[:2], -1)).reshape(-1, air.shape[2] * len(weight))
+        values, vectors = np.linalg.eigh(flat.T @ flat)
+        here = slice(start, stop)
+        part = Whitened(
+            segment.columns[here], segment.rows[here], segment.column_errors[here], segment.row_errors[here]
+        )
+        x, y, x_error, y_error = (flat.T @ of for of in part.flat())
+        yield Waves(np.maximum(values, 0.0), x.T @ vectors, vectors.T @ y, x_error.T @ vectors, vectors.T @ y_error)
+
+
+def cosines(count: int, rate: float, thresholds: GustThresholds) -> tuple[Floats, Floats]:
+    """(m, k) half-wave cosines, and the weight (k,) that a gust's spectrum gives to each.
+
+    Amplitudes whose variances are the weights make an air velocity of variance 1.
+    """
+    duration = count / rate
+    order = np.arange(int(2 * duration * thresholds.max_frequency) + 1)
+    basis = np.cos(np.pi * np.outer((np.arange(count) + 0.5) / count, order))
+    share = np.where(order == 0, 1.0, 0.5)  # mean square of each cosine
+    weight = np.where(order == 0, 0.5, 1.0) / (1 + (order / (2 * duration) / thresholds.corner) ** 2)
+    return basis, weight / float(weight @ share)
