@@ -13,7 +13,7 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
+from diagnosis.estimation.evaluation import held_out_floor, reduced_chi_square, residuals_in
 from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.report import ChannelError, Diagnosis
@@ -105,7 +105,8 @@ def add_effect(
             f"{name} was not added: on the held-out flights the error does not fall (squared error over noise "
             f"{was:.4g} before, {now.chi_square:.4g} after). `alula diagnose` shows what is missing, if anything."
         )
-    errors = channel_errors(before, now.rows, regression, dataset.held_out)
+    floor = held_out_floor(regression, dataset.held_out, now.rows)
+    errors = channel_errors(before, now.rows, regression, floor)
     return Addition(
         vehicle=with_history(now.fit.vehicle, f"added {candidate.key}", dataset, errors, date=date, command=command),
         estimates=now.fit.estimates,

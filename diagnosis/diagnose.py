@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import accepted_fit
+from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.equation_error import Fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.next_flight import next_flight
@@ -30,6 +30,7 @@ class DiagnosisDetails:
     diagnosis: the answer.
     vehicle: with the missing effects at their fitted values.
     regression, selection: of the fitted flights.
+    accepted: which of the selected effects are named, and why the others are not.
     residual_tests: of the identified model on the fitted flights.
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
@@ -40,6 +41,7 @@ class DiagnosisDetails:
     vehicle: Vehicle
     regression: Regression
     selection: Selection
+    accepted: Accepted
     residual_tests: ResidualTests
     before: list[Floats]
     after: list[Floats]
@@ -59,28 +61,30 @@ def diagnose_dataset(
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     selection = select(regression)
     accepted = accepted_fit(regression, selection, dataset)
-    before, after = (residuals_in(regression, v, dataset.held_out) for v in (vehicle, accepted.vehicle))
+    before, after = (residuals_in(regression, v, dataset.held_out) for v in (vehicle, accepted.fit.vehicle))
     tests = run_residual_tests(
         regression,
-        residuals_in(regression, accepted.vehicle, dataset.fitted),
+        residuals_in(regression, accepted.fit.vehicle, dataset.fitted),
         by_position=selection.gust_detected,
     )
     effects = missing_effects(regression, selection, accepted)
     quiet = not_excited(regression, selection.chosen)
-    maps = regime_maps(dataset.held_out, before, regression.noise.floor, vehicle, thresholds.regimes)
+    maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     diagnosis = Diagnosis(
-        verdict=_verdict(regression, selection, accepted, effects, tests, before, after),
+        verdict=_verdict(regression, selection, accepted.fit, effects, tests, before, after),
         effects=effects,
-        channels=channel_errors(before, after, regression, dataset.held_out),
+        channels=channel_errors(before, after, regression, accepted.floor),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight([effects[0].name, *effects[0].ambiguous_with] if effects else [], quiet, catalogue),
+        refused=accepted.refused,
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
-        vehicle=accepted.vehicle,
+        vehicle=accepted.fit.vehicle,
         regression=regression,
         selection=selection,
+        accepted=accepted,
         residual_tests=tests,
         before=before,
         after=after,

@@ -9,6 +9,19 @@ import msgspec
 from diagnosis.regimes import Failure
 
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
+Reason = Literal[
+    "too_small",
+    "interval_holds_neutral",
+    "few_resamples",
+    "channel_worse",
+    "open_loop_worse",
+    "redundant",
+    "at_bound",
+    "worse_than_rival",
+    "contradicted",
+    "not_converged",
+]
+HINTS = ("interval_holds_neutral", "few_resamples")
 
 
 class ParameterValue(msgspec.Struct, frozen=True):
@@ -35,6 +48,29 @@ class MissingEffect(msgspec.Struct, frozen=True):
     ambiguous_with: tuple[str, ...]
 
 
+class Refused(msgspec.Struct, frozen=True):
+    """An effect that was selected and is not named.
+
+    name, rotor: of the catalogue, and the rotor that it acts on, if any.
+    reason: the test that it failed first.
+    detail: the numbers behind the reason, by name.
+    where: kind of channel, or quantity of the open loop, that they are of; empty for none.
+    parameters: fitted values.
+    """
+
+    name: str
+    rotor: int | None
+    reason: Reason
+    detail: dict[str, float] = {}
+    where: str = ""
+    parameters: dict[str, float] = {}
+
+    @property
+    def is_hint(self) -> bool:
+        """Whether it may be there: these flights are too few to say."""
+        return self.reason in HINTS
+
+
 class ChannelError(msgspec.Struct, frozen=True):
     """RMS over the three axes on held-out flights, before and after, and the sensors' noise floor of the same."""
 
@@ -52,6 +88,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     not_excited: effects that would not have shown at their usual size.
     fails_where: cells in which the model fails most.
     next_flight: the manoeuvre to fly next.
+    refused: effects that were selected and are not named, each with its reason.
     """
 
     verdict: Verdict
@@ -60,6 +97,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     not_excited: tuple[str, ...]
     fails_where: tuple[Failure, ...]
     next_flight: str
+    refused: tuple[Refused, ...] = ()
 
 
 def sentence(diagnosis: Diagnosis) -> str:

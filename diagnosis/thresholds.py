@@ -306,6 +306,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_steps: of Gauss-Newton. [not derived yet]
     max_cost_growth: factor on the cost beyond which a step is halved. [not derived yet]
     converged: step over the standard deviation at which it ends; output error uses the same. [not derived yet]
+    max_unsettled: the same beyond which a fit that has ended has no interval. [not derived yet]
     difference_step: of finite differences, relative. [not derived yet]
     min_lag_rows: shortest lag that one Runge-Kutta step a row follows, rows. [formula: stability of RK4, 1 / 2.8]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
@@ -314,6 +315,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_steps: Count = 8
     max_cost_growth: Factor = 1.001
     converged: Positive = 0.02
+    max_unsettled: Positive = 0.3
     difference_step: Positive = 0.02
     min_lag_rows: Positive = 0.4
     block: Positive = 2.0
@@ -341,16 +343,18 @@ class OutputErrorThresholds(ThresholdGroup, frozen=True):
 
 
 class AcceptanceThresholds(ThresholdGroup, frozen=True):
-    """Held-out flights decide about effects.
+    """Held-out flights judge, once, the set of effects that was selected on the others.
 
     max_ratio: of the held-out reduced chi-square with an effect over that without it. [not derived yet]
-    max_redundant_ratio: of it without an effect over that with it, at which the effect is dropped, and within which
-    rivals are alike. [decisions: the full model decides]
+    max_redundant_ratio: of the reduced chi-square of the fitted flights, within which rivals are alike. [decisions:
+    the full model decides]
     min_held_out_change: squared change over noise on held-out flights, below which these cannot judge. [decisions:
     held-out flights]
     leading: effects whose rivals are fitted in the full model. [decisions: the full model decides]
     typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
     flights]
+    max_linear_rise: of an error without an effect, over the floor, up to which the others are fitted again in full and
+    not by their linearised equations. [not derived yet]
     """
 
     max_ratio: Share = 0.999
@@ -358,6 +362,26 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
     min_held_out_change: Score = 25.0
     leading: Count = 2
     typical_window: Positive = 2.0
+    max_linear_rise: Score = 0.1
+
+
+class RelevanceThresholds(ThresholdGroup, frozen=True):
+    """What is too small to matter, and what is chance.
+
+    min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
+    max_rise: of the same that is no loss, when an effect is put in. [definition: that of `min_rise`]
+    deviations: of an estimate from its neutral value, or of a change from none, that is not chance. [convention: 95 %]
+    block: over which errors may be correlated, s. [decisions: intervals come from blocks]
+    min_blocks: into which errors are divided where there are fewer of that length. [not derived yet]
+    min_agreement: share of flight resamples that name an effect. [definition: the majority]
+    """
+
+    min_rise: Score = 0.02
+    max_rise: Score = 0.02
+    deviations: Positive = 2.0
+    block: Positive = 2.0
+    min_blocks: Count = 8
+    min_agreement: Share = 0.5
 
 
 class VerdictThresholds(ThresholdGroup, frozen=True):
@@ -465,6 +489,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     equation_error: EquationErrorThresholds = EquationErrorThresholds()
     output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
+    relevance: RelevanceThresholds = RelevanceThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()

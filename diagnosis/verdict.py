@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from diagnosis.data.segment import Segment
+from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate
-from diagnosis.estimation.evaluation import floor_norms, held_out_floor
+from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.models import channels
 from diagnosis.report import ChannelError, MissingEffect, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
@@ -22,20 +22,20 @@ from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 
 
-def missing_effects(regression: Regression, selection: Selection, accepted: Fit) -> tuple[MissingEffect, ...]:
+def missing_effects(regression: Regression, selection: Selection, accepted: Accepted) -> tuple[MissingEffect, ...]:
     """The accepted effects with their intervals, rivals and share of resamples; a gust where one was detected."""
     search, thresholds = Search(regression), regression.thresholds.verdict
     effects = []
-    for candidate in accepted.candidates:
-        others = [c for c in accepted.candidates if c is not candidate]
+    for candidate in accepted.fit.candidates:
+        others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
         near = [s.candidates[-1].effect.name for s in near_rivals(search, others, rivals)]
         effects.append(
             MissingEffect(
                 name=candidate.effect.name,
                 rotor=candidate.rotor,
-                parameters=_parameters(accepted, candidate),
-                confidence=_confidence(search, rivals, thresholds.resamples),
+                parameters=_parameters(accepted.fit, candidate),
+                confidence=accepted.agreement[candidate.key],
                 ambiguous_with=tuple(near[: thresholds.max_ambiguous - 1]),
             )
         )
@@ -61,17 +61,6 @@ def _parameters(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue
 
 def _value(estimate: ParameterEstimate) -> ParameterValue:
     return ParameterValue(estimate.value, estimate.std, estimate.unit)
-
-
-def _confidence(search: Search, rivals: Sequence[Scored], resamples: int) -> float:
-    """Share of flight resamples in which the first of the rivals wins."""
-    regression, random, wins = search.regression, np.random.default_rng(0), 0
-    penalties = [sum(search.penalty(c) for c in s.candidates) for s in rivals]
-    for _ in range(resamples):
-        flights = random.choice(len(regression.flights), len(regression.flights)).tolist()
-        scores = [regression.gain(s.columns, flights) - p for s, p in zip(rivals, penalties, strict=True)]
-        wins += int(np.argmax(scores)) == 0
-    return wins / resamples
 
 
 def judge(
@@ -158,16 +147,12 @@ def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
 
 
 def channel_errors(
-    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, held_out: Sequence[Segment] = ()
+    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, floor: Floats
 ) -> dict[str, ChannelError]:
-    """Error of each kind that there is, before and after, over its floor.
-
-    held_out: the segments of before and after, on which the floor is estimated; without them, on the fitted flights.
-    """
-    level = held_out_floor(regression, held_out, after) if held_out else regression.noise.floor
-    was, now, floor = channels.norms(before), channels.norms(after), floor_norms(level)
+    """Error of each kind that the regression has, before and after, over its floor. floor: (12,) of the same rows."""
+    was, now, levels = channels.norms(before), channels.norms(after), floor_norms(floor)
     return {
-        kind: ChannelError(was[kind], now[kind], floor[kind], channels.UNITS[kind])
+        kind: ChannelError(was[kind], now[kind], levels[kind], channels.UNITS[kind])
         for kind in channels.KINDS
-        if floor[kind] > 0
+        if levels[kind] > 0
     }

@@ -1,124 +1,278 @@
-"""Acceptance of the selected effects: forward, then backward, in the full model and on held-out flights."""
+"""Acceptance of the selected effects: held-out flights judge, once, what was selected on the others.
+
+An effect is named where its absence shows: the others are fitted again without it, and the error of a kind of channel
+must rise by what matters, on no kind may it fall by more than chance. Its interval must exclude its neutral value and
+most resamples of the flights must agree. What fails is refused with its reason, the weakest effect first, until all
+that remain hold.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import chi2, norm
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.equation_error import Fit, fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
+from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
+from diagnosis.estimation.evaluation import reduced_chi_square, residual_floor, residuals_in, saturated_floor
+from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, open_loop_changes
+from diagnosis.models.open_loop import open_loop_windows
+from diagnosis.report import Reason, Refused
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import near_rivals, rivals_of
+from diagnosis.selection.rivals import near_rivals, resample_shares, rivals_of
 from diagnosis.selection.search import Search, Selection
 from dynamics.arrays import Floats
+from dynamics.vehicle import Vehicle
 
 
-def accepted_fit(regression: Regression, selection: Selection, dataset: Dataset) -> Fit:
-    """The fit of as many of the selected effects as lower the error on held-out flights, added one by one."""
-    accepted: list[Candidate] = []
-    best = fit(regression, accepted)
-    rows = residuals_in(regression, best.vehicle, dataset.held_out)
-    for candidate in _decided_rivals(regression, selection.chosen.candidates, dataset):
-        trial = fit(regression, [*accepted, candidate])
-        if at_its_bounds(trial, candidate):
-            continue
-        trial_rows = residuals_in(regression, trial.vehicle, dataset.held_out)
-        if confirmed(rows, trial_rows, regression):
-            best, rows = trial, trial_rows
-            accepted.append(candidate)
-    return _with_refitted_effects(_without_redundant(best, regression, dataset), regression, dataset)
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """The effects that are named.
 
-
-def _with_refitted_effects(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
-    """The fit with the vehicle file's own effects fitted again beside the new ones, where that helps held-out flights.
-
-    They were fitted without the new ones, and may have absorbed a part of them.
+    fit: of them.
+    refused: what was selected and is not among them.
+    relevance: by an effect's key and kind of channel, held-out error without it (`before`) and with it (`after`).
+    agreement: share of flight resamples that name it, by key.
+    floor: (12,) noise floor of the held-out flights.
     """
+
+    fit: Fit
+    refused: tuple[Refused, ...]
+    relevance: Mapping[str, Mapping[str, ErrorChange]]
+    agreement: Mapping[str, float]
+    floor: Floats
+
+
+def accepted_fit(
+    regression: Regression, selection: Selection, dataset: Dataset, vehicle: Vehicle | None = None
+) -> Accepted:
+    """Of the selected effects those that held-out flights bear out, fitted jointly on the others.
+
+    vehicle: that lacks them, by default the regression's. Its own effects are fitted again beside them, since they
+    were fitted without them and may have absorbed a part of them.
+    """
+    lacking = regression.vehicle if vehicle is None else vehicle
+    trial = _Trial(regression, dataset, lacking)
+    chosen, worse = _decided_rivals(regression, selection.chosen.candidates, lacking)
+    return trial.reduced([*chosen, *_own_effects(regression, chosen)], {c.key for c in chosen}, worse)
+
+
+def _own_effects(regression: Regression, chosen: Sequence[Candidate]) -> list[Candidate]:
+    """Corrections of the vehicle file's own effects that stand beside the chosen ones."""
     names = {(use.name, use.rotor) for use in regression.vehicle.effects}
-    new = {c.key for c in best.candidates}
-    own = [
-        c for c in regression.candidates if (c.effect.name, c.rotor) in names and not c.fixed_shape and c.key not in new
-    ]
-    if not own or not best.candidates:
-        return best
-    together = fit(regression, [*best.candidates, *own])
-    before, after = (_chi_square(trial, regression, dataset.held_out) for trial in (best, together))
-    if not after < regression.thresholds.acceptance.max_ratio * before:
-        return best
-    estimates = {key: value for key, value in together.estimates.items() if key[0] in new}
-    return Fit(together.vehicle, estimates, best.candidates)
+    taken = {c.key for c in chosen}
+    own = [c for c in regression.candidates if (c.effect.name, c.rotor) in names and not c.fixed_shape]
+    return [c for c in own if c.key not in taken] if chosen else []
 
 
-def _without_redundant(best: Fit, regression: Regression, dataset: Dataset) -> Fit:
-    """The fit without effects that the others, fitted again, replace on the fitted and on the held-out flights."""
-    max_ratio = regression.thresholds.acceptance.max_redundant_ratio
-
-    def levels(trial: Fit) -> list[float]:
-        return [_chi_square(trial, regression, part) for part in (dataset.fitted, dataset.held_out)]
-
-    while len(best.candidates) > 1:
-        limits = [max_ratio * level for level in levels(best)]
-        fewer = [fit(regression, [c for c in best.candidates if c is not one]) for one in best.candidates]
-        reached = [(levels(trial), trial) for trial in fewer]
-        as_good = [
-            (sum(now), trial) for now, trial in reached if all(n <= limit for n, limit in zip(now, limits, strict=True))
-        ]
-        if not as_good:
-            return best
-        best = min(as_good, key=lambda pair: pair[0])[1]
-    return best
-
-
-def _decided_rivals(regression: Regression, chosen: Sequence[Candidate], dataset: Dataset) -> tuple[Candidate, ...]:
+def _decided_rivals(
+    regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle
+) -> tuple[list[Candidate], list[Refused]]:
     """The selected effects, the leading ones in favour of near rivals with which the full model fits clearly better.
 
     To the linear regression a wrong mass and a wrong thrust constant are the same; beside a strong drag they are not.
+    The fitted flights alone decide.
     """
     thresholds = regression.thresholds.acceptance
-    search, best, level = Search(regression), list(chosen), 0.0
+    search, best, refused, level = Search(regression), list(chosen), list[Refused](), 0.0
+
+    def chi_square(candidates: Sequence[Candidate]) -> float:
+        fitted = fit(regression, candidates, vehicle=vehicle)
+        return reduced_chi_square(residuals_in(regression, fitted.vehicle, regression.segments), regression.noise)
+
     for place in range(min(len(chosen), thresholds.leading)):
-        leading = best[: thresholds.leading]
-        others = [c for i, c in enumerate(leading) if i != place]
-        near = near_rivals(search, others, rivals_of(search, others, leading[place]))
+        others = [c for i, c in enumerate(best) if i != place]
+        near = near_rivals(search, others, rivals_of(search, others, best[place]))
         for rival in near[:1]:
-            level = level or _chi_square(fit(regression, leading), regression, dataset.everything)
-            trial = [*leading[:place], rival.candidates[-1], *leading[place + 1 :]]
-            trial_level = _chi_square(fit(regression, trial), regression, dataset.everything)
+            level = level or chi_square(best)
+            trial = [*best[:place], rival.candidates[-1], *best[place + 1 :]]
+            trial_level = chi_square(trial)
             if thresholds.max_redundant_ratio * trial_level < level:
-                best, level = [*trial, *best[thresholds.leading :]], trial_level
-    return tuple(best)
+                numbers = {"chi_square": level, "of_rival": trial_level}
+                refused.append(Refused(best[place].effect.name, best[place].rotor, "worse_than_rival", numbers))
+                best, level = trial, trial_level
+    return best, refused
 
 
-def _chi_square(trial: Fit, regression: Regression, segments: Sequence[Segment]) -> float:
-    return reduced_chi_square(residuals_in(regression, trial.vehicle, segments), regression.noise)
+class _Trial:
+    """The trial of effects that a vehicle lacks, on held-out flights."""
+
+    def __init__(self, regression: Regression, dataset: Dataset, vehicle: Vehicle) -> None:
+        self._regression, self._dataset, self._vehicle = regression, dataset, vehicle
+        self._limits, self._search = regression.thresholds.relevance, Search(regression)
+        self._saturated_floor = saturated_floor(regression, dataset.held_out)
+        self._fits: dict[frozenset[str], Fit] = {}
+
+    def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
+        """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's."""
+        best, refused = self._fit(candidates), list(refused)
+        while True:
+            relevance, floor = self._relevance(best)
+            failing = [(c, r) for c in best.candidates if (r := self._failure(best, c, relevance[c.key])) is not None]
+            failing = failing or self._open_loop_failure(best)
+            if not failing:
+                break
+            own = [pair for pair in failing if pair[0].key not in chosen]  # corrections of the file's effects first
+            weakest, failure = min(own or failing, key=lambda pair: _strength(relevance[pair[0].key]))
+            if weakest.key in chosen:
+                refused.append(failure)
+            best = self._fit([c for c in best.candidates if c is not weakest])
+        agreement = {c.key: self._agreement(best, c)[0] for c in best.candidates}
+        return Accepted(best, tuple(refused), relevance, agreement, floor)
+
+    def _fit(self, candidates: Sequence[Candidate], start: Mapping[tuple[str, str], float] | None = None) -> Fit:
+        keys = frozenset(c.key for c in candidates)
+        if keys not in self._fits:
+            self._fits[keys] = fit(self._regression, candidates, vehicle=self._vehicle, start=start)
+        return self._fits[keys]
+
+    def _relevance(self, best: Fit) -> tuple[dict[str, dict[str, ErrorChange]], Floats]:
+        """What each effect does to the errors, by key and kind of channel, and the held-out floor (12,)."""
+        rows = self._rows(best.vehicle, self._dataset.held_out)
+        floor = np.minimum(self._saturated_floor, residual_floor(self._regression, rows))
+        return {c.key: self._error_changes(best, c, rows, floor) for c in best.candidates}, floor
+
+    def _error_changes(
+        self, best: Fit, candidate: Candidate, rows: Sequence[Floats], floor: Floats
+    ) -> dict[str, ErrorChange]:
+        """Errors without an effect and with it, by kind of channel, on the held-out flights if it shows there."""
+        regression, thresholds = self._regression, self._regression.thresholds.acceptance
+        segments: Sequence[Segment] = self._dataset.held_out
+        values, fewer = left_out(best, candidate, self._vehicle)
+        without = self._rows(fewer, segments)
+        if _squared_change(rows, without, regression) < thresholds.min_held_out_change:
+            segments, floor = self._dataset.fitted, regression.noise.floor
+            rows, without = self._rows(best.vehicle, segments), self._rows(fewer, segments)
+        by_kind = channel_changes(without, rows, floor, regression.rate, self._limits)
+        if _strength(by_kind) < thresholds.max_linear_rise:
+            fewer = self._fit([c for c in best.candidates if c is not candidate], values).vehicle
+            by_kind = channel_changes(self._rows(fewer, segments), rows, floor, regression.rate, self._limits)
+        return by_kind
+
+    def _failure(self, best: Fit, candidate: Candidate, by_kind: Mapping[str, ErrorChange]) -> Refused | None:
+        """The first test that an effect fails, None where it passes all."""
+        limits, kinds = self._limits, list(by_kind)
+
+        def refused(reason: Reason, where: str = "", **detail: float) -> Refused:
+            values = {name: e.value for (key, name), e in best.estimates.items() if key == candidate.key}
+            return Refused(candidate.effect.name, candidate.rotor, reason, detail, where, values)
+
+        if candidate.key in best.unsettled:
+            return refused("not_converged")
+        if (bound := at_its_bounds(best, candidate, self._vehicle)) is not None:
+            return refused("at_bound", bound)
+        strongest = min(kinds, key=lambda kind: by_kind[kind].rise)
+        if not -by_kind[strongest].rise >= limits.min_rise:
+            change = by_kind[strongest]
+            numbers = {"before": change.before, "after": change.after, "floor": change.floor}
+            return refused("redundant" if self._shows_alone(best, candidate) else "too_small", strongest, **numbers)
+        for kind in kinds:
+            if by_kind[kind].is_worse(limits):
+                contradicted = kind == "imu" and _is_force(candidate)
+                numbers = {"before": by_kind[kind].before, "after": by_kind[kind].after, "floor": by_kind[kind].floor}
+                return refused("contradicted" if contradicted else "channel_worse", kind, **numbers)
+        deviations = deviations_from_neutral(best, candidate, self._vehicle)
+        if deviations < limits.deviations:
+            return refused("interval_holds_neutral", deviations=deviations, required=limits.deviations)
+        _, share = self._agreement(best, candidate)
+        if share < limits.min_agreement:
+            return refused("few_resamples", share=share, required=limits.min_agreement)
+        return None
+
+    def _shows_alone(self, best: Fit, candidate: Candidate) -> bool:
+        """Whether an effect that the others replace would show if they stayed as they are."""
+        values = {f"{key}.{name}": e.value for (key, name), e in best.estimates.items()}
+        others = [c for c in best.candidates if c is not candidate]
+        rows, without = (
+            self._rows(vehicle, self._dataset.held_out)
+            for vehicle in (best.vehicle, with_candidates(self._vehicle, others, values))
+        )
+        floor = np.minimum(self._saturated_floor, residual_floor(self._regression, rows))
+        return _strength(channel_changes(without, rows, floor, self._regression.rate, self._limits)) >= (
+            self._limits.min_rise
+        )
+
+    def _agreement(self, best: Fit, candidate: Candidate) -> tuple[float, float]:
+        """Share of flight resamples that name an effect, and that name it or one which the flights cannot tell."""
+        others = [c for c in best.candidates if c is not candidate]
+        rivals = rivals_of(self._search, others, candidate)
+        near = near_rivals(self._search, others, rivals)
+        return resample_shares(self._search, others, rivals, near)
+
+    def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
+        """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
+        if not best.candidates:
+            return []
+        before, after = self._open_loop(self._vehicle), self._open_loop(best.vehicle)
+        interval = self._regression.thresholds.prediction.start_interval
+        by_kind = open_loop_changes(before, after, interval, self._limits)
+        worse = {place: change for place, change in by_kind.items() if change.is_worse(self._limits)}
+        if not worse:
+            return []
+        (horizon, quantity), change = max(worse.items(), key=lambda item: item[1].rise)
+
+        def without(candidate: Candidate) -> float:
+            windows = self._open_loop(left_out(best, candidate, self._vehicle)[1])
+            return open_loop_changes(before, windows, interval, self._limits)[horizon, quantity].after
+
+        culprit = min(best.candidates, key=without)
+        numbers = {"horizon": horizon, "before": change.before, "after": change.after}
+        return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
+
+    def _open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
+        regression = self._regression
+        return open_loop_windows(
+            vehicle, regression.catalogue, self._dataset.held_out, regression.thresholds.prediction
+        )
+
+    def _rows(self, vehicle: Vehicle, segments: Sequence[Segment]) -> list[Floats]:
+        return residuals_in(self._regression, vehicle, segments)
 
 
-def confirmed(before: Sequence[Floats], after: Sequence[Floats], regression: Regression) -> bool:
-    """Whether an addition lowers the held-out error, in the mean or in a typical window.
+def _strength(by_kind: Mapping[str, ErrorChange]) -> float:
+    """By how much the error of some kind of channel would rise over its floor without an effect."""
+    return max((-change.rise for change in by_kind.values()), default=0.0)
 
-    A few chaotic seconds may dominate the mean. Where the addition changes next to nothing it is confirmed, since
-    cross-validation on the fitted flights has selected it.
-    before, after: (m, 12) residuals of the held-out segments.
+
+def _squared_change(one: Sequence[Floats], other: Sequence[Floats], regression: Regression) -> float:
+    """Squared whitened difference of residuals (m, 12)."""
+    return sum(float(np.sum(regression.noise.whiten(a - b) ** 2)) for a, b in zip(one, other, strict=True))
+
+
+def _is_force(candidate: Candidate) -> bool:
+    """Whether an effect pushes the vehicle, which the accelerometer shows."""
+    return candidate.effect.wrench is not None or candidate.effect.wind is not None
+
+
+def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -> float:
+    """Standard deviations by which an effect's size differs from none, or from the vehicle file's own value.
+
+    Over all parameters in which the effect is linear together; 2 is a probability of 95 %.
     """
-    noise, thresholds = regression.noise, regression.thresholds.acceptance
-    change = sum(float(np.sum(noise.whiten(a - b) ** 2)) for a, b in zip(after, before, strict=True))
-    if change < thresholds.min_held_out_change:
-        return True
-    means = [reduced_chi_square(rows, noise) for rows in (before, after)]
-    typical = [typical_chi_square(rows, regression) for rows in (before, after)]
-    return any(was_now[1] < thresholds.max_ratio * was_now[0] for was_now in (means, typical))
+    values, neutral = list(best.estimates.values()), neutral_values(best, candidate, vehicle)
+    places = list(neutral)
+    if not places:
+        return 0.0
+    distance = np.array([values[i].value - neutral[i] for i in places])
+    covariance = best.covariance[np.ix_(places, places)]
+    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
+    scaled = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-10)
+    squared = float((distance / scale) @ scaled @ (distance / scale))
+    return float(norm.isf(max(chi2.sf(squared, len(places)), 1e-300) / 2))
 
 
-def at_its_bounds(trial: Fit, candidate: Candidate) -> bool:
-    """Whether a fit has driven a candidate's parameter to a physical bound, where it likely absorbs another effect."""
+def at_its_bounds(trial: Fit, candidate: Candidate, vehicle: Vehicle) -> str | None:
+    """The parameter that a fit has driven to a physical bound, where it likely absorbs another effect, if any.
+
+    The vehicle file may name an effect that does not exist: its own one may go to its neutral value.
+    """
     if candidate.effect.measurement is not None:  # a sensor may well be dead
-        return False
-    # at its neutral value the effect vanishes and absorbs nothing: the vehicle file may name one that does not exist
-    limits = {p.name: {p.lower, p.upper} - {p.neutral} for p in candidate.effect.parameters}
-    return any(
-        estimate.value in limits[name] for (key, name), estimate in trial.estimates.items() if key == candidate.key
-    )
+        return None
+    own = any((use.name, use.rotor) == (candidate.effect.name, candidate.rotor) for use in vehicle.effects)
+    limits = {p.name: {p.lower, p.upper} - ({p.neutral} if own else set()) for p in candidate.effect.parameters}
+    at = (name for (key, name), e in trial.estimates.items() if key == candidate.key and e.value in limits[name])
+    return next(at, None)

@@ -7,10 +7,11 @@ the slow columns serve as instruments; errors in variables are corrected as in t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -39,11 +40,21 @@ class Fit:
     vehicle: with the effects at their fitted values.
     estimates: by (effect's key, parameter).
     candidates: what was fitted.
+    covariance: (k, k) of the estimates, in their order.
+    information: (k, k) normal equations of the same, biases marginalised.
+    unsettled: keys of effects on whose parameters the fit did not converge; their covariance says nothing.
     """
 
     vehicle: Vehicle
     estimates: Mapping[tuple[str, str], ParameterEstimate]
     candidates: tuple[Candidate, ...]
+    covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    unsettled: frozenset[str] = frozenset()
+
+    def of(self, candidate: Candidate) -> list[int]:
+        """Places of a candidate's parameters among the estimates."""
+        return [place for place, (key, _) in enumerate(self.estimates) if key == candidate.key]
 
 
 def with_candidates(vehicle: Vehicle, candidates: Sequence[Candidate], values: Mapping[str, float]) -> Vehicle:
@@ -57,40 +68,106 @@ def with_candidates(vehicle: Vehicle, candidates: Sequence[Candidate], values: M
     return msgspec.structs.replace(vehicle, effects=(*others, *added))
 
 
-def fit(regression: Regression, candidates: Sequence[Candidate]) -> Fit:
-    """Joint fit of candidates on the regression's flights, starting from its linear solution."""
+def fit(
+    regression: Regression,
+    candidates: Sequence[Candidate],
+    *,
+    vehicle: Vehicle | None = None,
+    start: Mapping[tuple[str, str], float] | None = None,
+) -> Fit:
+    """Joint fit of candidates on the regression's flights.
+
+    vehicle: that they are added to; by default the regression's. start: values at which the fit begins, by (effect's
+    key, parameter); by default the linear solution.
+    """
+    base = regression.vehicle if vehicle is None else vehicle
     if not candidates:
-        return Fit(regression.vehicle, {}, ())
-    problem = _EquationErrorProblem(regression, candidates)
-    values, covariance = _settle(problem)
+        return Fit(base, {}, ())
+    problem = _EquationErrorProblem(regression, candidates, base)
+    values, last, settled = _settle(problem, problem.start(start))
+    covariance = last.covariance
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates = {}
     for place, (candidate, name) in enumerate(problem.free):
         unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
         estimates[candidate.key, name] = ParameterEstimate(float(values[place]), float(deviation[place]), unit)
     named = dict(zip(problem.names, values.tolist(), strict=True))
-    vehicle = with_candidates(regression.vehicle, candidates, named)
-    return Fit(vehicle, estimates, tuple(candidates))
+    unsettled = frozenset(c.key for (c, _), done in zip(problem.free, settled, strict=True) if not done)
+    fitted = with_candidates(base, candidates, named)
+    return Fit(fitted, estimates, tuple(candidates), covariance, last.information, unsettled)
 
 
-def _settle(problem: _EquationErrorProblem) -> tuple[Floats, Floats]:
-    """Values to which Gauss-Newton converges from the linear solution, and their covariance.
+def neutral_values(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> dict[int, float]:
+    """Values, by place among a fit's estimates, at which a candidate changes nothing.
+
+    They are of the parameters in which the effect is linear, or of all where it has none: the vehicle's own values of
+    an effect that it has, else neutral ones.
+    """
+    own = next((u.parameters for u in vehicle.effects if (u.name, u.rotor) == candidate.identity), None)
+    neutral = {p.name: p.neutral for p in candidate.effect.parameters} if own is None else own
+    linear = candidate.free or tuple(candidate.at)
+    names = [name for _, name in fitted.estimates]
+    return {i: neutral[names[i]] for i in fitted.of(candidate) if names[i] in linear and names[i] in neutral}
+
+
+def left_out(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[dict[tuple[str, str], float], Vehicle]:
+    """A fit without one of its candidates: values of the other parameters, by the linearised equations, and vehicle.
+
+    vehicle: that the candidates were added to.
+    """
+    keys, own = list(fitted.estimates), fitted.of(candidate)
+    values = np.array([fitted.estimates[key].value for key in keys])
+    change = np.zeros(len(own))
+    for i, value in neutral_values(fitted, candidate, vehicle).items():
+        change[own.index(i)] = value - values[i]
+    rest = [i for i in range(len(keys)) if i not in own]
+    others = [c for c in fitted.candidates if c is not candidate]
+    if rest:
+        scale = np.sqrt(np.maximum(np.abs(np.diag(fitted.information)[rest]), 1e-300))
+        inner = fitted.information[np.ix_(rest, rest)] / np.outer(scale, scale)
+        across = fitted.information[np.ix_(rest, own)] / scale[:, None]
+        values[rest] -= np.linalg.pinv(inner, rcond=1e-10) @ across @ change / scale
+    limits = {(c.key, p.name): (p.lower, p.upper) for c in others for p in c.effect.parameters}
+    moved = {keys[i]: float(np.clip(values[i], *limits[keys[i]])) for i in rest}
+    return moved, with_candidates(vehicle, others, {f"{key}.{name}": v for (key, name), v in moved.items()})
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A Gauss-Newton step.
+
+    change: (k,) of the parameters. covariance, information: (k, k) of them. cost: of the fit before the step.
+    """
+
+    change: Floats
+    covariance: Floats
+    information: Floats
+    cost: float
+
+    def is_small(self, change: Floats, share: float) -> NDArray[np.bool_]:
+        """(k,) whether a change is within a share of the standard deviations."""
+        return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
+
+
+def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, NDArray[np.bool_]]:
+    """Values to which Gauss-Newton converges, the step from there, and (k,) whether it is small.
 
     A step that makes the fit worse is halved: along a hidden state's parameters the fit is no parabola.
     """
-    thresholds = problem.thresholds
-    values = problem.start()
-    step, covariance, cost = problem.step(values)
+    thresholds, values = problem.thresholds, start
+    here = problem.step(values)
+    change = here.change
     for _ in range(thresholds.max_steps):
-        if np.all(np.abs(step) <= thresholds.converged * np.sqrt(np.maximum(np.diag(covariance), 0.0)) + 1e-15):
+        moved = problem.bounded(values, change)
+        if np.all(here.is_small(moved - values, thresholds.converged)):
             break
-        moved = problem.bounded(values, step)
-        next_step, next_covariance, next_cost = problem.step(moved)
-        if not next_cost <= thresholds.max_cost_growth * cost:
-            step = step / 2
+        there = problem.step(moved)
+        if not there.cost <= thresholds.max_cost_growth * here.cost:
+            change = change / 2
             continue
-        values, step, covariance, cost = moved, next_step, next_covariance, next_cost
-    return values, covariance
+        values, here, change = moved, there, there.change
+    left = problem.bounded(values, here.change) - values
+    return values, here, here.is_small(left, thresholds.max_unsettled) & np.isfinite(here.cost)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +209,7 @@ class _Equations:
 class _EquationErrorProblem:
     """The least-squares problem of some candidates on a regression's flights."""
 
-    def __init__(self, regression: Regression, candidates: Sequence[Candidate]) -> None:
+    def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
         self._regression = regression
         self._candidates = candidates
         self.thresholds = regression.thresholds.equation_error
@@ -142,8 +219,8 @@ class _EquationErrorProblem:
         self.bounds = [_stable(c.effect, name, min_lag) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         self._predictor = Predictor(
-            regression.vehicle,
-            with_candidates(regression.vehicle, candidates, {}).effects,
+            vehicle,
+            with_candidates(vehicle, candidates, {}).effects,
             regression.catalogue,
             self.linear,
             speed_measured=regression.segments[0].rotor_source == "measured",
@@ -153,8 +230,14 @@ class _EquationErrorProblem:
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random) for s in regression.segments]
 
-    def start(self) -> Floats:
-        """Values from the linear regression."""
+    def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
+        """Values at which the fit begins: the initial ones, else those of the linear regression."""
+        starts = self._linear_solution() if initial is None else {f"{k}.{n}": v for (k, n), v in initial.items()}
+        low, high = np.array(self.bounds).T
+        return np.clip([starts.get(f"{c.key}.{n}", c.at[n]) for c, n in self.free], low, high)
+
+    def _linear_solution(self) -> dict[str, float]:
+        """Values by the model's names, from the linear regression."""
         theta, _ = self._regression.solve([i for c in self._candidates for i in c.columns])
         starts: dict[str, float] = {}
         place = 0
@@ -168,23 +251,22 @@ class _EquationErrorProblem:
                     f"{candidate.key}.{n}": candidate.at[n] + float(t)
                     for n, t in zip(candidate.free, part, strict=True)
                 }
-        low, high = np.array(self.bounds).T
-        return np.clip([starts.get(f"{c.key}.{n}", c.at[n]) for c, n in self.free], low, high)
+        return starts
 
     def bounded(self, values: Floats, step: Floats) -> Floats:
         """Values after a step, within their bounds."""
         low, high = np.array(self.bounds).T
         return np.asarray(np.clip(values + step, low, high))
 
-    def step(self, values: Floats) -> tuple[Floats, Floats, float]:
-        """Change of the parameters, their covariance, and the cost; every flight's biases are integrated out.
+    def step(self, values: Floats) -> _Step:
+        """The step from some values; every flight's biases are integrated out.
 
         The covariance is the noise model's, widened to that of blocks of residuals (White, 1980) where that is greater.
         """
         count = len(self.free)
         equations = self._equations(dict(zip(self.names, values.tolist(), strict=True)))
         if equations is None:
-            return np.zeros(count), np.zeros((count, count)), np.inf
+            return _Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
         cost, biases = equations.cost, equations.biases
         for one, other, own in zip(equations.grams, equations.products, equations.instruments, strict=True):
@@ -196,7 +278,8 @@ class _EquationErrorProblem:
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
         step = inverse @ product
         blocks = self._blocks(equations, step)
-        return step, _greater(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T), cost
+        covariance = _greater(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T)
+        return _Step(step, covariance, gram, cost)
 
     def _equations(self, changed: Mapping[str, float]) -> _Equations | None:
         """Normal equations of each flight at changed parameters, None where hidden states have diverged."""

@@ -84,16 +84,24 @@ def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
     return float(np.exp(np.mean(np.log(means))))
 
 
+def saturated_floor(regression: Regression, segments: Sequence[Segment]) -> Floats:
+    """(12,) floor of the residuals of segments after all columns of the catalogue at once."""
+    design = [regression.design.evaluate(segment) for segment in segments]
+    return residual_floor(regression, [y - x @ regression.everything for y, x in design])
+
+
+def residual_floor(regression: Regression, rows: Sequence[Floats]) -> Floats:
+    """(12,) noise floor of residuals (m, 12) of segments."""
+    return noise_floor(rows, regression.rate, regression.noise.active, regression.thresholds.noise)
+
+
 def held_out_floor(regression: Regression, segments: Sequence[Segment], after: Sequence[Floats]) -> Floats:
     """(12,) noise floor of held-out segments. after: (m, 12) residuals of the fitted model on them.
 
     Turbulence of the rotors grows with their thrust, so that other flights have another floor. It is that of the
     residuals after all columns of the catalogue, or of the fitted model where that is lower.
     """
-    design = [regression.design.evaluate(segment) for segment in segments]
-    saturated = [y - x @ regression.everything for y, x in design]
-    active, thresholds = regression.noise.active, regression.thresholds.noise
-    return np.minimum(*(noise_floor(rows, regression.rate, active, thresholds) for rows in (saturated, after)))
+    return np.minimum(saturated_floor(regression, segments), residual_floor(regression, after))
 
 
 def floor_norms(floor: Floats) -> dict[str, float]:

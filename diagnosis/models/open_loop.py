@@ -28,6 +28,9 @@ class HorizonError(msgspec.Struct, frozen=True):
     rate: float
 
 
+OPEN_LOOP_QUANTITIES = ("position", "velocity", "attitude", "rate")
+
+
 def open_loop_errors(
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
@@ -38,8 +41,19 @@ def open_loop_errors(
 
     Empty where the segments hold no pose to start from.
     """
+    windows = open_loop_windows(vehicle, catalogue, segments, thresholds)
+    return tuple(horizon_error(horizon, np.vstack(parts)) for horizon, parts in windows.items())
+
+
+def open_loop_windows(
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    segments: Sequence[Segment],
+    thresholds: PredictionThresholds = DEFAULT.prediction,
+) -> dict[float, list[Floats]]:
+    """(W, 12) errors of the windows of each segment, by horizon; empty where the segments hold no pose."""
     if not all(s.has_pose for s in segments):
-        return ()
+        return {}
     rate, measured = segments[0].rate, segments[0].rotor_source == "measured"
     vehicle, segments = healthy(vehicle, catalogue, segments)
     predictor = Predictor(vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds)
@@ -52,7 +66,7 @@ def open_loop_errors(
         for horizon, parts in errors.items():
             step = round(horizon * rate)
             parts.append(state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
-    return tuple(horizon_error(horizon, np.vstack(parts)) for horizon, parts in errors.items())
+    return errors
 
 
 def state_error(predicted: Floats, measured: Floats) -> Floats:

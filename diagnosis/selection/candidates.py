@@ -54,6 +54,11 @@ class Candidate:
         return self.effect.name if self.rotor is None else f"{self.effect.name}[{self.rotor}]"
 
     @property
+    def identity(self) -> tuple[str, int | None]:
+        """Name and rotor, as in a vehicle file."""
+        return self.effect.name, self.rotor
+
+    @property
     def values(self) -> dict[str, float]:
         """The values about which it is linear, by the model's names."""
         return {f"{self.key}.{name}": value for name, value in self.at.items()}

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, min_score
+
+SEED = 0  # of the resamples, so that the same flights have the same answer
 
 
 def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) -> list[Scored]:
@@ -32,3 +36,22 @@ def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Sc
     return [
         s for s in rivals[1:] if s.score > min_score(s.candidates, search.thresholds) and s.score > own.score - margin
     ]
+
+
+def resample_shares(
+    search: Search, others: Sequence[Candidate], rivals: Sequence[Scored], near: Sequence[Scored]
+) -> tuple[float, float]:
+    """Shares of flight resamples in which the first of the rivals wins, and in which it or a near one wins.
+
+    To win is to score higher than each rival in its place, and than the others without any.
+    """
+    regression, random, wins = search.regression, np.random.default_rng(SEED), []
+    entries = [*rivals, search.score(others)]
+    penalties = [sum(search.penalty(c) for c in s.candidates) for s in entries]
+    for _ in range(regression.thresholds.verdict.resamples):
+        flights = random.choice(len(regression.flights), len(regression.flights)).tolist()
+        scores = [regression.gain(s.columns, flights) - p for s, p in zip(entries, penalties, strict=True)]
+        wins.append(entries[int(np.argmax(scores))])
+    alike = [rivals[0], *near]
+    share, together = (np.mean([any(w is s for s in some) for w in wins]) for some in (alike[:1], alike))
+    return float(share), float(together)

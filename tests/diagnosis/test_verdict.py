@@ -70,7 +70,7 @@ def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):
 
 def test_channel_errors_are_norms_over_the_three_axes(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
-    errors = channel_errors([np.full((50, CHANNELS), 2.0)], [np.ones((50, CHANNELS))], of_all)
+    errors = channel_errors([np.full((50, CHANNELS), 2.0)], [np.ones((50, CHANNELS))], of_all, of_all.noise.floor)
     assert errors["imu"].before == pytest.approx(2 * np.sqrt(3))
     assert errors["mocap"].after == pytest.approx(np.sqrt(3))
     assert errors["angular"].floor == pytest.approx(np.sqrt(3))
