@@ -205,9 +205,9 @@ class _Trial:
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
-        if not best.candidates:
+        if all(c.effect.measurement is not None for c in best.candidates):
             return []
-        before, after = self._open_loop(self._vehicle), self._open_loop(best.vehicle)
+        before, after = self._open_loop(with_faults_of(best, self._vehicle)), self._open_loop(best.vehicle)
         interval = self._regression.thresholds.prediction.start_interval
         by_kind = open_loop_changes(before, after, interval, self._limits)
         worse = {place: change for place, change in by_kind.items() if change.is_worse(self._limits)}
@@ -219,7 +219,7 @@ class _Trial:
             windows = self._open_loop(left_out(best, candidate, self._vehicle)[1])
             return open_loop_changes(before, windows, interval, self._limits)[horizon, quantity].after
 
-        culprit = min(best.candidates, key=without)
+        culprit = min((c for c in best.candidates if c.effect.measurement is None), key=without)
         numbers = {"horizon": horizon, "before": change.before, "after": change.after}
         return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
 
@@ -231,6 +231,13 @@ class _Trial:
 
     def _rows(self, vehicle: Vehicle, segments: Sequence[Segment]) -> list[Floats]:
         return residuals_in(self._regression, vehicle, segments)
+
+
+def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
+    """A vehicle with the sensors' faults of a fit, which do not move it, so that both predict the same motion."""
+    faults = [c for c in fitted.candidates if c.effect.measurement is not None]
+    values = {f"{key}.{name}": estimate.value for (key, name), estimate in fitted.estimates.items()}
+    return with_candidates(vehicle, faults, values)
 
 
 def _strength(by_kind: Mapping[str, ErrorChange]) -> float:
