@@ -6,22 +6,10 @@ from typing import Literal
 
 import msgspec
 
+from diagnosis.estimation.refusal import Refused
 from diagnosis.regimes import Failure
 
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
-Reason = Literal[
-    "too_small",
-    "interval_holds_neutral",
-    "few_resamples",
-    "channel_worse",
-    "open_loop_worse",
-    "redundant",
-    "at_bound",
-    "worse_than_rival",
-    "contradicted",
-    "not_converged",
-]
-HINTS = ("interval_holds_neutral", "few_resamples")
 
 
 class ParameterValue(msgspec.Struct, frozen=True):
@@ -46,29 +34,6 @@ class MissingEffect(msgspec.Struct, frozen=True):
     parameters: dict[str, ParameterValue]
     confidence: float
     ambiguous_with: tuple[str, ...]
-
-
-class Refused(msgspec.Struct, frozen=True):
-    """An effect that was selected and is not named.
-
-    name, rotor: of the catalogue, and the rotor that it acts on, if any.
-    reason: the test that it failed first.
-    detail: the numbers behind the reason, by name.
-    where: kind of channel, or quantity of the open loop, that they are of; empty for none.
-    parameters: fitted values.
-    """
-
-    name: str
-    rotor: int | None
-    reason: Reason
-    detail: dict[str, float] = {}
-    where: str = ""
-    parameters: dict[str, float] = {}
-
-    @property
-    def is_hint(self) -> bool:
-        """Whether it may be there: these flights are too few to say."""
-        return self.reason in HINTS
 
 
 class ChannelError(msgspec.Struct, frozen=True):

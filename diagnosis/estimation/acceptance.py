@@ -19,8 +19,8 @@ from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.evaluation import reduced_chi_square, residual_floor, residuals_in, saturated_floor
 from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, open_loop_changes
+from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.models.open_loop import open_loop_windows
-from diagnosis.report import Reason, Refused
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, resample_shares, rivals_of

@@ -69,15 +69,15 @@ def open_loop_changes(
     before, after: (W, 12) errors of each segment's windows at each horizon. interval: between their starts, s. The
     floor of each is its error before.
     """
-    changes = {}
+    compared = {}
     for horizon, was in before.items():
         for i, quantity in enumerate(OPEN_LOOP_QUANTITIES):
             axes = slice(3 * i, 3 * i + 3)
             old, new = ([np.sum(e[:, axes] ** 2, axis=1) for e in part] for part in (was, after[horizon]))
             level = float(np.sqrt(np.mean(np.concatenate(old))))
             if level > 0:
-                changes[horizon, quantity] = _change(old, new, level, 1 / interval, limits)
-    return changes
+                compared[horizon, quantity] = _change(old, new, level, 1 / interval, limits)
+    return compared
 
 
 def _change(
