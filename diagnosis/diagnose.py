@@ -57,7 +57,7 @@ def diagnose_dataset(
 
     thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
-    require_answerable(dataset.everything, vehicle, thresholds.data_checks)
+    require_answerable(dataset.everything, vehicle, thresholds)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     selection = select(regression)
     accepted = accepted_fit(regression, selection, dataset)

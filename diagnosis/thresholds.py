@@ -129,20 +129,10 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_rate: body rate, RMS, rad/s; less with little speed is hover. [not derived yet]
     min_thrust_change: standard deviation where there is no velocity, m/s^2. [not derived yet]
     thrust_ratio: range of modelled over measured thrust. [not derived yet]
-    min_agreement: correlation of modelled and measured roll and pitch acceleration that passes. [not derived yet]
-    clear_agreement: correlation at which another order of the rotors is named. [not derived yet]
-    best_agreement: the same of an order that is better than all others by `agreement_margin`. [not derived yet]
-    agreement_margin: see `best_agreement`. [not derived yet]
-    opposite_agreement: correlation below which rotors act the other way round. [not derived yet]
-    min_explained: share of the angular acceleration by any mixture of rotors, if not by the file's. [not derived yet]
-    min_angular_acceleration: standard deviation about x and y that a correlation needs, rad/s^2. [not derived yet]
-    min_yaw_acceleration: the same about z, where rotors act less. [not derived yet]
-    angular_ratio: range of measured over modelled angular acceleration. [not derived yet]
     tilt_ratio: range of the pose's horizontal acceleration over that which the tilt gives. [not derived yet]
     min_tilt_acceleration: RMS of the latter that the ratio needs, m/s^2. [not derived yet]
     min_rotor_speed: share of hover speed below which a sensor is dead. [not derived yet]
-    max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
-    response_times: lags of rotors behind commands that are tried, s. [not derived yet]
+    unit_slack: factor by which a ratio may miss that of two units and still be called it. [not derived yet]
     """
 
     min_duration: Positive = 20.0
@@ -150,20 +140,50 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_rate: Score = 0.10
     min_thrust_change: Score = 0.5
     thrust_ratio: Range = (0.6, 1.67)
-    min_agreement: Correlation = 0.4
-    clear_agreement: Correlation = 0.7
-    best_agreement: Correlation = 0.45
-    agreement_margin: Score = 0.2
-    opposite_agreement: Correlation = -0.4
-    min_explained: Share = 0.5
-    min_angular_acceleration: Score = 0.5
-    min_yaw_acceleration: Score = 0.3
-    angular_ratio: Range = (0.2, 5.0)
     tilt_ratio: Range = (0.2, 5.0)
     min_tilt_acceleration: Score = 0.3
     min_rotor_speed: Share = 0.1
+    unit_slack: Factor = 2.0
+
+
+class RotorMomentChecks(ThresholdGroup, frozen=True):
+    """How well the rotors of the vehicle file must explain how the vehicle turns.
+
+    An agreement is the share of the angular acceleration about roll and pitch that an order of the rotors explains
+    beside the air, damping and the centre of mass; an axis that turns the other way counts negatively.
+
+    order_margin: of agreement by which another order must exceed the file's. [benchmarks/rotor_orders.py]
+    min_explained: agreement of any combination of the rotors, below which a finding says so.
+    [benchmarks/rotor_orders.py]
+    no_relation: the same below which the rotors cannot be this flight's. [benchmarks/rotor_orders.py]
+    min_share_of_mixture: of that combination's agreement that the file's arms must have. [formula: 0.5 for arms turned
+    by 45 degrees]
+    opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks/rotor_orders.py]
+    min_angular_acceleration: standard deviation about x and y that is judged, rad/s^2. [not derived yet]
+    min_yaw_acceleration: the same about z, where rotors act less. [not derived yet]
+    angular_ratio: range of measured over modelled angular acceleration. [not derived yet]
+    max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
+    response_times: lags of rotors behind commands that are tried, s. [benchmarks/rotor_orders.py]
+    max_shift: of the rotors' clock against the gyro's that is tried, s. [not derived yet]
+    min_flight: of one flight that is judged on its own, s. [not derived yet]
+    min_rows: of a segment that is compared. [formula: three times the unknowns]
+    unit_slack: factor by which a ratio may miss that of two units and still be called it. [not derived yet]
+    """
+
+    order_margin: Share = 0.15
+    min_explained: Share = 0.3
+    no_relation: Share = 0.1
+    min_share_of_mixture: Share = 0.6
+    opposite_yaw: Correlation = -0.25
+    min_angular_acceleration: Score = 0.5
+    min_yaw_acceleration: Score = 0.2
+    angular_ratio: Range = (0.2, 5.0)
     max_permuted_rotors: Count = 6
-    response_times: tuple[Score, ...] = (0.0, 0.03, 0.06, 0.1)
+    response_times: tuple[Score, ...] = (0.0, 0.02, 0.04, 0.06, 0.08, 0.1, 0.15)
+    max_shift: Positive = 1.0
+    min_flight: Positive = 8.0
+    min_rows: Count = 36
+    unit_slack: Factor = 2.0
 
 
 class PredictionThresholds(ThresholdGroup, frozen=True):
@@ -479,6 +499,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     dataset: DatasetThresholds = DatasetThresholds()
     command_curve: CommandCurveThresholds = CommandCurveThresholds()
     data_checks: DataChecks = DataChecks()
+    rotor_moments: RotorMomentChecks = RotorMomentChecks()
     prediction: PredictionThresholds = PredictionThresholds()
     noise: NoiseThresholds = NoiseThresholds()
     regression: RegressionThresholds = RegressionThresholds()

@@ -39,7 +39,8 @@ class Format:
     reads_spans: bool = True
 
 
-# In the order of detection: formats with a signature first, text last.
+# In the order of detection: formats with a signature first, text last, where all columns of a shipped mapping say more
+# than a few names that the flight CSV has too.
 FORMATS: Mapping[str, Format] = {
     "ulog": Format("PX4 ULog", ulog.matches, ulog.read, True, reads_spans=False),
     "mcap": Format("Alula's recording (MCAP)", mcap.matches, mcap.read, True),
@@ -49,8 +50,8 @@ FORMATS: Mapping[str, Format] = {
     "dataflash": Format("ArduPilot DataFlash log", dataflash.matches, dataflash.read, True, reads_spans=False),
     "betaflight": Format("Betaflight blackbox log", betaflight.matches, betaflight.read, True),
     "tlog": Format("MAVLink tlog", tlog.matches, tlog.read, True),
-    "csv": Format("flight CSV", csv.matches, csv.read, False),
     "mapped_csv": Format("CSV with a column mapping", mapped_csv.matches, mapped_csv.read, False),
+    "csv": Format("flight CSV", csv.matches, csv.read, False),
 }
 
 
