@@ -89,11 +89,18 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
     held_out_share: of the flights, or of the one flight's time. [convention]
     min_groups: of fitted rows, which leaving one out needs; fewer flights are cut into parts. [not derived yet]
     min_part: duration of such a part, s. [not derived yet]
+    min_group: of a single flight's parts that are left out together, s. [not derived yet]
+    block: that is held out where whole flights are not, s. [not derived yet]
+    min_excitation: motion of held-out flights, RMS over that of the others, below which they do not judge. [not derived
+    yet]
     """
 
     held_out_share: Annotated[float, Meta(gt=0, lt=1)] = 0.2
     min_groups: Annotated[int, Meta(ge=2)] = 4
     min_part: Positive = 6.0
+    min_group: Positive = 15.0
+    block: Positive = 5.0
+    min_excitation: Share = 0.25
 
 
 class CommandCurveThresholds(ThresholdGroup, frozen=True):

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from diagnosis.data.command_curve import fit_command_curve
+from diagnosis.data.hold_out import divided, held_out_blocks, missing_motion
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
 from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight, Log, read_log
-from flights.hold_out import cuts_in_time, matching
+from flights.hold_out import matching
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +50,9 @@ def read_dataset(
     pose: str | None = None,
     thresholds: Thresholds = DEFAULT,
 ) -> Dataset:
-    """Read logs and set some aside: those whose file name matches hold_out, or the last fifth.
+    """Read logs and set some aside: those whose file name matches hold_out, or a fifth.
+
+    The last fifth of the flights; of a single one, or where the last ones do not move as the others do, blocks.
 
     pose: where their pose comes from, "mocap" or "estimator"; None: as the logs tell.
 
@@ -93,13 +96,7 @@ def make_dataset(
     _require_one_source([parts for _, parts in flown])
     notes += _missing(flights[0], thresholds.segment)
     limits = thresholds.dataset
-    held = _held_out([Path(f.provenance.path).name for f, _ in flown], hold_out, limits.held_out_share)
-    if len(flown) == 1:
-        fitted, judged = _split_in_time(flown[0][1], limits.held_out_share, thresholds.segment.min_duration)
-        notes.append("one flight only: its last fifth is held out, and effects that need different flights stay hidden")
-    else:
-        fitted = [list(parts) for i, (_, parts) in enumerate(flown) if i not in held]
-        judged = [s for i, (_, parts) in enumerate(flown) if i in held for s in parts]
+    fitted, judged, held = _held_out(flown, hold_out, notes, thresholds)
     fitted = _enough_groups(fitted, limits)
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
     flight_of = tuple(i for i, group in enumerate(fitted) for _ in group)
@@ -174,7 +171,43 @@ def _missing(flight: Flight, thresholds: SegmentThresholds) -> list[str]:
     return notes
 
 
-def _held_out(names: Sequence[str], pattern: str | None, share: float) -> frozenset[int]:
+def _held_out(
+    flown: Sequence[tuple[Flight, tuple[Segment, ...]]], pattern: str | None, notes: list[str], thresholds: Thresholds
+) -> tuple[list[list[Segment]], list[Segment], frozenset[int]]:
+    """Segments to fit by flight, segments that are held out, and the places of flights that are so as a whole.
+
+    Those that the pattern matches, or the last ones; blocks of all where there is one only or the last ones do not move
+    as the others do. What was done is noted.
+    """
+    limits, parts = thresholds.dataset, [segments_of_one for _, segments_of_one in flown]
+    if pattern is not None or len(flown) > 1:
+        names = [Path(flight.provenance.path).name for flight, _ in flown]
+        held = _held_out_flights(names, pattern, limits.held_out_share)
+        fitted = [list(own) for i, own in enumerate(parts) if i not in held]
+        judged = [s for i, own in enumerate(parts) if i in held for s in own]
+        lacking = missing_motion([s for own in fitted for s in own], judged, limits)
+        if pattern is not None or not lacking:
+            return fitted, judged, held
+        notes.append(
+            f"the last flights have less {', '.join(lacking)} than the others: blocks of all flights are held out "
+            "instead"
+        )
+    shortest = thresholds.segment.min_duration
+    fitted, judged = divided(parts, held_out_blocks(parts, limits, shortest), shortest)
+    fitted = [own for own in fitted if own]
+    if not fitted or not judged:
+        duration = sum(s.duration for own in parts for s in own)
+        raise DataError(f"{duration:.0f} s of flight are too few to hold a part out. Fly at least 20 s.")
+    if len(flown) == 1:
+        spread = " and ".join(f"{s.start:.0f} to {s.start + s.duration:.0f} s" for s in judged)
+        notes.append(
+            f"one flight only: {spread} of it are held out, and effects that need different flights stay hidden"
+        )
+        fitted = _timed_groups(fitted[0], limits)
+    return fitted, judged, frozenset()
+
+
+def _held_out_flights(names: Sequence[str], pattern: str | None, share: float) -> frozenset[int]:
     """Places of the flights that are held out: those that the pattern matches, or the last ones."""
     if pattern is not None:
         return matching(names, pattern, option="--hold-out")
@@ -182,21 +215,16 @@ def _held_out(names: Sequence[str], pattern: str | None, share: float) -> frozen
     return frozenset(range(len(names) - count, len(names)))
 
 
-def _split_in_time(
-    parts: Sequence[Segment], share: float, min_duration: float
-) -> tuple[list[list[Segment]], list[Segment]]:
-    """One flight's segments up to its held-out end, a group each, and those of that end."""
-    fitted, judged = [], []
-    for segment, cut in zip(parts, cuts_in_time([len(s) for s in parts], share), strict=True):
-        min_rows = min_duration * segment.rate
-        if cut >= min_rows:
-            fitted.append([segment.between(0, cut)])
-        if len(segment) - cut >= min_rows:
-            judged.append(segment.between(cut, len(segment)))
-    if not fitted or not judged:
-        duration = sum(s.duration for s in parts)
-        raise DataError(f"{duration:.0f} s of flight are too few to hold a part out. Fly at least 20 s.")
-    return fitted, judged
+def _timed_groups(parts: Sequence[Segment], thresholds: DatasetThresholds) -> list[list[Segment]]:
+    """One flight's segments in groups of consecutive ones, each of about the same duration."""
+    total = sum(len(s) for s in parts)
+    count = max(1, int(total / parts[0].rate / thresholds.min_group))
+    groups: list[list[Segment]] = [[] for _ in range(count)]
+    passed = 0
+    for segment in parts:
+        groups[min(count - 1, int(count * (passed + len(segment) / 2) / total))].append(segment)
+        passed += len(segment)
+    return [group for group in groups if group]
 
 
 def _enough_groups(groups: list[list[Segment]], thresholds: DatasetThresholds) -> list[list[Segment]]:
