@@ -110,9 +110,9 @@ def _leaves_enough(
     same = [blocks[i] for i in (*chosen, new) if (blocks[i].flight, blocks[i].segment) == (block.flight, block.segment)]
     edges = sorted(edge for b in same for edge in (b.start, b.stop))
     remaining = (np.diff([0, *edges, len(segment)])[::2] + 1) / segment.rate
-    whole = len(same) == 1 and len(block) == len(segment)
+    entire = len(same) == 1 and len(block) == len(segment)
     alone = sum(map(len, flights)) == 1
-    return bool(np.all((remaining <= 1 / segment.rate) | (remaining >= thresholds.min_part))) and not (whole and alone)
+    return bool(np.all((remaining <= 1 / segment.rate) | (remaining >= thresholds.min_part))) and not (entire and alone)
 
 
 def _shares(flights: Sequence[Sequence[Segment]], blocks: Sequence[Block]) -> Floats:

@@ -11,7 +11,7 @@ from diagnosis.data.hold_out import divided, held_out_blocks, missing_motion
 from diagnosis.thresholds import DEFAULT
 from tests.diagnosis.synthetic import hovering
 
-LIMITS, SHORTEST = DEFAULT.dataset, DEFAULT.segment.min_duration
+LIMITS, MIN_DURATION = DEFAULT.dataset, DEFAULT.segment.min_duration
 
 
 def flying(vehicle, *, seed, duration=60.0, speed, yaw_rate=0.0):
@@ -30,14 +30,14 @@ def speed_of(segments):
 
 def test_a_flight_that_ends_in_hover_is_judged_where_it_flies(arpl_250g):
     segment = flying(arpl_250g, seed=0, speed=[0, 4, 0, 4, 0, 4, 0, 0, 0])
-    (fitted,), held_out = divided([[segment]], held_out_blocks([[segment]], LIMITS, SHORTEST), SHORTEST)
+    (fitted,), held_out = divided([[segment]], held_out_blocks([[segment]], LIMITS, MIN_DURATION), MIN_DURATION)
     assert speed_of(held_out) == pytest.approx(speed_of(fitted), rel=0.3)
     assert sum(s.duration for s in held_out) == pytest.approx(0.2 * segment.duration, abs=4.0)
 
 
 def test_held_out_blocks_share_no_row_with_what_is_fitted_and_leave_no_crumbs(arpl_250g):
     segment = flying(arpl_250g, seed=1, speed=[0, 4, 1, 4, 0, 2, 5, 0, 1])
-    (fitted,), held_out = divided([[segment]], held_out_blocks([[segment]], LIMITS, SHORTEST), SHORTEST)
+    (fitted,), held_out = divided([[segment]], held_out_blocks([[segment]], LIMITS, MIN_DURATION), MIN_DURATION)
     ends = sorted((round(s.start, 6), round(s.start + s.duration, 6)) for s in (*fitted, *held_out))
     assert all(end == start for (_, end), (start, _) in pairwise(ends))
     assert ends[0][0] == 0.0
