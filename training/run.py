@@ -25,7 +25,9 @@ from flights.parallel import parallel_map
 from training import checkpoint, process_group
 from training.checkpoint import TrainedModel
 from training.config import ModelConfig, convolutions_for
-from training.data.logged_flights import find_logs, left_out, read_logged_flights, split_flights
+from training.data.labelled_rows import with_logged_motors
+from training.data.logged_flights import find_logs, left_out, names_of, read_logged_flights, split_flights
+from training.diagnosed_effects import DIAGNOSED, with_diagnosed_effects
 from training.effects_fit import named_effects
 from training.folder import CARD_SUFFIX, STATE, claimed, require_free, run_folder
 from training.models import named_kind
@@ -48,7 +50,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     recipe: name of the recipe.
     config: overrides of the model's definition.
     recipe_overrides: overrides of the recipe.
-    effects: added to the vehicle file's, as on the command line.
+    effects: added to the vehicle file's, as on the command line; "diagnosed" for those that a diagnosis names.
     keep_effects: whether effects keep the vehicle file's values instead of being fitted.
     validation, hold_out: patterns of file names.
     mapping: columns of tables that are not recognised.
@@ -131,6 +133,12 @@ def plan_of(options: TrainOptions) -> Plan:
     recordings = read_logged_flights(logs, dt=config.dt, mapping=options.mapping)
     split = split_flights(recordings, validation=options.validation, hold_out=options.hold_out)
     split = dataclasses.replace(split, notes=(*left_out(logs, recordings), *split.notes))
+    if DIAGNOSED in options.effects:
+        learned = {flight.name for flight in split.training}
+        paths = [path for name, path in zip(names_of(logs), logs, strict=True) if name in learned]
+        logged = with_logged_motors(config, (*split.training, *split.validation), vehicle)
+        vehicle, note = with_diagnosed_effects(logged, vehicle, paths, mapping=options.mapping)
+        split = dataclasses.replace(split, notes=(*split.notes, note))
     return make_plan(config, recipe, vehicle, split, seed=options.seed, fit=not options.keep_effects)
 
 
@@ -162,7 +170,7 @@ def write_card(model: TrainedModel, out: Path) -> Path:
 
 def _vehicle(options: TrainOptions) -> Vehicle:
     vehicle = read_vehicle(find_vehicle(options.vehicle))
-    uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects]
+    uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects if text != DIAGNOSED]
     return named_effects(vehicle, uses)
 
 

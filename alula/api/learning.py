@@ -50,7 +50,8 @@ def train(
     recipe: how to train: "fast" or "paper".
     config: fields of the model's definition that differ, such as {"history": 10}.
     overrides: fields of the recipe that differ, such as {"steps": 2000}.
-    effects: effects added to the vehicle file's, "name" or "name:key=value,...".
+    effects: effects added to the vehicle file's, "name" or "name:key=value,..."; "diagnosed" for all that a diagnosis
+        of the training flights names.
     keep_effects: leave the vehicle file's effects as they are, instead of fitting them to these flights.
     validation: pattern of the file names to choose the best step by; by default every tenth flight.
     hold_out: pattern of the file names not to read at all.

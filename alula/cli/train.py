@@ -57,7 +57,9 @@ def train(
     effect: Annotated[
         list[str] | None,
         typer.Option(
-            help="Effect to add to the vehicle file's, name or name:key=value,...; repeatable.", rich_help_panel=MODEL
+            help="Effect to add to the vehicle file's, name or name:key=value,...; repeatable. diagnosed: all that a "
+            "diagnosis of the training flights names.",
+            rich_help_panel=MODEL,
         ),
     ] = None,
     keep_effects: Annotated[

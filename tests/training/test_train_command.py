@@ -90,6 +90,18 @@ def test_a_grey_box_brings_its_fitted_effects_along(folder: Path, tmp_path: Path
         train(folder, "--vehicle", "arpl_250g", "--model", "grey_box", "--out", tmp_path / "h.pt", *QUICK)
 
 
+def test_a_grey_box_can_stand_on_diagnosed_effects(folder: Path, tmp_path: Path) -> None:
+    out = tmp_path / "g.pt"
+    how = ("--model", "grey_box", "--effect", "diagnosed", "--validation", "flight_3*")
+    done = train(folder, "--vehicle", "arpl_250g", *how, "--out", out, *QUICK, "--json")
+    card = json.loads(done.stdout)
+    effects = {use.name: use.parameters for use in checkpoint.load(out).vehicle.effects}
+    assert list(effects) == ["rotor_drag", "motor_lag"]
+    assert effects["rotor_drag"]["coefficient"] == pytest.approx(6e-5, rel=0.05)
+    assert effects["motor_lag"]["time_constant"] == pytest.approx(0.04, rel=0.05)
+    assert any("effects by diagnosis of 3 flights" in note and "rotor_drag, motor_lag" in note for note in card["notes"])
+
+
 def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "p.pt"
     train(
