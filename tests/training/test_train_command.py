@@ -99,7 +99,9 @@ def test_a_grey_box_can_stand_on_diagnosed_effects(folder: Path, tmp_path: Path)
     assert list(effects) == ["rotor_drag", "motor_lag"]
     assert effects["rotor_drag"]["coefficient"] == pytest.approx(6e-5, rel=0.05)
     assert effects["motor_lag"]["time_constant"] == pytest.approx(0.04, rel=0.05)
-    assert any("effects by diagnosis of 3 flights" in note and "rotor_drag, motor_lag" in note for note in card["notes"])
+    assert any(
+        "effects by diagnosis of 3 flights" in note and "rotor_drag, motor_lag" in note for note in card["notes"]
+    )
 
 
 def test_the_recipe_of_the_paper_is_the_papers(folder: Path, tmp_path: Path) -> None:
