@@ -157,12 +157,18 @@ class Reading:
     rate_body: (3,) rad/s.
     rotor_speed: (n,) rad/s.
     pose_age: s by which position, velocity and attitude are older than their stamps.
+    attitude_age: s by which the attitude is older than that still.
+    pose_arm: (3,) body FLU, from the centre of mass to the point whose position and velocity are logged, m.
+    angular_acceleration: (3,) true, rad/s^2: no reading, but what an accelerometer off the centre of mass responds to.
     """
 
     specific_force: Expression
     rate_body: Expression
     rotor_speed: Expression
     pose_age: Expression
+    attitude_age: Expression
+    pose_arm: Expression
+    angular_acceleration: Expression
 
 
 @dataclass(frozen=True)
@@ -242,6 +248,11 @@ class Effect:
         return {p.name: min(max(p.prior(vehicle).mean, p.lower), p.upper) for p in self.parameters}
 
     @property
+    def moves_vehicle(self) -> bool:
+        """Whether it changes the motion, and not the sensors' readings alone."""
+        return any(hook is not None for hook in (self.physics, self.rotor_speed, self.wind, self.wrench))
+
+    @property
     def rotor_speed_state(self) -> str | None:
         """Name of the hidden state of the real rotor speed: with `rotor_speed`, the first per-rotor state."""
         if self.rotor_speed is None:
@@ -295,8 +306,8 @@ def _contradicting_roles(effect: Effect) -> Iterator[str]:
         yield f"acts_on is {effect.acts_on!r}, not one of {', '.join(get_args(ActsOn))}"
     if effect.acts_on == "rotor_speed_reading" and effect.measurement is None:
         yield 'acts_on="rotor_speed_reading" needs a measurement'
-    if effect.acts_on == "command_gain" and effect.physics is None:
-        yield 'acts_on="command_gain" needs physics'
+    if effect.acts_on == "command_gain" and effect.physics is None and effect.wrench is None:
+        yield 'acts_on="command_gain" needs physics or a wrench'
     if effect.name in effect.confounded_with:
         yield "confounded_with names the effect itself"
     placeholders = {name for _, name, _, _ in Formatter().parse(effect.caveat) if name is not None}

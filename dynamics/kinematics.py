@@ -1,6 +1,8 @@
-"""The kinematic step: the motion of a rigid body under accelerations that are constant over the step."""
+"""Motion of a rigid body: a step under constant accelerations, and the acceleration of its points."""
 
 from __future__ import annotations
+
+import casadi as ca
 
 from dynamics import quaternion
 from dynamics.libraries import Expression, concatenate, entries
@@ -24,3 +26,11 @@ def kinematic_step(
             rate + dt * angular_acceleration,
         ]
     )
+
+
+def lever_arm_acceleration(arm: Expression, rate: Expression, angular_acceleration: Expression) -> Expression:
+    """Acceleration of a body's point beyond its centre of mass's: alpha x r + omega x (omega x r), (3,) body, m/s^2.
+
+    arm: (3,) from the centre of mass, m. rate, angular_acceleration: (3,) body, rad/s and rad/s^2. For CasADi.
+    """
+    return ca.cross(angular_acceleration, arm) + ca.cross(rate, ca.cross(rate, arm))

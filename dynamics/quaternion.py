@@ -56,6 +56,12 @@ def rotate_inverse(attitude: Expression, vector_world: Expression) -> Expression
     return rotate(conjugate(attitude), vector_world)
 
 
+def small_turn(angle: Expression) -> Expression:
+    """(4,) quaternion of a small rotation vector (3,), rad, for CasADi: smooth at zero, off by angle^3 / 12."""
+    turn = ca.vertcat(1, angle / 2)
+    return turn / ca.sqrt(ca.sumsqr(turn))
+
+
 def derivative(attitude: Expression, rate_body: Expression) -> Expression:
     """Time derivative of the attitude, 1/2 q * (0, omega) (PI-TCN eq. 1).
 

@@ -100,7 +100,7 @@ def _problem(config: ModelConfig, vehicle: Vehicle, data: LabelledRows, catalogu
         (f"{item.key}.{parameter.name}", parameter, item)
         for item in model.model.effects
         for parameter in item.effect.parameters
-        if not item.effect.measurement and not item.effect.stochastic
+        if item.effect.moves_vehicle and not item.effect.stochastic
     ]
     scale = [max(abs(item.values[p.name]), abs(p.prior(vehicle).std), 1e-12) for _, p, item in free]
     return _Problem(

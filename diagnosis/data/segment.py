@@ -119,6 +119,11 @@ class Segment:
         return difference(self.rotor_speed, self.rate)
 
     @cached_property
+    def angular_acceleration(self) -> Floats:
+        """(n, 3) of the body rate, rad/s^2."""
+        return difference(self.body_rate, self.rate)
+
+    @cached_property
     def environment(self) -> Floats:
         """(n, 2) ground height m, battery ratio; the ground is where z is 0."""
         ratio = np.ones(len(self)) if self.battery_ratio is None else self.battery_ratio

@@ -205,7 +205,7 @@ class _Trial:
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
-        if all(c.effect.measurement is not None for c in best.candidates):
+        if all(not c.effect.moves_vehicle for c in best.candidates):
             return []
         before, after = self._open_loop(with_faults_of(best, self._vehicle)), self._open_loop(best.vehicle)
         interval = self._regression.thresholds.prediction.start_interval
@@ -219,7 +219,7 @@ class _Trial:
             windows = self._open_loop(left_out(best, candidate, self._vehicle)[1])
             return open_loop_changes(before, windows, interval, self._limits)[horizon, quantity].after
 
-        culprit = min((c for c in best.candidates if c.effect.measurement is None), key=without)
+        culprit = min((c for c in best.candidates if c.effect.moves_vehicle), key=without)
         numbers = {"horizon": horizon, "before": change.before, "after": change.after}
         return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
 
@@ -235,7 +235,7 @@ class _Trial:
 
 def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
     """A vehicle with the sensors' faults of a fit, which do not move it, so that both predict the same motion."""
-    faults = [c for c in fitted.candidates if c.effect.measurement is not None]
+    faults = [c for c in fitted.candidates if not c.effect.moves_vehicle]
     values = {f"{key}.{name}": estimate.value for (key, name), estimate in fitted.estimates.items()}
     return with_candidates(vehicle, faults, values)
 
@@ -277,7 +277,7 @@ def at_its_bounds(trial: Fit, candidate: Candidate, vehicle: Vehicle) -> str | N
 
     The vehicle file may name an effect that does not exist: its own one may go to its neutral value.
     """
-    if candidate.effect.measurement is not None:  # a sensor may well be dead
+    if not candidate.effect.moves_vehicle:  # a sensor may well be dead
         return None
     own = any((use.name, use.rotor) == (candidate.effect.name, candidate.rotor) for use in vehicle.effects)
     limits = {p.name: {p.lower, p.upper} - ({p.neutral} if own else set()) for p in candidate.effect.parameters}

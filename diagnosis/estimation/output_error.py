@@ -109,7 +109,7 @@ def _settle(
 
 def _moves(effect: Effect) -> bool:
     """Whether an effect acts on the vehicle's motion, and not on a sensor's reading alone."""
-    return effect.measurement is None
+    return effect.moves_vehicle
 
 
 class _OutputErrorProblem:

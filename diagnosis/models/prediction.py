@@ -16,11 +16,13 @@ from diagnosis.data.filters import delayed
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
+from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
 from dynamics.integrators import rk4_driven
+from dynamics.kinematics import lever_arm_acceleration
 from dynamics.model import Model, build_model
-from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
+from dynamics.state import ATTITUDE, HIDDEN, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 
 POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
@@ -32,32 +34,35 @@ class Prediction:
     """What a model predicts along a segment, or a slope of it.
 
     specific_force: (n, 3) body, as the accelerometer would read it, m/s^2.
-    angular_acceleration: (n, 3) body, rad/s^2.
+    angular_acceleration: (n, 3) in the gyro's axes, rad/s^2.
     rate: (n, 3) body, without the gyro's faults, rad/s.
-    true_force: (n, 3) specific force without the accelerometer's faults, m/s^2.
+    pose_force: (n, 3) specific force, without the accelerometer's faults, of the point whose pose is logged, in the
+        logged attitude's axes, m/s^2.
     pose_age: delay of the pose, s, by which world acceleration and attitude rate are late.
+    attitude_age: delay of the attitude beyond that, s.
     """
 
     specific_force: Floats
     angular_acceleration: Floats
     rate: Floats
-    true_force: Floats
+    pose_force: Floats
     pose_age: float = 0.0
+    attitude_age: float = 0.0
 
     def world_acceleration(self, segment: Segment) -> Floats:
         """(n, 3) acceleration less gravity that the pose shows, world, m/s^2."""
-        force = delayed(self.true_force, segment.rate, self.pose_age)
+        force = delayed(self.pose_force, segment.rate, self.pose_age)
         return np.asarray(np.einsum("nij,nj->ni", segment.to_world, force))
 
     def attitude_rate(self, segment: Segment) -> Floats:
         """(n, 3) body rate that the attitude shows, rad/s."""
-        return delayed(self.rate, segment.rate, self.pose_age)
+        return delayed(self.rate, segment.rate, self.pose_age + self.attitude_age)
 
     @classmethod
-    def from_outputs(cls, outputs: Floats, pose_age: float) -> Prediction:
-        """From what `_outputs` computes, (n, 12)."""
-        force, angular, rate, true_force = (outputs[:, i : i + 3] for i in range(0, 12, 3))
-        return cls(force, angular, rate, true_force, pose_age)
+    def from_outputs(cls, outputs: Floats, ages: Floats) -> Prediction:
+        """From what `_outputs` computes, (n, 12). ages: (2,) of the pose, and of the attitude beyond it."""
+        force, angular, rate, pose_force = (outputs[:, i : i + 3] for i in range(0, 12, 3))
+        return cls(force, angular, rate, pose_force, float(ages[0]), float(ages[1]))
 
 
 class Predictor:
@@ -86,7 +91,7 @@ class Predictor:
         outputs = _outputs(self.model, self._symbols)
         inputs = list(self._symbols.values())
         self._evaluate = RowFunction(ca.Function("evaluate", inputs, [ca.densify(outputs)]), shared=(PARAMETERS,))
-        self._age = ca.Function("age", [self._symbols["p"]], [_age(self.model, self._symbols["p"])])
+        self._ages = ca.Function("ages", [self._symbols["p"]], [_ages(self.model, self._symbols["p"])])
         places = [self.model.parameter_index(name) for name in free]
         columns = ca.cse(ca.vec(ca.jacobian(outputs, self._symbols["p"])[:, places])) if free else ca.SX(0, 1)
         stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
@@ -107,7 +112,7 @@ class Predictor:
         """The model's prediction along a segment."""
         p = self.values(changed)
         outputs = self._evaluate(*self._arguments(segment, p, None, None))
-        return Prediction.from_outputs(outputs, float(self._age(p)))
+        return Prediction.from_outputs(outputs, np.array(self._ages(p)).ravel())
 
     def slopes(
         self,
@@ -123,8 +128,8 @@ class Predictor:
         arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
         columns = self._slopes(*arguments)
         parts = columns.reshape(len(columns), len(self.free), 12)
-        age = float(self._age(p))
-        return [Prediction.from_outputs(part, age) for part in parts.transpose(1, 0, 2)]
+        ages = np.array(self._ages(p)).ravel()
+        return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's."""
@@ -137,7 +142,8 @@ class Predictor:
     ) -> list[Floats]:
         speed = segment.rotor_speed if rotor_speed is None else rotor_speed
         acceleration = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
-        return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment]
+        angular = segment.angular_acceleration
+        return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
 
     def _hidden(self, segment: Segment, p: Floats) -> Floats:
         """(n, h) hidden states along the segment, from their values in hover."""
@@ -169,12 +175,23 @@ def _between(values: Floats, stride: int, count: int) -> Floats:
 
 def _symbols(model: Model) -> dict[str, Expression]:
     n = model.input_count
-    sizes = {"x": model.state_count, "gyro": 3, "speed": n, "acceleration": n, "p": len(model.parameter_names), "e": 2}
+    sizes = {
+        "x": model.state_count,
+        "gyro": 3,
+        "speed": n,
+        "acceleration": n,
+        "p": len(model.parameter_names),
+        "e": 2,
+        "angular": 3,
+    }
     return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
 
 
-def _age(model: Model, p: Expression) -> Expression:
-    return model.measure(ca.SX.zeros(3), ca.SX.zeros(3), ca.SX.zeros(model.input_count), p)[3]
+def _ages(model: Model, p: Expression) -> Expression:
+    """(2,) age of the pose, and of the attitude beyond it, s."""
+    nothing = ca.SX.zeros(3)
+    read = model.measure(nothing, nothing, ca.SX.zeros(model.input_count), p, nothing)
+    return ca.vertcat(read[3], read[4])
 
 
 def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
@@ -188,18 +205,34 @@ def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> t
         )
 
     true_rate, true_speed = ca.SX.sym("true_rate", 3), ca.SX.sym("true_speed", model.input_count)
-    _, rate_read, speed_read, _ = model.measure(ca.SX.zeros(3), true_rate, true_speed, p)
+    _, rate_read, speed_read, *_ = model.measure(ca.SX.zeros(3), true_rate, true_speed, p, ca.SX.zeros(3))
     return solved(rate, rate_read, true_rate), solved(speed, speed_read, true_speed)
 
 
 def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
-    """Specific force as read, angular acceleration, true body rate, true specific force: (12,)."""
-    smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], s["p"])
-    gyro, _ = _true(model, s["gyro"], s["speed"], s["p"])
-    state = ca.vertcat(s["x"][POSE_AND_VELOCITY], smooth_rate, s["x"][HIDDEN])
-    force, angular = model.respond(state, speed, s["acceleration"], s["p"], s["e"])
-    read = model.measure(force, smooth_rate, speed, s["p"])[0]
-    return ca.vertcat(read, angular, gyro, force)
+    """Specific force as read, angular acceleration, true body rate, specific force that the pose shows: (12,).
+
+    The lever arms of accelerometer and pose act through the measured angular acceleration, which the model's errors
+    in moment do not spoil.
+    """
+    p = s["p"]
+    smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], p)
+    gyro, _ = _true(model, s["gyro"], s["speed"], p)
+    *_, attitude_age, arm = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, s["angular"])
+    late = quaternion.small_turn(attitude_age * smooth_rate)
+    attitude = quaternion.multiply(s["x"][ATTITUDE], late)
+    velocity = s["x"][VELOCITY] - quaternion.rotate(attitude, ca.cross(smooth_rate, arm))
+    state = ca.vertcat(s["x"][POSITION], velocity, attitude, smooth_rate, s["x"][HIDDEN])
+    force, angular = model.respond(state, speed, s["acceleration"], p, s["e"])
+    read = model.measure(force, smooth_rate, speed, p, s["angular"])[0]
+    at_pose = force + lever_arm_acceleration(arm, smooth_rate, s["angular"])
+    return ca.vertcat(read, _gyro_slope(model, p) @ angular, gyro, quaternion.rotate(late, at_pose))
+
+
+def _gyro_slope(model: Model, p: Expression) -> Expression:
+    """(3, 3) slope of the gyro's reading in the body rate, to which it is affine."""
+    rate, nothing = ca.SX.sym("rate", 3), ca.SX.zeros(3)
+    return ca.jacobian(model.measure(nothing, rate, ca.SX.zeros(model.input_count), p, nothing)[1], rate)
 
 
 def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:

@@ -16,6 +16,7 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
 from diagnosis.models.prediction import Predictor
+from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
 from dynamics.integrators import rk4, with_unit_attitude
@@ -103,40 +104,50 @@ class Simulator:
 def healthy(
     vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
 ) -> tuple[Vehicle, list[Segment]]:
-    """The vehicle without its sensors' faults, and segments as sensors without faults would have read them."""
-    faults = [use for use in vehicle.effects if catalogue[use.name].measurement is not None]
-    if not faults:
+    """The vehicle without faults of sensors, and segments as faultless sensors at its centre of mass had read them."""
+    read = [use for use in vehicle.effects if catalogue[use.name].measurement is not None]
+    if not read:
         return vehicle, list(segments)
-    model = build_model(vehicle, effects=faults, catalogue=catalogue)
-    rest = tuple(use for use in vehicle.effects if use not in faults)
+    model = build_model(vehicle, effects=read, catalogue=catalogue)
+    rest = tuple(use for use in vehicle.effects if use not in read or catalogue[use.name].moves_vehicle)
     return msgspec.structs.replace(vehicle, effects=rest), [_without_faults(s, model) for s in segments]
 
 
 def _without_faults(segment: Segment, model: Model) -> Segment:
-    """The segment without the model's sensor faults, which are affine in each axis and each rotor."""
-    nothing, ones, p = np.zeros(3), np.ones(model.input_count), model.parameter_values
-    _, rate, speed, age = (np.array(reading).ravel() for reading in model.measure(nothing, nothing, 0 * ones, p))
-    gain = np.array(model.measure(nothing, nothing, ones, p)[2]).ravel() - speed
-    return _with_pose_of(
-        replace(
-            segment,
-            gyro=None if segment.gyro is None else segment.gyro - rate,
-            rotor_speed=(segment.rotor_speed - speed) / gain,
-        ),
-        float(age[0]),
+    """The segment without the model's sensor faults, which are affine in the body rate and in each rotor's speed."""
+    nothing, still, p = np.zeros(3), np.zeros(model.input_count), model.parameter_values
+
+    def read(rate: Floats, speed: Floats) -> list[Floats]:
+        return [np.array(reading).ravel() for reading in model.measure(nothing, rate, speed, p, nothing)]
+
+    _, rate, speed, age, attitude_age, arm = read(nothing, still)
+    turn = np.column_stack([read(axis, still)[1] - rate for axis in np.eye(3)])
+    gain = read(nothing, still + 1)[2] - speed
+    gyro = None if segment.gyro is None else np.linalg.solve(turn, (segment.gyro - rate).T).T
+    posed = _with_pose_of(segment, float(age[0]), float(age[0] + attitude_age[0]))
+    to_world = np.asarray(quaternion.rotation_matrix(posed.attitude))
+    rate_body = posed.rate_from_attitude if gyro is None else gyro
+    return replace(
+        posed,
+        gyro=gyro,
+        rotor_speed=(segment.rotor_speed - speed) / gain,
+        position=posed.position - to_world @ arm,
+        velocity=posed.velocity - np.einsum("nij,nj->ni", to_world, np.cross(rate_body, arm)),
     )
 
 
-def _with_pose_of(segment: Segment, age: float) -> Segment:
+def _with_pose_of(segment: Segment, age: float, attitude_age: float) -> Segment:
     """The segment with the pose that was logged `age` s later; the last rows repeat the last one."""
     time = np.arange(len(segment)) / segment.rate
 
-    def moved(values: Floats) -> Floats:
-        return np.stack([np.interp(time + age, time, column) for column in values.T], axis=1)
+    def moved(values: Floats, later: float) -> Floats:
+        return np.stack([np.interp(time + later, time, column) for column in values.T], axis=1)
 
-    attitude = moved(segment.attitude)
+    attitude = moved(segment.attitude, attitude_age)
     attitude /= np.linalg.norm(attitude, axis=1, keepdims=True)
-    return replace(segment, position=moved(segment.position), velocity=moved(segment.velocity), attitude=attitude)
+    return replace(
+        segment, position=moved(segment.position, age), velocity=moved(segment.velocity, age), attitude=attitude
+    )
 
 
 def _step(model: Model, speed_measured: bool) -> tuple[list[Expression], Expression]:

@@ -13,7 +13,8 @@ from dynamics.state import ATTITUDE, POSITION, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 
 STATE_ROWS = {"position": POSITION, "velocity": VELOCITY, "attitude": ATTITUDE}
-RATE_READING, POSE_AGE, PARAMETERS = 1, 3, 3  # places among the outputs and inputs of a model's `measure`
+RATE_READING, POSE_AGE, ATTITUDE_AGE, POSE_ARM = 1, 3, 4, 5  # places among the outputs of a model's `measure`
+PARAMETERS = 3  # place among its inputs
 ENVIRONMENT, BATTERY = 3, 1  # place among the inputs of `observe` and `derivative`, and of the voltage in it
 
 
@@ -37,8 +38,16 @@ def state_dependencies(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str,
     model = _alone(effect, vehicle, catalogue)
     columns = _state_columns(model)
     quantities = {name for name, rows in STATE_ROWS.items() if columns & set(range(rows.start, rows.stop))}
-    if any(model.measure.jac_sparsity(output, PARAMETERS).nnz() for output in (RATE_READING, POSE_AGE)):
+    if effect.moves_vehicle:
+        return frozenset(quantities)
+
+    def depends(*outputs: int) -> bool:
+        return any(model.measure.jac_sparsity(output, PARAMETERS).nnz() for output in outputs)
+
+    if depends(RATE_READING, POSE_AGE, ATTITUDE_AGE):
         quantities.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
+    if depends(POSE_ARM):
+        quantities |= {"velocity", "attitude"}
     return frozenset(quantities)
 
 

@@ -25,6 +25,7 @@ EFFECT = Effect(
     measurement=measurement,
     per_rotor=True,
     acts_on="rotor_speed_reading",
+    confounded_with=("weak_rotor",),
     excitation=Excitation(
         (("rotor_speed",), ("rate", *COMMAND)),
         measure="duration",

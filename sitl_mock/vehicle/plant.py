@@ -119,8 +119,9 @@ def _step(
     observed = _observe(model, x, speed, environment, constants)
     battery_state, current = _discharge(state, observed["rotor_speed"], constants)
     jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
-    read = model.measure(observed["specific_force"], x[RATE], observed["rotor_speed"] + jitter, constants["model"])
-    measured, estimate = _measure(x, read[0], read[1], state, constants, noise)
+    sensed = (observed["specific_force"], x[RATE], observed["rotor_speed"] + jitter)
+    read = model.measure(*sensed, constants["model"], observed["angular_acceleration"])
+    measured, estimate = _measure(x, read, state, constants, noise)
     record = {
         "truth": x[:RIGID_BODY_STATES], "estimate": estimate, "force_integral": measured["force_integral"],
         "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
@@ -181,20 +182,28 @@ def _contact(x: Expression, constants: Values) -> tuple[Expression, Expression]:
 def _observe(
     model: Model, x: Expression, speed: Expression, environment: Expression, constants: Values
 ) -> dict[str, Expression]:
-    """Specific force (ground included), rotor speeds and the ground's upward force per unit of mass."""
-    force, _, rotor_speed = model.observe(x, speed, constants["model"], environment)
-    support, _ = _contact(x, constants)
-    specific_force = force + quaternion.rotate_inverse(x[ATTITUDE], support)
-    return {"specific_force": specific_force, "rotor_speed": rotor_speed, "ground_force": support[2]}
+    """Specific force and angular acceleration, rotor speeds, the ground's upward force per unit of mass.
+
+    Ground contact is in the first two as well.
+    """
+    force, angular, rotor_speed = model.observe(x, speed, constants["model"], environment)
+    support, turning = _contact(x, constants)
+    return {
+        "specific_force": force + quaternion.rotate_inverse(x[ATTITUDE], support),
+        "angular_acceleration": angular + turning,
+        "rotor_speed": rotor_speed,
+        "ground_force": support[2],
+    }
 
 
 def _measure(
-    x: Expression, force_read: Expression, rate_read: Expression, state: Values, constants: Values, noise: Values
+    x: Expression, read: Sequence[Expression], state: Values, constants: Values, noise: Values
 ) -> tuple[dict[str, Expression], Expression]:
     """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth.
 
-    force_read, rate_read: as the sensors would read them without noise.
+    read: outputs of the model's `measure`, as the sensors would read them without noise.
     """
+    force_read, rate_read, *_, arm = read
     error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
     gyro = rate_read + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
     rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
@@ -210,7 +219,9 @@ def _measure(
         "force_integral": state["force_integral"] + force * DT,
         "gyro_integral": state["gyro_integral"] + gyro * DT,
     }
-    return states, ca.vertcat(x[POSITION] + error[0:3], x[VELOCITY] + error[3:6], _estimated_attitude(x, error), rate)
+    position = x[POSITION] + quaternion.rotate(x[ATTITUDE], arm)
+    velocity = x[VELOCITY] + quaternion.rotate(x[ATTITUDE], ca.cross(x[RATE], arm))
+    return states, ca.vertcat(position + error[0:3], velocity + error[3:6], _estimated_attitude(x, error), rate)
 
 
 def _estimated_attitude(x: Expression, error: Expression) -> Expression:

@@ -95,7 +95,8 @@ class SimulatedVehicle:
         self._last: tuple[ControlSetpoint | None, bool] = (None, False)
         self._thrust = 0.0
         values = self.plant.model.parameter_values
-        self._pose_age = max(round(float(self.plant.model.measure(0, 0, 0, values)[3]) / DT), 0)  # steps
+        ages = [float(age) for age in self.plant.model.measure(0, 0, 0, values, 0)[3:5]]
+        self._pose_age, self._attitude_age = (max(round(age / DT), 0) for age in (ages[0], sum(ages)))  # steps
         self.land_detector = LandDetector()
         self._set_constants()
         self._set_state()
@@ -148,8 +149,12 @@ class SimulatedVehicle:
         """The estimator's output: as old as its delay, with its errors, rates from the filtered gyro."""
         oldest = min(self._step, len(self._loop.records) - 1)
         age = min(round(self.options.sensors.delay / DT), oldest)
-        stamped, pose = self._motion("estimate", age), self._motion("estimate", min(age + self._pose_age, oldest))
-        return dataclasses.replace(pose, time=stamped.time, rate_body=stamped.rate_body)
+
+        def aged(more: int) -> MotionState:
+            return self._motion("estimate", min(age + more, oldest))
+
+        stamped, pose, turned = aged(0), aged(self._pose_age), aged(self._attitude_age)
+        return dataclasses.replace(pose, time=stamped.time, rate_body=stamped.rate_body, attitude=turned.attitude)
 
     @property
     def imu(self) -> ImuSample:

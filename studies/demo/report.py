@@ -120,7 +120,7 @@ def closing_lines(report: DemoReport) -> list[str]:
     if not learned.vehicle_file:
         return [*lines, "Nothing was added, so nothing was flown again."]
     lines.append(f"Added: {', '.join(learned.added)}. The vehicle file with it: {learned.vehicle_file}")
-    faults = [name for name in learned.added if CATALOGUE[name].measurement is not None]
+    faults = [name for name in learned.added if not CATALOGUE[name].moves_vehicle]
     if faults:
         lines.append(f"{' and '.join(faults)}: of a sensor, not of the motion, so tracking cannot gain by it.")
     return lines

@@ -131,7 +131,15 @@ def thrust_constant(now, p):
 
 
 def weak_rotor(now, p, rotor=1):
-    return summed(now, upwards(-p["loss"] * now.thrusts * (np.arange(4) == rotor)))
+    force, torque = summed(now, upwards(-p["loss"] * now.thrusts * (np.arange(4) == rotor)))
+    reaction = now.vehicle.rotors.torque_constant * now.vehicle.rotors.spin[rotor] * now.speed[rotor] ** 2
+    return force, torque - [0, 0, p["torque_loss"] * reaction]
+
+
+def thrust_exponent(now, p):
+    hover = now.vehicle.hover_speed
+    thrust = now.vehicle.rotors.thrust_constant * hover**2 * (now.speed / hover) ** p["exponent"]
+    return summed(now, upwards(thrust - now.thrusts))
 
 
 def centre_of_mass(now, p):
@@ -200,7 +208,8 @@ EXPECTED = {
     "wind": (wind, {"x": 2.0, "y": -1.0, "z": 0.5, "coefficient": 2e-5}),
     "mass": (mass, {"ratio": 1.2}),
     "thrust_constant": (thrust_constant, {"ratio": 0.9}),
-    "weak_rotor": (weak_rotor, {"loss": 0.15}),
+    "thrust_exponent": (thrust_exponent, {"exponent": 1.75}),
+    "weak_rotor": (weak_rotor, {"loss": 0.15, "torque_loss": 0.1}),
     "centre_of_mass": (centre_of_mass, {"x": 0.01, "y": -0.004, "z": 0.002}),
     "battery_sag": (battery_sag, {"gain": 0.7, "reference": 0.95}),
     "linear_drag": (linear_drag, {"coefficient": 0.06}),
@@ -216,10 +225,42 @@ EXPECTED = {
 
 SENSOR_FAULTS = {
     "imu_bias": {"x": 0.1, "y": -0.2, "z": 0.3},
+    "imu_lever_arm": {"x": 0.02, "y": -0.01, "z": 0.03},
+    "imu_misalignment": {"x": 0.05, "y": -0.02, "z": 0.1},
     "gyro_bias": {"x": 0.01, "y": -0.02, "z": 0.03},
     "time_delay": {"delay": 0.03},
+    "attitude_delay": {"delay": 0.015},
+    "pose_lever_arm": {"x": 0.02, "y": -0.01, "z": 0.03},
     "rotor_speed_fault": {"gain": 0.5},
 }
+FORCE, RATE, SPEED, ANGULAR = [1.0, 2, 3], [4.0, 5, 6], [700.0, 800, 900, 1000], [70.0, -80, 90]
+
+
+def at(arm):
+    """Acceleration of a point of the body beyond its centre of mass's."""
+    return np.cross(ANGULAR, arm) + np.cross(RATE, np.cross(RATE, arm))
+
+
+def turned(vector, p):
+    """A body vector in axes turned by a rotation vector."""
+    return quaternion.rotate_inverse(quaternion.exponential(np.array([p["x"], p["y"], p["z"]])), np.array(vector))
+
+
+READINGS = {  # force, rate, rotor speed, age of the pose, of the attitude beyond it, arm of the pose
+    "imu_bias": lambda p: {"force": FORCE + axes(p)},
+    "imu_lever_arm": lambda p: {"force": FORCE + at(axes(p))},
+    "imu_misalignment": lambda p: {"force": turned(FORCE, p), "rate": turned(RATE, p)},
+    "gyro_bias": lambda p: {"rate": RATE + axes(p)},
+    "time_delay": lambda p: {"pose_age": p["delay"]},
+    "attitude_delay": lambda p: {"attitude_age": p["delay"]},
+    "pose_lever_arm": lambda p: {"pose_arm": axes(p)},
+    "rotor_speed_fault": lambda p: {"speed": SPEED * np.array([1, p["gain"], 1, 1])},
+}
+
+
+def axes(p):
+    """Parameters x, y, z."""
+    return np.array([p["x"], p["y"], p["z"]])
 
 
 def use(name, values):
@@ -375,19 +416,29 @@ def test_a_sensors_fault_changes_its_reading_and_no_motion(arpl_250g, name):
     now, values = moment(arpl_250g, 0), SENSOR_FAULTS[name]
     force, torque = added(now, use(name, values))
     assert_allclose(np.concatenate([force, torque]), 0.0, atol=1e-15)
-    force, rate, speed, age = reading(arpl_250g, use(name, values))
-    bias = [values.get(axis, 0.0) for axis in "xyz"]
-    assert_allclose(force, [1, 2, 3] + np.array(bias) * (name == "imu_bias"))
-    assert_allclose(rate, [4, 5, 6] + np.array(bias) * (name == "gyro_bias"))
-    assert_allclose(speed, [700, 800 * values.get("gain", 1.0), 900, 1000])
-    assert age == values.get("delay", 0.0)
+    assert not CATALOGUE[name].moves_vehicle
+    plain = {"force": FORCE, "rate": RATE, "speed": SPEED, "pose_age": 0.0, "attitude_age": 0.0, "pose_arm": [0, 0, 0]}
+    expected = plain | READINGS[name](values)
+    for quantity, value in reading(arpl_250g, use(name, values)).items():
+        assert_allclose(value.squeeze(), expected[quantity], rtol=2e-3 if name == "imu_misalignment" else 1e-12)
+
+
+def test_sensors_stay_where_they_were_when_the_centre_of_mass_moves(arpl_250g):
+    moved = {"x": 0.01, "y": -0.004, "z": 0.002}
+    read = reading(arpl_250g, use("centre_of_mass", moved))
+    assert_allclose(read["force"], FORCE + at(-axes(moved)))
+    assert_allclose(read["pose_arm"], -axes(moved))
+    ideal = reading(arpl_250g, use("centre_of_mass", moved | {"sensors_stay": 0.0}))
+    assert_allclose(ideal["force"], FORCE)
+    assert CATALOGUE["centre_of_mass"].moves_vehicle
 
 
 def reading(vehicle, *uses):
-    """The sensors' readings of a specific force, a body rate and rotor speeds, and the pose's age."""
+    """The sensors' readings of FORCE, RATE and SPEED, and the pose's ages and arm."""
     model = build_model(vehicle, effects=uses)
-    read = model.measure([1, 2, 3], [4, 5, 6], [700, 800, 900, 1000], model.parameter_values)
-    return [np.array(value).ravel() for value in read[:3]] + [float(read[3])]
+    read = model.measure(FORCE, RATE, SPEED, model.parameter_values, ANGULAR)
+    names = ("force", "rate", "speed", "pose_age", "attitude_age", "pose_arm")
+    return {name: np.array(value).ravel() for name, value in zip(names, read, strict=True)}
 
 
 def test_rotors_that_speed_up_twist_the_body_against_their_turning(arpl_250g):
