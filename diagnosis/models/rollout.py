@@ -123,7 +123,7 @@ def _without_faults(segment: Segment, model: Model) -> Segment:
     _, rate, speed, age, attitude_age, arm = read(nothing, still)
     turn = np.column_stack([read(axis, still)[1] - rate for axis in np.eye(3)])
     gain = read(nothing, still + 1)[2] - speed
-    gyro = None if segment.gyro is None else np.linalg.solve(turn, (segment.gyro - rate).T).T
+    gyro = None if segment.gyro is None else np.asarray((segment.gyro - rate) @ np.linalg.inv(turn).T, dtype=float)
     posed = _with_pose_of(segment, float(age[0]), float(age[0] + attitude_age[0]))
     to_world = np.asarray(quaternion.rotation_matrix(posed.attitude))
     rate_body = posed.rate_from_attitude if gyro is None else gyro

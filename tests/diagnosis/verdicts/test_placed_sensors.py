@@ -1,0 +1,35 @@
+"""Sensors that sit, point or wait elsewhere than the model has it are named as such, not as forces."""
+
+import pytest
+
+from diagnosis.data.dataset import make_dataset
+from diagnosis.diagnose import diagnose_dataset
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle import EffectUse
+from fixtures.compiled_flights import compiled_flights
+
+NAMES = (
+    "rotor_drag", "inertia", "centre_of_mass", "rotor_cant", "wind", "imu_bias", "imu_lever_arm", "imu_misalignment",
+    "gyro_bias", "time_delay", "attitude_delay", "pose_lever_arm",
+)  # fmt: skip
+SOME = {name: CATALOGUE[name] for name in NAMES}
+MANOEUVRES = ("line:laps=3,ramp=1", "yaw_spin:laps=3,ramp=1", "Lemniscate:laps=4,ramp=1.5,speed=0.9") * 2
+CASES = {
+    "imu_lever_arm": {"x": 0.02, "y": 0.0, "z": -0.03},
+    "pose_lever_arm": {"x": 0.03, "y": 0.0, "z": 0.05},
+    "imu_misalignment": {"x": 0.03, "y": 0.04, "z": 0.0},
+    "attitude_delay": {"delay": 0.015},
+    "centre_of_mass": {"x": 0.003, "y": -0.004},
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_sensor_out_of_place_is_named(arpl_250g, name):
+    uses = [EffectUse(name, CASES[name])]
+    flights = compiled_flights(arpl_250g, uses, catalogue=CATALOGUE, seed=4, manoeuvres=MANOEUVRES)
+    diagnosis = diagnose_dataset(make_dataset(flights, arpl_250g), arpl_250g, SOME).diagnosis
+    assert diagnosis.verdict == "effect"
+    (effect,) = diagnosis.effects
+    assert effect.name == name
+    for parameter, value in CASES[name].items():
+        assert effect.parameters[parameter].value == pytest.approx(value, abs=0.002)
