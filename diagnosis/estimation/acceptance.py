@@ -205,7 +205,7 @@ class _Trial:
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
-        if all(not c.effect.moves_vehicle for c in best.candidates):
+        if not any(c.effect.moves_vehicle for c in best.candidates):
             return []
         before, after = self._open_loop(with_faults_of(best, self._vehicle)), self._open_loop(best.vehicle)
         interval = self._regression.thresholds.prediction.start_interval
