@@ -3,6 +3,7 @@
 # make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
+# make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
 # make is needed beforehand.
@@ -11,9 +12,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 RECIPE := pyproject.toml constraints.txt
-STUDIES := $(filter-out %_worker.py,$(shell grep -l __main__ benchmarks/*.py))
+STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 
-.PHONY: demo test lint study conformance clean $(STUDIES)
+.PHONY: demo test lint study study-public conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -30,6 +31,10 @@ lint: .venv/development.stamp
 	$(BIN)/python .ci/identifiers.py
 
 study: $(STUDIES) conformance
+
+study-public: .venv/workbench.stamp
+	@test -n "$(DIR)" || (echo "study-public: give the folder of your downloads: make study-public DIR=~/datasets" >&2; exit 2)
+	$(BIN)/python -m benchmarks.public_sets "$(DIR)" $(if $(SETS),--sets $(SETS))
 
 conformance: .venv/development.stamp
 	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance

@@ -1,12 +1,14 @@
 """Diagnosis of real flights, some with known faults. Writes results/real_flights.md.
 
-    python -m benchmarks.real_flights
+    python -m benchmarks.real_flights [--full FOLDER] [--statements]
 
-The flights are the small copies that the tests use (tests/data, each with its source and licence).
+The flights are the small copies that the tests use (tests/data, each with source and licence); with --full the whole
+logs of the same sets in a folder of them, all nine flights of NanoBench among them. --statements: that section alone.
 """
 
 from __future__ import annotations
 
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,6 +28,7 @@ from dynamics.errors import AlulaError
 from dynamics.state import VELOCITY
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
+from fixtures.real_flights import SETS, diagnose, full_sets
 from flights import Flight
 from vehicles import FOLDER
 
@@ -51,11 +54,20 @@ REFUSED = (
 
 def main() -> None:
     """Diagnose all of them and write the table."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("--full", type=Path, help="folder with the whole logs")
+    made.add_argument("--statements", action="store_true", help="what must be said and what must not, alone")
+    options = made.parse_args()
+    said = "## What must be said and what must not\n\n" + statements(options.full)
+    if options.statements:
+        write_result("real_statements", "Real flights as statements", said)
+        return
     crazyflie = read_vehicle(FOLDER / "crazyflie.toml")
     body = msgspec.structs.replace(crazyflie.body, mass=LEE_MASS)
     rotors = msgspec.structs.replace(crazyflie.rotors, speed_max=3300.0)
     upgraded = msgspec.structs.replace(crazyflie, body=body, rotors=rotors)
     parts = [
+        said,
         diagnosed("Crazyflie, manual flight, gyro, accelerometer and motor signals", [MANUAL], crazyflie),
         diagnosed("Crazyflie under a Lee controller, commanded thrust and torque", LEE, upgraded),
         lateral_drag(upgraded),
@@ -63,6 +75,20 @@ def main() -> None:
         "## Logs that cannot answer\n\n" + refusals(),
     ]
     write_result("real_flights", "Diagnosis of real flights", "\n\n".join(parts))
+
+
+def statements(full: Path | None) -> str:
+    """A row for each statement about each set, and how many hold."""
+    lines = ["| flights | answer | statement | holds |", "| --- | --- | --- | --- |"]
+    held = count = 0
+    for real in SETS if full is None else full_sets(full):
+        answer = diagnose(real) if full is None else diagnose(real, full)
+        for i, statement in enumerate(real.statements):
+            holds = statement.holds(answer)
+            held, count = held + holds, count + 1
+            first = (real.name, str(answer).replace("|", "/")) if i == 0 else ("", "")
+            lines.append(f"| {first[0]} | {first[1]} | {statement.text} | {'yes' if holds else '**no**'} |")
+    return "\n".join([f"{held} of {count} statements hold.", "", *lines])
 
 
 def diagnosed(title: str, logs: Sequence[Path], vehicle: Vehicle) -> str:

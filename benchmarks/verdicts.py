@@ -26,7 +26,7 @@ from benchmarks.verdict_cases import KINDS, Case, prepare
 from benchmarks.verdict_table import table, wrong_answers
 from dynamics.errors import AlulaError
 
-TOGETHER = 8  # cases that are flown side by side
+TOGETHER = 32  # cases that are flown side by side
 MAX_ROUNDS = 6  # of adding
 
 

@@ -1,0 +1,217 @@
+"""Public flights in a user's own download, scored: what is missing from their model, and what the effects explain.
+
+    make study-public DIR=~/datasets [SETS="nanobench idsia"]
+    python -m benchmarks.public_sets ~/datasets [--sets nanobench idsia neurobem neural_fly] [--flights 10]
+
+DIR holds one folder for each set, under any of the names listed in `SETS`. Nothing is downloaded. The last fifth of the
+flights is held out; forces and moments are compared below 8 Hz. Writes results/public_sets.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+import alula
+from benchmarks.provenance import write_result
+from benchmarks.public_flights import IDSIA_MAPPING, NEUROBEM_MAPPING, neural_fly_flight
+from diagnosis.models.open_loop import open_loop_errors
+from dynamics.effects import CATALOGUE
+from dynamics.errors import AlulaError, RequestError
+from dynamics.vehicle import Body, Rotors, Vehicle
+from dynamics.vehicle_file import read_vehicle
+from flights import Flight
+from vehicles import FOLDER
+
+
+@dataclass(frozen=True)
+class PublicSet:
+    """A public data set.
+
+    folders: names that its download usually has; pattern: of the flights in it.
+    read: a flight from its file.
+    published: figures of its authors to compare with, and where they stand; empty where none could be checked.
+    unverified: what of the layout could not be verified without the data.
+    """
+
+    title: str
+    folders: tuple[str, ...]
+    pattern: str
+    vehicle: Callable[[], Vehicle]
+    read: Callable[[Path], Flight]
+    source: str
+    published: str = ""
+    unverified: str = ""
+
+
+def _vehicle(name: str, mass: float, inertia: tuple[float, float, float], places: Sequence[tuple[float, float]],
+             thrust: float, torque: float, top: float, radius: float) -> Vehicle:  # fmt: skip
+    position = tuple((x, y, 0.0) for x, y in places)
+    rotors = Rotors(position, (1, -1, 1, -1), thrust, torque, top, radius=radius)
+    return Vehicle(name=name, body=Body(mass, inertia), rotors=rotors)
+
+
+def _quadrants(x: float, y: float) -> list[tuple[float, float]]:
+    return [(x, y), (-x, y), (-x, -y), (x, -y)]
+
+
+def nanobench() -> Vehicle:
+    """The Crazyflie, as heavy as flown."""
+    vehicle = read_vehicle(FOLDER / "crazyflie.toml")
+    return msgspec.structs.replace(vehicle, body=msgspec.structs.replace(vehicle.body, mass=0.04085))
+
+
+def crazyflie_brushless() -> Vehicle:
+    """The benchmark's own physical model: 45 g, 35.3 mm, its thrust constant; torque over thrust as of a Crazyflie."""
+    inertia = (2.3951e-5, 2.3951e-5, 3.2347e-5)
+    return _vehicle("crazyflie_brushless", 0.045, inertia, _quadrants(0.0353, 0.0353), 3.72e-8, 2.6e-10, 3200.0, 0.0275)
+
+
+def kingfisher() -> Vehicle:
+    """The quadrotor of NeuroBEM, with the numbers of the Agilicious stack's configuration of it."""
+    places = _quadrants(0.075, 0.10)
+    return _vehicle("kingfisher", 0.752, (0.0025, 0.0021, 0.0043), places, 1.5625e-6, 3.44e-8, 2800.0, 0.0648)
+
+
+def neural_fly() -> Vehicle:
+    """The custom drone of Neural-Fly: 2.6 kg; arms, inertia and rotors are estimates, so that moments say little."""
+    places = _quadrants(0.11, 0.14)
+    return _vehicle("neural_fly", 2.6, (0.035, 0.03, 0.06), places, 1.3e-5, 1.6e-7, 1000.0, 0.127)
+
+
+SETS = {
+    "nanobench": PublicSet(
+        "NanoBench",
+        ("nanobench-iros2026", "nanobench"),
+        "**/B*_rep*.csv*",
+        nanobench,
+        Flight.read,
+        "Ullah and Baca, arXiv 2603.09908; https://github.com/syediu/nanobench-iros2026",
+    ),
+    "idsia": PublicSet(
+        "IDSIA NanoDrone",
+        ("nanodrone-sysid-benchmark", "idsia", "nanodrone"),
+        "**/data/real/processed/**/*_run*.csv",
+        crazyflie_brushless,
+        lambda path: Flight.read(path, mapping=IDSIA_MAPPING),
+        "Busetto et al., arXiv 2512.14450; https://github.com/idsia-robotics/nanodrone-sysid-benchmark",
+        unverified="the column of time and the motors' turning directions; the repository's loader names the others",
+    ),
+    "neurobem": PublicSet(
+        "NeuroBEM",
+        ("neurobem", "neuro_bem", "NeuroBEM"),
+        "**/processed_data/*.csv",
+        kingfisher,
+        lambda path: Flight.read(path, mapping=NEUROBEM_MAPPING),
+        "Bauersfeld et al., RSS 2021; https://rpg.ifi.uzh.ch/neuro_bem/Readme.html",
+        published="force, authors' network: 0.565 N (flights and filter of theirs)",
+        unverified="headers of motor speeds and voltage, the motors' order (a wrong one is refused), the vehicle",
+    ),
+    "neural_fly": PublicSet(
+        "Neural-Fly",
+        ("neural-fly", "neural_fly", "neuralfly"),
+        "**/data/experiment/custom_*.csv",
+        neural_fly,
+        neural_fly_flight,
+        "O'Connell et al., Science Robotics 2022; https://github.com/aerorobotics/neural-fly",
+        unverified="the vehicle's arms, inertia and rotors; the frame, which is taken from the sign of height",
+    ),
+}
+
+
+def folder_of(public: PublicSet, parent: Path) -> Path:
+    """Of a set's download. Raises RequestError, with what to download, where there is none."""
+    for name in public.folders:
+        if (parent / name).is_dir() and any((parent / name).glob(public.pattern)):
+            return parent / name
+    if parent.name in public.folders and any(parent.glob(public.pattern)):
+        return parent
+    tried = ", ".join(f"{name}/{public.pattern}" for name in public.folders)
+    raise RequestError(
+        f"{parent} lacks {public.title}: none of {tried} is there. Download it from {public.source} and give the "
+        "folder above it as DIR."
+    )
+
+
+def section(public: PublicSet, folder: Path, limit: int) -> str:
+    """What a diagnosis says of a set, held-out errors over their floor, and open-loop errors before and after."""
+    paths = sorted(folder.glob(public.pattern))[:limit]
+    flights, left_out = [], []
+    for path in paths:
+        try:
+            flights.append(public.read(path))
+        except AlulaError as error:
+            left_out.append(f"{path.name}: {str(error)[:120]}")
+    vehicle = public.vehicle()
+    head = [f"## {public.title}", "", f"{public.source}. {len(flights)} flights."]
+    head += [f"Not verified without the data: {public.unverified}."] if public.unverified else []
+    head += (
+        [f"Published: {public.published}."]
+        if public.published
+        else ["Published figures: see the paper; none is copied here."]
+    )
+    head += [f"Left out: {'; '.join(left_out)}."] if left_out else []
+    try:
+        found = alula.diagnose(flights, vehicle)
+    except AlulaError as error:
+        return "\n".join([*head, "", f"Refused: {error}"])
+    report = found.report
+    lines = [
+        *head,
+        "",
+        f"{report.verdict}: {found.sentence}",
+        "",
+        "| channel, held out | before | after | floor | unit |",
+    ]
+    lines.append("| --- | --- | --- | --- | --- |")
+    lines += [
+        f"| {k} | {c.before:.3g} | {c.after:.3g} | {c.floor:.3g} | {c.unit} |" for k, c in report.channels.items()
+    ]
+    force = report.channels.get("imu") or report.channels.get("mocap")
+    if force is not None:
+        weight = vehicle.body.mass
+        lines.append(
+            f"| force | {weight * force.before:.3g} | {weight * force.after:.3g} | {weight * force.floor:.3g} | N |"
+        )
+    lines += [
+        "",
+        "| open loop after | position m | velocity m/s | attitude rad | rate rad/s |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for name, model in (("nominal", vehicle), ("with effects", found.details.vehicle)):
+        for e in open_loop_errors(model, CATALOGUE, found.dataset.held_out):
+            values = " | ".join(f"{v:.3g}" for v in (e.position, e.velocity, e.attitude, e.rate))
+            lines.append(f"| {e.horizon:g} s, {name} | {values} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Score the sets that are there."""
+    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    made.add_argument("folder", type=Path, help="that holds the downloads")
+    made.add_argument("--sets", nargs="+", choices=list(SETS), default=list(SETS))
+    made.add_argument("--flights", type=int, default=12, help="of each set at most")
+    options = made.parse_args()
+    np.seterr(all="ignore")
+    parts, missing = [], []
+    for name in options.sets:
+        try:
+            folder = folder_of(SETS[name], options.folder)
+        except RequestError as error:
+            missing.append(str(error))
+            continue
+        parts.append(section(SETS[name], folder, options.flights))
+    print("\n".join(missing), file=sys.stderr)
+    if not parts:
+        raise SystemExit(2)
+    write_result("public_sets", "Public flights", "\n\n".join(parts))
+
+
+if __name__ == "__main__":
+    main()
