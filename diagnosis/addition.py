@@ -85,7 +85,7 @@ def add_effect(
     Raises RequestError for an effect that is unknown, DataError when the held-out error does not fall.
     """
     _require_addable(name, catalogue)
-    require_answerable(dataset.everything, vehicle, thresholds.data_checks)
+    require_answerable(dataset.everything, vehicle, thresholds)
     notes: tuple[str, ...] = ()
     if name is None:
         result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)

@@ -92,7 +92,7 @@ def compare_dataset(
     thresholds: all but those that are applied when flights are read.
     """
     segments = dataset.everything
-    require_answerable(segments, vehicle, thresholds.data_checks)
+    require_answerable(segments, vehicle, thresholds)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     rows = residuals(vehicle, catalogue, segments, thresholds=thresholds)
     floor = regression.noise.floor
