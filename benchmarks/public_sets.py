@@ -158,14 +158,14 @@ def section(public: PublicSet, folder: Path, limit: int) -> str:
     )
     head += [f"Left out: {'; '.join(left_out)}."] if left_out else []
     try:
-        found = alula.diagnose(flights, vehicle)
+        result = alula.diagnose(flights, vehicle)
     except AlulaError as error:
         return "\n".join([*head, "", f"Refused: {error}"])
-    report = found.report
+    report = result.report
     lines = [
         *head,
         "",
-        f"{report.verdict}: {found.sentence}",
+        f"{report.verdict}: {result.sentence}",
         "",
         "| channel, held out | before | after | floor | unit |",
     ]
@@ -184,8 +184,8 @@ def section(public: PublicSet, folder: Path, limit: int) -> str:
         "| open loop after | position m | velocity m/s | attitude rad | rate rad/s |",
         "| --- | --- | --- | --- | --- |",
     ]
-    for name, model in (("nominal", vehicle), ("with effects", found.details.vehicle)):
-        for e in open_loop_errors(model, CATALOGUE, found.dataset.held_out):
+    for name, model in (("nominal", vehicle), ("with effects", result.details.vehicle)):
+        for e in open_loop_errors(model, CATALOGUE, result.dataset.held_out):
             values = " | ".join(f"{v:.3g}" for v in (e.position, e.velocity, e.attitude, e.rate))
             lines.append(f"| {e.horizon:g} s, {name} | {values} |")
     return "\n".join(lines)

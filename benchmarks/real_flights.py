@@ -58,16 +58,16 @@ def main() -> None:
     made.add_argument("--full", type=Path, help="folder with the whole logs")
     made.add_argument("--statements", action="store_true", help="what must be said and what must not, alone")
     options = made.parse_args()
-    said = "## What must be said and what must not\n\n" + statements(options.full)
+    claims = "## What must be claims and what must not\n\n" + statements(options.full)
     if options.statements:
-        write_result("real_statements", "Real flights as statements", said)
+        write_result("real_statements", "Real flights as statements", claims)
         return
     crazyflie = read_vehicle(FOLDER / "crazyflie.toml")
     body = msgspec.structs.replace(crazyflie.body, mass=LEE_MASS)
     rotors = msgspec.structs.replace(crazyflie.rotors, speed_max=3300.0)
     upgraded = msgspec.structs.replace(crazyflie, body=body, rotors=rotors)
     parts = [
-        said,
+        claims,
         diagnosed("Crazyflie, manual flight, gyro, accelerometer and motor signals", [MANUAL], crazyflie),
         diagnosed("Crazyflie under a Lee controller, commanded thrust and torque", LEE, upgraded),
         lateral_drag(upgraded),

@@ -88,21 +88,21 @@ def campaign_of(case: Case) -> Campaign:
     if kind in ("single", "outside") and name not in (*BY_SPEED, *BY_COMMAND):
         commands = bool(random.random() < 0.15)
     recorder = replace(made.recorder, commands=commands)
-    lag_known = commands and name != "motor_lag"
-    known: dict[str, dict[str, float]] = {}
+    lag_declared = commands and name != "motor_lag"
+    declared: dict[str, dict[str, float]] = {}
     if name == "true_file":
         chosen = ("rotor_drag", "parasitic_drag", "rotational_damping", "blade_flapping")
-        known = {n: sized(n, frame, random) for n in chosen}
+        declared = {n: sized(n, frame, random) for n in chosen}
     if name in AIR:
-        known = {"rotor_drag": sized("rotor_drag", frame, random)}
+        declared = {"rotor_drag": sized("rotor_drag", frame, random)}
     if kind == "estimator" or name == "estimator":
-        recorder, lag_known = Recorder(250.0, commands=True, pose="estimator"), True
-        known = {
+        recorder, lag_declared = Recorder(250.0, commands=True, pose="estimator"), True
+        declared = {
             "linear_drag": {"coefficient": frame.mass * float(random.uniform(0.5, 1.5))},
             "rotational_damping": {"coefficient": float(frame.inertia[0]) * float(random.uniform(0.5, 1.5))},
         }
     if kind == "nothing":
-        return replace(made, known=known, recorder=recorder, lag_known=lag_known)
+        return replace(made, declared=declared, recorder=recorder, lag_declared=lag_declared)
     if kind == "many":
         count = int(random.integers(5, 10))
         groups = [SEVERAL[i] for i in random.permutation(len(SEVERAL))[:count]]
@@ -112,12 +112,12 @@ def campaign_of(case: Case) -> Campaign:
     hidden = {n: sized(n, frame, random) for n in names}
     if kind == "own":
         commands = name == "motor_lag"
-        lag_known, recorder = commands, replace(recorder, commands=commands)
+        lag_declared, recorder = commands, replace(recorder, commands=commands)
         if not commands:
-            known = {name: {key: value / 2 for key, value in hidden[name].items()}}
-    if kind == "estimator" and name in known:
-        hidden[name] = {key: value * float(random.choice([0.5, 1.6, 2.0])) for key, value in known[name].items()}
-    return replace(made, hidden=hidden, known=known, recorder=recorder, lag_known=lag_known)
+            declared = {name: {key: value / 2 for key, value in hidden[name].items()}}
+    if kind == "estimator" and name in declared:
+        hidden[name] = {key: value * float(random.choice([0.5, 1.6, 2.0])) for key, value in declared[name].items()}
+    return replace(made, hidden=hidden, declared=declared, recorder=recorder, lag_declared=lag_declared)
 
 
 def prepare(cases: Sequence[Case]) -> None:
@@ -143,15 +143,15 @@ def prepare(cases: Sequence[Case]) -> None:
                 "layout": campaign.layout,
                 "milder": attempt,
             }
-            _describe(case, campaign.hidden, campaign.known, conditions, strengths(campaign, truths))
+            _describe(case, campaign.hidden, campaign.declared, conditions, strengths(campaign, truths))
         waiting = again
     for case, _ in waiting:
         _describe(case, {}, {}, {"lost": True}, {})
 
 
-def _describe(case: Case, hidden: Any, known: Any, conditions: Any, strength: Any) -> None:
-    said = {"hidden": hidden, "known": known, "conditions": conditions, "strength": strength}
-    (case.folder / "case.json").write_text(json.dumps(said))
+def _describe(case: Case, hidden: Any, declared: Any, conditions: Any, strength: Any) -> None:
+    text = {"hidden": hidden, "declared": declared, "conditions": conditions, "strength": strength}
+    (case.folder / "case.json").write_text(json.dumps(text))
 
 
 def _fly_ours(case: Case) -> None:
@@ -202,13 +202,13 @@ def _missed(campaign: Campaign, truth: Truth) -> tuple[Floats, Floats]:
     """Specific force and angular acceleration at the truth that the file's model, on what is logged, does not give."""
     frame, faults = campaign.frame, campaign.hidden
     speed = truth.command if campaign.recorder.commands else truth.speed.copy()
-    if campaign.recorder.commands and campaign.lag_known:
+    if campaign.recorder.commands and campaign.lag_declared:
         keep = np.exp(-ROW_STEPS * STEP / frame.lag)
         speed = lfilter([1 - keep], [1.0, -keep], speed, axis=0, zi=keep * speed[:1])[0]
     if "rotor_speed_fault" in faults:
         speed[:, int(faults["rotor_speed_fault"]["rotor"])] *= faults["rotor_speed_fault"]["gain"]
     fleet = SimpleNamespace(
-        hidden=merged([campaign.known]), arms=frame.rotors[None], spin=frame.spin[None], motors=len(frame.spin),
+        hidden=merged([campaign.declared]), arms=frame.rotors[None], spin=frame.spin[None], motors=len(frame.spin),
         lift=frame.thrust_constant, twist=frame.torque_constant, hover=frame.hover_speed, air=None,
         flicker=np.zeros((1, 1, 1)),
     )  # fmt: skip

@@ -15,18 +15,19 @@ SURE = 0.9  # share of resamples
 AT_FLOOR = 1.1
 VALUE = 0.05  # relative error of a parameter
 NAMES: Mapping[str, tuple[str, ...]] = {  # under which the catalogue may know what the simulator hides
-    "lost_propeller": ("lost_propeller", "propeller_loss", "weak_rotor"),
-    "imu_turned": ("imu_misalignment", "imu_rotation"),
+    "lost_propeller": ("weak_rotor",),
+    "imu_turned": ("imu_misalignment",),
     "attitude_late": ("attitude_delay",),
+    "centre_of_mass": ("centre_of_mass", "imu_lever_arm", "pose_lever_arm"),  # the sensors stay where they were
 }
 ALIKE = ({"mass", "thrust_constant"}, {"torque_constant", "inertia"}, {"wind", "gust"})  # nothing tells these apart
 
 
 def right(effect: Mapping[str, Any], hidden: Mapping[str, Any], *, rivals: bool = False) -> bool:
     """Whether a named effect is hidden, on its rotor; or, with rivals, one that it is declared to look like."""
-    said = {effect["name"], *(effect["ambiguous_with"] if rivals else ())}
+    names_given = {effect["name"], *(effect["ambiguous_with"] if rivals else ())}
     for name, values in hidden.items():
-        if said & set(NAMES.get(name, (name,))):
+        if names_given & set(NAMES.get(name, (name,))):
             same = effect["rotor"] is None or "rotor" not in values or int(values["rotor"]) == effect["rotor"]
             if same or effect["name"] not in NAMES.get(name, (name,)):
                 return True
@@ -121,7 +122,7 @@ def several(flown: Sequence[Result]) -> list[str]:
     for name in ("nine", "random"):
         some = [r for r in flown if r["kind"] == "many" and r["name"] == name and "report" in r]
         hidden = [(r, n) for r in some for n in r["hidden"] if n != "gust"]
-        found = [n for r, n in hidden if any(right(e, {n: r["hidden"][n]}, rivals=True) for e in effects(r))]
+        named = [n for r, n in hidden if any(right(e, {n: r["hidden"][n]}, rivals=True) for e in effects(r))]
         false = [e for r in some for e in effects(r) if not right(e, r["hidden"], rivals=True)]
         close = [error for r in some for error, _ in errors(r)]
         if some:
@@ -129,7 +130,7 @@ def several(flown: Sequence[Result]) -> list[str]:
             over = [c["after"] / c["floor"] for r in some for c in r["report"]["channels"].values() if c["floor"]]
             typical, worst = np.median(over), max(over)
             lines += [
-                f"| many, {name} ({len(some)} sets): effects named | {len(found)} of {len(hidden)} | >= 90 % |",
+                f"| many, {name} ({len(some)} sets): effects named | {len(named)} of {len(hidden)} | >= 90 % |",
                 f"| many, {name}: named and not there | {len(false)} | 0 |",
                 f"| many, {name}: values within 5 % | {100 * within:.0f} % of {len(close)} | all |",
                 f"| many, {name}: channels over floor, median, worst | {typical:.2f}, {worst:.2f} | <= 1.1 |",
@@ -211,15 +212,15 @@ def errors(result: Result) -> list[tuple[float, bool]]:
 
 
 def wrong_answers(results: Sequence[Result]) -> str:
-    """One line for each: what was hidden, what was said."""
+    """One line for each: what was hidden, what was names_given."""
     lines = ["## Wrong answers", ""]
     for r in results:
         if fault := fault_of(r):
-            said = [_named(e) for e in effects(r)]
+            names_given = [_named(e) for e in effects(r)]
             hidden = "; ".join(f"{n} {_short(v)}" for n, v in r["hidden"].items()) or "nothing"
             lines.append(
                 f"- **{fault}** `{r['key']}` (x{strength(r):.1f}, {conditions(r)}): {hidden} -> {verdict(r)}: "
-                f"{'; '.join(said) or r.get('error', r.get('refused', '-'))[:220]}{_over(r)}"
+                f"{'; '.join(names_given) or r.get('error', r.get('refused', '-'))[:220]}{_over(r)}"
             )
     return "\n".join(lines)
 

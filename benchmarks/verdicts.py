@@ -66,9 +66,9 @@ def logs_of(folder: Path) -> list[str]:
 
 def diagnosed(logs: Sequence[str], vehicle: str) -> dict[str, Any]:
     """The report and its sentence."""
-    found = alula.diagnose(list(logs), vehicle)
-    flown = sum(segment.duration for segment in found.dataset.everything)
-    return {"report": msgspec.to_builtins(found.report), "sentence": found.sentence, "seconds": flown}
+    diagnosis = alula.diagnose(list(logs), vehicle)
+    flown = sum(segment.duration for segment in diagnosis.dataset.everything)
+    return {"report": msgspec.to_builtins(diagnosis.report), "sentence": diagnosis.sentence, "seconds": flown}
 
 
 def added(logs: Sequence[str], folder: Path) -> dict[str, Any]:
@@ -91,8 +91,8 @@ def added(logs: Sequence[str], folder: Path) -> dict[str, Any]:
                 "open_loop": [[msgspec.to_builtins(e) for e in errors] for errors in details.open_loop],
             }
         )
-    found = alula.diagnose(list(logs), str(vehicle))
-    return {"rounds": rounds, "stopped": stopped, "report": msgspec.to_builtins(found.report)}
+    diagnosis = alula.diagnose(list(logs), str(vehicle))
+    return {"rounds": rounds, "stopped": stopped, "report": msgspec.to_builtins(diagnosis.report)}
 
 
 def _write(vehicle: Any, path: Path) -> None:
