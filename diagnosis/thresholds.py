@@ -212,13 +212,38 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
     order: of the autoregressive models. [not derived yet]
     reference_band: its level caps the spectrum below it, where missing effects show, Hz. [decisions: the noise floor]
     spectrum_rows: of a periodogram. [not derived yet]
+    slow_order: of the models beside an estimator's slow errors. [px4_sih_flights: with it and `slow_spectrum_rows` the
+    whitened residual below 0.1 Hz has 1.0 to 2.5 times the power of white noise, 1.5 to 4 with the usual ones]
+    slow_spectrum_rows: of a periodogram beside them. [the same]
     torque_redness: factor on that cap for torques, which the rotors' turbulence reddens. [decisions: the noise floor]
     """
 
     order: Count = 6
     reference_band: Range = (1.5, 3.0)
     spectrum_rows: Annotated[int, Meta(ge=16)] = 128
+    slow_order: Count = 10
+    slow_spectrum_rows: Annotated[int, Meta(ge=16)] = 512
     torque_redness: Factor = 1.5
+
+
+class PoseThresholds(ThresholdGroup, frozen=True):
+    """Slow errors of a pose by an estimator that used the accelerometer: smooth Gauss-Markov processes.
+
+    velocity_error: standard deviation, m/s; up to it what looks like a gust is the estimator's. [px4_sih_flights: 0.14
+    to 0.23 over 28 flights of PX4 with GNSS]
+    velocity_time: correlation time of that, s. [the same: 2.6 to 2.7]
+    tilt_error: standard deviation, rad. [the same: 1.2 degrees]
+    tilt_time: correlation time of that, s. [the same: 2.5 to 3.8]
+    smooth_time: below which these errors do not change, s. [the same]
+    examples: segments on which the model's slope in the velocity is found. [not derived yet]
+    """
+
+    velocity_error: Positive = 0.2
+    velocity_time: Positive = 2.7
+    tilt_error: Score = 0.021
+    tilt_time: Positive = 3.0
+    smooth_time: Positive = 0.3
+    examples: Count = 3
 
 
 class RegressionThresholds(ThresholdGroup, frozen=True):
@@ -509,6 +534,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     rotor_moments: RotorMomentChecks = RotorMomentChecks()
     prediction: PredictionThresholds = PredictionThresholds()
     noise: NoiseThresholds = NoiseThresholds()
+    pose: PoseThresholds = PoseThresholds()
     regression: RegressionThresholds = RegressionThresholds()
     search: SearchThresholds = SearchThresholds()
     rivals: RivalThresholds = RivalThresholds()

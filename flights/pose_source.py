@@ -34,14 +34,14 @@ _ULOG_INPUTS = {"vehicle_mocap_odometry": "motion_capture", "vehicle_visual_odom
 def source_of(metadata: Mapping[str, str]) -> PoseSource:
     """The source that a log's or a flight's metadata names."""
     value = metadata.get(KEY, "unknown")
-    return next((known for known in get_args(PoseSource) if known == value), "unknown")
+    return next((one for one in get_args(PoseSource) if one == value), "unknown")
 
 
 def named_source(text: str) -> PoseSource:
     """The source that a user names. Raises RequestError for any other."""
-    for known in ("motion_capture", "estimator"):
-        if ALIASES.get(text, text) == known:
-            return known
+    for one in ("motion_capture", "estimator"):
+        if ALIASES.get(text, text) == one:
+            return one
     raise RequestError(f"the pose comes from {text!r}? Wanted mocap (motion capture) or estimator.")
 
 

@@ -41,6 +41,8 @@ class DesignMatrix:
     """Residuals of a vehicle's present model, and the columns of all candidates, for any segment.
 
     example: any of the segments.
+
+    present: the vehicle's present model.
     """
 
     def __init__(
@@ -54,7 +56,7 @@ class DesignMatrix:
         self._vehicle = vehicle
         self._width = max((i for c in candidates for i in c.columns), default=-1) + 1
         self._source = _ModelSource(vehicle, catalogue, example, thresholds)
-        self._present = self._source.predictor(vehicle.effects)
+        self.present = self._source.predictor(vehicle.effects)
         together = [c for c in candidates if _vanishes_beside_others(c, candidates)]
         joint = [[c for c in together if _scales_rotors(c) is scaled] for scaled in (False, True)]
         self._groups = [self._source.joint(group) for group in joint if group]
@@ -65,7 +67,7 @@ class DesignMatrix:
 
         instrumented: columns for detection, which use instruments for the rotors' moments; else plain ones.
         """
-        base = channels.predicted(segment, [self._present.predict(segment)])
+        base = channels.predicted(segment, [self.present.predict(segment)])
         instruments = make_instruments(segment, self._vehicle) if instrumented else None
         columns = np.empty((len(base), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []

@@ -7,16 +7,19 @@ capped there at the latter's level; without the cap a gust would be whitened awa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
 
+from diagnosis.data.pose import NO_ERRORS, PoseErrors
+from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, POSE_ACCELERATION, SPECIFIC_FORCE
 from diagnosis.thresholds import DEFAULT, NoiseThresholds
 from dynamics.arrays import Floats
 
-TORQUES = range(6, 9)
+TORQUES = range(ANGULAR_ACCELERATION.start, ANGULAR_ACCELERATION.stop)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,23 +74,30 @@ def estimate_noise(
     active: Sequence[int],
     *,
     mixed: bool = True,
+    pose: PoseErrors = NO_ERRORS,
     thresholds: NoiseThresholds = DEFAULT.noise,
 ) -> NoiseModel:
     """The noise of residuals (m, 12) that hold as little of missing effects as possible. rate: Hz.
 
     mixed: whether correlation between channels is noise, and whitened.
+    pose: slow errors that are noise as well.
     """
+    if pose.there:
+        order, spectrum_rows = thresholds.slow_order, thresholds.slow_spectrum_rows
+        thresholds = msgspec.structs.replace(thresholds, order=order, spectrum_rows=spectrum_rows)
     filters, levels, floor = [], [], np.zeros(residuals[0].shape[1])
     start = thresholds.reference_band[0]
     fast_share = 1 - start / (rate / 2)
     for channel in active:
         columns = [r[:, channel] for r in residuals]
-        a, variance = _capped_ar(columns, rate, thresholds)
+        a, variance = _capped_ar(columns, rate, channel, pose, thresholds)
         innovations = [_above(lfilter(a, [1.0], x)[thresholds.order :], rate, start) for x in columns]
         filters.append(a)
         levels.append(np.sqrt(np.mean(np.concatenate(innovations) ** 2) / fast_share))
         floor[channel] = np.sqrt(variance)
     unmixed = NoiseModel(tuple(active), np.array(filters), np.array(levels), np.eye(len(active)), floor)
+    if pose.there:
+        return _counted_once(unmixed, residuals, rate, start)
     if not mixed:
         return unmixed
     white = np.vstack([_above(unmixed.whiten(r), rate, start) for r in residuals])
@@ -96,14 +106,38 @@ def estimate_noise(
     return NoiseModel(unmixed.active, unmixed.filters, unmixed.level, mixing, floor)
 
 
+def _counted_once(noise: NoiseModel, residuals: Sequence[Floats], rate: float, start: float) -> NoiseModel:
+    """The noise where the pose's acceleration is the accelerometer's own: what they share counts as one measurement.
+
+    Two channels whose noise correlates by r know as much of a common signal as two independent ones of 1 + r times the
+    variance. Decorrelating them instead would make their difference, which is the estimator's correction, seem precise.
+    start: Hz, above which the correlation is found.
+    """
+    white = np.vstack([_above(noise.whiten(r), rate, start) for r in residuals])
+    level, places = noise.level.copy(), {channel: place for place, channel in enumerate(noise.active)}
+    for axis in range(AXES):
+        force, pose = (places.get(part.start + axis) for part in (SPECIFIC_FORCE, POSE_ACCELERATION))
+        if force is None or pose is None:
+            continue
+        shared = float(np.corrcoef(white[:, force], white[:, pose])[0, 1])
+        level[[force, pose]] *= np.sqrt(1 + max(shared, 0.0))
+    return replace(noise, level=level)
+
+
 def noise_floor(
-    residuals: Sequence[Floats], rate: float, active: Sequence[int], thresholds: NoiseThresholds = DEFAULT.noise
+    residuals: Sequence[Floats],
+    rate: float,
+    active: Sequence[int],
+    thresholds: NoiseThresholds = DEFAULT.noise,
+    *,
+    pose: PoseErrors = NO_ERRORS,
 ) -> Floats:
     """(12,) standard deviation of the noise in residuals (m, 12), zero where a channel is absent.
 
     Below the reference band the mean of the spectrum counts at most as much as within it, times `torque_redness` for
     torques, to which the rotors' turbulence adds low frequencies. A cap bin by bin, as for the filters, would count
     chance as missing effects.
+    pose: slow errors that count as well, as far as they are there.
     """
     floor = np.zeros(residuals[0].shape[1])
     start, stop = thresholds.reference_band
@@ -112,18 +146,22 @@ def noise_floor(
         size = np.abs(frequency)
         slow, level = size < start, spectrum[(size >= start) & (size <= stop)].mean()
         limit = level * (thresholds.torque_redness if channel in TORQUES else 1.0)
+        limit += pose.density(frequency[slow])[channel].mean()
         power = spectrum[~slow].sum() + min(float(spectrum[slow].mean()), float(limit)) * slow.sum()
         floor[channel] = np.sqrt(power * rate / len(spectrum))
     return floor
 
 
-def _capped_ar(columns: Sequence[Floats], rate: float, thresholds: NoiseThresholds) -> tuple[Floats, float]:
+def _capped_ar(
+    columns: Sequence[Floats], rate: float, channel: int, pose: PoseErrors, thresholds: NoiseThresholds
+) -> tuple[Floats, float]:
     """Coefficients (1, -a1, .., -an) from the capped spectrum, and the variance under it."""
     order, (start, stop) = thresholds.order, thresholds.reference_band
     frequency, spectrum = _spectrum(columns, rate, thresholds.spectrum_rows)
     size = np.abs(frequency)
     reference = spectrum[(size >= start) & (size <= stop)].mean()
-    spectrum = np.where(size < start, np.minimum(spectrum, reference), spectrum)
+    limit = reference + pose.density(frequency)[channel]
+    spectrum = np.where(size < start, np.minimum(spectrum, limit), spectrum)
     correlation = np.real(np.fft.ifft(spectrum))
     correlation[0] *= 1 + 1e-4
     a = solve_toeplitz(correlation[:order], correlation[1 : order + 1])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from diagnosis.data.pose import PoseErrors, pose_errors
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
@@ -259,7 +260,8 @@ def make_regression(
     candidates = make_candidates(vehicle, catalogue, segments)
     design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
     rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
-    noise, everything = _noise(segments, rows, columns, thresholds)
+    pose = pose_errors(segments, design.present, thresholds.pose)
+    noise, everything = _noise(segments, rows, columns, pose, thresholds)
     errors = design_errors(segments, design, rows, columns)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
     joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
@@ -336,7 +338,11 @@ def flight_equations(
 
 
 def _noise(
-    segments: Sequence[Segment], rows: Sequence[Floats], columns: Sequence[Floats], thresholds: Thresholds
+    segments: Sequence[Segment],
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+    pose: PoseErrors,
+    thresholds: Thresholds,
 ) -> tuple[NoiseModel, Floats]:
     """The noise, from the residuals after all columns at once, and the coefficients (k,) of these."""
     kinds = np.all([channels.present(s) for s in segments], axis=0)
@@ -345,7 +351,7 @@ def _noise(
     residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
     # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
     mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
-    return estimate_noise(residuals, rate, active, mixed=mixed, thresholds=thresholds.noise), everything
+    return estimate_noise(residuals, rate, active, mixed=mixed, pose=pose, thresholds=thresholds.noise), everything
 
 
 def _marginals(

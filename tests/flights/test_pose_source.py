@@ -56,7 +56,7 @@ def test_a_csv_does_not_tell_and_its_user_does(tmp_path):
     assert Flight.from_log(read_log(path)).pose_source == "unknown"
     flight = Flight.from_log(read_log(path, pose="mocap"))
     assert flight.pose_source == "motion_capture"
-    kept = Flight.read(flight.to_parquet(tmp_path / "flight.parquet"))
-    assert kept.pose_source == "motion_capture"
+    restored = Flight.read(flight.to_parquet(tmp_path / "flight.parquet"))
+    assert restored.pose_source == "motion_capture"
     with pytest.raises(RequestError, match="mocap"):
         read_log(path, pose="gps")

@@ -1,0 +1,81 @@
+"""Errors of an estimator's pose, as they enter the residuals.
+
+An estimator that used the accelerometer errs slowly and smoothly, by far more than its noise from sample to sample
+shows. Its error of velocity is, to the model, air that moves, and its derivative is in the acceleration of the pose;
+its error of tilt turns gravity. Motion capture has no such errors, and where the source is unknown none are allowed
+for.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from diagnosis.data.segment import Segment
+from diagnosis.models import channels
+from diagnosis.models.prediction import Predictor
+from diagnosis.thresholds import DEFAULT, PoseThresholds
+from dynamics.arrays import Floats
+from dynamics.vehicle import GRAVITY
+
+
+@dataclass(frozen=True, eq=False)
+class PoseErrors:
+    """What errors of the pose add to the residuals.
+
+    slopes: (12,) of the channels in an error of velocity, RMS over its three axes, 1/s or 1/(s m); None where the pose
+        has no errors of its own.
+    """
+
+    slopes: Floats | None
+    thresholds: PoseThresholds = DEFAULT.pose
+
+    @property
+    def there(self) -> bool:
+        """Whether the pose has such errors."""
+        return self.slopes is not None
+
+    def density(self, frequency: Floats) -> Floats:
+        """(12, f) two-sided power density of these errors in each channel at frequencies, Hz."""
+        if self.slopes is None:
+            return np.zeros((channels.CHANNELS, len(frequency)))
+        limits = self.thresholds
+        velocity = limits.velocity_error**2 * _shape(frequency, limits.velocity_time, limits.smooth_time)
+        tilt = limits.tilt_error**2 * _shape(frequency, limits.tilt_time, limits.smooth_time)
+        squared = (2 * np.pi * frequency) ** 2
+        density = self.slopes[:, None] ** 2 * velocity
+        density[channels.POSE_ACCELERATION] += squared * velocity + GRAVITY**2 * tilt
+        density[channels.ATTITUDE_RATE] += squared * tilt
+        return np.asarray(density)
+
+
+NO_ERRORS = PoseErrors(None)
+
+
+def pose_errors(
+    segments: Sequence[Segment], predictor: Predictor, thresholds: PoseThresholds = DEFAULT.pose
+) -> PoseErrors:
+    """The errors of these segments' pose; predictor: of the present model, for its slopes in the velocity."""
+    if not any(segment.pose_source == "estimator" for segment in segments):
+        return NO_ERRORS
+    squares = [_squared_slopes(segment, predictor, thresholds) for segment in segments[: thresholds.examples]]
+    return PoseErrors(np.sqrt(np.mean(squares, axis=0)), thresholds)
+
+
+def _squared_slopes(segment: Segment, predictor: Predictor, thresholds: PoseThresholds) -> Floats:
+    """(12,) mean square of the change of each channel with the velocity, summed over axes."""
+    here = channels.predicted(segment, [predictor.predict(segment)])[:, :, 0]
+    total, step = np.zeros(channels.CHANNELS), thresholds.velocity_error
+    for axis in np.eye(channels.AXES):
+        moved = replace(segment, velocity=segment.velocity + step * axis)
+        change = channels.predicted(moved, [predictor.predict(moved)])[:, :, 0] - here
+        total += np.mean((change / step) ** 2, axis=0)
+    return total
+
+
+def _shape(frequency: Floats, time: float, smooth: float) -> Floats:
+    """Two-sided density of a Gauss-Markov process of second order with unit variance. time, smooth: s."""
+    omega = 2 * np.pi * frequency
+    return np.asarray(2 * (time + smooth) / ((1 + (omega * time) ** 2) * (1 + (omega * smooth) ** 2)))
