@@ -14,8 +14,8 @@ import numpy as np
 from scipy.linalg import solve_toeplitz
 from scipy.signal import lfilter, welch
 
-from diagnosis.data.pose import NO_ERRORS, PoseErrors
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, POSE_ACCELERATION, SPECIFIC_FORCE
+from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
 from diagnosis.thresholds import DEFAULT, NoiseThresholds
 from dynamics.arrays import Floats
 

@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from diagnosis.data.pose import PoseErrors, pose_errors
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
+from diagnosis.models.pose_errors import PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
 from diagnosis.selection.candidates import Candidate, make_candidates
 from diagnosis.selection.design_matrix import DesignMatrix

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnosis.data.pose import NO_ERRORS, PoseErrors, pose_errors
+from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
 from diagnosis.thresholds import DEFAULT
