@@ -76,7 +76,7 @@ def heavier(vehicle: Vehicle, mass: float, speed_max: float) -> Vehicle:
 
 def row(name: str, groups: Sequence[Sequence[Segment]], vehicle: Vehicle) -> str:
     """A line of the table: the first group is all flights, the others one flight each."""
-    orders = list(itertools.permutations(range(vehicle.rotors.count)))
+    permutations = list(itertools.permutations(range(vehicle.rotors.count)))
     moments = compared_moments(groups[0], vehicle)
     passed, refused, right, wrong, spins, clocks = 0, 0, 0, 0, 0, 0
     rotors = vehicle.rotors
@@ -84,9 +84,9 @@ def row(name: str, groups: Sequence[Sequence[Segment]], vehicle: Vehicle) -> str
         vehicle, rotors=msgspec.structs.replace(rotors, spin=tuple(-s for s in rotors.spin))
     )
     for group in groups:
-        for order in orders:
+        for order in permutations:
             answer = refusal([replace(s, rotor_speed=s.rotor_speed[:, np.argsort(order)]) for s in group], vehicle)
-            if order == orders[0]:
+            if order == permutations[0]:
                 passed += answer == ""
                 continue
             refused += answer != ""
@@ -95,7 +95,7 @@ def row(name: str, groups: Sequence[Sequence[Segment]], vehicle: Vehicle) -> str
         spins += refusal(group, backwards) != ""
         late = [replace(s, rotor_speed=np.roll(s.rotor_speed, round(CLOCK * s.rate), axis=0)) for s in group]
         clocks += refusal(late, vehicle) != ""
-    count, others = len(groups), len(groups) * (len(orders) - 1)
+    count, others = len(groups), len(groups) * (len(permutations) - 1)
     own = range(rotors.count)
     return (
         f"| {name} | {max(1, count - 1)} | {sum(s.duration for s in groups[0]):.0f} | {moments.agreement(own):.2f} | "

@@ -25,9 +25,17 @@ Rows = NDArray[np.bool_]
 
 IDLE_EFFORT = 0.35  # of the usual effort, below which rotors do not carry the vehicle,
 IDLE_TIME = 0.15  # s, and for how long
+SMOOTHED = 0.2  # s over which specific force is averaged
 RESTING_FORCE = 0.5  # g of specific force: less is free fall, not the ground
 STILL_SPEED, STILL_RATE = 0.15, 0.3  # m/s, rad/s
+DRIFTING_SPEED = 1.5  # m/s that an estimate may drift by while the vehicle stands
+STEADY_FORCE = 1.5  # m/s^2 by which specific force may differ from gravity's reaction without acceleration
+STEADY_TIME = 0.3  # s of that
+CARRYING_EFFORT = 0.65  # of the weight; a vehicle that stays at a height with less stands on something
+SINKING_SPEED = 0.5  # m/s; in a faster descent the air carries a part
 GROUND_HEIGHT = 0.07  # m
+LIFT_OFF_SPEED = 0.3  # m/s upwards
+MAX_SPOOL_UP = 3.0  # s from idling rotors to lift-off
 GROUND_MARGIN = 0.3  # s before and after ground contact: spool-up, touch-down
 IMPACT_FORCE = 20.0  # m/s^2 within an instant, and
 IMPACT_SPREAD = 12.0  # times the usual scatter, to be an impact
@@ -65,8 +73,10 @@ def find_exclusions(flight: Flight) -> tuple[Exclusion, ...]:
     ground = indicators.ground()
     impacts, force = indicators.impacts()
     crash = _crashes(indicators, ground, impacts)
-    touching = _grown(ground, indicators.rows(GROUND_MARGIN))
+    touching = _grown(indicators.until_lift_off(ground), indicators.rows(GROUND_MARGIN))
     bumps = _grown(impacts, indicators.rows(IMPACT_MARGIN)) & ~touching & ~crash
+    if not indicators.flew(~(touching | crash)):  # what never left the ground has not crashed
+        touching, crash = touching | crash, np.zeros_like(crash)
     exclusions = [
         *_named("crash", flight, crash, "hit something or fell over, and did not fly on"),
         *_named("ground", flight, touching & ~crash, "stood on the ground"),
@@ -111,19 +121,36 @@ def effort(flight: Flight) -> Floats | None:
     return None
 
 
+def _lift(used: Floats, vertical: Floats, tilt: Floats) -> Floats:
+    """(n,) lift over weight, by the effort of the upright rows that have the usual ratio of force and effort.
+
+    used: effort. vertical: specific force along body z, m/s^2. tilt: rad.
+    """
+    working = (used > IDLE_EFFORT) & (tilt < TILT_RESTING) & np.isfinite(vertical)
+    ratio = float(np.median(vertical[working] / used[working])) / GRAVITY if working.any() else 1.0
+    return np.asarray(np.nan_to_num(used, nan=1.0) * ratio)
+
+
 @dataclass(frozen=True, eq=False)
 class _Indicators:
-    """The signals that decide, (n,) each, None where the log has none."""
+    """The signals that decide, (n,) each, None where the log has none.
+
+    unbalanced: difference of the specific force from gravity's reaction, in the world, m/s^2: the acceleration.
+    lift: of the rotors over the weight, by their effort.
+    """
 
     count: int
     period: float
     effort: Floats | None
     force: Floats | None
     speed: Floats | None
+    climb: Floats | None
     turning: Floats | None
     tilt: Floats | None
     landed: Floats | None
     height: Floats | None
+    unbalanced: Floats | None
+    lift: Floats | None
 
     @classmethod
     def of(cls, flight: Flight) -> _Indicators:
@@ -137,7 +164,17 @@ class _Indicators:
         landed = flight["landed"] if "landed" in flight.columns else None
         height = flight["position"][:, 2] if flight.has("position") else None
         force, speed, turning = (norm(name) for name in ("specific_force", "velocity", "rate"))
-        return cls(len(flight), flight.period, effort(flight), force, speed, turning, tilt, landed, height)
+        used, unbalanced, lift = effort(flight), None, None
+        if force is not None and tilt is not None:
+            width = max(1, round(SMOOTHED / flight.period))
+            body = ndimage.uniform_filter1d(np.nan_to_num(flight["specific_force"]), width, axis=0)
+            reaction = quaternion.rotate(np.nan_to_num(flight["attitude"]), body) - np.array([0.0, 0.0, GRAVITY])
+            unbalanced = np.linalg.norm(reaction, axis=1)
+            lift = None if used is None else _lift(used, body[:, 2], tilt)
+        climb = flight["velocity"][:, 2] if speed is not None else None
+        return cls(
+            len(flight), flight.period, used, force, speed, climb, turning, tilt, landed, height, unbalanced, lift
+        )
 
     def rows(self, seconds: float) -> int:
         return max(1, round(seconds / self.period))
@@ -159,17 +196,35 @@ class _Indicators:
         carried = self._carried()
         if self.landed is not None and np.any(np.isfinite(self.landed)):
             landed = np.asarray(np.nan_to_num(self.landed, nan=1.0) != 0.0)
-            return landed if self.force is None else landed | carried  # detectors are seconds late after touch-down
-        return carried | self._at_rest_on(carried, self.still())
+            # detectors are seconds late after touch-down, and take a vehicle that fell over for a flying one
+            return landed if self.force is None else landed | carried | self.resting()
+        return carried | self._at_rest_on(carried, self.still()) | self.resting()
+
+    def resting(self) -> Rows:
+        """On the ground at any tilt: no acceleration, though the rotors carry too little or push to the side.
+
+        What flies without acceleration at a great tilt is fast, or else air as fast blows at it.
+        """
+        if self.unbalanced is None or self.tilt is None or self.speed is None or self.climb is None:
+            return np.zeros(self.count, dtype=bool)
+        slow = np.nan_to_num(self.speed, nan=np.inf) < DRIFTING_SPEED
+        steady = slow & (self.unbalanced < STEADY_FORCE) & np.isfinite(self.tilt)
+        oblique = np.nan_to_num(self.tilt) > TILT_RESTING
+        weak = np.zeros(self.count, dtype=bool)
+        if self.lift is not None:
+            weak = (self.lift < CARRYING_EFFORT) & (np.abs(np.nan_to_num(self.climb)) < SINKING_SPEED)
+        return _lasting(steady & (oblique | weak), self.rows(STEADY_TIME))
 
     def _carried(self) -> Rows:
-        """Rows in which the ground carries the vehicle: idle rotors without free fall."""
+        """Rows in which the ground carries the vehicle: idle rotors without free fall, dive or climb."""
         idle, still = self.idle(), self.still()
         if idle is None:
             return np.zeros(self.count, dtype=bool)
         if self.force is not None:
             smooth = ndimage.uniform_filter1d(np.nan_to_num(self.force, nan=GRAVITY), self.rows(0.1))
             idle = idle & (smooth > RESTING_FORCE * GRAVITY)
+            if self.speed is not None:  # in a dive the air carries as much
+                idle &= np.nan_to_num(self.speed) < DRIFTING_SPEED
         elif still is not None:
             idle = idle & still
         return _lasting(idle, self.rows(IDLE_TIME))
@@ -183,6 +238,23 @@ class _Indicators:
             level = float(np.nanmedian(self.height[max(start, stop - self.rows(0.2)) : stop]))
             at_rest |= still & (np.abs(np.nan_to_num(self.height, nan=np.inf) - level) < GROUND_HEIGHT)
         return _lasting(at_rest, self.rows(IDLE_TIME))
+
+    def until_lift_off(self, ground: Rows) -> Rows:
+        """The ground's rows and those after each of its runs until the vehicle is higher than there, or climbs."""
+        standing = ground.copy()
+        if self.height is None or self.climb is None:
+            return standing
+        for _, stop in runs(ground):
+            rows = slice(stop, stop + self.rows(MAX_SPOOL_UP))
+            higher = np.nan_to_num(self.height[rows] - self.height[stop - 1], nan=np.inf) > GROUND_HEIGHT
+            moving = np.nan_to_num(np.abs(self.climb[rows]), nan=np.inf) > LIFT_OFF_SPEED
+            left = np.flatnonzero(higher | moving)
+            standing[stop : stop + (int(left[0]) if len(left) else 0)] = True
+        return standing
+
+    def flew(self, free: Rows) -> bool:
+        """Whether the rotors carried the vehicle in any of the free rows, as far as that shows."""
+        return bool(free.any()) and (self.lift is None or bool(np.any(self.lift[free] > IDLE_EFFORT)))
 
     def impacts(self) -> tuple[Rows, float]:
         """Instants at which the specific force jumps more than rotors can make it, and the largest jump, m/s^2."""
@@ -200,7 +272,8 @@ class _Indicators:
         still = self.still()
         if still is None or self.tilt is None:
             return np.zeros(self.count, dtype=bool)
-        return _lasting(still & (np.nan_to_num(self.tilt) > TILT_RESTING), self.rows(0.5))
+        lying = np.nan_to_num(self.tilt) > TILT_RESTING
+        return np.asarray(_lasting(still & lying, self.rows(0.5)) | (self.resting() & lying))
 
     def overturned(self) -> Rows:
         """Tilted further than in any normal flight."""

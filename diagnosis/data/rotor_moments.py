@@ -188,20 +188,20 @@ def _best_order(moments: RotorMoments, limits: RotorMomentChecks) -> tuple[tuple
     usual = tuple(range(count))
     if count > limits.max_permuted_rotors:
         return usual, moments.agreement(usual), 0.0
-    orders = list(itertools.permutations(usual))
+    tried = list(itertools.permutations(usual))
     products = moments.acceleration.T @ moments.squares
     gram = moments.squares.T @ moments.squares
     energy = np.sum(moments.acceleration**2, axis=0)
-    fits = np.zeros(len(orders))
-    for i, order in enumerate(orders):
+    fits = np.zeros(len(tried))
+    for i, order in enumerate(tried):
         places = list(order)
         for axis in moments.axes:
             row = moments.rows[axis]
             size = np.sqrt(float(row @ gram[np.ix_(places, places)] @ row) * float(energy[axis]))
             value = float(row @ products[axis, places]) / max(size, 1e-30)
             fits[i] += value * abs(value) / len(moments.axes)
-    first, second = np.argsort(fits)[::-1][:2].tolist() if len(orders) > 1 else (0, 0)
-    return orders[first], float(fits[first]), float(fits[first] - fits[second])
+    first, second = np.argsort(fits)[::-1][:2].tolist() if len(tried) > 1 else (0, 0)
+    return tried[first], float(fits[first]), float(fits[first] - fits[second])
 
 
 def _require_relation(

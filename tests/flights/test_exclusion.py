@@ -189,3 +189,79 @@ def test_a_real_flight_of_a_coaxial_vehicle_is_what_lies_between_take_off_and_la
     for segment in segments:
         assert segment["position"][:, 2].max() > 0.1
     assert all(item.reason == "ground" for item in find_exclusions(real))
+
+
+PX4 = Path("tests/data/px4_sih_flights")
+
+
+def lie(columns: dict[str, Floats], start: float, stop: float, *, tilt: float, speed: float) -> None:
+    """On the ground at a tilt in rad with rotors at a speed; gravity's reaction is all that the accelerometer reads."""
+    attitude = quaternion.from_euler(*np.array([[tilt], [0.0], [0.0]]))[0]
+    reaction = quaternion.rotate_inverse(attitude, np.array([0.0, 0.0, 9.81]))
+    random = np.random.default_rng(11)
+    for k, part in enumerate("wxyz"):
+        columns[f"attitude_{part}"][rows(start, stop)] = attitude[k]
+    for axis, value in zip("xyz", reaction, strict=True):
+        columns[f"specific_force_{axis}"][rows(start, stop)] = value + random.normal(
+            0, 0.2, rows(start, stop).stop - rows(start, stop).start
+        )
+    for rotor in range(4):
+        columns[f"rotor_speed_{rotor}"][rows(start, stop)] = speed
+
+
+def test_lying_at_a_tilt_with_turning_rotors_is_no_free_flight() -> None:
+    """Drifting by 0.5 m/s in its estimate, and for the land detector still in flight."""
+    columns = hovering()
+    columns["landed"] = np.zeros(3000)
+    lie(columns, 20.0, 30.0, tilt=1.06, speed=1.2 * HOVER)
+    assert sum(part.duration for part in free_flight(flight(columns))) == pytest.approx(20.0, abs=0.7)
+
+
+def test_standing_with_rotors_below_the_weight_is_ground_although_the_detector_reports_flight() -> None:
+    columns = hovering()
+    columns["landed"] = np.zeros(3000)
+    lie(columns, 0.0, 5.0, tilt=0.0, speed=0.75 * HOVER)
+    assert only(find_exclusions(flight(columns)), "ground").stop == pytest.approx(5.3, abs=0.2)
+
+
+def test_hovering_in_strong_wind_is_flight() -> None:
+    """Tilted by 20 degrees against the air, the rotors carry the weight."""
+    columns = hovering()
+    lie(columns, 10.0, 20.0, tilt=np.deg2rad(20.0), speed=HOVER * np.sqrt(np.cos(np.deg2rad(20.0))))
+    assert find_exclusions(flight(columns)) == ()
+
+
+def test_a_dive_with_idle_rotors_is_flight() -> None:
+    """At 6 m/s the air carries 0.7 of the weight."""
+    columns = hovering()
+    for rotor in range(4):
+        columns[f"rotor_speed_{rotor}"][rows(10, 11)] = 0.2 * HOVER
+    columns["specific_force_z"][rows(10, 11)] = 7.0
+    columns["velocity_z"][rows(10, 11)] = -6.0
+    columns["landed"] = np.zeros(3000)
+    assert find_exclusions(flight(columns)) == ()
+
+
+def test_a_steady_descent_is_flight() -> None:
+    columns = hovering()
+    for rotor in range(4):
+        columns[f"rotor_speed_{rotor}"][rows(10, 13)] = 0.75 * HOVER
+    columns["velocity_z"][rows(10, 13)] = -1.0
+    assert find_exclusions(flight(columns)) == ()
+
+
+def test_a_real_vehicle_that_lies_on_its_side_with_motors_on_never_flew() -> None:
+    real = Flight.read(PX4 / "refused_lying_61deg.ulg.gz")
+    assert free_flight(real) == ()
+    assert {item.reason for item in find_exclusions(real)} == {"ground"}
+
+
+def test_a_real_vehicle_that_tips_over_on_landing_flew_until_it_touched_the_ground() -> None:
+    """10.0 s in the air; then motors on for 24 s, the estimate drifting and PX4's land detector reporting flight."""
+    (flown_part,) = free_flight(Flight.read(PX4 / "tipped_140deg.ulg.gz"))
+    assert flown_part.duration == pytest.approx(10.2, abs=0.3)
+
+
+def test_real_flights_are_whole_between_lift_off_and_touch_down() -> None:
+    (part,) = free_flight(Flight.read(PX4 / "drag2_4_lemniscate.ulg.gz"))
+    assert part.duration == pytest.approx(49.3, abs=0.5)

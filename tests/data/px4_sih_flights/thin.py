@@ -19,6 +19,7 @@ from fixtures.ulog_file import Topic, ulog_file
 FLIGHTS = (
     "nothing_1_circle", "nothing_2_line", "nothing_3_warped_ellipse_2", "drag2_1_circle", "drag2_4_lemniscate",
     "mass125_1_circle", "mass125_2_line", "lag90_1_circle", "lag90_2_line", "textbook_1_circle",
+    "refused_lying_61deg", "tipped_140deg",
 )  # fmt: skip
 STEPS: dict[str, dict[str, float | None]] = {  # topic -> fields and what they are rounded to, SI; None: as they are
     "actuator_motors": {f"control[{i}]": 2**-12 for i in range(12)},

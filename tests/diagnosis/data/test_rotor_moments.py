@@ -20,7 +20,7 @@ from flights import Flight
 from vehicles import FOLDER
 
 DATA = Path(__file__).parents[2] / "data"
-ORDERS = list(itertools.permutations(range(4)))
+PERMUTATIONS = list(itertools.permutations(range(4)))
 OWN = (0, 1, 2, 3)
 
 
@@ -63,7 +63,7 @@ def test_of_all_orders_of_real_rotors_only_the_right_one_passes(
     sets: dict[str, tuple[list[Segment], Vehicle]], name: str
 ) -> None:
     parts, vehicle = sets[name]
-    for order in ORDERS:
+    for order in PERMUTATIONS:
         if order == OWN:
             assert require_rotor_moments(parts, vehicle) == ()
             continue
