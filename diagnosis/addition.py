@@ -1,28 +1,31 @@
-"""Adding an effect to a vehicle: joint fit, judged on held-out flights, written as the next version of its file."""
+"""Adding effects to a vehicle: joint fit, judged on held-out flights, written as the next version of its file."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import diagnose_dataset
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
-from diagnosis.estimation.evaluation import held_out_floor, reduced_chi_square, residuals_in
+from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.evaluation import reduced_chi_square
+from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
-from diagnosis.models.open_loop import HorizonError, open_loop_errors
+from diagnosis.estimation.refusal import Refused
+from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.thresholds import DEFAULT, Thresholds
 from diagnosis.verdict import channel_errors
-from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
@@ -34,35 +37,28 @@ _VERSION = re.compile(r"\.v(\d+)$")
 
 @dataclass(frozen=True, eq=False)
 class Addition:
-    """An effect that was added to a vehicle.
+    """Effects that were added to a vehicle.
 
-    vehicle: with the effect, and one more line of history.
+    vehicle: with the effects, and one more line of history.
     estimates: by (effect's key, parameter).
     channels: errors by kind, held out, before and after.
-    key: the effect's name in a model, the rotor in brackets.
+    keys: the effects' names in a model, the rotor in brackets.
     chi_square: reduced, held out, before and after; 1 where the residuals are noise.
-    open_loop: prediction errors, held out, before and after.
+    open_loop: prediction errors, held out, before and after, against the motion without the sensors' faults.
     by_output_error: whether that fit was better than equation error.
+    refused: effects that were selected and not added.
     notes: to the user.
     """
 
     vehicle: Vehicle
     estimates: Mapping[tuple[str, str], ParameterEstimate]
     channels: Mapping[str, ChannelError]
-    key: str
+    keys: tuple[str, ...]
     chi_square: tuple[float, float]
     open_loop: tuple[tuple[HorizonError, ...], tuple[HorizonError, ...]]
     by_output_error: bool
+    refused: tuple[Refused, ...]
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class _Trial:
-    """A fit with its residuals (m, 12) and reduced chi-square on the held-out flights."""
-
-    fit: Fit
-    rows: list[Floats]
-    chi_square: float
 
 
 def add_effect(
@@ -76,78 +72,132 @@ def add_effect(
     rotor: int | None = None,
     thresholds: Thresholds = DEFAULT,
 ) -> Addition:
-    """Fit an effect on the fitted flights and judge it on those held out. name: None for the diagnosis' top effect.
+    """Fit effects on the fitted flights and judge them on those held out. name: None for all that a diagnosis names.
 
-    The effects that the vehicle file has are fitted again with it where that lowers the held-out error further, and
-    all of them once more by output error where that does.
+    The effects that the vehicle file has are fitted again with them where that matters, and all of them once more by
+    output error where held-out windows then end closer.
 
     date, command: for the line of history. rotor: for an effect of one rotor; None for the one that fits best.
-    Raises RequestError for an effect that is unknown, DataError when the held-out error does not fall.
+    Raises RequestError for an effect that is unknown, DataError where held-out flights do not bear it out or an error
+    of any kind rises.
     """
     _require_addable(name, catalogue)
     require_answerable(dataset.everything, vehicle, thresholds)
     notes: tuple[str, ...] = ()
     if name is None:
         result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
-        name, rotor, notes = top_effect(result.diagnosis, catalogue)
-        regression = result.regression
+        notes = notes_of_set(result.diagnosis, catalogue)
+        regression, accepted = result.regression, result.accepted
     else:
         regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    candidate = _best_candidate(regression, name, rotor)
-    judge = _Judge(dataset, regression)
-    before = judge.rows(vehicle)
-    trials = [judge.trial(fit(regression, [candidate, *own])) for own in _refitted_with(regression, candidate)]
-    best = min(trials, key=lambda trial: trial.chi_square)
-    better = judge.by_output_error(best, vehicle)
-    now, was = better or best, reduced_chi_square(before, regression.noise)
-    if not now.chi_square < thresholds.acceptance.max_ratio * was:
-        raise DataError(
-            f"{name} was not added: on the held-out flights the error does not fall (squared error over noise "
-            f"{was:.4g} before, {now.chi_square:.4g} after). `alula diagnose` shows what is missing, if anything."
-        )
-    floor = held_out_floor(regression, dataset.held_out, now.rows)
-    errors = channel_errors(before, now.rows, regression, floor)
+        candidate = _best_candidate(regression, name, rotor)
+        accepted = judged_fit(regression, [candidate], dataset, vehicle, resampled=False)
+        if candidate.key not in accepted.fit.keys:
+            raise DataError(f"{candidate.key} was not added: {_reason(accepted.refused[-1])}")
+    judge = HeldOut(regression, dataset.held_out)
+    fitted, by_output_error = _better_fit(judge, accepted.fit, vehicle, dataset, regression)
+    before = with_faults_of(fitted, vehicle)
+    _require_no_loss(judge, vehicle, before, fitted)
+    errors = channel_errors(judge.rows(vehicle), judge.rows(fitted.vehicle), regression, judge.floor(fitted.vehicle))
+    action = _action(fitted, vehicle)
+    changed = with_history(fitted.vehicle, action, dataset, errors, date=date, command=command)
     return Addition(
-        vehicle=with_history(now.fit.vehicle, f"added {candidate.key}", dataset, errors, date=date, command=command),
-        estimates=now.fit.estimates,
+        vehicle=changed,
+        estimates=fitted.estimates,
         channels=errors,
-        key=candidate.key,
-        chi_square=(was, now.chi_square),
-        open_loop=(judge.open_loop(vehicle), judge.open_loop(now.fit.vehicle)),
-        by_output_error=better is not None,
-        notes=(*notes, *_caveat(now.fit, candidate)),
+        keys=fitted.keys,
+        chi_square=(
+            reduced_chi_square(judge.rows(vehicle), regression.noise),
+            reduced_chi_square(judge.rows(fitted.vehicle), regression.noise),
+        ),
+        open_loop=(_horizons(judge, before), _horizons(judge, fitted.vehicle)),
+        by_output_error=by_output_error,
+        refused=accepted.refused,
+        notes=(*notes, *(note for c in fitted.candidates for note in _caveat(fitted, c))),
     )
 
 
-class _Judge:
-    """Errors of vehicles on the held-out flights, under the noise of one regression."""
+def _better_fit(
+    judge: HeldOut, fitted: Fit, vehicle: Vehicle, dataset: Dataset, regression: Regression
+) -> tuple[Fit, bool]:
+    """The fit by output error and True where held-out windows end closer and no error rises, else the one given."""
+    catalogue, thresholds = regression.catalogue, regression.thresholds
+    again = refit(fitted, vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
+    if again is None or not again.after < again.before:
+        return fitted, False
+    levels = [reduced_chi_square(judge.rows(f.vehicle), regression.noise) for f in (fitted, again.fit)]
+    grown = not levels[1] < thresholds.output_error.max_one_step_growth * levels[0]
+    holds_nothing = any(
+        deviations_from_neutral(again.fit, c, vehicle) < thresholds.relevance.deviations for c in fitted.candidates
+    )
+    worse = judge.worse(fitted.vehicle, again.fit.vehicle)
+    return (fitted, False) if grown or holds_nothing or worse else (again.fit, True)
 
-    def __init__(self, dataset: Dataset, regression: Regression) -> None:
-        self._dataset, self._regression = dataset, regression
 
-    def rows(self, vehicle: Vehicle) -> list[Floats]:
-        return residuals_in(self._regression, vehicle, self._dataset.held_out)
+def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: Fit) -> None:
+    """Raise DataError where an error rises from a vehicle to a fit.
 
-    def trial(self, fitted: Fit) -> _Trial:
-        rows = self.rows(fitted.vehicle)
-        return _Trial(fitted, rows, reduced_chi_square(rows, self._regression.noise))
+    before: the vehicle with the fit's sensor faults.
+    """
+    names = ", ".join(fitted.keys)
+    worse = judge.worse_channels(vehicle, fitted.vehicle) | judge.worse_open_loop(before, fitted.vehicle)
+    if worse:
+        listed = "; ".join(f"{where}: {c.before:.4g} before, {c.after:.4g} after" for where, c in worse.items())
+        raise DataError(
+            f"{names} was not added: on the held-out flights an error rises ({listed}). `alula diagnose` shows what is "
+            "missing, if anything."
+        )
 
-    def by_output_error(self, best: _Trial, vehicle: Vehicle) -> _Trial | None:
-        """The same parameters fitted by output error, None where that does not lower the held-out error."""
-        catalogue, dataset, thresholds = self._regression.catalogue, self._dataset, self._regression.thresholds
-        again = refit(best.fit, vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
-        if again is None or not again.after < again.before:
-            return None
-        trial = self.trial(again.fit)
-        limit = thresholds.output_error.max_one_step_growth * best.chi_square
-        return trial if trial.chi_square < limit else None
 
-    def open_loop(self, vehicle: Vehicle) -> tuple[HorizonError, ...]:
-        """Open-loop errors, none without a pose."""
-        held_out, regression = self._dataset.held_out, self._regression
-        if any(s.lacks for s in held_out):
-            return ()
-        return open_loop_errors(vehicle, regression.catalogue, held_out, regression.thresholds.prediction)
+def _action(fitted: Fit, vehicle: Vehicle) -> str:
+    """What was done to a vehicle, for its history."""
+    own = {(use.name, use.rotor) for use in vehicle.effects}
+    parts = {
+        "added": [c.key for c in fitted.candidates if c.identity not in own],
+        "corrected": [c.key for c in fitted.candidates if c.identity in own],
+    }
+    return ", ".join(f"{verb} {', '.join(keys)}" for verb, keys in parts.items() if keys)
+
+
+def _horizons(judge: HeldOut, vehicle: Vehicle) -> tuple[HorizonError, ...]:
+    return tuple(horizon_error(h, np.vstack(parts)) for h, parts in judge.open_loop(vehicle).items())
+
+
+def _reason(refused: Refused) -> str:
+    """Why an effect was refused, in words and numbers."""
+    number = {name: f"{value:.4g}" for name, value in refused.detail.items()}
+    match refused.reason:
+        case "too_small":
+            text = (
+                f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "
+                f"{number['before']} to {number['after']}, its noise floor is {number['floor']}"
+            )
+        case "redundant":
+            text = "the vehicle file's own effects, fitted again, explain as much"
+        case "interval_holds_neutral":
+            text = (
+                f"its interval holds no effect at all: the fitted value is {number['deviations']} standard deviations "
+                f"from none, {number['required']} are required"
+            )
+        case "channel_worse" | "contradicted":
+            text = (
+                f"on the held-out flights the error of {refused.where} rises from {number['before']} to "
+                f"{number['after']}, beyond chance"
+            )
+        case "open_loop_worse":
+            text = (
+                f"on the held-out flights the predicted {refused.where} after {number['horizon']} s becomes worse, "
+                f"{number['before']} before and {number['after']} after"
+            )
+        case "at_bound":
+            text = f"the value of {refused.where} that fits these flights best lies at its physical bound"
+        case "not_converged":
+            text = "its fit does not converge on these flights"
+        case "few_resamples":
+            text = f"only {number['share']} of the flight resamples agree"
+        case "worse_than_rival":
+            text = "another effect fits better in its place"
+    return f"{text}. `alula diagnose` shows what is missing, if anything."
 
 
 def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:
@@ -165,10 +215,8 @@ def _no_value(effect: Effect) -> str:
     )
 
 
-def top_effect(
-    diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE
-) -> tuple[str, int | None, tuple[str, ...]]:
-    """The first effect of a diagnosis that a vehicle file can hold, its rotor, and what was doubtful about it.
+def notes_of_set(diagnosis: Diagnosis, catalogue: Mapping[str, Effect] = CATALOGUE) -> tuple[str, ...]:
+    """What is doubtful about the effects of a diagnosis that a vehicle file can hold.
 
     Raises DataError when there is none.
     """
@@ -182,16 +230,17 @@ def top_effect(
             else "nothing was added: something is missing, but no effect of the catalogue explains it. `alula compare` "
             "shows where the model fails; an effect of your own can be given with --effects."
         )
-    top, notes = named[0], []
-    if top is not diagnosis.effects[0]:
-        notes.append(f"there is a {diagnosis.effects[0].name} as well, which no vehicle file can hold")
+    notes = [
+        f"there is a {e.name} as well, which no vehicle file can hold" for e in diagnosis.effects if e not in named
+    ]
     if diagnosis.verdict == "unknown":
-        notes.append(f"{top.name} is a part of what is missing at most: no effect of the catalogue explains the rest")
-    if top.ambiguous_with:
-        notes.append(
-            f"these flights cannot tell {top.name} from {', '.join(top.ambiguous_with)}: {diagnosis.next_flight}"
-        )
-    return top.name, top.rotor, tuple(notes)
+        names = ", ".join(effect.name for effect in named)
+        notes.append(f"{names}: a part of what is missing at most; no effect of the catalogue explains the rest")
+    for effect in named:
+        if effect.ambiguous_with:
+            others = ", ".join(effect.ambiguous_with)
+            notes.append(f"these flights cannot tell {effect.name} from {others}: {diagnosis.next_flight}")
+    return tuple(notes)
 
 
 def _caveat(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:
@@ -200,17 +249,6 @@ def _caveat(fitted: Fit, candidate: Candidate) -> tuple[str, ...]:
         return ()
     values = {name: estimate.value for (key, name), estimate in fitted.estimates.items() if key == candidate.key}
     return (candidate.effect.caveat.format(**{**candidate.at, **values}),)
-
-
-def _refitted_with(regression: Regression, added: Candidate) -> list[Sequence[Candidate]]:
-    """What may be fitted with the added effect: nothing, or the vehicle file's own effects."""
-    names = {(use.name, use.rotor) for use in regression.vehicle.effects}
-    own = [
-        c
-        for c in regression.candidates
-        if (c.effect.name, c.rotor) in names and c.key != added.key and not c.fixed_shape
-    ]
-    return [(), own] if own else [()]
 
 
 def with_history(

@@ -7,6 +7,7 @@ from typing import Literal
 import msgspec
 
 from diagnosis.addition import Addition
+from diagnosis.estimation.refusal import Refused
 from diagnosis.models.open_loop import HorizonError
 from diagnosis.report import ChannelError, ParameterValue
 
@@ -28,22 +29,26 @@ class OpenLoop(msgspec.Struct, frozen=True):
 class AdditionReport(msgspec.Struct, frozen=True):
     """What `alula add --json` writes.
 
-    effect: its name in the model, the rotor in brackets.
+    effect: the first that was added, by its name in the model, the rotor in brackets.
+    effects: all of them.
     parameters: of all effects that were fitted.
     fitted_by: which of the two fits was better.
     channels: RMS on held-out flights and floor.
     chi_square: reduced, on held-out flights; 1 where the residuals are noise.
     open_loop: prediction errors.
+    refused: effects that were selected and not added, each with its reason.
     notes: to the user.
     vehicle: the file that was written.
     """
 
     effect: str
+    effects: tuple[str, ...]
     parameters: dict[str, dict[str, ParameterValue]]
     fitted_by: Literal["equation error", "output error"]
     channels: dict[str, ChannelError]
     chi_square: BeforeAfter = msgspec.field(name="misfit")
     open_loop: OpenLoop
+    refused: tuple[Refused, ...]
     notes: tuple[str, ...]
     vehicle: str = ""
 
@@ -54,11 +59,13 @@ def report(added: Addition) -> AdditionReport:
     for (key, name), estimate in added.estimates.items():
         parameters.setdefault(key, {})[name] = ParameterValue(estimate.value, estimate.std, estimate.unit)
     return AdditionReport(
-        effect=added.key,
+        effect=added.keys[0],
+        effects=added.keys,
         parameters=parameters,
         fitted_by="output error" if added.by_output_error else "equation error",
         channels=dict(added.channels),
         chi_square=BeforeAfter(*added.chi_square),
         open_loop=OpenLoop(*added.open_loop),
+        refused=added.refused,
         notes=added.notes,
     )

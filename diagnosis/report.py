@@ -25,7 +25,7 @@ class MissingEffect(msgspec.Struct, frozen=True):
 
     name, rotor: of the catalogue, and the rotor that it sits on, if any.
     parameters: fitted, or held with a standard deviation of 0.
-    confidence: share of flight resamples that agree.
+    confidence: share of flight resamples that name it, or one of `ambiguous_with`.
     ambiguous_with: effects that these flights cannot tell from it.
     """
 

@@ -66,7 +66,8 @@ def diagnose(
 
     flights: as for `compare`; four flights or more are best.
     vehicle: as for `compare`.
-    hold_out: pattern of the file names to evaluate on, such as "hold_*"; by default the last fifth of the flights.
+    hold_out: pattern of the file names to evaluate on, such as "hold_*"; by default the last fifth of the flights,
+        or blocks of all where these do not fly as the others do.
     effects: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
     pose: as for `compare`.
@@ -128,15 +129,15 @@ def add_effect(
     mapping: str | Path | None = None,
     pose: str | None = None,
 ) -> AdditionResult:
-    """Fit an effect and add it to a vehicle, if that lowers the error on held-out flights.
+    """Fit effects and add them to a vehicle, if held-out flights bear them out and no error rises there.
 
     flights, vehicle: as for `compare`.
-    effect: name in the catalogue; by default the first effect of the diagnosis.
+    effect: name in the catalogue; by default all that the diagnosis names, fitted jointly.
     rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
     hold_out, effects, mapping, pose: as for `diagnose`.
 
-    Returns an AdditionResult, whose vehicle has the effect; nothing is written yet.
-    Raises RequestError for an unknown effect, DataError when the error on held-out flights does not fall.
+    Returns an AdditionResult, whose vehicle has the effects; nothing is written yet.
+    Raises RequestError for an unknown effect, DataError with the numbers where the flights do not bear it out.
 
     Example:
         result = alula.add_effect("logs", "heavy.toml", "mass")

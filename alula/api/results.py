@@ -98,9 +98,9 @@ class DiagnosisResult:
 
 @dataclass(frozen=True, eq=False)
 class AdditionResult:
-    """A vehicle with one more effect, which lowers the error on held-out flights.
+    """A vehicle with more effects, which held-out flights bear out.
 
-    vehicle: with the effect and one more line of history.
+    vehicle: with the effects and one more line of history.
     report: the fitted values, errors before and after.
     details: the fit behind the report.
     """

@@ -1,4 +1,4 @@
-"""`alula add`: fits an effect, evaluates it on held-out flights, writes the next version of the vehicle file."""
+"""`alula add`: fits effects, evaluates them on held-out flights, writes the next version of the vehicle file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 ARGUMENTS_HELP = (
     "Effect of the catalogue, then logs of one vehicle in any format or folders of them. Without an effect, "
-    "the first one of the diagnosis is added. The first argument is a log where there is such a file, or where it "
+    "all that the diagnosis names are added. The first argument is a log where there is such a file, or where it "
     "contains a dot or a slash; write ./mass for a log with the name of an effect."
 )
 
@@ -36,7 +36,7 @@ def add(
     out: Annotated[Path | None, typer.Option(help="File to write instead of the next version.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the addition as JSON; - for standard output.")] = None,
 ) -> None:
-    """Fit an effect and write the next vehicle file, if the error on held-out flights falls."""
+    """Fit an effect, or all that are missing, and write the next vehicle file, if held-out flights bear it out."""
     effect, logs = _effect_and_logs(arguments)
     result = alula.add_effect(
         logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping, pose=pose
@@ -62,7 +62,8 @@ def _print(addition: Addition, path: Path, console: Console) -> None:
         console.print(f"{key}.{name} = {interval}", highlight=False)
     for kind, error in addition.channels.items():
         console.print(
-            f"{kind}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit}, floor {error.floor:.4g}",
+            f"{kind}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit} "
+            f"({100 * (error.after / error.before - 1):+.1f} %), floor {error.floor:.4g}",
             highlight=False,
         )
     if addition.open_loop[0]:

@@ -12,7 +12,11 @@ Logs = Annotated[
 ]
 VehicleOption = Annotated[str, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a bundled one.")]
 HoldOut = Annotated[
-    str | None, typer.Option(help="File names to hold out, as a pattern; by default the last fifth of the flights.")
+    str | None,
+    typer.Option(
+        help="File names to hold out, as a pattern; by default the last fifth of the flights, or blocks of all where "
+        "these do not fly as the others do."
+    ),
 ]
 Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]

@@ -142,7 +142,7 @@ def _quarter(flights: Sequence[Sequence[Segment]], block: Block) -> Floats:
     """(4,) 1 for the quarter of its flight's time in which a block lies."""
     before = sum(len(s) for s in flights[block.flight][: block.segment])
     middle = (before + (block.start + block.stop) / 2) / sum(map(len, flights[block.flight]))
-    return np.eye(4)[min(3, int(4 * middle))]
+    return np.asarray(np.eye(4)[min(3, int(4 * middle))])
 
 
 def _near_sides(position: Floats, low: Floats, high: Floats) -> Floats:

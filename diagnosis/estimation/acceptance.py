@@ -10,20 +10,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import chi2, norm
 
 from diagnosis.data.dataset import Dataset
-from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
-from diagnosis.estimation.evaluation import reduced_chi_square, residual_floor, residuals_in, saturated_floor
-from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, open_loop_changes
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
+from diagnosis.estimation.held_out import HeldOut
+from diagnosis.estimation.paired_errors import ErrorChange
 from diagnosis.estimation.refusal import Reason, Refused
-from diagnosis.models.open_loop import open_loop_windows
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.rivals import near_rivals, resample_shares, rivals_of
+from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
 from diagnosis.selection.search import Search, Selection
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
@@ -36,7 +36,7 @@ class Accepted:
     fit: of them.
     refused: what was selected and is not among them.
     relevance: by an effect's key and kind of channel, held-out error without it (`before`) and with it (`after`).
-    agreement: share of flight resamples that name it, by key.
+    agreement: share of flight resamples that name it or one that the flights cannot tell from it, by key.
     floor: (12,) noise floor of the held-out flights.
     """
 
@@ -56,9 +56,25 @@ def accepted_fit(
     were fitted without them and may have absorbed a part of them.
     """
     lacking = regression.vehicle if vehicle is None else vehicle
-    trial = _Trial(regression, dataset, lacking)
     chosen, worse = _decided_rivals(regression, selection.chosen.candidates, lacking)
-    return trial.reduced([*chosen, *_own_effects(regression, chosen)], {c.key for c in chosen}, worse)
+    return judged_fit(regression, chosen, dataset, lacking, refused=worse)
+
+
+def judged_fit(
+    regression: Regression,
+    candidates: Sequence[Candidate],
+    dataset: Dataset,
+    vehicle: Vehicle,
+    *,
+    refused: Sequence[Refused] = (),
+    resampled: bool = True,
+) -> Accepted:
+    """The same of certain effects, whatever their rivals.
+
+    refused: effects that have been refused before. resampled: whether most flight resamples must agree.
+    """
+    trial = _Trial(regression, dataset, vehicle, resampled=resampled)
+    return trial.reduced([*candidates, *_own_effects(regression, candidates)], {c.key for c in candidates}, refused)
 
 
 def _own_effects(regression: Regression, chosen: Sequence[Candidate]) -> list[Candidate]:
@@ -101,10 +117,10 @@ def _decided_rivals(
 class _Trial:
     """The trial of effects that a vehicle lacks, on held-out flights."""
 
-    def __init__(self, regression: Regression, dataset: Dataset, vehicle: Vehicle) -> None:
-        self._regression, self._dataset, self._vehicle = regression, dataset, vehicle
+    def __init__(self, regression: Regression, dataset: Dataset, vehicle: Vehicle, *, resampled: bool) -> None:
+        self._regression, self._fitted, self._vehicle = regression, dataset.fitted, vehicle
         self._limits, self._search = regression.thresholds.relevance, Search(regression)
-        self._saturated_floor = saturated_floor(regression, dataset.held_out)
+        self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
         self._fits: dict[frozenset[str], Fit] = {}
 
     def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
@@ -121,7 +137,7 @@ class _Trial:
             if weakest.key in chosen:
                 refused.append(failure)
             best = self._fit([c for c in best.candidates if c is not weakest])
-        agreement = {c.key: self._agreement(best, c)[0] for c in best.candidates}
+        agreement = {c.key: self._agreement(best, c) for c in best.candidates}
         return Accepted(best, tuple(refused), relevance, agreement, floor)
 
     def _fit(self, candidates: Sequence[Candidate], start: Mapping[tuple[str, str], float] | None = None) -> Fit:
@@ -132,26 +148,26 @@ class _Trial:
 
     def _relevance(self, best: Fit) -> tuple[dict[str, dict[str, ErrorChange]], Floats]:
         """What each effect does to the errors, by key and kind of channel, and the held-out floor (12,)."""
-        rows = self._rows(best.vehicle, self._dataset.held_out)
-        floor = np.minimum(self._saturated_floor, residual_floor(self._regression, rows))
-        return {c.key: self._error_changes(best, c, rows, floor) for c in best.candidates}, floor
+        floor = self._held_out.floor(best.vehicle)
+        return {c.key: self._error_changes(best, c, floor) for c in best.candidates}, floor
 
-    def _error_changes(
-        self, best: Fit, candidate: Candidate, rows: Sequence[Floats], floor: Floats
-    ) -> dict[str, ErrorChange]:
+    def _error_changes(self, best: Fit, candidate: Candidate, floor: Floats) -> dict[str, ErrorChange]:
         """Errors without an effect and with it, by kind of channel, on the held-out flights if it shows there."""
         regression, thresholds = self._regression, self._regression.thresholds.acceptance
-        segments: Sequence[Segment] = self._dataset.held_out
         values, fewer = left_out(best, candidate, self._vehicle)
-        without = self._rows(fewer, segments)
-        if _squared_change(rows, without, regression) < thresholds.min_held_out_change:
-            segments, floor = self._dataset.fitted, regression.noise.floor
-            rows, without = self._rows(best.vehicle, segments), self._rows(fewer, segments)
-        by_kind = channel_changes(without, rows, floor, regression.rate, self._limits)
+        judge = self._held_out
+        if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
+            judge, floor = self._others, regression.noise.floor
+        by_kind = judge.channel_changes(fewer, best.vehicle, floor)
         if _strength(by_kind) < thresholds.max_linear_rise:
-            fewer = self._fit([c for c in best.candidates if c is not candidate], values).vehicle
-            by_kind = channel_changes(self._rows(fewer, segments), rows, floor, regression.rate, self._limits)
+            again = self._fit([c for c in best.candidates if c is not candidate], values)
+            by_kind = judge.channel_changes(again.vehicle, best.vehicle, floor)
         return by_kind
+
+    @cached_property
+    def _others(self) -> HeldOut:
+        """The fitted flights, which judge what does not show on the held-out ones."""
+        return HeldOut(self._regression, self._fitted)
 
     def _failure(self, best: Fit, candidate: Candidate, by_kind: Mapping[str, ErrorChange]) -> Refused | None:
         """The first test that an effect fails, None where it passes all."""
@@ -178,59 +194,42 @@ class _Trial:
         deviations = deviations_from_neutral(best, candidate, self._vehicle)
         if deviations < limits.deviations:
             return refused("interval_holds_neutral", deviations=deviations, required=limits.deviations)
-        _, share = self._agreement(best, candidate)
-        if share < limits.min_agreement:
+        share = self._agreement(best, candidate)
+        if self._resampled and share < limits.min_agreement:
             return refused("few_resamples", share=share, required=limits.min_agreement)
         return None
 
     def _shows_alone(self, best: Fit, candidate: Candidate) -> bool:
         """Whether an effect that the others replace would show if they stayed as they are."""
         values = {f"{key}.{name}": e.value for (key, name), e in best.estimates.items()}
-        others = [c for c in best.candidates if c is not candidate]
-        rows, without = (
-            self._rows(vehicle, self._dataset.held_out)
-            for vehicle in (best.vehicle, with_candidates(self._vehicle, others, values))
-        )
-        floor = np.minimum(self._saturated_floor, residual_floor(self._regression, rows))
-        return _strength(channel_changes(without, rows, floor, self._regression.rate, self._limits)) >= (
-            self._limits.min_rise
-        )
+        fewer = with_candidates(self._vehicle, [c for c in best.candidates if c is not candidate], values)
+        floor = self._held_out.floor(best.vehicle)
+        return _strength(self._held_out.channel_changes(fewer, best.vehicle, floor)) >= self._limits.min_rise
 
-    def _agreement(self, best: Fit, candidate: Candidate) -> tuple[float, float]:
-        """Share of flight resamples that name an effect, and that name it or one which the flights cannot tell."""
+    def _agreement(self, best: Fit, candidate: Candidate) -> float:
+        """Share of flight resamples that name an effect, or one that these flights cannot tell from it."""
         others = [c for c in best.candidates if c is not candidate]
         rivals = rivals_of(self._search, others, candidate)
         near = near_rivals(self._search, others, rivals)
-        return resample_shares(self._search, others, rivals, near)
+        return resample_share(self._search, others, rivals, near)
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
-        if not any(c.effect.moves_vehicle for c in best.candidates):
-            return []
-        before, after = self._open_loop(with_faults_of(best, self._vehicle)), self._open_loop(best.vehicle)
-        interval = self._regression.thresholds.prediction.start_interval
-        by_kind = open_loop_changes(before, after, interval, self._limits)
-        worse = {place: change for place, change in by_kind.items() if change.is_worse(self._limits)}
+        moving = [c for c in best.candidates if c.effect.moves_vehicle]
+        before = with_faults_of(best, self._vehicle)
+        compared = self._held_out.open_loop_changes(before, best.vehicle) if moving else {}
+        worse = {place: change for place, change in compared.items() if change.is_worse(self._limits)}
         if not worse:
             return []
         (horizon, quantity), change = max(worse.items(), key=lambda item: item[1].rise)
 
         def without(candidate: Candidate) -> float:
-            windows = self._open_loop(left_out(best, candidate, self._vehicle)[1])
-            return open_loop_changes(before, windows, interval, self._limits)[horizon, quantity].after
+            fewer = left_out(best, candidate, self._vehicle)[1]
+            return self._held_out.open_loop_changes(before, fewer)[horizon, quantity].after
 
-        culprit = min((c for c in best.candidates if c.effect.moves_vehicle), key=without)
+        culprit = min(moving, key=without)
         numbers = {"horizon": horizon, "before": change.before, "after": change.after}
         return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
-
-    def _open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
-        regression = self._regression
-        return open_loop_windows(
-            vehicle, regression.catalogue, self._dataset.held_out, regression.thresholds.prediction
-        )
-
-    def _rows(self, vehicle: Vehicle, segments: Sequence[Segment]) -> list[Floats]:
-        return residuals_in(self._regression, vehicle, segments)
 
 
 def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:

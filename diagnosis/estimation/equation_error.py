@@ -52,6 +52,11 @@ class Fit:
     information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     unsettled: frozenset[str] = frozenset()
 
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """The candidates' names in a model."""
+        return tuple(c.key for c in self.candidates)
+
     def of(self, candidate: Candidate) -> list[int]:
         """Places of a candidate's parameters among the estimates."""
         return [place for place, (key, _) in enumerate(self.estimates) if key == candidate.key]
@@ -84,8 +89,9 @@ def fit(
     if not candidates:
         return Fit(base, {}, ())
     problem = _EquationErrorProblem(regression, candidates, base)
-    values, last, settled = _settle(problem, problem.start(start))
-    covariance = last.covariance
+    values, last, left = _settle(problem, problem.start(start))
+    covariance = last.covariance + np.outer(left, left)
+    settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates = {}
     for place, (candidate, name) in enumerate(problem.free):
@@ -149,8 +155,8 @@ class _Step:
         return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
 
 
-def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, NDArray[np.bool_]]:
-    """Values to which Gauss-Newton converges, the step from there, and (k,) whether it is small.
+def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, Floats]:
+    """Values to which Gauss-Newton converges, the step from there, and (k,) what of it the bounds allow.
 
     A step that makes the fit worse is halved: along a hidden state's parameters the fit is no parabola.
     """
@@ -166,8 +172,7 @@ def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Ste
             change = change / 2
             continue
         values, here, change = moved, there, there.change
-    left = problem.bounded(values, here.change) - values
-    return values, here, here.is_small(left, thresholds.max_unsettled) & np.isfinite(here.cost)
+    return values, here, problem.bounded(values, here.change) - values
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,13 +84,17 @@ def refit(
     if not np.isfinite([before, after, level]).all():
         return None
     deviation = np.sqrt(np.diag(covariance))
+    keys = list(initial.estimates)
+    joint = np.diag([estimate.std**2 for estimate in initial.estimates.values()])
+    places = [keys.index((c.key, name)) for c, name in free]
+    joint[np.ix_(places, places)] = covariance
     better = {
         (c.key, name): ParameterEstimate(float(v), float(d), initial.estimates[c.key, name].unit)
         for (c, name), v, d in zip(free, values, deviation, strict=True)
     }
     estimates = {**initial.estimates, **better}
     named = {f"{key}.{name}": estimate.value for (key, name), estimate in estimates.items()}
-    again = Fit(with_candidates(vehicle, initial.candidates, named), estimates, initial.candidates)
+    again = Fit(with_candidates(vehicle, initial.candidates, named), estimates, initial.candidates, joint)
     return Refit(again, before / level, after / level)
 
 

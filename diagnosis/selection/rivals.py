@@ -38,20 +38,20 @@ def near_rivals(search: Search, others: Sequence[Candidate], rivals: Sequence[Sc
     ]
 
 
-def resample_shares(
+def resample_share(
     search: Search, others: Sequence[Candidate], rivals: Sequence[Scored], near: Sequence[Scored]
-) -> tuple[float, float]:
-    """Shares of flight resamples in which the first of the rivals wins, and in which it or a near one wins.
+) -> float:
+    """Share of flight resamples in which the first of the rivals or a near one wins.
 
     To win is to score higher than each rival in its place, and than the others without any.
     """
-    regression, random, wins = search.regression, np.random.default_rng(SEED), []
-    entries = [*rivals, search.score(others)]
+    regression, random, wins = search.regression, np.random.default_rng(SEED), 0
+    alike, alone = [rivals[0], *near], search.score(others)
+    entries = [*alike, *(s for s in rivals if all(s is not one for one in alike)), alone]
     penalties = [sum(search.penalty(c) for c in s.candidates) for s in entries]
-    for _ in range(regression.thresholds.verdict.resamples):
+    resamples = regression.thresholds.verdict.resamples
+    for _ in range(resamples):
         flights = random.choice(len(regression.flights), len(regression.flights)).tolist()
         scores = [regression.gain(s.columns, flights) - p for s, p in zip(entries, penalties, strict=True)]
-        wins.append(entries[int(np.argmax(scores))])
-    alike = [rivals[0], *near]
-    share, together = (np.mean([any(w is s for s in some) for w in wins]) for some in (alike[:1], alike))
-    return float(share), float(together)
+        wins += int(np.argmax(scores)) < len(alike)
+    return wins / resamples

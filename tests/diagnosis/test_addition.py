@@ -1,9 +1,9 @@
-"""Which effect is added when none is named, and the notes that come with it."""
+"""What is added when no effect is named, the notes that come with it, and why an effect is refused."""
 
 import msgspec
 import pytest
 
-from diagnosis.addition import add_effect, top_effect
+from diagnosis.addition import add_effect, notes_of_set
 from diagnosis.addition_report import report
 from diagnosis.data.dataset import make_dataset
 from diagnosis.report import Diagnosis, MissingEffect
@@ -22,21 +22,17 @@ def missing(name: str, *, rotor: int | None = None, rivals: tuple[str, ...] = ()
     return MissingEffect(name, rotor, {}, 1.0, rivals)
 
 
-def test_the_first_effect_of_a_diagnosis_is_the_top_one():
-    assert top_effect(diagnosed("effect", missing("weak_rotor", rotor=2), missing("mass"))) == ("weak_rotor", 2, ())
-
-
-def test_what_is_doubtful_about_the_top_effect_is_noted():
-    _, _, notes = top_effect(diagnosed("ambiguous", missing("mass", rivals=("thrust_constant",))))
+def test_what_is_doubtful_about_the_effects_is_noted():
+    notes = notes_of_set(diagnosed("ambiguous", missing("mass", rivals=("thrust_constant",)), missing("rotor_drag")))
     assert "cannot tell mass from thrust_constant" in notes[0]
     assert "fly yaw spins" in notes[0]
-    _, _, notes = top_effect(diagnosed("unknown", missing("mass")))
-    assert "a part of what is missing at most" in notes[0]
+    assert len(notes) == 1
+    notes = notes_of_set(diagnosed("unknown", missing("mass"), missing("rotor_drag")))
+    assert "mass, rotor_drag: a part of what is missing at most" in notes[0]
 
 
 def test_a_gust_is_passed_over_for_what_a_vehicle_file_can_hold():
-    name, _, notes = top_effect(diagnosed("effect", missing("gust"), missing("mass")))
-    assert name == "mass"
+    notes = notes_of_set(diagnosed("effect", missing("gust"), missing("mass")))
     assert "gust" in notes[0]
 
 
@@ -50,7 +46,7 @@ def test_a_gust_is_passed_over_for_what_a_vehicle_file_can_hold():
 )
 def test_nothing_is_added_where_a_diagnosis_names_nothing_that_could_be(diagnosis, reason):
     with pytest.raises(DataError, match=reason):
-        top_effect(diagnosis)
+        notes_of_set(diagnosis)
 
 
 def test_a_wind_that_the_file_overstates_is_corrected_and_its_ambiguity_noted(plain_flights, arpl_250g):

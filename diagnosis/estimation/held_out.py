@@ -1,0 +1,67 @@
+"""Vehicles on held-out flights: their residuals, the floor, and how errors change from one vehicle to another."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from diagnosis.data.segment import Segment
+from diagnosis.estimation.evaluation import residual_floor, residuals_in, saturated_floor
+from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, open_loop_changes
+from diagnosis.models.open_loop import open_loop_windows
+from diagnosis.selection.regression import Regression
+from dynamics.arrays import Floats
+from dynamics.vehicle import Vehicle
+
+
+class HeldOut:
+    """Segments on which vehicles are judged, under the noise of one regression of others."""
+
+    def __init__(self, regression: Regression, segments: Sequence[Segment]) -> None:
+        self.segments = segments
+        self._regression, self._limits = regression, regression.thresholds.relevance
+        self._saturated_floor = saturated_floor(regression, segments)
+        self._rows: dict[int, tuple[Vehicle, list[Floats]]] = {}
+        self._windows: dict[int, tuple[Vehicle, dict[float, list[Floats]]]] = {}
+
+    def rows(self, vehicle: Vehicle) -> list[Floats]:
+        """(m, 12) residuals of each segment."""
+        if id(vehicle) not in self._rows:
+            self._rows[id(vehicle)] = (vehicle, residuals_in(self._regression, vehicle, self.segments))
+        return self._rows[id(vehicle)][1]
+
+    def floor(self, vehicle: Vehicle) -> Floats:
+        """(12,) noise floor: of the residuals after all columns of the catalogue, or of the vehicle where lower."""
+        return np.minimum(self._saturated_floor, residual_floor(self._regression, self.rows(vehicle)))
+
+    def channel_changes(self, before: Vehicle, after: Vehicle, floor: Floats) -> dict[str, ErrorChange]:
+        """By kind of channel. floor: (12,) with which the changes are compared."""
+        return channel_changes(self.rows(before), self.rows(after), floor, self._regression.rate, self._limits)
+
+    def open_loop_changes(self, before: Vehicle, after: Vehicle) -> dict[tuple[float, str], ErrorChange]:
+        """By horizon, s, and quantity; empty without a pose."""
+        interval = self._regression.thresholds.prediction.start_interval
+        return open_loop_changes(self.open_loop(before), self.open_loop(after), interval, self._limits)
+
+    def open_loop(self, vehicle: Vehicle) -> dict[float, list[Floats]]:
+        """(W, 12) errors of each segment's windows, by horizon; empty without a pose."""
+        if id(vehicle) not in self._windows:
+            regression = self._regression
+            windows = open_loop_windows(vehicle, regression.catalogue, self.segments, regression.thresholds.prediction)
+            self._windows[id(vehicle)] = (vehicle, windows)
+        return self._windows[id(vehicle)][1]
+
+    def worse(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+        """Errors that rise from one vehicle to another by what matters and by more than chance, by name."""
+        return self.worse_channels(before, after) | self.worse_open_loop(before, after)
+
+    def worse_channels(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+        """The same of the kinds of channel."""
+        by_kind = self.channel_changes(before, after, self.floor(after))
+        return {kind: change for kind, change in by_kind.items() if change.is_worse(self._limits)}
+
+    def worse_open_loop(self, before: Vehicle, after: Vehicle) -> dict[str, ErrorChange]:
+        """The same of the open loop."""
+        by_place = self.open_loop_changes(before, after)
+        return {f"{q} after {h:g} s": c for (h, q), c in by_place.items() if c.is_worse(self._limits)}
