@@ -197,11 +197,16 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     """Models along flights.
 
     hidden_rate: at which hidden states without a short time constant are integrated, Hz. [not derived yet]
+    max_substeps: integration steps between two rows; hidden states that need more are not predicted. [definition: a
+        time constant of 0.5 ms at 40 Hz]
+    min_lag_rows: shortest time constant of a grid that is tried, rows. [not derived yet: shorter ones look alike]
     horizons: of open-loop prediction, s. [definition]
     start_interval: between starts of open-loop prediction, s. [not derived yet]
     """
 
     hidden_rate: Positive = 50.0
+    max_substeps: Count = 50
+    min_lag_rows: Positive = 0.35
     horizons: tuple[Positive, ...] = (0.1, 0.5, 1.0)
     start_interval: Positive = 0.5
 
@@ -360,7 +365,6 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     converged: step over the standard deviation at which it ends; output error uses the same. [not derived yet]
     max_unsettled: the same beyond which a fit that has ended has no interval. [not derived yet]
     difference_step: of finite differences, relative. [not derived yet]
-    min_lag_rows: shortest lag that one Runge-Kutta step a row follows, rows. [formula: stability of RK4, 1 / 2.8]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     """
 
@@ -369,7 +373,6 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     converged: Positive = 0.02
     max_unsettled: Positive = 1.0
     difference_step: Positive = 0.02
-    min_lag_rows: Positive = 0.4
     block: Positive = 2.0
 
 

@@ -13,6 +13,7 @@ from dynamics.state import ATTITUDE
 
 Field = Callable[[Expression], Expression]
 DrivenField = Callable[[Expression, float], Expression]
+SMALL_EXPONENT, SERIES_TERMS = 0.3, 9  # below which a series replaces quotients that cancel: both right to 1e-13
 MAX_STEP_IN_LAGS = 1.0  # RK4 steps stay within one time constant of the fastest lag: stable and accurate
 
 
@@ -30,6 +31,77 @@ def rk4_driven(field: DrivenField, x: Expression, dt: Expression) -> Expression:
     k3 = field(x + dt / 2 * k2, 0.5)
     k4 = field(x + dt * k3, 1.0)
     return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+
+
+def exponential_step(field: DrivenField, x: Expression, relaxation: Expression, dt: Expression) -> Expression:
+    """One step of xdot = field(x, s), exact and stable for entries that relax however fast.
+
+    Cox, Matthews, Exponential time differencing for stiff systems, 2002, ETDRK4.
+
+    s: share of the step that has passed.
+    relaxation: (nx,) d field_i / d x_i, 1/s, of entries that relax, 0 for the others, which take the classical
+        Runge-Kutta step. An entry that is linear in itself and depends on nothing but an input that changes linearly
+        over the step is exact.
+    """
+    half, full = relaxation * dt / 2, relaxation * dt
+    phi_half, (phi1, phi2, phi3) = _phi(half)[0], _phi(full)
+    decay_half, decay = 1 + half * phi_half, 1 + full * phi1
+
+    def rest(state: Expression, share: float) -> Expression:
+        return field(state, share) - relaxation * state
+
+    n0 = rest(x, 0.0)
+    a = decay_half * x + dt / 2 * phi_half * n0
+    na = rest(a, 0.5)
+    b = decay_half * x + dt / 2 * phi_half * na
+    nb = rest(b, 0.5)
+    c = decay_half * a + dt / 2 * phi_half * (2 * nb - n0)
+    nc = rest(c, 1.0)
+    weights = (phi1 - 3 * phi2 + 4 * phi3, 2 * phi2 - 4 * phi3, 4 * phi3 - phi2)
+    return decay * x + dt * (weights[0] * n0 + weights[1] * (na + nb) + weights[2] * nc)
+
+
+def exponential_steps(
+    field: DrivenField, x: Expression, relaxation: Expression, dt: Expression, *, steps: int
+) -> Expression:
+    """The same in equal steps over dt."""
+
+    def of_step(i: int) -> DrivenField:
+        return lambda state, share: field(state, (i + share) / steps)
+
+    for i in range(steps):
+        x = exponential_step(of_step(i), x, relaxation, dt / steps)
+    return x
+
+
+def relaxation_of(derivative: Expression, hidden: Expression) -> Expression:
+    """(h,) d derivative_i / d hidden_i, 1/s, where that depends on no hidden state, 0 elsewhere.
+
+    derivative: (h,) of the hidden states, an expression in them.
+    """
+    slopes = ca.jacobian(derivative, hidden)
+    own = [slopes[i, i] for i in range(slopes.shape[0])]
+    return ca.vertcat(*[ca.SX(0) if ca.depends_on(slope, hidden) else ca.densify(slope) for slope in own])
+
+
+def relaxes_alone(derivative: Expression, hidden: Expression, entries: slice) -> bool:
+    """Whether each of these hidden states is linear in itself and depends on no other hidden state."""
+    slopes = ca.jacobian(derivative, hidden)[entries, :]
+    rows, columns = slopes.sparsity().get_triplet()
+    diagonal = all(row + entries.start == column for row, column in zip(rows, columns, strict=True))
+    return diagonal and not ca.depends_on(slopes, hidden)
+
+
+def _phi(z: Expression) -> tuple[Expression, Expression, Expression]:
+    """phi_k(z) = sum over n of z^n / (n + k)!, k = 1, 2, 3, without cancellation at small z."""
+    small = ca.fabs(z) < SMALL_EXPONENT
+    safe = ca.if_else(small, 1.0, z)
+    series = [sum(z**n / math.factorial(n + k) for n in range(SERIES_TERMS)) for k in (1, 2, 3)]
+    first = ca.expm1(safe) / safe
+    second = (first - 1) / safe
+    third = (second - 0.5) / safe
+    exact = (first, second, third)
+    return tuple(ca.if_else(small, s, e) for s, e in zip(series, exact, strict=True))
 
 
 def required_steps(model: Model, duration: float) -> int:

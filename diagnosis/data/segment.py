@@ -153,7 +153,7 @@ def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT)
 
     Raises DataError when the flight lacks motion or rotors, or was logged too slowly.
     """
-    if flight.rate < MIN_ROTOR_RATE:
+    if flight.rate < thresholds.segment.min_rate_share * MIN_ROTOR_RATE:
         raise DataError(
             f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {MIN_ROTOR_RATE:.0f} Hz or more "
             "of gyro and pose."

@@ -17,6 +17,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments
+from diagnosis.selection.design_matrix import with_slow_moments
 from diagnosis.selection.errors_in_variables import SEED, perturbed
 from diagnosis.selection.regression import Biases, Regression, marginal
 from dynamics.arrays import Floats
@@ -220,8 +221,7 @@ class _EquationErrorProblem:
         self.thresholds = regression.thresholds.equation_error
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
-        min_lag = self.thresholds.min_lag_rows / regression.segments[0].rate
-        self.bounds = [_stable(c.effect, name, min_lag) for c, name in self.free]
+        self.bounds = [bounds(c.effect, name) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         self._predictor = Predictor(
             vehicle,
@@ -231,6 +231,7 @@ class _EquationErrorProblem:
             speed_measured=regression.segments[0].rotor_source == "measured",
             thresholds=regression.thresholds.prediction,
         )
+        self._lags = {f"{c.key}.{n}" for c, n in self.free if c.effect.rotor_speed is not None}
         self._instrumented = [c.effect.physics is not None for c, _ in self.free]
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random) for s in regression.segments]
@@ -250,7 +251,8 @@ class _EquationErrorProblem:
             part = theta[place : place + len(candidate.columns)]
             place += len(part)
             if candidate.fixed_shape:
-                starts |= {f"{candidate.key}.{n}": float(part[0]) * v for n, v in candidate.at.items()}
+                scaled = candidate.scaled(float(part[0]))
+                starts |= {f"{candidate.key}.{n}": value for n, value in scaled.items()}
             else:
                 starts |= {
                     f"{candidate.key}.{n}": candidate.at[n] + float(t)
@@ -359,6 +361,8 @@ class _EquationErrorProblem:
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
+            if name in self._lags:
+                z[-1] = with_slow_moments(slope, segment)
         return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
 
     def _difference(self, segment: Segment, changed: Mapping[str, float], name: str, base: Floats) -> Floats:
@@ -371,12 +375,6 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.fixed_shape:
         return tuple(candidate.at)
     return (*candidate.free, *candidate.effect.refine)
-
-
-def _stable(effect: Effect, name: str, min_lag: float) -> tuple[float, float]:
-    """Bounds within which the segment's rows can be integrated. min_lag: shortest time constant, s."""
-    low, high = bounds(effect, name)
-    return (max(low, min_lag) if name in effect.time_constants else low), high
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:

@@ -6,6 +6,7 @@ rotor speeds) and applied where the model predicts a reading (specific force).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -19,7 +20,7 @@ from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
-from dynamics.integrators import rk4_driven
+from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, relaxation_of, relaxes_alone
 from dynamics.kinematics import lever_arm_acceleration
 from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, HIDDEN, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
@@ -86,7 +87,7 @@ class Predictor:
         acting = [use for use in uses if not (speed_measured and catalogue[use.name].rotor_speed is not None)]
         self.model: Model = build_model(vehicle, effects=acting, catalogue=catalogue)
         self.free = tuple(free)
-        self._hidden_rate = thresholds.hidden_rate
+        self._thresholds = thresholds
         self._symbols = _symbols(self.model)
         outputs = _outputs(self.model, self._symbols)
         inputs = list(self._symbols.values())
@@ -96,10 +97,8 @@ class Predictor:
         columns = ca.cse(ca.vec(ca.jacobian(outputs, self._symbols["p"])[:, places])) if free else ca.SX(0, 1)
         stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
-        advance = _advance(self.model, self._symbols) if self.model.hidden_count else None
-        self._advance = RowFunction(advance, chained=True) if advance is not None else None
-        lags = self.model.time_constants
-        self._is_fast = bool(self.model.rotor_speed_places) or min(lags, default=np.inf) < 1 / self._hidden_rate
+        self._lags, self._step_bounds = _lags(self.model)
+        self._advances: dict[int, RowFunction] = {}
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -132,9 +131,12 @@ class Predictor:
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
-        """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's."""
+        """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's.
+
+        Hidden states are not finite where the rate is too low for them.
+        """
         values = self.values() if p is None else p
-        hidden = self._hidden(segment, values) if self._advance is not None else np.zeros((len(segment), 0))
+        hidden = self._hidden(segment, values) if self.model.hidden_count else np.zeros((len(segment), 0))
         return np.hstack([segment.smooth, hidden])
 
     def _arguments(
@@ -145,16 +147,49 @@ class Predictor:
         angular = segment.angular_acceleration
         return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
 
+    def substeps(self, period: float, p: Floats) -> int | None:
+        """Integration steps over a period, s, that hidden states need; None if more than are taken."""
+        lag = min((p[place] for place in self._step_bounds), default=np.inf)
+        required = max(1, math.ceil(period / (MAX_STEP_IN_LAGS * lag)))
+        return required if required <= self._thresholds.max_substeps else None
+
     def _hidden(self, segment: Segment, p: Floats) -> Floats:
         """(n, h) hidden states along the segment, from their values in hover."""
-        assert self._advance is not None
-        stride = 1 if self._is_fast else max(1, int(segment.rate / self._hidden_rate))
+        slowest = min((p[place] for place in self._lags), default=np.inf) * self._thresholds.hidden_rate
+        fast = bool(self.model.rotor_speed_places) or slowest < 1
+        stride = 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
+        count = self.substeps(stride / segment.rate, p)
+        if count is None:
+            return np.full((len(segment), self.model.hidden_count), np.nan)
+        if count not in self._advances:
+            self._advances[count] = RowFunction(_advance(self.model, self._symbols, count), chained=True)
         here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
         steps = len(here) - 1
         initial = _settled(self.model, segment)
         same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / segment.rate)
-        hidden = np.vstack([initial, self._advance(initial, here[:-1], here[1:], same, period)])
+        with np.errstate(all="ignore"):
+            hidden = np.vstack([initial, self._advances[count](initial, here[:-1], here[1:], same, period)])
         return hidden if stride == 1 else _between(hidden, stride, len(segment))
+
+
+def _lags(model: Model) -> tuple[list[int], list[int]]:
+    """Places of the time constants among the parameters: of all effects, and of those that bound the integration step.
+
+    Hidden states that relax by themselves are integrated exactly, so that their time constants bound nothing.
+    """
+    hidden = ca.SX.sym("hidden", model.hidden_count)
+    sizes = [model.input_count, len(model.parameter_names), 2, model.hidden_count]
+    x = ca.vertcat(ca.SX.sym("x", RIGID_BODY_STATES), hidden)
+    derivative = model.derivative(x, *(ca.SX.sym("argument", size) for size in sizes))[HIDDEN]
+    everything: list[int] = []
+    bounding: list[int] = []
+    for item in model.effects:
+        places = [model.parameter_index(f"{item.key}.{name}") for name in item.effect.time_constants]
+        everything += places
+        states = [slice(s.start - RIGID_BODY_STATES, s.stop - RIGID_BODY_STATES) for s in item.hidden.values()]
+        if not all(relaxes_alone(derivative, hidden, entries) for entries in states):
+            bounding += places
+    return everything, bounding
 
 
 def _settled(model: Model, segment: Segment) -> Floats:
@@ -235,8 +270,11 @@ def _gyro_slope(model: Model, p: Expression) -> Expression:
     return ca.jacobian(model.measure(nothing, rate, ca.SX.zeros(model.input_count), p, nothing)[1], rate)
 
 
-def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:
-    """(hidden, before, after, p, dt) -> hidden states one row later, by RK4 between the rows' measured motion."""
+def _advance(model: Model, s: Mapping[str, Expression], count: int) -> ca.Function:
+    """(hidden, before, after, p, dt) -> hidden states one row later, in `count` steps between the rows' motion.
+
+    Between two rows motion and rotors' speeds or commands change linearly.
+    """
     n = model.input_count
     width = RIGID_BODY_STATES + n + 2
     before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
@@ -248,5 +286,5 @@ def _advance(model: Model, s: Mapping[str, Expression]) -> Expression:
         state = ca.vertcat(row[POSE_AND_VELOCITY], rate, hidden)
         return model.derivative(state, speed, p, row[RIGID_BODY_STATES + n :], ca.SX.zeros(model.hidden_count))[HIDDEN]
 
-    following = rk4_driven(slope, h, dt)
+    following = exponential_steps(slope, h, relaxation_of(slope(h, 0.0), h), dt, steps=count)
     return ca.Function("advance", [h, before, after, p, dt], [following])

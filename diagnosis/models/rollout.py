@@ -1,7 +1,7 @@
 """Windows of a flight simulated open loop from measured states, many at once, with sensitivities.
 
-Between two rows the rotors have the mean speed of both, and accelerate as measured where their speed is measured;
-faults of sensors that the model holds are removed from the readings first.
+Between two rows the rotors' speeds, or commands, change linearly; where their speed is measured the rotors accelerate
+as measured. Faults of sensors that the model holds are removed from the readings first.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ from diagnosis.models.prediction import Predictor
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
-from dynamics.integrators import rk4, with_unit_attitude
+from dynamics.integrators import exponential_steps, relaxation_of, with_unit_attitude
 from dynamics.model import Model, build_model
-from dynamics.state import HIDDEN, RATE
+from dynamics.state import HIDDEN, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 
 PARAMETERS, PERIOD = 3, 5  # places among the step's inputs that all rows share
@@ -49,15 +49,15 @@ class Simulator:
     def __init__(self, predictor: Predictor, rate: float, free: Sequence[str] = (), *, speed_measured: bool) -> None:
         self.predictor = predictor
         self._period = np.array([1 / rate])
-        inputs, after = _step(predictor.model, speed_measured)
-        self._step = RowFunction(ca.Function("step", inputs, [after]), shared=(PARAMETERS, PERIOD))
-        places = [predictor.model.parameter_index(name) for name in free]
-        slopes = ca.horzcat(ca.jacobian(after, inputs[0]), ca.jacobian(after, inputs[PARAMETERS])[:, places])
-        flat = ca.reshape(ca.densify(slopes), -1, 1)
-        self._slopes = RowFunction(ca.Function("slopes", inputs, [flat]), shared=(PARAMETERS, PERIOD))
+        self._speed_measured = speed_measured
+        self._places = [predictor.model.parameter_index(name) for name in free]
+        self._functions: dict[int, tuple[RowFunction, RowFunction]] = {}
 
     def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> SimulatedWindows:
-        """Simulate from the measured states at rows `starts` of a segment without faults."""
+        """Simulate from the measured states at rows `starts` of a segment without faults.
+
+        States are not finite where the rate is too low for the model's hidden states.
+        """
         measured = self.predictor.states(segment, p)
         rows = np.asarray(starts)[:, None] + np.arange(steps + 1)
         here, there = rows[:, :-1], rows[:, 1:]
@@ -66,11 +66,27 @@ class Simulator:
         inputs, environment = np.concatenate([speed, acceleration], axis=2), segment.environment[here]
         states = np.empty((len(rows), steps + 1, measured.shape[1]))
         states[:, 0] = measured[rows[:, 0]]
-        half = speed.shape[2]
+        functions = self._compiled(p)
+        if functions is None:
+            states[:, 1:] = np.nan
+            return SimulatedWindows(states, inputs, environment, rows)
         for step in range(steps):
-            u, a = inputs[:, step, :half], inputs[:, step, half:]
-            states[:, step + 1] = self._step(states[:, step], u, a, p, environment[:, step], self._period)
+            u, a, e = speed[:, step], acceleration[:, step], environment[:, step]
+            states[:, step + 1] = functions[0](states[:, step], u, a, p, e, self._period, a * self._period)
         return SimulatedWindows(states, inputs, environment, rows)
+
+    def _compiled(self, p: Floats) -> tuple[RowFunction, RowFunction] | None:
+        """The step and its slopes in state and free parameters, with as many substeps as the hidden states need."""
+        count = self.predictor.substeps(float(self._period[0]), p)
+        if count is None:
+            return None
+        if count not in self._functions:
+            inputs, after = _step(self.predictor.model, self._speed_measured, count)
+            slopes = ca.horzcat(ca.jacobian(after, inputs[0]), ca.jacobian(after, inputs[PARAMETERS])[:, self._places])
+            flat = ca.reshape(ca.densify(slopes), -1, 1)
+            step, slope = ca.Function("step", inputs, [after]), ca.Function("slopes", inputs, [flat])
+            self._functions[count] = tuple(RowFunction(f, shared=(PARAMETERS, PERIOD)) for f in (step, slope))  # type: ignore[assignment]
+        return self._functions[count]
 
     def sensitivities(
         self,
@@ -83,15 +99,20 @@ class Simulator:
     ) -> Floats:
         """(W, n + 1, nx, s + k) of the states in s directions of the start and the last k free parameters.
 
-        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead. held:
-        whether the parameters are constant, and all columns are directions of the start.
+        first: (W, nx, s + k) at the start. rotor_speed: (W, n, rotors) to take the slopes at instead, constant over
+        a step. held: whether the parameters are constant, and all columns are directions of the start.
         """
         count, steps, nx = len(windows.states), windows.inputs.shape[1], windows.states.shape[2]
         half, width = windows.inputs.shape[2] // 2, first.shape[2]
         speed = windows.inputs[:, :, :half] if rotor_speed is None else rotor_speed
         flat = [x.reshape(count * steps, -1) for x in (windows.states[:, :-1], speed, windows.inputs[:, :, half:])]
+        change = flat[2] * (self._period if rotor_speed is None else 0.0)
         around = windows.environment.reshape(count * steps, -1)
-        slopes = self._slopes(*flat, p, around, self._period).reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
+        functions = self._compiled(p)
+        if functions is None:
+            return np.full((count, steps + 1, nx, width), np.nan)
+        evaluated = functions[1](*flat, p, around, self._period, change)
+        slopes = evaluated.reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
         chained = np.empty((count, steps + 1, nx, width))
         chained[:, 0] = first
         for step in range(steps):
@@ -150,17 +171,27 @@ def _with_pose_of(segment: Segment, age: float, attitude_age: float) -> Segment:
     )
 
 
-def _step(model: Model, speed_measured: bool) -> tuple[list[Expression], Expression]:
-    """Symbols (x, u, a, p, e, dt) and the state one row later."""
+def _step(model: Model, speed_measured: bool, count: int) -> tuple[list[Expression], Expression]:
+    """Symbols (x, u, a, p, e, dt, c) and the state one row later, in `count` steps.
+
+    u: mean speeds, or commands, over the step. a: the rotors' acceleration. c: change of u over the step.
+    """
     sizes = {"x": model.state_count, "u": model.input_count, "a": model.input_count, "p": len(model.parameter_names)}
     x, u, a, p = (ca.SX.sym(name, size) for name, size in sizes.items())
     e, dt, still = ca.SX.sym("e", 2), ca.SX.sym("dt"), ca.SX.zeros(model.hidden_count)
+    change = ca.SX.sym("c", model.input_count)
 
-    def field(state: Expression) -> Expression:
-        rates = model.derivative(state, u, p, e, still)
+    def field(state: Expression, share: float) -> Expression:
+        now = u + (share - 0.5) * change
+        rates = model.derivative(state, now, p, e, still)
         if not speed_measured:
             return rates
-        _, angular = model.respond(state, u, a, p, e)  # with the moment of rotors that speed up
+        _, angular = model.respond(state, now, a, p, e)  # with the moment of rotors that speed up
         return ca.vertcat(rates[: RATE.start], angular, rates[HIDDEN])
 
-    return [x, u, a, p, e, dt], ca.densify(with_unit_attitude(rk4(field, x, dt)))
+    hidden = ca.SX.sym("hidden", model.hidden_count)
+    apart = ca.vertcat(x[:RIGID_BODY_STATES], hidden)
+    relaxation = ca.substitute(relaxation_of(field(apart, 0.0)[HIDDEN], hidden), hidden, x[HIDDEN])
+    everything = ca.vertcat(ca.SX.zeros(RIGID_BODY_STATES), relaxation)
+    after = exponential_steps(field, x, everything, dt, steps=count)
+    return [x, u, a, p, e, dt, change], ca.densify(with_unit_attitude(after))

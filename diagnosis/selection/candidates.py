@@ -2,7 +2,8 @@
 
 Columns come from the effects' own expressions. An effect that is linear in some of its parameters gives one column
 for each of them and is tried on a grid of the others; an effect whose parameters are all held gives one column, a
-fixed-shape regressor: the difference that it makes, whose coefficient must be near 1.
+fixed-shape regressor: the difference that it makes, whose coefficient must be near 1. An effect that the vehicle file
+names already is a candidate for a correction: what is regressed is the difference that other values make.
 
 Under feedback the controller responds to turbulence within 30 ms, so rotor speeds are correlated with the disturbance
 and the moments of the rotors look like an error in inertia, or like lag. Columns for detection therefore take the
@@ -35,6 +36,7 @@ class Candidate:
     at: values about which it is linear, of all parameters.
     free: parameters that are regressed.
     columns: places of its columns in the regression.
+    present: values in the vehicle file, where it names the effect; without them the effect is absent.
     """
 
     effect: Effect
@@ -42,11 +44,23 @@ class Candidate:
     at: Mapping[str, float]
     free: tuple[str, ...]
     columns: tuple[int, ...]
+    present: Mapping[str, float] | None = None
 
     @property
     def fixed_shape(self) -> bool:
         """Whether all its parameters are held, and its size is regressed."""
         return not self.free
+
+    @property
+    def sizes(self) -> dict[str, float]:
+        """Where it is linear, less the values in the present model: those of the file, or where the effect vanishes."""
+        neutral = {p.name: p.neutral for p in self.effect.parameters}
+        present = neutral if self.present is None else self.present
+        return {name: value - present[name] for name, value in self.at.items()}
+
+    def scaled(self, coefficient: float) -> dict[str, float]:
+        """Parameters of a fixed shape with a coefficient."""
+        return {name: self.at[name] + (coefficient - 1) * size for name, size in self.sizes.items()}
 
     @property
     def key(self) -> str:
@@ -69,38 +83,59 @@ class Candidate:
 
 
 def make_candidates(
-    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment]
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    segments: Sequence[Segment],
+    thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> tuple[Candidate, ...]:
     """All effects that these flights could show, at each point of their grids, in the order of the catalogue."""
-    span = _span(segments)
+    span, min_lag = _span(segments), thresholds.min_lag_rows / min(s.rate for s in segments)
     candidates: list[Candidate] = []
     count = 0
     for effect in catalogue.values():
         if effect.stochastic or not can_show(effect, segments, vehicle, catalogue):
             continue
         for rotor in range(vehicle.rotors.count) if effect.per_rotor else (None,):
-            for at, free in _grid(effect, rotor, vehicle, span):
+            own = next((u for u in vehicle.effects if (u.name, u.rotor) == (effect.name, rotor)), None)
+            present = None if own is None else {**effect.defaults(vehicle), **own.parameters}
+            for at, free in _grid(effect, present, _resolved(effect, vehicle, span, min_lag)):
                 width = max(1, len(free))
-                candidates.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width))))
+                candidates.append(Candidate(effect, rotor, at, free, tuple(range(count, count + width)), present))
                 count += width
     return tuple(candidates)
 
 
+def _resolved(effect: Effect, vehicle: Vehicle, span: Span, min_lag: float) -> list[Mapping[str, float]]:
+    """Points of an effect's grid but those with a time constant, s, shorter than the logs' rate resolves.
+
+    Where none is left, those with the longest: what is faster acts like it, only less.
+    """
+    points = list(effect.grid(vehicle, span)) if effect.grid is not None else [{}]
+
+    def shortest(point: Mapping[str, float]) -> float:
+        return min((point[name] for name in effect.time_constants if name in point), default=np.inf)
+
+    limit = min(min_lag, max(map(shortest, points), default=np.inf))
+    return [point for point in points if shortest(point) >= limit]
+
+
 def _grid(
-    effect: Effect, rotor: int | None, vehicle: Vehicle, span: Span
+    effect: Effect, present: Mapping[str, float] | None, points: Sequence[Mapping[str, float]]
 ) -> list[tuple[dict[str, float], tuple[str, ...]]]:
     """(values about which it is linear, free parameters) at each point of an effect's grid.
 
-    An effect that the vehicle's model already holds has one point, its own values: what is regressed is their error.
+    An effect that the vehicle's model holds has one point, its present values, where it is linear in some parameters:
+    what is regressed is their error. Where it is linear in none, what other values change is regressed.
     """
     names = tuple(p.name for p in effect.parameters)
-    points = effect.grid(vehicle, span) if effect.grid is not None else [{}]
-    own = next((u for u in vehicle.effects if u.name == effect.name and u.rotor == rotor), None)
-    if own is not None:
-        free = tuple(name for name in names if name not in points[0])
-        return [({**effect.defaults(vehicle), **own.parameters}, free)] if free else []
-    neutral = {p.name: p.neutral for p in effect.parameters}
-    return [({**neutral, **held}, tuple(name for name in names if name not in held)) for held in points]
+    if present is None:
+        neutral = {p.name: p.neutral for p in effect.parameters}
+        return [({**neutral, **held}, tuple(name for name in names if name not in held)) for held in points]
+    free = tuple(name for name in names if name not in points[0])
+    if free:
+        return [(dict(present), free)]
+    others = [held for held in points if max(abs(held[n] - present[n]) for n in names) >= effect.min_detectable]
+    return [({**present, **held}, ()) for held in others if any(held[n] != present[n] for n in names)]
 
 
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:

@@ -155,6 +155,14 @@ def _fill(
         if candidate.fixed_shape:
             column = column - base[:, :, 0]
             if instrumented and candidate.effect.rotor_speed is not None:
-                angular = column[:, ANGULAR_ACCELERATION]
-                column[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters)
+                column = with_slow_moments(column, segment)
         matrix[:, :, place] = column
+
+
+def with_slow_moments(column: Floats, segment: Segment) -> Floats:
+    """A column (m, 12) with the moments of slow motion alone, an instrument: turbulence turns the vehicle, and within
+    30 ms the controller's commands answer, which would look like lag."""
+    result = column.copy()
+    angular = column[:, ANGULAR_ACCELERATION]
+    result[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters)
+    return result

@@ -257,7 +257,7 @@ def make_regression(
     thresholds: Thresholds = DEFAULT,
 ) -> Regression:
     """The regression of all candidates over segments of flights numbered from 0."""
-    candidates = make_candidates(vehicle, catalogue, segments)
+    candidates = make_candidates(vehicle, catalogue, segments, thresholds.prediction)
     design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
     rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
     pose = pose_errors(segments, design.present, thresholds.pose)
@@ -404,7 +404,7 @@ def sensor_biases(candidates: Sequence[Candidate]) -> Biases:
             continue
         taken.add(candidate.key)
         if candidate.fixed_shape:  # its column is the effect of the size at which it was tried
-            deviation /= next(iter(candidate.at.values()))
+            deviation /= abs(next(iter(candidate.sizes.values())))
         columns += candidate.columns
         information += [deviation**-2] * len(candidate.columns)
     return Biases(tuple(columns), np.array(information))

@@ -169,9 +169,12 @@ def possible(
 ) -> bool:
     """Whether coefficients lie within the physical bounds of their parameters, with a slack for noise."""
     if candidate.fixed_shape:
-        size = next(iter(candidate.at.values()))
-        low, high = thresholds.amplitude
-        return bool(low < theta[0] < high and theta[0] * size >= candidate.effect.min_detectable)
+        size, (low, high) = abs(next(iter(candidate.sizes.values()))), thresholds.amplitude
+        if candidate.present is not None:  # a correction may be small
+            low = 0.0
+        values = candidate.scaled(float(theta[0]))
+        within = all(p.lower <= values[p.name] <= p.upper for p in candidate.effect.parameters)
+        return bool(within and low < theta[0] < high and theta[0] * size >= candidate.effect.min_detectable)
     slack = {p.name: thresholds.bound_slack * p.prior(vehicle).std for p in candidate.effect.parameters}
     bounds = {p.name: (p.lower - slack[p.name], p.upper + slack[p.name]) for p in candidate.effect.parameters}
     return all(

@@ -1,11 +1,12 @@
 """Integration: the order of the method, the length of the quaternion, substeps and noise."""
 
+import casadi as ca
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from dynamics import quaternion
-from dynamics.integrators import rk4, step_function
+from dynamics.integrators import exponential_step, relaxation_of, relaxes_alone, rk4, rk4_driven, step_function
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.vehicle import EffectUse
 
@@ -70,3 +71,39 @@ def test_noise_moves_only_the_hidden_states_that_have_it(arpl_250g):
     arguments = (model.initial_state(START), hover, model.parameter_values, ENVIRONMENT_DEFAULT)
     moved = np.array(step(*arguments, np.ones(3), 0.01) - step(*arguments, np.zeros(3), 0.01)).ravel()
     assert_allclose(moved[13:], np.sqrt(2) * np.array([1, 1, 0.5]) * 0.01, rtol=0.01)
+
+
+def relaxed(lag, dt, steps, before=0.0):
+    """A first-order lag behind a ramp of 1 a second from rest, at the end of each step."""
+    x, at = ca.SX.sym("x"), ca.SX.sym("at")
+    after = exponential_step(lambda state, share: (at + share * dt - state) / lag, x, ca.SX(-1 / lag), dt)
+    step = ca.Function("step", [x, at], [after])
+    values = [before]
+    for i in range(steps):
+        values.append(float(step(values[-1], i * dt)))
+    return np.array(values)
+
+
+@pytest.mark.parametrize("lag", [1e-4, 0.002, 0.01, 0.1, 10.0])
+def test_a_lag_of_any_length_follows_a_ramp_exactly(lag):
+    time = 0.02 * np.arange(20)
+    assert_allclose(relaxed(lag, 0.02, 19), time - lag * (1 - np.exp(-time / lag)), atol=1e-12)
+
+
+def test_without_relaxation_the_exponential_step_is_the_classical_one():
+    x, dt = ca.SX.sym("x", 2), 0.1
+
+    def field(state, share):
+        return ca.vertcat(ca.sin(state[1]) + share, state[0] * state[1])
+
+    steps = [exponential_step(field, x, ca.SX.zeros(2), dt), rk4_driven(field, x, dt)]
+    mine, classical = ca.Function("steps", [x], steps)([0.3, -0.8])
+    assert_allclose(np.array(mine), np.array(classical), atol=1e-14)
+
+
+def test_states_that_relax_are_recognised_and_those_that_do_so_alone():
+    h, p = ca.SX.sym("h", 4), ca.SX.sym("p")
+    derivative = ca.vertcat((p - h[0]) / p, h[2], -h[1] - h[2], -(h[3] ** 2))
+    rates = ca.Function("rates", [h, p], [relaxation_of(derivative, h)])([0.1, 0.2, 0.3, 0.4], 0.5)
+    assert_allclose(np.array(rates).ravel(), [-2.0, 0.0, -1.0, 0.0])
+    assert [relaxes_alone(derivative, h, slice(i, i + 1)) for i in range(4)] == [True, False, False, False]
