@@ -17,6 +17,7 @@ from flights import Flight
 LAG = 0.015  # s
 MANOEUVRES = ("line:laps=3,ramp=1", "bob:laps=4,ramp=1,height=0.25", "Lemniscate:laps=4,ramp=1.5,speed=0.9")
 SENSORS = {name: CATALOGUE[name] for name in ("imu_bias", "gyro_bias", "time_delay", "motor_lag")}
+SOME = {name: CATALOGUE[name] for name in (*SENSORS, "inertia", "slung_load", "linear_drag", "gust", "wind")}
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def at_rate(flight: Flight, rate: float) -> Flight:
 @pytest.mark.parametrize("rate", [40.0, 62.5])
 def test_logs_of_commands_at_any_accepted_rate_are_answered(lagging, arpl_250g, rate):
     dataset = make_dataset([at_rate(flight, rate) for flight in lagging], arpl_250g)
-    details = diagnose_dataset(dataset, arpl_250g, CATALOGUE)
+    details = diagnose_dataset(dataset, arpl_250g, SOME)
     assert np.isfinite(np.vstack(details.after)).all()
     assert details.diagnosis.verdict in ("effect", "ambiguous", "unknown")
 
@@ -50,7 +51,7 @@ def test_a_lag_shorter_than_a_row_is_fitted_at_every_rate(lagging, arpl_250g, ra
     assert estimate.value == pytest.approx(LAG, abs=0.0015)
 
 
-@pytest.mark.parametrize(("rate", "shortest"), [(40.0, 0.01), (90.0, 0.01), (250.0, 0.004)])
+@pytest.mark.parametrize(("rate", "shortest"), [(40.0, 0.01), (62.5, 0.01), (250.0, 0.004)])
 def test_lags_that_a_rate_does_not_resolve_are_not_tried(lagging, arpl_250g, rate, shortest):
     dataset = make_dataset([at_rate(flight, rate) for flight in lagging], arpl_250g)
     tried = [c.at["time_constant"] for c in make_candidates(arpl_250g, SENSORS, dataset.fitted) if c.key == "motor_lag"]

@@ -1,0 +1,78 @@
+"""The lag of rotors behind their commands: without bias under turbulence, and corrected where the file is wrong."""
+
+import pytest
+
+from diagnosis.data.dataset import make_dataset
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.estimation.equation_error import fit
+from diagnosis.selection.candidates import make_candidates
+from diagnosis.selection.regression import make_regression, sensor_biases
+from diagnosis.selection.search import Search, possible
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle import EffectUse
+from fixtures.compiled_flights import compiled_flights
+
+MANOEUVRES = (
+    "line:laps=3,ramp=1",
+    "yaw_spin:laps=3,ramp=1",
+    "bob:laps=4,ramp=1,height=0.25",
+    "Lemniscate:laps=4,ramp=1.5,speed=0.9",
+    "ExtendedLemniscate:laps=3,ramp=1",
+)
+SENSORS = {name: CATALOGUE[name] for name in ("imu_bias", "gyro_bias", "time_delay", "motor_lag")}
+RIVALS = {name: CATALOGUE[name] for name in (*SENSORS, "inertia", "rotational_damping", "linear_drag", "gust", "wind")}
+
+
+def commanded(vehicle, lag, *, seed, noise=1.0):
+    """Flights that log commands, which the rotors follow with a lag, s."""
+    hidden = [EffectUse("motor_lag", {"time_constant": lag})]
+    return compiled_flights(
+        vehicle, hidden, catalogue=CATALOGUE, seed=seed, noise=noise, commands=True, manoeuvres=MANOEUVRES
+    )
+
+
+def with_lag(vehicle, lag):
+    return vehicle.with_effects(EffectUse("motor_lag", {"time_constant": lag}))
+
+
+def test_commands_that_answer_turbulence_do_not_lengthen_the_lag(arpl_250g):
+    lag, estimates = 0.0075, []
+    for seed in (21, 23):
+        dataset = make_dataset(commanded(arpl_250g, lag, seed=seed, noise=3.0), arpl_250g)
+        regression = make_regression(arpl_250g, SENSORS, dataset.fitted, dataset.flight_of)
+        best = max(regression.candidates, key=lambda c: regression.gain(c.columns) if c.key == "motor_lag" else 0.0)
+        estimates.append(fit(regression, [best]).estimates["motor_lag", "time_constant"])
+    assert sum(e.value for e in estimates) / len(estimates) == pytest.approx(lag, abs=0.001)
+
+
+def test_a_lag_in_the_vehicle_file_can_be_wrong(arpl_250g):
+    vehicle, true = with_lag(arpl_250g, 0.035), 0.015
+    dataset = make_dataset(commanded(arpl_250g, true, seed=31), vehicle)
+    effects = diagnose_dataset(dataset, vehicle, RIVALS).diagnosis.effects
+    assert [e.name for e in effects] == ["motor_lag"]
+    assert effects[0].parameters["time_constant"].value == pytest.approx(true, abs=0.0015)
+
+
+def test_a_right_lag_in_the_file_is_not_doubted(arpl_250g):
+    vehicle = with_lag(arpl_250g, 0.03)
+    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=33), vehicle)
+    search = Search(make_regression(vehicle, SENSORS, dataset.fitted, dataset.flight_of))
+    lags = [c for c in search.regression.candidates if c.key == "motor_lag"]
+    assert max(search.score([c]).score for c in lags) < search.thresholds.min_gain
+
+
+def test_corrections_are_regressed_as_differences_from_the_file(arpl_250g):
+    vehicle = with_lag(arpl_250g, 0.045).with_effects(EffectUse("time_delay", {"delay": 0.01}))
+    dataset = make_dataset(commanded(arpl_250g, 0.045, seed=35), vehicle)
+    candidates = make_candidates(vehicle, SENSORS, dataset.fitted)
+    lags = [c for c in candidates if c.key == "motor_lag"]
+    assert [c.at["time_constant"] for c in lags] == [0.004, 0.01, 0.018, 0.03, 0.07, 0.12]
+    shorter = lags[3]
+    assert shorter.sizes["time_constant"] == pytest.approx(-0.015)
+    assert shorter.scaled(2.0)["time_constant"] == pytest.approx(0.015)
+    assert possible(shorter, [0.3], vehicle)
+    assert not possible(shorter, [0.1], vehicle)  # 1.5 ms are within the clocks' errors
+    late = next(c for c in candidates if c.key == "time_delay")
+    biases = sensor_biases(candidates)
+    information = biases.information[biases.columns.index(late.columns[0])]
+    assert information == pytest.approx((CATALOGUE["time_delay"].sensor_prior / 0.005) ** -2)
