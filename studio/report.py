@@ -90,15 +90,21 @@ def add_command(
     diagnosis: Diagnosis,
     logs: Sequence[Path],
     vehicle: str,
-    hold_out: str | None,
+    options: Mapping[str, str | Path | Sequence[str | Path] | None],
     catalogue: Mapping[str, Effect] = CATALOGUE,
 ) -> str:
-    """The command that adds the first effect of a diagnosis that can be added, empty where there is none."""
-    able = [effect for effect in diagnosis.effects if not catalogue[effect.name].stochastic]
-    if not able:
+    """The command that adds what a diagnosis names and a vehicle file can hold, empty where there is nothing.
+
+    options: of the diagnosis, by name; None or nothing where an option was not used. The same data then lead to the
+    same effects, each on its own rotor.
+    """
+    if all(catalogue[effect.name].stochastic for effect in diagnosis.effects):
         return ""
-    words = ["alula", "add", able[0].name, *map(str, logs), "--vehicle", vehicle]
-    return shlex.join([*words, *(["--hold-out", hold_out] if hold_out else [])])
+    words = ["alula", "add", *map(str, logs), "--vehicle", vehicle]
+    for name, value in options.items():
+        values = [value] if isinstance(value, str | Path) else value or []
+        words += [word for one in values for word in (name, str(one))]
+    return shlex.join(words)
 
 
 def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:

@@ -49,9 +49,9 @@ def diagnose(
     if html is not None:
         from studio.report import add_command
 
-        result.write_html(
-            html, add_command=add_command(result.report, logs, vehicle, hold_out, result.details.regression.catalogue)
-        )
+        options = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
+        command = add_command(result.report, logs, vehicle, options, result.details.regression.catalogue)
+        result.write_html(html, add_command=command)
     if json != STANDARD_OUTPUT:
         _print(result, Console(file=sys.stdout))
 

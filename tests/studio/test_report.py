@@ -104,8 +104,14 @@ def test_effects_share_all_with_themselves_and_thrust_with_mass(findings: Diagno
 
 
 def test_the_command_that_adds_is_the_one_to_type(findings: DiagnosisDetails) -> None:
-    command = add_command(findings.diagnosis, [Path("a b.csv")], "v.toml", "hold*")
-    assert command == "alula add rotor_drag 'a b.csv' --vehicle v.toml --hold-out 'hold*'"
+    options = {
+        "--hold-out": "hold*",
+        "--effects": [Path("own.py"), Path("other.py")],
+        "--mapping": None,
+        "--pose": None,
+    }
+    command = add_command(findings.diagnosis, [Path("a b.csv")], "v.toml", options)
+    assert command == ("alula add 'a b.csv' --vehicle v.toml --hold-out 'hold*' --effects own.py --effects other.py")
 
 
 def test_a_page_that_cannot_be_written_is_a_wrong_request(tmp_path: Path) -> None:
