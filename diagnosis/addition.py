@@ -18,7 +18,7 @@ from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
-from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
@@ -32,6 +32,7 @@ from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_file import nearest, write_vehicle
 
+ADVICE = "`alula diagnose` shows what is missing, if anything."
 _VERSION = re.compile(r"\.v(\d+)$")
 
 
@@ -93,7 +94,7 @@ def add_effect(
         candidate = _best_candidate(regression, name, rotor)
         accepted = judged_fit(regression, [candidate], dataset, vehicle, resampled=False)
         if candidate.key not in accepted.fit.keys:
-            raise DataError(f"{candidate.key} was not added: {_reason(accepted.refused[-1])}")
+            raise DataError(f"{candidate.key} was not added: {reason_of(accepted.refused[-1])}. {ADVICE}")
     judge = HeldOut(regression, dataset.held_out)
     fitted, by_output_error = _better_fit(judge, accepted.fit, vehicle, dataset, regression)
     before = with_faults_of(fitted, vehicle)
@@ -161,43 +162,6 @@ def _action(fitted: Fit, vehicle: Vehicle) -> str:
 
 def _horizons(judge: HeldOut, vehicle: Vehicle) -> tuple[HorizonError, ...]:
     return tuple(horizon_error(h, np.vstack(parts)) for h, parts in judge.open_loop(vehicle).items())
-
-
-def _reason(refused: Refused) -> str:
-    """Why an effect was refused, in words and numbers."""
-    number = {name: f"{value:.4g}" for name, value in refused.detail.items()}
-    match refused.reason:
-        case "too_small":
-            text = (
-                f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "
-                f"{number['before']} to {number['after']}, its noise floor is {number['floor']}"
-            )
-        case "redundant":
-            text = "the vehicle file's own effects, fitted again, explain as much"
-        case "interval_holds_neutral":
-            text = (
-                f"its interval holds no effect at all: the fitted value is {number['deviations']} standard deviations "
-                f"from none, {number['required']} are required"
-            )
-        case "channel_worse" | "contradicted":
-            text = (
-                f"on the held-out flights the error of {refused.where} rises from {number['before']} to "
-                f"{number['after']}, beyond chance"
-            )
-        case "open_loop_worse":
-            text = (
-                f"on the held-out flights the predicted {refused.where} after {number['horizon']} s becomes worse, "
-                f"{number['before']} before and {number['after']} after"
-            )
-        case "at_bound":
-            text = f"the value of {refused.where} that fits these flights best lies at its physical bound"
-        case "not_converged":
-            text = "its fit does not converge on these flights"
-        case "few_resamples":
-            text = f"only {number['share']} of the flight resamples agree"
-        case "worse_than_rival":
-            text = "another effect fits better in its place"
-    return f"{text}. `alula diagnose` shows what is missing, if anything."
 
 
 def _require_addable(name: str | None, catalogue: Mapping[str, Effect]) -> None:

@@ -17,7 +17,7 @@ from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.residual_tests import ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection, select
 from diagnosis.thresholds import DEFAULT, Thresholds
-from diagnosis.verdict import channel_errors, judge, missing_effects, not_excited
+from diagnosis.verdict import channel_errors, considered, judge, missing_effects, not_excited
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -78,6 +78,7 @@ def diagnose_dataset(
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight([effects[0].name, *effects[0].ambiguous_with] if effects else [], quiet, catalogue),
         refused=accepted.refused,
+        candidates=considered(selection, effects, accepted.refused),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,

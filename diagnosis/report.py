@@ -6,10 +6,11 @@ from typing import Literal
 
 import msgspec
 
-from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.regimes import Failure
 
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
+Outcome = Literal["named", "refused", "not_selected", "impossible"]
 
 
 class ParameterValue(msgspec.Struct, frozen=True):
@@ -36,6 +37,22 @@ class MissingEffect(msgspec.Struct, frozen=True):
     ambiguous_with: tuple[str, ...]
 
 
+class Considered(msgspec.Struct, frozen=True):
+    """An effect of the catalogue as these flights show it alone, before any other.
+
+    name, rotor: of the catalogue, and the rotor that it acts on, if any.
+    score: twice the log-likelihood that it gains alone less the criterion's penalty; null where the values that fit
+        best are physically impossible.
+    outcome: "named", "refused" (`Diagnosis.refused` has the reason), "not_selected" where others explain the flights
+        better or nothing is missing, "impossible".
+    """
+
+    name: str
+    rotor: int | None
+    score: float | None
+    outcome: Outcome
+
+
 class ChannelError(msgspec.Struct, frozen=True):
     """RMS over the three axes on held-out flights, before and after, and the sensors' noise floor of the same."""
 
@@ -54,6 +71,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     fails_where: cells in which the model fails most.
     next_flight: the manoeuvre to fly next.
     refused: effects that were selected and are not named, each with its reason.
+    candidates: what was tried, the best first.
     """
 
     verdict: Verdict
@@ -63,19 +81,31 @@ class Diagnosis(msgspec.Struct, frozen=True):
     fails_where: tuple[Failure, ...]
     next_flight: str
     refused: tuple[Refused, ...] = ()
+    candidates: tuple[Considered, ...] = ()
 
 
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     if diagnosis.verdict == "explained":
         return "The model explains these flights down to the sensors' noise."
-    missing = " and ".join(_described(effect) for effect in diagnosis.effects)
+    missing = " and ".join(_described(effect) + _look_alikes(effect) for effect in diagnosis.effects)
     if diagnosis.verdict == "unknown":
         partly = f" Part of it looks like {missing}." if missing else ""
         return f"Something is missing that no effect of the catalogue explains.{partly}"
-    others = [name for effect in diagnosis.effects for name in effect.ambiguous_with]
-    open_question = f"; these flights cannot tell it from {', '.join(others)}" if others else ""
-    return f"The model misses {missing}{open_question}."
+    return f"The model misses {missing}."
+
+
+def refusal_sentence(refused: Refused) -> str:
+    """An effect that is not named, with its fitted values, and why."""
+    values = ", ".join(f"{name} = {value:.4g}" for name, value in refused.parameters.items())
+    where = "" if refused.rotor is None else f" of rotor {refused.rotor}"
+    return f"{refused.name}{where}{f' ({values})' if values else ''}: {reason_of(refused)}"
+
+
+def _look_alikes(effect: MissingEffect) -> str:
+    if not effect.ambiguous_with:
+        return ""
+    return f" or else {' or '.join(effect.ambiguous_with)}, which these flights cannot tell from it"
 
 
 def _described(effect: MissingEffect) -> str:

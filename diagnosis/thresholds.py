@@ -91,6 +91,7 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
     min_part: duration of such a part, s. [not derived yet]
     min_group: of a single flight's parts that are left out together, s. [not derived yet]
     block: that is held out where whole flights are not, s. [not derived yet]
+    boundary: share of the flights' extent over which a place is close to the side of their box. [not derived yet]
     min_excitation: motion of held-out flights, RMS over that of the others, below which they do not judge. [not derived
     yet]
     """
@@ -100,6 +101,7 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
     min_part: Positive = 6.0
     min_group: Positive = 15.0
     block: Positive = 5.0
+    boundary: Share = 0.15
     min_excitation: Share = 0.25
 
 
@@ -451,7 +453,6 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: a residual that depends
     on the place]
     resamples: of flights, for the confidence. [not derived yet]
-    max_ambiguous: effects in an ambiguous set. [docs/diagnosis.md]
     """
 
     max_agreement: Score = 5.5
@@ -462,7 +463,6 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_share: Share = 0.03
     max_gust_predictable: Share = 0.35
     resamples: Count = 40
-    max_ambiguous: Count = 2
 
 
 class CompletionThresholds(ThresholdGroup, frozen=True):

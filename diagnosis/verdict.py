@@ -9,13 +9,14 @@ import numpy as np
 from diagnosis.estimation.acceptance import Accepted
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import floor_norms
+from diagnosis.estimation.refusal import Refused
 from diagnosis.models import channels
-from diagnosis.report import ChannelError, MissingEffect, ParameterValue, Verdict
+from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.residual_tests import ResidualTests
 from diagnosis.selection.rivals import near_rivals, rivals_of
-from diagnosis.selection.search import Scored, Search, Selection
+from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Parameter
@@ -24,8 +25,7 @@ from dynamics.vehicle import Vehicle
 
 def missing_effects(regression: Regression, selection: Selection, accepted: Accepted) -> tuple[MissingEffect, ...]:
     """The accepted effects with their intervals, rivals and share of resamples; a gust where one was detected."""
-    search, thresholds = Search(regression), regression.thresholds.verdict
-    effects = []
+    search, effects = Search(regression), []
     for candidate in accepted.fit.candidates:
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
@@ -36,15 +36,16 @@ def missing_effects(regression: Regression, selection: Selection, accepted: Acce
                 rotor=candidate.rotor,
                 parameters=_parameters(accepted.fit, candidate),
                 confidence=accepted.agreement[candidate.key],
-                ambiguous_with=tuple(near[: thresholds.max_ambiguous - 1]),
+                ambiguous_with=tuple(near),
             )
         )
     gust, before = selection.gust, selection.gust_before
     if selection.gust_detected and gust.effect is not None:
         parameter = gust.effect.parameters[0]
-        strength = {parameter.name: ParameterValue(gust.intensity, gust.intensity / 2, parameter.unit)}
+        strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
         first = not selection.chosen.candidates or before.score > selection.chosen.score
-        effects.insert(0 if first else min(1, len(effects)), MissingEffect(gust.effect.name, None, strength, 1.0, ()))
+        air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
+        effects.insert(0 if first else min(1, len(effects)), air)
     return tuple(effects)
 
 
@@ -100,6 +101,24 @@ def judge(
     if not effects:
         return "explained"
     return "ambiguous" if any(effect.ambiguous_with for effect in effects) else "effect"
+
+
+def considered(
+    selection: Selection, effects: Sequence[MissingEffect], refused: Sequence[Refused]
+) -> tuple[Considered, ...]:
+    """Every effect that the flights could show, alone at its best grid point, and what became of it."""
+    named = {effect.name for effect in effects}
+    rejected = {one.name for one in refused}
+
+    def entry(single: Scored) -> Considered:
+        candidate, possible = single.candidates[0], single.score > IMPOSSIBLE
+        name = candidate.effect.name
+        outcome: Outcome = "not_selected" if possible else "impossible"
+        if name in named or name in rejected:
+            outcome = "named" if name in named else "refused"
+        return Considered(name, candidate.rotor, single.score if possible else None, outcome)
+
+    return tuple(entry(single) for single in selection.singles)
 
 
 def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:

@@ -80,6 +80,8 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
 
 
 def _print(result: DiagnosisResult, console: Console) -> None:
+    from diagnosis.report import refusal_sentence
+
     diagnosis = result.report
     console.print(f"{diagnosis.verdict}: {result.sentence}", highlight=False)
     for note in result.details.notes:
@@ -97,6 +99,8 @@ def _print(result: DiagnosisResult, console: Console) -> None:
             "its floor",
             highlight=False,
         )
+    for one in diagnosis.refused:
+        console.print(f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one)}", highlight=False)
     if diagnosis.not_excited:
         console.print(
             f"not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}", highlight=False

@@ -18,7 +18,6 @@ from dynamics.arrays import Floats
 from dynamics.state import POSITION, RATE, VELOCITY
 
 MOTION = ("horizontal speed", "vertical speed", "roll and pitch rate", "yaw rate", "thrust", "moment")
-NEAR_BOUNDARY = 0.15  # of the flights' extent: over which a place counts as close to the box's side
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ def held_out_blocks(
     is long enough to be fitted, or nothing. min_duration: of a segment, s.
     """
     blocks = _blocks(flights, thresholds, min_duration)
-    shares = _shares(flights, blocks)
+    shares = _shares(flights, blocks, thresholds.boundary)
     duration = np.array([len(b) / flights[b.flight][b.segment].rate for b in blocks])
     required = thresholds.held_out_share * sum(s.duration for parts in flights for s in parts)
     chosen: list[int] = []
@@ -115,7 +114,7 @@ def _leaves_enough(
     return bool(np.all((remaining <= 1 / segment.rate) | (remaining >= thresholds.min_part))) and not (entire and alone)
 
 
-def _shares(flights: Sequence[Sequence[Segment]], blocks: Sequence[Block]) -> Floats:
+def _shares(flights: Sequence[Sequence[Segment]], blocks: Sequence[Block], boundary: float) -> Floats:
     """(blocks, k) share that each block has of all energy of motion, time near each side of the box, and time."""
     everything = [s for parts in flights for s in parts]
     positions = np.vstack([s.smooth[:, POSITION] for s in everything])
@@ -125,7 +124,7 @@ def _shares(flights: Sequence[Sequence[Segment]], blocks: Sequence[Block]) -> Fl
         part = flights[block.flight][block.segment]
         here = slice(block.start, block.stop)
         motion = _energies(part)[here].sum(axis=0) / part.rate
-        place = _near_sides(part.smooth[here, POSITION], low, high).sum(axis=0) / part.rate
+        place = _near_sides(part.smooth[here, POSITION], low, high, boundary).sum(axis=0) / part.rate
         rows.append(np.concatenate([motion, place, _quarter(flights, block) * len(block) / part.rate]))
     sums = np.array(rows)
     total = sums.sum(axis=0)
@@ -145,9 +144,9 @@ def _quarter(flights: Sequence[Sequence[Segment]], block: Block) -> Floats:
     return np.asarray(np.eye(4)[min(3, int(4 * middle))])
 
 
-def _near_sides(position: Floats, low: Floats, high: Floats) -> Floats:
+def _near_sides(position: Floats, low: Floats, high: Floats, boundary: float) -> Floats:
     """(n, 5) 1 where the vehicle is close to one of four sides or the bottom of the flights' box."""
-    extent = NEAR_BOUNDARY * (high - low)
+    extent = boundary * (high - low)
     near = np.hstack([position < low + extent, position[:, :2] > (high - extent)[:2]])
     return near.astype(float)
 

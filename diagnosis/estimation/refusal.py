@@ -42,3 +42,40 @@ class Refused(msgspec.Struct, frozen=True):
     def is_hint(self) -> bool:
         """Whether it may be there: these flights are too few to say."""
         return self.reason in HINTS
+
+
+def reason_of(refused: Refused) -> str:
+    """Why an effect was refused, in words and numbers, after its name and a colon."""
+    number = {name: f"{value:.4g}" for name, value in refused.detail.items()}
+    match refused.reason:
+        case "too_small":
+            text = (
+                f"it is too small to matter: on the held-out flights the error of {refused.where} falls most, from "
+                f"{number['before']} to {number['after']}, its noise floor is {number['floor']}"
+            )
+        case "redundant":
+            text = "the vehicle file's own effects, fitted again, explain as much"
+        case "interval_holds_neutral":
+            text = (
+                f"its interval holds no effect at all: the fitted value is {number['deviations']} standard deviations "
+                f"from none, {number['required']} are required"
+            )
+        case "channel_worse" | "contradicted":
+            text = (
+                f"on the held-out flights the error of {refused.where} rises from {number['before']} to "
+                f"{number['after']}, beyond chance"
+            )
+        case "open_loop_worse":
+            text = (
+                f"on the held-out flights the predicted {refused.where} after {number['horizon']} s becomes worse, "
+                f"{number['before']} before and {number['after']} after"
+            )
+        case "at_bound":
+            text = f"the value of {refused.where} that fits these flights best lies at its physical bound"
+        case "not_converged":
+            text = "its fit does not converge on these flights"
+        case "few_resamples":
+            text = f"only {number['share']} of the flight resamples agree"
+        case "worse_than_rival":
+            text = "another effect fits better in its place"
+    return text

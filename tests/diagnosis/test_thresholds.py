@@ -22,7 +22,7 @@ SOME = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias"
 NO_THRESHOLDS = {
     "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
-    "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
+    "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY", "ATTITUDE_AGE", "POSE_ARM", "NO_GUST",
 }  # fmt: skip
 
 
@@ -125,16 +125,12 @@ def test_a_narrower_margin_tells_rivals_apart(answer):
     assert narrow.verdict == "effect"
 
 
-def test_a_smaller_set_of_ambiguous_effects_names_fewer(answer):
-    assert answer(verdict={"max_ambiguous": 1}).effects[0].ambiguous_with == ()
-
-
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):
     assert answer(verdict={"max_line": 1.0}).verdict == "unknown"
 
 
-def test_a_stricter_ratio_on_held_out_flights_accepts_nothing(answer):
-    assert answer(acceptance={"max_ratio": 0.0}).effects == ()
+def test_a_higher_limit_of_relevance_names_nothing(answer):
+    assert answer(relevance={"min_rise": 1e6}).effects == ()
 
 
 def test_a_higher_limit_on_cells_names_no_failing_regime(answer, usual):

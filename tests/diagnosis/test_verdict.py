@@ -1,14 +1,19 @@
 """The verdict is `unknown` where a test of the residuals rejects, else that of the effects."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from diagnosis.report import MissingEffect
+from diagnosis.estimation.refusal import Reason, Refused
+from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
+from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import ResidualTests
-from diagnosis.selection.search import Scored, Search
-from diagnosis.verdict import channel_errors, judge, not_excited
+from diagnosis.selection.search import Scored, Search, Selection
+from diagnosis.verdict import channel_errors, considered, judge, not_excited
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
+NO_GUST = Gust(0.0, 0.0, 0.0)
 CLEAN = ResidualTests(1.0, 0.0, 2.0, 0.0)
 ALONE = MissingEffect("a", None, {}, 1.0, ())
 AMBIGUOUS = MissingEffect("a", None, {}, 1.0, ("b",))
@@ -74,3 +79,25 @@ def test_channel_errors_are_norms_over_the_three_axes(arpl_250g):
     assert errors["imu"].before == pytest.approx(2 * np.sqrt(3))
     assert errors["mocap"].after == pytest.approx(np.sqrt(3))
     assert errors["angular"].floor == pytest.approx(np.sqrt(3))
+
+
+def test_what_was_tried_says_what_became_of_it(arpl_250g):
+    r = planted(arpl_250g, [4.0, 1.0, 0.0], seed=3)
+    selection = Selection(Scored((), 0.0, 0.0), Search(r).singles(), NO_GUST, NO_GUST, False)
+    tried = considered(selection, [ALONE], [Refused("b", None, "too_small")])
+    assert [(one.name, one.outcome) for one in tried] == [("a", "named"), ("b", "refused"), ("c", "not_selected")]
+    assert tried[0].score > tried[1].score > tried[2].score
+
+
+def test_effects_that_look_alike_are_in_the_text_of_unknown():
+    both = MissingEffect("mass", None, {}, 1.0, ("thrust_constant", "slung_load"))
+    text = sentence(Diagnosis("unknown", (both,), {}, (), (), "land"))
+    assert "or else thrust_constant or slung_load" in text
+
+
+@pytest.mark.parametrize("reason", get_args(Reason))
+def test_every_reason_of_a_refusal_has_its_words(reason):
+    numbers = dict.fromkeys(("before", "after", "floor", "deviations", "required", "horizon", "share"), 0.5)
+    text = refusal_sentence(Refused("inertia", None, reason, numbers, "angular", {"ratio_x": 0.993}))
+    assert text.startswith("inertia (ratio_x = 0.993): ")
+    assert len(text) > 50
