@@ -220,7 +220,7 @@ def wrong_answers(results: Sequence[Result]) -> str:
             hidden = "; ".join(f"{n} {_short(v)}" for n, v in r["hidden"].items()) or "nothing"
             lines.append(
                 f"- **{fault}** `{r['key']}` (x{strength(r):.1f}, {conditions(r)}): {hidden} -> {verdict(r)}: "
-                f"{'; '.join(names_given) or r.get('error', r.get('refused', '-'))[:220]}{_over(r)}"
+                f"{'; '.join(names_given) or r.get('error', r.get('refused', '-'))[:220]}{_refusals(r)}{_over(r)}"
             )
     return "\n".join(lines)
 
@@ -282,6 +282,11 @@ def _over(r: Result) -> str:
         f"{kind} {c['before'] / c['floor']:.2f}>{c['after'] / c['floor']:.2f}"
         for kind, c in r["report"]["channels"].items() if c["floor"]
     )  # fmt: skip
+
+
+def _refusals(r: Result) -> str:
+    refused = r["report"].get("refused", ()) if "report" in r else ()
+    return f" [refused: {', '.join(e['name'] + ' ' + e['reason'] for e in refused)}]" if refused else ""
 
 
 def _values(effect: Mapping[str, Any]) -> str:

@@ -82,7 +82,8 @@ def added(logs: Sequence[str], folder: Path) -> dict[str, Any]:
             stopped = str(error)
             break
         vehicle = folder / f"vehicle.round{number}.toml"
-        made.write(vehicle) if hasattr(made, "write") else _write(made.vehicle, vehicle)
+        vehicle.unlink(missing_ok=True)
+        made.write(vehicle)
         details = made.details
         rounds.append(
             {
@@ -93,12 +94,6 @@ def added(logs: Sequence[str], folder: Path) -> dict[str, Any]:
         )
     diagnosis = alula.diagnose(list(logs), str(vehicle))
     return {"rounds": rounds, "stopped": stopped, "report": msgspec.to_builtins(diagnosis.report)}
-
-
-def _write(vehicle: Any, path: Path) -> None:
-    from dynamics.vehicle_file import write_vehicle
-
-    write_vehicle(vehicle, path)
 
 
 def parser() -> argparse.ArgumentParser:
