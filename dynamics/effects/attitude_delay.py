@@ -14,8 +14,8 @@ def measurement(reading: Reading, p: Values, _: int | None) -> Reading:
 
 
 def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
-    """Delays from 6 to 50 ms."""
-    return [{"delay": delay} for delay in (0.006, 0.012, 0.025, 0.05)]
+    """Delays of which the nearer is within a factor of two of any from 5 to 60 ms."""
+    return [{"delay": delay} for delay in (0.01, 0.03)]
 
 
 EFFECT = Effect(

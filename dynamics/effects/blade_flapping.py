@@ -16,8 +16,9 @@ def usual(vehicle: Vehicle) -> Prior:
 def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
     """M = coefficient sum_i Omega_i (-v_y,i, v_x,i, 0).
 
-    The coefficient has either sign: drag of a rotor plane above the centre of mass and flapping proper pull in
-    different directions.
+    Flapping proper tilts the rotors back and raises the nose in forward flight: the coefficient is negative. So is
+    that of drag at a height h above the centre of mass, -c h with rotor_drag's c, which has the same regressor; drag
+    below it is positive (docs/effects.md).
     """
     moment = ca.SX.zeros(3)
     for i in range(c.physics.rotor_count):
@@ -29,11 +30,12 @@ def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
 EFFECT = Effect(
     name="blade_flapping",
     summary="Pitching and rolling moment of the rotors in crossing air",
-    source="Mahony, Kumar, Corke, IEEE RAM 2012; Gazebo rollingMomentCoefficient",
+    source="Mahony, Kumar, Corke, IEEE RAM 2012; Hoffmann et al., Quadrotor helicopter flight dynamics, AIAA 2007",
     parameters=(
         Parameter("coefficient", "N s^2/rad", "moment per rotor speed and crossing airspeed", -1e-3, 1e-3, usual),
     ),
     wrench=wrench,
+    caveat="drag that acts above the centre of mass, where the vehicle file has the rotors too low, is the same moment",
     excitation=Excitation(
         (("rate",), *POSE, DRIVE),
         measure="lateral_speed",
