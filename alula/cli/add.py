@@ -81,6 +81,5 @@ def _open_loop(addition: Addition) -> Table:
         table.add_column(heading, justify="right")
     for before, after in zip(*addition.open_loop, strict=True):
         for which, error in (("before", before), ("after", after)):
-            figures = (error.position, error.velocity, error.attitude, error.rate)
-            table.add_row(f"{error.horizon:g}", which, *(f"{value:.3g}" for value in figures))
+            table.add_row(f"{error.horizon:g}", which, *error.figures)
     return table

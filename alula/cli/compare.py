@@ -48,8 +48,7 @@ def _print(comparison: Comparison, console: Console) -> None:
     for heading in ("position m", "velocity m/s", "attitude rad", "rate rad/s"):
         open_loop.add_column(heading, justify="right")
     for error in comparison.open_loop:
-        open_loop_errors = (error.position, error.velocity, error.attitude, error.rate)
-        open_loop.add_row(f"{error.horizon:g}", *(f"{value:.3g}" for value in open_loop_errors))
+        open_loop.add_row(f"{error.horizon:g}", *error.figures)
     if comparison.open_loop:
         console.print(open_loop)
     for cell in comparison.fails_where:

@@ -19,13 +19,22 @@ from dynamics.vehicle import Vehicle
 
 
 class HorizonError(msgspec.Struct, frozen=True):
-    """RMS error after a horizon (s) of open loop: position m, velocity m/s, attitude rad, rate rad/s."""
+    """RMS error after a horizon (s) of open loop: position m, velocity m/s, attitude rad, rate rad/s.
+
+    The position's is NaN, null in JSON, where none was logged.
+    """
 
     horizon: float
     position: float
     velocity: float
     attitude: float
     rate: float
+
+    @property
+    def figures(self) -> list[str]:
+        """Position, velocity, attitude and rate in three digits, a dash for what was not logged."""
+        values = (self.position, self.velocity, self.attitude, self.rate)
+        return ["-" if np.isnan(value) else f"{value:.3g}" for value in values]
 
 
 OPEN_LOOP_QUANTITIES = ("position", "velocity", "attitude", "rate")
@@ -51,7 +60,10 @@ def open_loop_windows(
     segments: Sequence[Segment],
     thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> dict[float, list[Floats]]:
-    """(W, 12) errors of the windows of each segment, by horizon; empty where the segments hold no pose."""
+    """(W, 12) errors of the windows of each segment, by horizon; empty where the segments hold no pose.
+
+    Errors of a position that was not logged are NaN.
+    """
     if not all(s.has_pose for s in segments):
         return {}
     rate, measured = segments[0].rate, segments[0].rotor_source == "measured"
@@ -60,12 +72,16 @@ def open_loop_windows(
     simulator = Simulator(predictor, rate, speed_measured=measured)
     last, interval = round(max(thresholds.horizons) * rate), max(1, round(thresholds.start_interval * rate))
     errors: dict[float, list[Floats]] = {horizon: [] for horizon in thresholds.horizons}
+    with_position = not any("position" in s.lacks for s in segments)
     for segment in segments:
         starts = np.arange(0, len(segment) - last, interval)
         windows = simulator.run(segment, starts.tolist(), last, predictor.values())
         for horizon, parts in errors.items():
             step = round(horizon * rate)
-            parts.append(state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]]))
+            error = state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]])
+            if not with_position:
+                error[:, POSITION] = np.nan
+            parts.append(error)
     return errors
 
 
