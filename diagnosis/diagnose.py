@@ -91,8 +91,16 @@ def diagnose_dataset(
         after=after,
         chi_square_before=reduced_chi_square(before, regression.noise),
         chi_square_after=reduced_chi_square(after, regression.noise),
-        notes=dataset.notes,
+        notes=(*dataset.notes, *_not_followed(regression)),
     )
+
+
+def _not_followed(regression: Regression) -> list[str]:
+    """A note on effects that these logs are too slow for."""
+    if not regression.not_followed:
+        return []
+    names, rate = ", ".join(regression.not_followed), regression.segments[0].rate
+    return [f"not tried, since logs of {rate:.0f} Hz are too slow for its hidden states: {names}"]
 
 
 def _verdict(

@@ -7,7 +7,7 @@ their slopes at once; those that have a grid, bring hidden states or move the ai
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,10 +16,17 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.channels import ANGULAR_ACCELERATION
 from diagnosis.models.prediction import Prediction, Predictor
-from diagnosis.selection.candidates import Candidate, Instruments, make_instruments, make_predictor
+from diagnosis.selection.candidates import (
+    Candidate,
+    Instruments,
+    make_candidates,
+    make_instruments,
+    make_predictor,
+)
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse, Vehicle
 
 MAX_BATCH = 120_000  # rows times columns that are filtered at once: more does not fit the cache
@@ -78,6 +85,60 @@ class DesignMatrix:
                 waiting = []
         _fill(columns, segment, waiting, base, instrumented=instrumented)
         return channels.measured(segment) - base[:, :, 0], columns
+
+
+@dataclass(frozen=True, eq=False)
+class EvaluatedDesign:
+    """Candidates with their rows and columns on some segments.
+
+    candidates: all whose columns are finite.
+    rows: (m, 12) residuals of the present model, a segment each.
+    columns: (m, 12, k), a segment each.
+    not_followed: effects that are left out at all points of their grids, since these logs' rate is too low for them.
+    """
+
+    candidates: tuple[Candidate, ...]
+    matrix: DesignMatrix
+    rows: list[Floats]
+    columns: list[Floats]
+    not_followed: tuple[str, ...]
+
+
+def evaluate_design(
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    segments: Sequence[Segment],
+    thresholds: PredictionThresholds = DEFAULT.prediction,
+) -> EvaluatedDesign:
+    """The design matrix of all effects that these segments could show.
+
+    Raises DataError when the vehicle's own model cannot be followed along them.
+    """
+    candidates = everything = make_candidates(vehicle, catalogue, segments, thresholds)
+    while True:
+        design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds)
+        rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
+        if not all(np.isfinite(row).all() for row in rows):
+            hidden = ", ".join(use.name for use in vehicle.effects if catalogue[use.name].hidden) or "its effects"
+            raise DataError(
+                f"the vehicle file's model has no finite prediction along these flights of {segments[0].rate:.0f} Hz. "
+                f"Check the values of {hidden}, or log faster."
+            )
+        finite = np.all([np.isfinite(x).all(axis=(0, 1)) for x in columns], axis=0)
+        followed = [c for c in candidates if finite[list(c.columns)].all()]
+        if len(followed) == len(candidates):
+            lost = {c.effect.name for c in everything} - {c.effect.name for c in candidates}
+            return EvaluatedDesign(candidates, design, rows, columns, tuple(sorted(lost)))
+        candidates = _renumbered(followed)
+
+
+def _renumbered(candidates: Sequence[Candidate]) -> tuple[Candidate, ...]:
+    """The candidates with columns that follow each other."""
+    result, count = [], 0
+    for c in candidates:
+        result.append(replace(c, columns=tuple(range(count, count + len(c.columns)))))
+        count += len(c.columns)
+    return tuple(result)
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,8 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.pose_errors import PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
-from diagnosis.selection.candidates import Candidate, make_candidates
-from diagnosis.selection.design_matrix import DesignMatrix
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
 from diagnosis.selection.errors_in_variables import design_errors
 from diagnosis.selection.noise import NoiseModel, estimate_noise
 from diagnosis.thresholds import DEFAULT, GustThresholds, Thresholds
@@ -82,6 +82,7 @@ class Regression:
     equations: of each flight in still air.
     thresholds: for all that is built on this regression.
     gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
+    not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
     """
 
     vehicle: Vehicle
@@ -106,6 +107,7 @@ class Regression:
     equations: Sequence[FlightEquations]
     thresholds: Thresholds = DEFAULT
     gust_variance: float = 0.0
+    not_followed: tuple[str, ...] = ()
 
     @property
     def flights(self) -> range:
@@ -257,9 +259,8 @@ def make_regression(
     thresholds: Thresholds = DEFAULT,
 ) -> Regression:
     """The regression of all candidates over segments of flights numbered from 0."""
-    candidates = make_candidates(vehicle, catalogue, segments, thresholds.prediction)
-    design = DesignMatrix(vehicle, catalogue, candidates, segments[0], thresholds.prediction)
-    rows, columns = map(list, zip(*(design.evaluate(s) for s in segments), strict=True))
+    evaluated = evaluate_design(vehicle, catalogue, segments, thresholds.prediction)
+    candidates, design, rows, columns = evaluated.candidates, evaluated.matrix, evaluated.rows, evaluated.columns
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)
     errors = design_errors(segments, design, rows, columns)
@@ -295,6 +296,7 @@ def make_regression(
         everything=everything,
         equations=equations,
         thresholds=thresholds,
+        not_followed=evaluated.not_followed,
     )
 
 

@@ -1,18 +1,26 @@
 """Effects of a user's own file are candidates, are judged by their own metadata and named in the next flight."""
 
+import dataclasses
 from pathlib import Path
 
+import casadi as ca
+import numpy as np
 import pytest
 
 from diagnosis.data.segment import segments
 from diagnosis.next_flight import next_flight
 from diagnosis.selection.candidates import make_candidates
+from diagnosis.selection.design_matrix import evaluate_design
 from diagnosis.selection.regression import sensor_biases
 from diagnosis.selection.visibility import needs_battery
+from dynamics.effect import Effect, Hidden, Parameter, Prior, Wrench
 from dynamics.effect_file import with_effects_of
 from dynamics.effects import battery_sag, gust, imu_bias, time_delay
+from dynamics.errors import DataError
+from dynamics.vehicle import EffectUse
 from flights.quality.identifiable import answers
 
+TIME = Parameter("time", "s", "", 1e-5, 1.0, lambda _: Prior(0.1, 0.1))
 EXAMPLE = Path(__file__).parents[3] / "examples" / "my_effects.py"
 
 
@@ -74,3 +82,33 @@ def test_inspection_answers_for_them_where_they_name_their_excitation(catalogue)
     assert "fly starts and stops along a line" in named["late_drag"].why
     assert named["late_drag"].ambiguous_with == "linear_drag"
     assert "tether" not in named
+
+
+def test_an_effect_that_the_logs_are_too_slow_for_is_left_out_and_named(segment, arpl_250g):
+    """A swing of a frequency that its time constant bounds, at which a row takes 100 steps."""
+    fast = Effect(
+        "swing",
+        "",
+        "",
+        (Parameter("size", "N", "", -1, 1, lambda _: Prior(0.1, 0.1)), TIME),
+        hidden=(Hidden("angle", "1", lambda _: 0.0), Hidden("speed", "1/s", lambda _: 0.0)),
+        derivative=lambda c, p, h, _: {
+            "angle": h["speed"],
+            "speed": (c.rate_body[0] - h["angle"]) / p["time"] ** 2 - h["speed"] / p["time"],
+        },
+        wrench=lambda _, p, h: Wrench(ca.vertcat(p["size"] * h["angle"], 0, 0), ca.SX.zeros(3)),
+        grid=lambda vehicle, span: [{"time": seconds} for seconds in (1e-4, 0.1)],
+        time_constants=("time",),
+    )
+    some = {"swing": fast, "imu_bias": imu_bias.EFFECT}
+    design = evaluate_design(arpl_250g, some, [segment])
+    assert [c.at["time"] for c in design.candidates if c.key == "swing"] == [0.1]
+    assert all(np.isfinite(x).all() for x in design.columns)
+    assert design.not_followed == ()
+    faster = dataclasses.replace(fast, grid=lambda vehicle, span: [{"time": 1e-4}])
+    design = evaluate_design(arpl_250g, {"swing": faster, "imu_bias": imu_bias.EFFECT}, [segment])
+    assert design.not_followed == ("swing",)
+    assert {c.key for c in design.candidates} == {"imu_bias"}
+    stiff = arpl_250g.with_effects(EffectUse("swing", {"size": 0.1, "time": 1e-4}))
+    with pytest.raises(DataError, match="Check the values of swing"):
+        evaluate_design(stiff, some, [segment])
