@@ -10,12 +10,14 @@ import numpy as np
 
 from diagnosis.data.command_curve import fit_command_curve
 from diagnosis.data.hold_out import divided, held_out_blocks, missing_motion
+from diagnosis.data.inspected import doubt_note, inspected
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
 from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
 from flights import Flight, Log, read_log
 from flights.hold_out import matching
+from flights.quality.findings import Finding
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,6 +29,7 @@ class Dataset:
     held_out: segments that models are judged on.
     hashes: sha256 of the logs that were fitted, by path.
     notes: what the user should know of the data.
+    findings: of inspection, about the flights that were used.
     """
 
     fitted: tuple[Segment, ...]
@@ -34,6 +37,7 @@ class Dataset:
     held_out: tuple[Segment, ...]
     hashes: dict[str, str]
     notes: tuple[str, ...]
+    findings: tuple[Finding, ...] = ()
 
     @property
     def everything(self) -> tuple[Segment, ...]:
@@ -90,9 +94,12 @@ def make_dataset(
     flights: Sequence[Flight], vehicle: Vehicle, *, hold_out: str | None = None, thresholds: Thresholds = DEFAULT
 ) -> Dataset:
     """The data set of flights at one rate. Raises as `read_dataset`."""
-    flights, notes = _distinct(flights)
+    distinct, notes = _distinct(flights)
+    flights, findings = inspected(distinct, vehicle, thresholds)
+    notes += doubt_note(distinct, flights, findings)
     flown = [(flight, parts) for flight in flights if (parts := segments(flight, vehicle, thresholds))]
-    notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration)
+    notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration, findings)
+    notes += [finding.text for finding in findings if finding.name == "frozen_channel"]
     _require_one_source([parts for _, parts in flown])
     notes += _missing(flights[0], thresholds.segment)
     limits = thresholds.dataset
@@ -105,7 +112,7 @@ def make_dataset(
         curve = fit_command_curve(to_fit, held_out, vehicle, thresholds.command_curve)
         notes.append(str(curve))
         to_fit, held_out = (tuple(curve.applied(s, vehicle) for s in part) for part in (to_fit, held_out))
-    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes))
+    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings)
 
 
 def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:
@@ -113,13 +120,16 @@ def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:
     return Flight.from_log(log, rate=thresholds.resampled_rate) if flight.rate > thresholds.max_rate else flight
 
 
-def _left_out(flights: Sequence[Flight], flown: Sequence[Flight], min_duration: float) -> list[str]:
+def _left_out(
+    flights: Sequence[Flight], flown: Sequence[Flight], min_duration: float, findings: Sequence[Finding]
+) -> list[str]:
     """A note on flights without a segment. Raises DataError when none has one."""
     empty = [f.provenance.path for f in flights if not any(f is other for other in flown)]
     if not flown:
+        reasons = "".join(f" {finding.text}." for finding in findings if finding.name == "frozen_channel")
         raise DataError(
-            f"{', '.join(empty[:3])}: nowhere {min_duration:g} s of uninterrupted flight. Fly at least 20 s in the air "
-            "without gaps."
+            f"{', '.join(empty[:3])}: nowhere {min_duration:g} s of uninterrupted flight.{reasons} Fly at least 20 s "
+            "in the air without gaps."
         )
     if not empty:
         return []

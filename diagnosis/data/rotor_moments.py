@@ -64,6 +64,19 @@ class RotorMoments:
         return float(np.mean(values * np.abs(values)))
 
 
+def rotor_gains(moments: RotorMoments, vehicle: Vehicle) -> Floats:
+    """(k,) moment of each rotor over what the file gives for its speed, over the median rotor's."""
+    columns, targets = [], []
+    for axis in moments.axes:
+        columns.append(moments.squares * moments.rows[axis] / vehicle.body.inertia[axis])
+        targets.append(moments.acceleration[:, axis])
+    if not columns:
+        return np.ones(vehicle.rotors.count)
+    gains = np.linalg.lstsq(np.vstack(columns), np.concatenate(targets), rcond=None)[0]
+    usual = float(np.median(gains))
+    return np.asarray(gains / usual) if usual > 0.0 else np.ones(vehicle.rotors.count)
+
+
 def require_rotor_moments(
     segments: Sequence[Segment], vehicle: Vehicle, limits: RotorMomentChecks = DEFAULT.rotor_moments
 ) -> tuple[Finding, ...]:

@@ -19,7 +19,9 @@ from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
 from flights.filters import zero_phase
 from flights.pose_source import PoseSource
+from flights.quality.frozen import frozen_rows
 from flights.quality.inspection import MIN_ROTOR_RATE
+from flights.quality.rotor_balance import dropout_rows
 from flights.rotors import RotorSource, rotor_speeds
 
 
@@ -202,6 +204,10 @@ def _unusable(flight: Flight, speed: Floats, thresholds: SegmentThresholds) -> N
     if flight.has("specific_force"):
         force = np.linalg.norm(np.nan_to_num(flight["specific_force"]), axis=1)
         unusable |= force > thresholds.max_specific_force
+    for rows in frozen_rows(flight).values():
+        unusable |= rows
+    if flight.has("rotor_speed"):
+        unusable |= dropout_rows(flight)
     unusable |= excluded_rows(flight, find_exclusions(flight))
     width = 2 * round(thresholds.margin * flight.rate) + 1
     return np.asarray(np.convolve(unusable, np.ones(width), mode="same") > 0)

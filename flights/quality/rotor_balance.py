@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,23 +18,45 @@ NEAR = 0.85  # of the peers' command, above which the rotor's command is usual
 DEAD_TIME = 0.5  # s without turning in flight
 
 
+@dataclass(frozen=True)
+class UnevenRotor:
+    """A rotor whose mean measured speed is far from its peers'.
+
+    share: of the peers' speed.
+    as_commanded: whether its command is as far from theirs; None without commands.
+    """
+
+    rotor: int
+    share: float
+    as_commanded: bool | None
+
+
+def uneven_rotors(segments: Sequence[Flight]) -> tuple[UnevenRotor, ...]:
+    """Rotors whose measured speed is far from the others'. segments: of free flight."""
+    if not segments or not segments[0].has("rotor_speed"):
+        return ()
+    speed = np.concatenate([segment["rotor_speed"] for segment in segments])
+    command = next((np.concatenate([p[name] for p in segments]) for name in COMMAND if segments[0].has(name)), None)
+    command_share = None if command is None or command.shape != speed.shape else _share_of_peers(command)
+    return tuple(
+        UnevenRotor(rotor, share, None if command_share is None else not NEAR < command_share[rotor] < 1 / NEAR)
+        for rotor, share in enumerate(_share_of_peers(speed).tolist())
+        if share < FAR_OFF or share > 1 / FAR_OFF
+    )
+
+
 def rotor_findings(segments: Sequence[Flight]) -> list[Finding]:
     """Speeds of single rotors that cannot be true. segments: of free flight."""
     if not segments or not segments[0].has("rotor_speed"):
         return []
-    speed = np.concatenate([segment["rotor_speed"] for segment in segments])
-    command = next((np.concatenate([p[name] for p in segments]) for name in COMMAND if segments[0].has(name)), None)
-    speed_share = _share_of_peers(speed)
-    command_share = None if command is None or command.shape != speed.shape else _share_of_peers(command)
     findings = []
-    for rotor, share in enumerate(speed_share.tolist()):
-        if not (share < FAR_OFF or share > 1 / FAR_OFF):
-            continue
-        if command_share is not None and not NEAR < command_share[rotor] < 1 / NEAR:
+    for uneven in uneven_rotors(segments):
+        rotor, share = uneven.rotor, uneven.share
+        if uneven.as_commanded:
             text = f"rotor {rotor} turns at {share:.2f} times the speed of its peers, as commanded"
             findings.append(Finding("warning", "uneven_rotor", text, "look for a bent propeller or a load off centre"))
             continue
-        agree = "and no command explains it" if command_share is None else "while its command is as theirs"
+        agree = "and no command explains it" if uneven.as_commanded is None else "while its command is as theirs"
         findings.append(_fault(rotor, f"reads {share:.2f} times the speed of its peers, {agree}"))
     return findings or _dropouts(segments)
 
@@ -50,14 +73,26 @@ def _fault(rotor: int, evidence: str) -> Finding:
 def _dropouts(segments: Sequence[Flight]) -> list[Finding]:
     findings = []
     for rotor in range(segments[0]["rotor_speed"].shape[1]):
-        dead = [(stop - start) * segment.period for segment in segments for start, stop in runs(_dead(segment, rotor))]
+        dead = [
+            (stop - start) * segment.period for segment in segments for start, stop in runs(_reads_zero(segment, rotor))
+        ]
         if max(dead, default=0.0) > DEAD_TIME:
             findings.append(_fault(rotor, f"reads zero for {max(dead):.1f} s of flight"))
     return findings
 
 
-def _dead(segment: Flight, rotor: int) -> np.ndarray:
-    speed = segment["rotor_speed"]
+def dropout_rows(flight: Flight) -> np.ndarray:
+    """(n,) rows in which a rotor's measured speed is zero for a while although the others turn."""
+    rows = np.zeros(len(flight), dtype=bool)
+    for rotor in range(flight["rotor_speed"].shape[1]):
+        for start, stop in runs(_reads_zero(flight, rotor)):
+            if (stop - start) * flight.period > DEAD_TIME:
+                rows[start:stop] = True
+    return rows
+
+
+def _reads_zero(flight: Flight, rotor: int) -> np.ndarray:
+    speed = flight["rotor_speed"]
     others = np.delete(speed, rotor, axis=1)
     return np.asarray((speed[:, rotor] < 1.0) & (np.median(others, axis=1) > 50.0))
 

@@ -1,0 +1,104 @@
+"""What inspection knows of the flights, before anything is fitted: doubted speed sensors, channels that stand still."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from diagnosis.data.rotor_moments import compared_moments, rotor_gains
+from diagnosis.data.segment import segments
+from diagnosis.thresholds import DEFAULT, Thresholds
+from dynamics.errors import DataError
+from dynamics.excitation import COMMAND
+from dynamics.vehicle import Vehicle
+from flights import Flight
+from flights.exclusion import free_flight
+from flights.quality.findings import Finding
+from flights.quality.frozen import frozen_findings
+from flights.quality.inspection import MIN_ROTOR_RATE
+from flights.quality.rotor_balance import UnevenRotor, rotor_findings, uneven_rotors
+
+
+def inspected(
+    flights: Sequence[Flight], vehicle: Vehicle, thresholds: Thresholds = DEFAULT
+) -> tuple[list[Flight], tuple[Finding, ...]]:
+    """The flights as far as they can be believed, and what was found about them.
+
+    A rotor whose measured speed is far from its peers' without a command that explains it has a wrong sensor, unless
+    its moments are those of its speed. Then no measured speed is used where all flights have commands.
+
+    Raises DataError, which names the rotor, where they have none.
+    """
+    findings: dict[Finding, None] = {}
+    doubted: dict[str, UnevenRotor] = {}
+    for flight in flights:
+        measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
+        for finding in (*(rotor_findings(parts) if measured else ()), *frozen_findings(flight)):
+            findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None
+        if not measured:
+            continue
+        wrong = next((u for u in uneven_rotors(parts) if not u.as_commanded), None)
+        if wrong is not None and (wrong.as_commanded is False or _contradicted(flight, wrong, vehicle, thresholds)):
+            doubted[name] = wrong
+    if not doubted:
+        return list(flights), tuple(findings)
+    if all(_commanded(flight) for flight in flights):
+        return [_without_speeds(flight) for flight in flights], tuple(findings)
+    name, wrong = next(iter(doubted.items()))
+    raise DataError(f"{name}: {_doubt(wrong)}")
+
+
+def _doubt(wrong: UnevenRotor) -> str:
+    """Why the flights are refused. What reads too fast may also be a propeller that gives too little."""
+    reads = f"rotor {wrong.rotor} reads {wrong.share:.2f} times the speed of its peers"
+    cause = "neither a command nor its moments explain it: its speed sensor is wrong (rotor_speed_fault), not the rotor"
+    if wrong.share > 1.0 and wrong.as_commanded is None:
+        cause = "its moments do not: its speed sensor is wrong (rotor_speed_fault) or its propeller is damaged or lost"
+    return f"{reads}, and {cause}. Repair it, or log the motor commands beside the speeds, which are then used instead."
+
+
+def doubt_note(flights: Sequence[Flight], used: Sequence[Flight], findings: Sequence[Finding]) -> list[str]:
+    """What the user should know if measured speeds were left out."""
+    if all(one is other for one, other in zip(flights, used, strict=True)):
+        return []
+    reason = next(finding.text for finding in findings if finding.name == "rotor_speed_fault")
+    return [
+        f"no measured rotor speed is used, because a speed sensor is wrong (rotor_speed_fault): {reason}. The motor "
+        "commands are used instead"
+    ]
+
+
+def _measured(flight: Flight, vehicle: Vehicle) -> bool:
+    origin = flight.origins.get("rotor_speed")
+    there = flight.has("rotor_speed") and flight["rotor_speed"].shape[1] == vehicle.rotors.count
+    return there and (origin is None or origin.rate >= MIN_ROTOR_RATE)
+
+
+def _commanded(flight: Flight) -> bool:
+    rates = [
+        flight.origins[name].rate if name in flight.origins else flight.rate for name in COMMAND if flight.has(name)
+    ]
+    return any(rate >= MIN_ROTOR_RATE for rate in rates)
+
+
+def _contradicted(flight: Flight, wrong: UnevenRotor, vehicle: Vehicle, thresholds: Thresholds) -> bool:
+    """Whether the rotor's moments are nearer to those of its peers' speed than to those of the speed that it reads."""
+    parts = segments(flight, vehicle, thresholds)
+    if not parts:  # it reads zero, so that nowhere in flight all rotors have a speed
+        return True
+    moments = compared_moments(parts, vehicle, thresholds.rotor_moments)
+    if moments.explained < thresholds.rotor_moments.min_explained:
+        return True
+    gain = float(rotor_gains(moments, vehicle)[wrong.rotor])
+    return gain > 1 / wrong.share if wrong.share < 1 else gain < 1 / wrong.share
+
+
+def _without_speeds(flight: Flight) -> Flight:
+    columns = {name: values for name, values in flight.columns.items() if not _is_speed(name)}
+    return Flight(flight.time, columns, flight.provenance, flight.origins, flight.parameters, flight.metadata)
+
+
+def _is_speed(name: str) -> bool:
+    return name.startswith("rotor_speed_") and name.removeprefix("rotor_speed_").isdigit()

@@ -1,0 +1,64 @@
+"""Columns that keep one value in flight for longer than a measurement does: a sensor or a link that stopped."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from dynamics.arrays import Floats
+from flights.flight import Flight
+from flights.quality.channels import STUCK_TIME
+from flights.quality.findings import Finding
+from flights.quantities import MOTION, quantity_of
+
+WATCHED = (*MOTION, "rotor_speed", "rotor_command")
+
+
+def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDArray[np.bool_]]:
+    """(n,) rows in which a column of motion or rotors keeps one value for so long, by column, if there are any.
+
+    Others of its quantity must change meanwhile. A column that never does counts as well, unless it is zero, as those
+    of simulated flights are that stay in a plane.
+    """
+    frozen: dict[str, NDArray[np.bool_]] = {}
+    for quantity in WATCHED:
+        columns = {n: v for n, v in flight.columns.items() if (q := quantity_of(n)) is not None and q.name == quantity}
+        moves = {name: _changes(values) for name, values in columns.items()}
+        for name, values in columns.items():
+            if not any(moves.values()) or (not moves[name] and not np.nanmax(np.abs(values), initial=0.0)):
+                continue
+            min_rows = max(2, round(seconds * flight.rate)) if moves[name] else 2
+            rows = _constant(values, min_rows)
+            others = [other for other in columns if other != name]
+            if rows.any() and any(_changes(columns[other][rows]) for other in others):
+                frozen[name] = rows
+    return frozen
+
+
+def frozen_findings(flight: Flight) -> list[Finding]:
+    """A finding for each such column."""
+    return [
+        Finding(
+            "warning",
+            "frozen_channel",
+            f"{name} stands at {flight.columns[name][rows][0]:.6g} {flight.unit(name)} for "
+            f"{np.count_nonzero(rows) * flight.period:.0f} s, which are left out",
+            "it is no measurement there; check its sensor, and leave the column out until it works",
+        )
+        for name, rows in frozen_rows(flight).items()
+    ]
+
+
+def _changes(values: Floats) -> bool:
+    finite = values[np.isfinite(values)]
+    return len(finite) > 1 and float(np.ptp(finite)) > 0.0
+
+
+def _constant(values: Floats, min_rows: int) -> NDArray[np.bool_]:
+    """(n,) rows in runs of equal values of at least so many rows."""
+    same = np.concatenate([[0], (np.diff(values) == 0.0).astype(np.int8), [0]])
+    rows = np.zeros(len(values), dtype=bool)
+    for start, stop in np.flatnonzero(np.diff(same)).reshape(-1, 2).tolist():
+        if stop - start + 1 >= min_rows:
+            rows[start : stop + 1] = True
+    return rows
