@@ -23,14 +23,14 @@ def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDA
     frozen: dict[str, NDArray[np.bool_]] = {}
     for quantity in WATCHED:
         columns = {n: v for n, v in flight.columns.items() if (q := quantity_of(n)) is not None and q.name == quantity}
-        moves = {name: _changes(values) for name, values in columns.items()}
+        varying = {name: _varies(values) for name, values in columns.items()}
         for name, values in columns.items():
-            if not any(moves.values()) or (not moves[name] and not np.nanmax(np.abs(values), initial=0.0)):
+            if not any(varying.values()) or (not varying[name] and not np.nanmax(np.abs(values), initial=0.0)):
                 continue
-            min_rows = max(2, round(seconds * flight.rate)) if moves[name] else 2
+            min_rows = max(2, round(seconds * flight.rate)) if varying[name] else 2
             rows = _constant(values, min_rows)
             others = [other for other in columns if other != name]
-            if rows.any() and any(_changes(columns[other][rows]) for other in others):
+            if rows.any() and any(_varies(columns[other][rows]) for other in others):
                 frozen[name] = rows
     return frozen
 
@@ -49,7 +49,7 @@ def frozen_findings(flight: Flight) -> list[Finding]:
     ]
 
 
-def _changes(values: Floats) -> bool:
+def _varies(values: Floats) -> bool:
     finite = values[np.isfinite(values)]
     return len(finite) > 1 and float(np.ptp(finite)) > 0.0
 

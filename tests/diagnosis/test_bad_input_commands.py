@@ -71,7 +71,7 @@ def dead_without_commands(flight: Flight) -> Flight:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda f: f.rows(200, 500), ["6 s of flight are too short", "Fly 20 s or more"]),
+        (lambda f: f.rows(200, 500), ["6 s of flight are too few", "Fly at least 20 s"]),
         (lambda f: replace_rows(f, 5), ["20 rows a second", "Wanted 40 Hz"]),
         (without("rotor_"), ["Wanted rotor speeds, motor commands"]),
         (without("rate", "specific_force", "attitude"), ["it lacks attitude, gyro, accelerometer", "--normal"]),
@@ -85,7 +85,7 @@ def dead_without_commands(flight: Flight) -> Flight:
     ids=["short", "slow", "motors", "lacking", "rpm", "degrees", "g", "millimetres", "frames", "dead"],
 )
 def test_flights_that_cannot_answer_are_refused_with_what_to_do(refused, change: Change, words: list[str]) -> None:
-    wrong = refused(change, count=2 if "Fly 20 s or more" in words else 6)
+    wrong = refused(change, count=2 if "Fly at least 20 s" in words else 6)
     assert all(word in wrong for word in words), wrong
 
 

@@ -20,7 +20,7 @@ def test_good_flights_pass(plain_flights, arpl_250g):
 
 
 def test_too_little_flight_is_refused(plain_flights, arpl_250g):
-    with pytest.raises(DataError, match="too short"):
+    with pytest.raises(DataError, match="too few to hold a part out"):
         judge([flight.rows(200, 700) for flight in plain_flights[:2]], arpl_250g)
 
 

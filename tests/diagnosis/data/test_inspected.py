@@ -56,8 +56,8 @@ def test_rows_in_which_a_column_stands_still_are_left_out(plain_flights, arpl_25
     longest = max(plain_flights, key=len)
     others = [flight for flight in plain_flights if flight is not longest]
     dataset = make_dataset([frozen(longest), *others], arpl_250g)
-    kept = sum(s.duration for s in dataset.everything if s.flight == longest.provenance.path)
-    assert kept < longest.duration - 1200 * longest.period
+    used = sum(s.duration for s in dataset.everything if s.flight == longest.provenance.path)
+    assert used < longest.duration - 1200 * longest.period
     assert any("rotor_speed_2 stands at" in note for note in dataset.notes)
 
 
