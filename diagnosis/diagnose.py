@@ -10,14 +10,15 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.equation_error import Fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
+from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import Diagnosis, MissingEffect, Verdict
+from diagnosis.report import Diagnosis, MissingEffect
 from diagnosis.selection.regression import Regression, make_regression
-from diagnosis.selection.residual_tests import ResidualTests, run_residual_tests
+from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection, select
 from diagnosis.thresholds import DEFAULT, Thresholds
-from diagnosis.verdict import channel_errors, considered, judge, missing_effects, not_excited
+from diagnosis.verdict import channel_errors, considered, judge, missing_effects, not_excited, rejections
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -67,11 +68,13 @@ def diagnose_dataset(
         residuals_in(regression, accepted.fit.vehicle, dataset.fitted),
         by_position=selection.gust_detected,
     )
+    tests = with_typical_window(tests, after, accepted.floor)
     effects = missing_effects(regression, selection, accepted)
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
+    rejected = _rejected(regression, selection, accepted.fit, effects, tests, before, after)
     diagnosis = Diagnosis(
-        verdict=_verdict(regression, selection, accepted.fit, effects, tests, before, after),
+        verdict=judge(effects, rejected),
         effects=effects,
         channels=channel_errors(before, after, regression, accepted.floor),
         not_excited=quiet,
@@ -79,6 +82,7 @@ def diagnose_dataset(
         next_flight=next_flight([effects[0].name, *effects[0].ambiguous_with] if effects else [], quiet, catalogue),
         refused=accepted.refused,
         candidates=considered(selection, effects, accepted.refused),
+        leftover=leftover(rejected, tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
@@ -103,7 +107,7 @@ def _not_followed(regression: Regression) -> list[str]:
     return [f"not tried, since logs of {rate:.0f} Hz are too slow for its hidden states: {names}"]
 
 
-def _verdict(
+def _rejected(
     regression: Regression,
     selection: Selection,
     accepted: Fit,
@@ -111,12 +115,12 @@ def _verdict(
     tests: ResidualTests,
     before: list[Floats],
     after: list[Floats],
-) -> Verdict:
-    """The verdict by the residual tests, and by typical held-out windows unless the model has a swinging load."""
+) -> tuple[Rejection, ...]:
+    """The residual tests that reject, and that by typical held-out windows unless the model has a swinging load."""
     tests_before = run_residual_tests(regression, regression.residuals_after([])) if accepted.candidates else tests
     swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
     typical = None if swinging else (typical_chi_square(before, regression), typical_chi_square(after, regression))
     gust_share = selection.gust.gain / max(regression.total, 1)
     gusty = any(regression.catalogue[effect.name].stochastic for effect in effects)
     thresholds = regression.thresholds.verdict
-    return judge(effects, tests, tests_before, typical, gust_share, gusty=gusty, thresholds=thresholds)
+    return rejections(tests, tests_before, typical, gust_share, gusty=gusty, thresholds=thresholds)

@@ -62,6 +62,40 @@ class ChannelError(msgspec.Struct, frozen=True):
     unit: str
 
 
+class Seconds(msgspec.Struct, frozen=True):
+    """A window of a flight. start, stop: s in the log's time; over_floor: RMS in it over the channel's floor."""
+
+    flight: str
+    start: float
+    stop: float
+    over_floor: float
+
+
+class Leftover(msgspec.Struct, frozen=True):
+    """What a test of the residuals found beyond noise, for which the verdict is unknown.
+
+    test: which one.
+    channel: in which this is largest, such as "imu x".
+    size, threshold: of the test's statistic.
+    rms: of the part of the residual that the test found, in unit.
+    over_floor: the same over the channel's floor.
+    frequency: of a line, Hz.
+    seconds: where it is largest.
+    regimes: cells in which it stands out, over its own mean.
+    """
+
+    test: str
+    channel: str
+    size: float
+    threshold: float
+    rms: float
+    over_floor: float
+    unit: str
+    frequency: float | None
+    seconds: tuple[Seconds, ...]
+    regimes: tuple[Failure, ...]
+
+
 class Diagnosis(msgspec.Struct, frozen=True):
     """The verdict and its evidence.
 
@@ -72,6 +106,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     next_flight: the manoeuvre to fly next.
     refused: effects that were selected and are not named, each with its reason.
     candidates: what was tried, the best first.
+    leftover: what no effect of the catalogue explains, the largest first.
     """
 
     verdict: Verdict
@@ -82,6 +117,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     next_flight: str
     refused: tuple[Refused, ...] = ()
     candidates: tuple[Considered, ...] = ()
+    leftover: tuple[Leftover, ...] = ()
 
 
 def sentence(diagnosis: Diagnosis) -> str:

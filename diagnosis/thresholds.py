@@ -345,6 +345,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     reference_band: against which that is compared, Hz. [not derived yet]
     line_band: in which a spectral line is sought, Hz. [not derived yet]
     line_rows: of a periodogram. [not derived yet]
+    line_refinement: frequencies within a bin of which a line's own is the best. [definition]
     line_surroundings: bins over which a line's surroundings are the median. [not derived yet]
     """
 
@@ -356,6 +357,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     reference_band: Range = (2.5, 6.5)
     line_band: Range = (0.6, 7.0)
     line_rows: Annotated[int, Meta(ge=64)] = 512
+    line_refinement: Count = 9
     line_surroundings: Count = 61
 
 
@@ -449,6 +451,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_line: power of a line over its surroundings. [planted truth]
     max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [not derived yet]
     max_chi_square: reduced, of a typical held-out window. [planted truth]
+    min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
+    raises the error by 2 %]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [not derived yet]
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: a residual that depends
     on the place]
@@ -460,6 +464,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_line: Score = 10.0
     max_line_swinging: Score = 30.0
     max_chi_square: Factor = 1.5
+    min_over_floor: Score = 0.2
     max_share: Share = 0.03
     max_gust_predictable: Share = 0.35
     resamples: Count = 40
@@ -486,6 +491,7 @@ class RegimeThresholds(ThresholdGroup, frozen=True):
     min_failing_share: the same over the median cell. [not derived yet]
     min_speed: below which motion has no direction, m/s. [not derived yet]
     worst_window: duration of the worst window that is named, s. [definition]
+    leftover_cells: windows and cells that are named of what a test found. [definition]
     """
 
     bins: Annotated[int, Meta(ge=2)] = 6
@@ -495,6 +501,7 @@ class RegimeThresholds(ThresholdGroup, frozen=True):
     min_failing_share: Factor = 1.2
     min_speed: Score = 0.3
     worst_window: Positive = 2.0
+    leftover_cells: Count = 3
 
 
 class HoverTrimThresholds(ThresholdGroup, frozen=True):

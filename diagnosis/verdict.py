@@ -14,7 +14,7 @@ from diagnosis.models import channels
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
-from diagnosis.selection.residual_tests import ResidualTests
+from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import near_rivals, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
@@ -64,8 +64,7 @@ def _value(estimate: ParameterEstimate) -> ParameterValue:
     return ParameterValue(estimate.value, estimate.std, estimate.unit)
 
 
-def judge(
-    effects: Sequence[MissingEffect],
+def rejections(
     after: ResidualTests,
     before: ResidualTests,
     chi_squares: tuple[float, float] | None,
@@ -73,8 +72,8 @@ def judge(
     *,
     gusty: bool,
     thresholds: VerdictThresholds = DEFAULT.verdict,
-) -> Verdict:
-    """The verdict: `unknown` where a test of the residuals rejects, whatever effects were named.
+) -> tuple[Rejection, ...]:
+    """The tests of the residuals that reject, and find something large enough to matter.
 
     after, before: residual tests with the effects and without them.
     chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
@@ -83,20 +82,28 @@ def judge(
     gusty: whether a gust is among the effects; residuals are then allowed, unless the state predicts them or they
         repeat at the same positions.
     """
-    share = thresholds.max_share
-    repeating = max(after.predictable_from_state, after.position_dependent)
-    agreement, agreement_before = after.low_frequency_agreement, before.low_frequency_agreement
-    predictable, predictable_before = after.predictable_from_state, before.predictable_from_state
-    line = after.spectral_line > (thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging)
+    share, sizes = thresholds.max_share, after.statistics
+    limits = {"spectral_line": thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging}
     if gusty:
-        unexplained = repeating > thresholds.max_gust_predictable * gust_share
-    else:
-        unexplained = (
-            agreement > max(thresholds.max_agreement, share * agreement_before)
-            or predictable > max(thresholds.max_predictable, share * predictable_before)
-            or (chi_squares is not None and chi_squares[1] > max(thresholds.max_chi_square, share * chi_squares[0]))
+        limits |= dict.fromkeys(
+            ("predictable_from_state", "position_dependent"), thresholds.max_gust_predictable * gust_share
         )
-    if line or unexplained:
+    else:
+        limits["low_frequency_agreement"] = max(thresholds.max_agreement, share * before.low_frequency_agreement)
+        limits["predictable_from_state"] = max(thresholds.max_predictable, share * before.predictable_from_state)
+        if chi_squares is not None:
+            sizes["typical_window"] = chi_squares[1]
+            limits["typical_window"] = max(thresholds.max_chi_square, share * chi_squares[0])
+    return tuple(
+        Rejection(test, sizes[test], limit)
+        for test, limit in limits.items()
+        if sizes[test] > limit and after.over_floor(test) > thresholds.min_over_floor
+    )
+
+
+def judge(effects: Sequence[MissingEffect], rejected: Sequence[Rejection]) -> Verdict:
+    """The verdict: `unknown` where a test of the residuals rejects, whatever effects were named."""
+    if rejected:
         return "unknown"
     if not effects:
         return "explained"

@@ -92,7 +92,8 @@ def saturated_floor(regression: Regression, segments: Sequence[Segment]) -> Floa
 
 def residual_floor(regression: Regression, rows: Sequence[Floats]) -> Floats:
     """(12,) noise floor of residuals (m, 12) of segments."""
-    return noise_floor(rows, regression.rate, regression.noise.active, regression.thresholds.noise)
+    thresholds = regression.thresholds.noise
+    return noise_floor(rows, regression.rate, regression.noise.active, thresholds, pose=regression.pose)
 
 
 def held_out_floor(regression: Regression, segments: Sequence[Segment], after: Sequence[Floats]) -> Floats:

@@ -14,7 +14,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
-from diagnosis.models.pose_errors import PoseErrors, pose_errors
+from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
@@ -80,6 +80,7 @@ class Regression:
     design: makes rows and columns of other segments.
     everything: (k,) ridge coefficients of all columns at once.
     equations: of each flight in still air.
+    pose: errors of the segments' pose that are noise.
     thresholds: for all that is built on this regression.
     gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
@@ -105,6 +106,7 @@ class Regression:
     design: DesignMatrix
     everything: Floats
     equations: Sequence[FlightEquations]
+    pose: PoseErrors = NO_ERRORS
     thresholds: Thresholds = DEFAULT
     gust_variance: float = 0.0
     not_followed: tuple[str, ...] = ()
@@ -295,6 +297,7 @@ def make_regression(
         design=design,
         everything=everything,
         equations=equations,
+        pose=pose,
         thresholds=thresholds,
         not_followed=evaluated.not_followed,
     )

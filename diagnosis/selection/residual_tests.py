@@ -6,20 +6,51 @@ lines in the spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from diagnosis.data.segment import Segment
-from diagnosis.models.channels import ANGULAR_ACCELERATION, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE
+from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression
 from diagnosis.thresholds import ResidualTestThresholds
 from dynamics.arrays import Floats
 from dynamics.state import POSITION, RATE, VELOCITY
+
+TESTS = ("low_frequency_agreement", "predictable_from_state", "spectral_line", "position_dependent")
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What a test finds in the channel where that is largest.
+
+    test: its name, that of the statistic.
+    channel: place among the twelve.
+    rms: of the part of the residual that the test finds, in the channel's unit.
+    over_floor: the same over the channel's floor.
+    part: (m,) that part of each segment.
+    frequency: of a line, Hz.
+    """
+
+    test: str
+    channel: int
+    rms: float
+    over_floor: float
+    part: tuple[Floats, ...]
+    frequency: float | None = None
+
+
+@dataclass(frozen=True)
+class Rejection:
+    """A test whose statistic, its size, exceeds a threshold, and whose finding is large enough to matter."""
+
+    test: str
+    size: float
+    threshold: float
 
 
 @dataclass(frozen=True)
@@ -33,12 +64,23 @@ class ResidualTests:
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
+    findings: what each test finds, by its name.
     """
 
     low_frequency_agreement: float
     predictable_from_state: float
     spectral_line: float
     position_dependent: float = 0.0
+    findings: Mapping[str, Finding] = field(default_factory=dict)
+
+    @property
+    def statistics(self) -> dict[str, float]:
+        """The statistics by name."""
+        return {name: getattr(self, name) for name in TESTS}
+
+    def over_floor(self, test: str) -> float:
+        """Size of what a test finds over the floor of its channel."""
+        return self.findings[test].over_floor if test in self.findings else 0.0
 
 
 def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_position: bool = False) -> ResidualTests:
@@ -49,19 +91,38 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
     states = [_state(s) for s in regression.segments]
     features = _features(states, thresholds.state_fineness, thresholds.features)
-    predictable = _predictable(regression, features, rows, regression.flight_of) / total
+    predictable, of_state = _predictable(regression, features, rows, regression.flight_of)
+    found = [_largest("predictable_from_state", of_state, regression.noise.floor)]
     repeating = 0.0
     if by_position:
         positions = [s.smooth[s.decimated, POSITION] for s in regression.segments]
         fine = _features(positions, thresholds.position_fineness, thresholds.features)
         features, parts = ([half for x in whole_flights for half in _halves(x)] for whole_flights in (fine, rows))
-        repeating = _predictable(regression, features, parts, range(len(parts))) / total
+        repeating, of_halves = _predictable(regression, features, parts, range(len(parts)))
+        of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.items()}
+        found.append(_largest("position_dependent", of_place, regression.noise.floor))
+    line, tone = _line(rows, regression, thresholds)
     return ResidualTests(
-        low_frequency_agreement=low_frequency_agreement(rows, regression.rate, thresholds),
-        predictable_from_state=predictable,
-        spectral_line=spectral_line(rows, regression.rate, thresholds),
-        position_dependent=repeating,
+        low_frequency_agreement=_slow_agreement(rows, regression, thresholds),
+        predictable_from_state=predictable / total,
+        spectral_line=line,
+        position_dependent=repeating / total,
+        findings={
+            one.test: one for one in (*found, _slow_force(rows, regression, thresholds), tone) if one is not None
+        },
     )
+
+
+def _slow_agreement(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> float:
+    """The agreement at low frequency; of whitened residuals where an estimator's slow errors are noise."""
+    if not regression.pose.there:
+        return low_frequency_agreement(rows, regression.rate, thresholds)
+    whitened = []
+    for r in rows:
+        white = np.zeros((len(r) - regression.noise.order, r.shape[1]))
+        white[:, list(regression.noise.active)] = regression.noise.whiten(r)
+        whitened.append(white)
+    return low_frequency_agreement(whitened, regression.rate, thresholds)
 
 
 def low_frequency_agreement(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
@@ -88,16 +149,87 @@ def low_frequency_agreement(rows: Sequence[Floats], rate: float, thresholds: Res
     return float(np.max(np.concatenate([common, low[3:] / np.maximum(reference[3:], 1e-30)])))
 
 
+def _slow_force(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> Finding | None:
+    """The slow part that accelerometer and pose share, or of a torque, beyond what their noise leaves there."""
+    rate, (low, reference) = regression.rate, (thresholds.low_band, thresholds.reference_band)
+    slow, middle = ([_band(r, rate, band) for r in rows] for band in (low, reference))
+    share = (low[1] - low[0]) / (reference[1] - reference[0])
+    frequency = np.linspace(*low, thresholds.line_rows)
+    allowed = 2 * regression.pose.density(frequency).mean(axis=1) * (low[1] - low[0])
+    parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}
+    for axis in range(AXES):
+        force, pose, torque = (part.start + axis for part in (SPECIFIC_FORCE, POSE_ACCELERATION, ANGULAR_ACCELERATION))
+        for channel, other in ((force, pose), (torque, torque)):
+            common, noise = (float(np.mean(np.vstack(x)[:, channel] * np.vstack(x)[:, other])) for x in (slow, middle))
+            size = np.sqrt(max(0.0, common - max(noise, 0.0) * share - allowed[channel]))
+            parts[channel] = (size, tuple((x[:, channel] + x[:, other]) / 2 for x in slow))
+    return _largest("low_frequency_agreement", parts, regression.noise.floor)
+
+
 def spectral_line(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
     """Greatest power in the line band over the median of its surroundings. rows: (m, 12) residuals at rate Hz."""
+    return float(_lines(rows, rate, thresholds)[1].max())
+
+
+def _lines(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> tuple[Floats, Floats]:
+    """Frequencies of the line band, Hz, and the power (f, 9) there over the median of its surroundings."""
     count = thresholds.line_rows
-    channels = rows[0][:, MOTION].shape[1]
-    power = np.zeros((count // 2 + 1, channels))
+    power = np.zeros((count // 2 + 1, MOTION.stop))
     for r in rows:
         power += np.abs(np.fft.rfft(r[:, MOTION] * np.hanning(len(r))[:, None], count, axis=0)) ** 2
     frequency = np.fft.rfftfreq(count, 1 / rate)
     median = median_filter(power, size=(thresholds.line_surroundings, 1), mode="nearest")
-    return float((power / np.maximum(median, 1e-12))[_inside(frequency, thresholds.line_band)].max())
+    band = _inside(frequency, thresholds.line_band)
+    return np.asarray(frequency[band]), np.asarray(power / np.maximum(median, 1e-12))[band]
+
+
+def _line(
+    rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds
+) -> tuple[float, Finding | None]:
+    """The greatest line's power over its surroundings, and the sine of each segment that it stands for."""
+    frequency, over = _lines(rows, regression.rate, thresholds)
+    place, channel = np.unravel_index(int(np.argmax(over)), over.shape)
+    width, used = float(frequency[1] - frequency[0]), thresholds.line_rows
+    near = float(frequency[place]) + width * np.linspace(-0.5, 0.5, thresholds.line_refinement)
+    sines = [tuple(_sine(r[:used, channel], at, regression.rate, len(r)) for r in rows) for at in near]
+    powers = [float(np.mean(np.concatenate([p[:used] for p in part]) ** 2)) for part in sines]
+    at, part, power = max(zip(near, sines, powers, strict=True), key=lambda one: one[2])
+    shown = max(0.0, 1 - 1 / float(over[place, channel]))  # the rest of the sine is noise of its surroundings
+    size = float(np.sqrt(shown * power))
+    found = _largest("spectral_line", {int(channel): (size, part)}, regression.noise.floor)
+    return float(over[place, channel]), None if found is None else replace(found, frequency=float(at))
+
+
+def _sine(values: Floats, frequency: float, rate: float, count: int) -> Floats:
+    """(count,) the sine of a frequency, Hz, that fits values (m,) best."""
+    angle = 2 * np.pi * frequency * np.arange(count) / rate
+    waves = np.column_stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(waves @ np.linalg.lstsq(waves[: len(values)], values, rcond=None)[0])
+
+
+def _largest(test: str, parts: Mapping[int, tuple[float, tuple[Floats, ...]]], floor: Floats) -> Finding | None:
+    """The finding in the channel where the part is largest over its floor; None without any.
+
+    parts: its RMS and itself, by channel.
+    """
+    there = [channel for channel in parts if floor[channel] > 0]
+    if not there:
+        return None
+    channel = max(there, key=lambda c: parts[c][0] / floor[c])
+    rms, part = parts[channel]
+    return Finding(test, channel, rms, rms / float(floor[channel]), part)
+
+
+def _band(values: Floats, rate: float, band: tuple[float, float]) -> Floats:
+    """The part of values (m, k) inside a band, Hz."""
+    waves = np.fft.rfft(values, axis=0)
+    waves[~_inside(np.fft.rfftfreq(len(values), 1 / rate), band)] = 0
+    return np.asarray(np.fft.irfft(waves, len(values), axis=0))
+
+
+def _joined(halves: Sequence[Floats]) -> tuple[Floats, ...]:
+    """Neighbouring pairs as one."""
+    return tuple(np.concatenate(pair) for pair in zip(halves[::2], halves[1::2], strict=True))
 
 
 def _inside(frequency: NDArray[np.floating], band: tuple[float, float]) -> NDArray[np.bool_]:
@@ -121,17 +253,30 @@ def _halves(rows: Floats) -> tuple[Floats, Floats]:
 
 def _predictable(
     regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], group_of: Sequence[int]
-) -> float:
-    """Gain of features (m, k) in residuals (m, 12), leaving one group out, summed over channels."""
-    total = 0.0
-    for place, channel in enumerate(regression.noise.active):
+) -> tuple[float, dict[int, tuple[float, tuple[Floats, ...]]]]:
+    """Gain of features (m, k) in residuals (m, 12), leaving one group out, summed over channels.
+
+    Also, by channel, the RMS and the values of what the features predict on the group left out.
+    """
+    total, noise = 0.0, regression.noise
+    parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}
+    for place, channel in enumerate(noise.active):
         if channel >= MOTION.stop:
             continue
         values = [r[:, channel] for r in rows]
-        grams, products = _per_group(regression.noise, place, features, values, group_of)
+        grams, products = _per_group(noise, place, features, values, group_of)
         ridges = regression.thresholds.residual_tests.ridges
-        total += max(0.0, *(cross_validated_gain(grams, products, ridge) for ridge in ridges))
-    return total
+        gains = {ridge: cross_validated_gain(grams, products, ridge) for ridge in ridges}
+        best = max(gains, key=lambda ridge: gains[ridge])
+        if gains[best] <= 0:
+            continue
+        total += gains[best]
+        left_out = coefficients_without(grams, products, best)
+        part = tuple(x @ left_out[group] for x, group in zip(features, group_of, strict=True))
+        whole = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, grams, strict=True))
+        confirmed = min(1.0, gains[best] / whole) if whole > 0 else 0.0
+        parts[channel] = (float(np.sqrt(confirmed * np.mean(np.concatenate(part) ** 2))), part)
+    return total, parts
 
 
 def _per_group(
@@ -147,14 +292,22 @@ def _per_group(
     return grams, products
 
 
+def coefficients_without(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> list[Floats]:
+    """Ridge coefficients (k,) from all groups but each. grams: (k, k), products: (k,), a group each."""
+    all_gram, all_product = sum(grams), sum(products)
+    return [
+        np.asarray(np.linalg.solve(all_gram - gram + ridge * np.eye(len(gram)), all_product - product))
+        for gram, product in zip(grams, products, strict=True)
+    ]
+
+
 def cross_validated_gain(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> float:
     """Gain on each group with ridge coefficients from the others. grams: (k, k), products: (k,), a group each."""
-    all_gram, all_product = sum(grams), sum(products)
-    gain = 0.0
-    for gram, product in zip(grams, products, strict=True):
-        theta = np.linalg.solve(all_gram - gram + ridge * np.eye(len(gram)), all_product - product)
-        gain += float(2 * theta @ product - theta @ gram @ theta)
-    return gain
+    left_out = coefficients_without(grams, products, ridge)
+    return sum(
+        float(2 * theta @ product - theta @ gram @ theta)
+        for theta, gram, product in zip(left_out, grams, products, strict=True)
+    )
 
 
 def _state(segment: Segment) -> Floats:

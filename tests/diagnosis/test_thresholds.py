@@ -22,7 +22,8 @@ SOME = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias"
 NO_THRESHOLDS = {
     "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
-    "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY", "ATTITUDE_AGE", "POSE_ARM", "NO_GUST",
+    "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
+    "ATTITUDE_AGE", "POSE_ARM", "NO_GUST",
 }  # fmt: skip
 
 
@@ -126,7 +127,7 @@ def test_a_narrower_margin_tells_rivals_apart(answer):
 
 
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):
-    assert answer(verdict={"max_line": 1.0}).verdict == "unknown"
+    assert answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}).verdict == "unknown"
 
 
 def test_a_higher_limit_of_relevance_names_nothing(answer):

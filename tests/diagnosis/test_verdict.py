@@ -8,19 +8,31 @@ import pytest
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
-from diagnosis.selection.residual_tests import ResidualTests
+from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
 from diagnosis.selection.search import Scored, Search, Selection
-from diagnosis.verdict import channel_errors, considered, judge, not_excited
+from diagnosis.thresholds import DEFAULT
+from diagnosis.verdict import channel_errors, considered, judge, not_excited, rejections
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 NO_GUST = Gust(0.0, 0.0, 0.0)
-CLEAN = ResidualTests(1.0, 0.0, 2.0, 0.0)
+LIMITS = DEFAULT.verdict
+LARGE = 1.0  # over the floor
 ALONE = MissingEffect("a", None, {}, 1.0, ())
 AMBIGUOUS = MissingEffect("a", None, {}, 1.0, ("b",))
 
 
+def results(agreement=1.0, state=0.0, line=2.0, place=0.0, *, over_floor=LARGE):
+    """Residual tests with these statistics, all of which find something of one size."""
+    names = (*TESTS, "typical_window")
+    findings = {name: Finding(name, 0, over_floor, over_floor, (np.ones(3),)) for name in names}
+    return ResidualTests(agreement, state, line, place, findings)
+
+
+CLEAN = results()
+
+
 def verdict(effects=(), after=CLEAN, before=CLEAN, chi_squares=(1.0, 1.0), gust_share=0.0, gusty=False):
-    return judge(effects, after, before, chi_squares, gust_share, gusty=gusty)
+    return judge(effects, rejections(after, before, chi_squares, gust_share, gusty=gusty))
 
 
 def test_clean_residuals_leave_the_verdict_to_the_effects():
@@ -31,12 +43,25 @@ def test_clean_residuals_leave_the_verdict_to_the_effects():
 
 @pytest.mark.parametrize(
     "after",
-    [ResidualTests(6.0, 0.0, 2.0), ResidualTests(1.0, 0.02, 2.0), ResidualTests(1.0, 0.0, 11.0)],
+    [results(6.0), results(state=0.02), results(line=11.0)],
     ids=["agreement", "state", "line"],
 )
 def test_a_residual_test_that_rejects_makes_it_unknown(after):
     assert verdict([ALONE], after=after) == "unknown"
     assert verdict(after=after) == "unknown"
+
+
+def test_what_is_too_small_to_matter_does_not_make_it_unknown():
+    small = LIMITS.min_over_floor / 2
+    for large in ({"agreement": 6.0}, {"state": 0.02}, {"line": 11.0}):
+        assert verdict([ALONE], after=results(**large, over_floor=small)) == "effect"
+        assert verdict(after=results(**large, over_floor=small)) == "explained"
+    assert verdict(after=results(over_floor=small), chi_squares=(4.0, 1.6)) == "explained"
+
+
+def test_a_rejection_says_by_how_much():
+    (rejection,) = rejections(results(state=0.02), CLEAN, (1.0, 1.0), 0.0, gusty=False)
+    assert rejection == Rejection("predictable_from_state", 0.02, LIMITS.max_predictable)
 
 
 def test_a_typical_window_that_stays_far_above_the_noise_makes_it_unknown():
@@ -46,20 +71,20 @@ def test_a_typical_window_that_stays_far_above_the_noise_makes_it_unknown():
 
 
 def test_a_small_share_of_what_there_was_is_the_effects_own_form():
-    strong = ResidualTests(300.0, 1.0, 2.0)
-    assert verdict([ALONE], after=ResidualTests(8.0, 0.02, 2.0), before=strong) == "effect"
+    strong = results(300.0, 1.0)
+    assert verdict([ALONE], after=results(8.0, 0.02), before=strong) == "effect"
 
 
 def test_beside_a_swinging_load_only_a_strong_line_counts():
-    assert verdict([ALONE], after=ResidualTests(1.0, 0.0, 20.0), chi_squares=None) == "effect"
-    assert verdict([ALONE], after=ResidualTests(1.0, 0.0, 40.0), chi_squares=None) == "unknown"
+    assert verdict([ALONE], after=results(line=20.0), chi_squares=None) == "effect"
+    assert verdict([ALONE], after=results(line=40.0), chi_squares=None) == "unknown"
 
 
 def test_a_gust_may_leave_residuals_unless_state_or_place_predict_them():
-    slow = ResidualTests(20.0, 0.0, 2.0)
+    slow = results(20.0)
     assert verdict([ALONE], after=slow, gust_share=1.0, gusty=True) == "effect"
-    assert verdict([ALONE], after=ResidualTests(20.0, 0.5, 2.0), gust_share=1.0, gusty=True) == "unknown"
-    assert verdict([ALONE], after=ResidualTests(20.0, 0.0, 2.0, 0.5), gust_share=1.0, gusty=True) == "unknown"
+    assert verdict([ALONE], after=results(20.0, 0.5), gust_share=1.0, gusty=True) == "unknown"
+    assert verdict([ALONE], after=results(20.0, place=0.5), gust_share=1.0, gusty=True) == "unknown"
 
 
 def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):

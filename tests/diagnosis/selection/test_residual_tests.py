@@ -57,7 +57,7 @@ def fires(tests):
             ("spectral_line", LIMITS.max_line),
             ("position_dependent", LIMITS.max_predictable),
         )
-        if getattr(tests, name) > limit
+        if getattr(tests, name) > limit and tests.over_floor(name) > LIMITS.min_over_floor
     }
 
 
@@ -83,7 +83,11 @@ def test_a_planted_sine_is_a_line(of_noise):
     of_all, rows = of_noise(0)
     for y in rows:
         y[:, 4] += 0.8 * np.sin(2 * np.pi * 3.0 * np.arange(len(y)) / 25.0)
-    assert "spectral_line" in fires(run_residual_tests(of_all, rows))
+    tests = run_residual_tests(of_all, rows)
+    assert "spectral_line" in fires(tests)
+    found = tests.findings["spectral_line"]
+    assert (found.channel, found.frequency) == (4, pytest.approx(3.0, abs=0.05))
+    assert found.rms == pytest.approx(0.8 / np.sqrt(2), rel=0.1)
 
 
 def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise):
@@ -92,7 +96,10 @@ def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise)
         slow = np.sin(2 * np.pi * 0.4 * np.arange(len(y)) / 25.0 + i)
         y[:, 1] += slow
         y[:, 4] += slow
-    assert "low_frequency_agreement" in fires(run_residual_tests(of_all, rows))
+    tests = run_residual_tests(of_all, rows)
+    assert "low_frequency_agreement" in fires(tests)
+    assert tests.findings["low_frequency_agreement"].channel == 1
+    assert tests.findings["low_frequency_agreement"].rms == pytest.approx(np.sqrt(0.5), rel=0.15)
     for y in rows:  # the same in the accelerometer alone is a sensor's
         y[:, 4] = np.random.default_rng(1).standard_normal(len(y))
     assert "low_frequency_agreement" not in fires(run_residual_tests(of_all, rows))
@@ -105,6 +112,11 @@ def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
         y[:, 0] += velocity[:, 0] * np.abs(velocity[:, 0])
     tests = run_residual_tests(of_all, rows)
     assert "predictable_from_state" in fires(tests)
+    found = tests.findings["predictable_from_state"]
+    planted = np.concatenate([s.smooth[s.decimated, VELOCITY][:, 0] for s in segments])
+    assert found.channel == 0
+    assert found.rms == pytest.approx(np.sqrt(np.mean(planted**4)), rel=0.3)
+    assert [len(part) for part in found.part] == [len(y) for y in rows]
     assert tests.position_dependent == 0.0
 
 
