@@ -26,7 +26,8 @@ from dynamics.vehicle_file import read_vehicle
 from fixtures.compiled_flights import compiled_flights
 from fixtures.foreign_effects import FOREIGN
 from fixtures.planted import noisy, planted_flights
-from fixtures.rotorpy_flights import MADE, READ_WRONG, rotorpy_flights
+from fixtures.rotorpy_flights import MADE, PLACED, rotorpy_flights
+from fixtures.rotorpy_sensors import READ_HERE
 from flights import Flight
 from vehicles import FOLDER
 
@@ -89,7 +90,7 @@ def vehicle() -> Vehicle:
 def names(source: str) -> list[str]:
     """Effects that a simulator can hide."""
     if source == "rotorpy":
-        return [n for n in CATALOGUE if (n in MADE or n in READ_WRONG) and n not in ROTORPY_CANNOT_SIZE]
+        return [n for n in CATALOGUE if n in (*MADE, *READ_HERE, *PLACED) and n not in ROTORPY_CANNOT_SIZE]
     return [n for n in CATALOGUE if source != "mock" or n not in MOCK_CANNOT]
 
 

@@ -16,18 +16,19 @@ from fixtures.rotorpy_flights import (
     MADE,
     NOT_MADE,
     PATHS,
-    READ_WRONG,
+    PLACED,
     WINDS,
     rotorpy_flights,
     rotorpy_parameters,
     with_effects,
 )
+from fixtures.rotorpy_sensors import READ_HERE
 
 SOME = {n: CATALOGUE[n] for n in ("rotor_drag", "mass", "thrust_constant", "gyro_bias", "imu_bias", "time_delay")}
 
 
 def test_every_effect_of_the_catalogue_is_made_or_listed_as_not_made():
-    assert sorted([*MADE, *WINDS, *READ_WRONG, *NOT_MADE]) == sorted(CATALOGUE)
+    assert sorted([*MADE, *WINDS, *READ_HERE, *PLACED, *NOT_MADE]) == sorted(CATALOGUE)
 
 
 @pytest.mark.parametrize("name", [name for name in MADE if name != "motor_lag"])

@@ -85,9 +85,9 @@ def test_a_planted_sine_is_a_line(of_noise):
         y[:, 4] += 0.8 * np.sin(2 * np.pi * 3.0 * np.arange(len(y)) / 25.0)
     tests = run_residual_tests(of_all, rows)
     assert "spectral_line" in fires(tests)
-    found = tests.findings["spectral_line"]
-    assert (found.channel, found.frequency) == (4, pytest.approx(3.0, abs=0.05))
-    assert found.rms == pytest.approx(0.8 / np.sqrt(2), rel=0.1)
+    named = tests.findings["spectral_line"]
+    assert (named.channel, named.frequency) == (4, pytest.approx(3.0, abs=0.05))
+    assert named.rms == pytest.approx(0.8 / np.sqrt(2), rel=0.1)
 
 
 def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise):
@@ -112,11 +112,11 @@ def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
         y[:, 0] += velocity[:, 0] * np.abs(velocity[:, 0])
     tests = run_residual_tests(of_all, rows)
     assert "predictable_from_state" in fires(tests)
-    found = tests.findings["predictable_from_state"]
+    named = tests.findings["predictable_from_state"]
     planted = np.concatenate([s.smooth[s.decimated, VELOCITY][:, 0] for s in segments])
-    assert found.channel == 0
-    assert found.rms == pytest.approx(np.sqrt(np.mean(planted**4)), rel=0.3)
-    assert [len(part) for part in found.part] == [len(y) for y in rows]
+    assert named.channel == 0
+    assert named.rms == pytest.approx(np.sqrt(np.mean(planted**4)), rel=0.3)
+    assert [len(part) for part in named.part] == [len(y) for y in rows]
     assert tests.position_dependent == 0.0
 
 
