@@ -73,16 +73,17 @@ def diagnose_dataset(
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     rejected = _rejected(regression, selection, accepted.fit, effects, tests, before, after)
+    left = leftover(rejected, tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
     diagnosis = Diagnosis(
         verdict=judge(effects, rejected),
         effects=effects,
         channels=channel_errors(before, after, regression, accepted.floor),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
-        next_flight=next_flight([effects[0].name, *effects[0].ambiguous_with] if effects else [], quiet, catalogue),
+        next_flight=next_flight(effects, left, accepted.refused, quiet, catalogue),
         refused=accepted.refused,
         candidates=considered(selection, effects, accepted.refused),
-        leftover=leftover(rejected, tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes),
+        leftover=left,
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,

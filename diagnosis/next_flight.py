@@ -1,23 +1,77 @@
-"""The manoeuvre that would show an effect, or distinguish two."""
+"""What to fly or do next, about what a diagnosis leaves open: look-alikes, leftovers, hints, what was not excited."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from diagnosis.estimation.refusal import Refused
+from diagnosis.report import Leftover, MissingEffect
 from dynamics.effect import Effect
 
 OTHERWISE = "more aggressive flight"
+NOTHING = "nothing is open; fly again after the next change of the vehicle"
+MAX_ADVICE = 3  # pieces of advice: who reads more follows none
 
 
-def next_flight(ambiguous: Sequence[str], not_excited: Sequence[str], catalogue: Mapping[str, Effect]) -> str:
-    """What to fly next. ambiguous: effects that cannot be distinguished; not_excited: effects that did not show."""
-    if len(ambiguous) > 1:
-        manoeuvres = "; ".join(dict.fromkeys(_manoeuvre(catalogue[name]) for name in ambiguous))
-        return f"to tell {' from '.join(ambiguous)}: {manoeuvres}"
-    if not_excited:
-        return f"to see {not_excited[0]}: {_manoeuvre(catalogue[not_excited[0]])}"
-    return "nothing is open; fly again after the next change of the vehicle"
+def next_flight(
+    effects: Sequence[MissingEffect],
+    leftover: Sequence[Leftover],
+    refused: Sequence[Refused],
+    not_excited: Sequence[str],
+    catalogue: Mapping[str, Effect],
+) -> str:
+    """Advice on what is open, the most urgent first.
+
+    effects: named, of which some look alike. leftover: what no effect explains. refused: of which some are hints.
+    not_excited: effects that did not show; one of them is named where nothing else is open.
+    """
+    advice = [_telling_apart([e.name, *e.ambiguous_with], catalogue) for e in effects if e.ambiguous_with]
+    advice += dict.fromkeys(_about(one) for one in leftover)
+    advice += [f"to confirm {one.name}: {_manoeuvre(catalogue[one.name])}" for one in refused if one.is_hint]
+    if not advice and not_excited:
+        advice.append(f"to see {not_excited[0]}: {_manoeuvre(catalogue[not_excited[0]])}")
+    return ". ".join(advice[:MAX_ADVICE]) or NOTHING
+
+
+def _telling_apart(names: Sequence[str], catalogue: Mapping[str, Effect]) -> str:
+    manoeuvres = dict.fromkeys(_manoeuvre(catalogue[name]) for name in names)
+    return f"to tell {' from '.join(names)}: {'; '.join(manoeuvres)}"
 
 
 def _manoeuvre(effect: Effect) -> str:
     return effect.excitation.manoeuvre if effect.excitation is not None else OTHERWISE
+
+
+def _about(leftover: Leftover) -> str:
+    """What to do about what a test of the residuals found."""
+    match leftover.test:
+        case "spectral_line":
+            return (
+                f"about the line at {leftover.frequency or 0.0:.2g} Hz: hover for a minute, then the same with "
+                "balanced propellers, tightened mounts and nothing hanging below; what stops it is its cause"
+            )
+        case "position_dependent":
+            return "about what repeats at the same places: the same manoeuvre metres away from walls, ground and fans"
+        case "predictable_from_state":
+            return (
+                f"about what the state predicts{_where(leftover)}: fly more of exactly that, and let a network learn "
+                "it (`alula train --model grey_box --effect diagnosed`), or give an effect of your own with --effects"
+            )
+        case "low_frequency_agreement":
+            kind = "torque" if leftover.channel.startswith("angular") else "force"
+            return (
+                f"about the slow {kind}{_where(leftover)}: the same manoeuvre in still air and without payload; "
+                "if it stays, let a network learn it (`alula train "
+                "--model grey_box --effect diagnosed`), or give an effect of your own with --effects"
+            )
+    return (
+        f"about the error of held-out flights{_where(leftover)}: more flights of that kind, so that they are not held "
+        "out alone"
+    )
+
+
+def _where(leftover: Leftover) -> str:
+    if not leftover.regimes:
+        return ""
+    cell = leftover.regimes[0]
+    return f" at {cell.regime} from {cell.low:.3g} to {cell.high:.3g}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Literal
 
 import msgspec
@@ -127,7 +128,8 @@ def sentence(diagnosis: Diagnosis) -> str:
     missing = " and ".join(_described(effect) + _look_alikes(effect) for effect in diagnosis.effects)
     if diagnosis.verdict == "unknown":
         partly = f" Part of it looks like {missing}." if missing else ""
-        return f"Something is missing that no effect of the catalogue explains.{partly}"
+        left = f" ({leftover_sentence(diagnosis.leftover[0])})" if diagnosis.leftover else ""
+        return f"Something is missing that no effect of the catalogue explains{left}.{partly}"
     return f"The model misses {missing}."
 
 
@@ -136,6 +138,38 @@ def refusal_sentence(refused: Refused) -> str:
     values = ", ".join(f"{name} = {value:.4g}" for name, value in refused.parameters.items())
     where = "" if refused.rotor is None else f" of rotor {refused.rotor}"
     return f"{refused.name}{where}{f' ({values})' if values else ''}: {reason_of(refused)}"
+
+
+REMAINS = {
+    "low_frequency_agreement": "a slow force or torque remains",
+    "predictable_from_state": "what remains depends on the state",
+    "position_dependent": "what remains repeats at the same places",
+    "spectral_line": "a line remains in the spectrum",
+    "typical_window": "a typical window of held-out flight stays above its noise",
+}
+
+
+def remains(leftover: Leftover) -> str:
+    """What a test of the residuals found, in words."""
+    line = "" if leftover.frequency is None else f" at {leftover.frequency:.2g} Hz"
+    return f"{REMAINS.get(leftover.test, leftover.test)}{line}"
+
+
+def leftover_sentence(leftover: Leftover) -> str:
+    """What a test of the residuals found, in which channel and how large, without a full stop."""
+    return (
+        f"{remains(leftover)}, in {leftover.channel} {leftover.rms:.2g} {leftover.unit} RMS or "
+        f"{leftover.over_floor:.2g} times its floor"
+    )
+
+
+def evidence_sentence(leftover: Leftover) -> str:
+    """The test's statistic over its threshold, when and where what it found is largest, without a full stop."""
+    when = [f"{Path(s.flight).name} {s.start:.1f} to {s.stop:.1f} s" for s in leftover.seconds[:2]]
+    where = [f"{cell.regime} {cell.low:.3g} to {cell.high:.3g}" for cell in leftover.regimes[:2]]
+    largest = f"; largest in {', '.join(when)}" if when else ""
+    cells = f"; at {', '.join(where)}" if where else ""
+    return f"{leftover.test} is {leftover.size:.3g}, its threshold {leftover.threshold:.3g}{largest}{cells}"
 
 
 def _look_alikes(effect: MissingEffect) -> str:

@@ -80,7 +80,7 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
 
 
 def _print(result: DiagnosisResult, console: Console) -> None:
-    from diagnosis.report import refusal_sentence
+    from diagnosis.report import evidence_sentence, leftover_sentence, refusal_sentence
 
     diagnosis = result.report
     console.print(f"{diagnosis.verdict}: {result.sentence}", highlight=False)
@@ -99,6 +99,8 @@ def _print(result: DiagnosisResult, console: Console) -> None:
             "its floor",
             highlight=False,
         )
+    for found in diagnosis.leftover:
+        console.print(f"left: {leftover_sentence(found)}. {evidence_sentence(found)}", highlight=False)
     for one in diagnosis.refused:
         console.print(f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one)}", highlight=False)
     if diagnosis.not_excited:

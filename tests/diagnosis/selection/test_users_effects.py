@@ -9,6 +9,7 @@ import pytest
 
 from diagnosis.data.segment import segments
 from diagnosis.next_flight import next_flight
+from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import make_candidates
 from diagnosis.selection.design_matrix import evaluate_design
 from diagnosis.selection.regression import sensor_biases
@@ -71,8 +72,9 @@ def test_they_need_what_their_formula_needs(catalogue, arpl_250g):
 
 
 def test_the_next_flight_is_theirs(catalogue):
-    assert "starts and stops, against steady circles" in next_flight(["late_drag", "linear_drag"], (), catalogue)
-    assert next_flight([], ["tether"], catalogue) == "to see tether: more aggressive flight"
+    late = MissingEffect("late_drag", None, {}, 1.0, ("linear_drag",))
+    assert "starts and stops, against steady circles" in next_flight([late], (), (), (), catalogue)
+    assert next_flight((), (), (), ["tether"], catalogue) == "to see tether: more aggressive flight"
 
 
 def test_inspection_answers_for_them_where_they_name_their_excitation(catalogue):
