@@ -14,11 +14,12 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
 from diagnosis.estimation.evaluation import reduced_chi_square
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.refusal import Refused, reason_of
+from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
@@ -96,19 +97,20 @@ def add_effect(
         if candidate.key not in accepted.fit.keys:
             raise DataError(f"{candidate.key} was not added: {reason_of(accepted.refused[-1])}. {ADVICE}")
     judge = HeldOut(regression, dataset.held_out)
-    fitted, by_output_error = _better_fit(judge, accepted.fit, vehicle, dataset, regression)
-    before = with_faults_of(fitted, vehicle)
-    _require_no_loss(judge, vehicle, before, fitted)
-    errors = channel_errors(judge.rows(vehicle), judge.rows(fitted.vehicle), regression, judge.floor(fitted.vehicle))
+    present = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
+    fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
+    before = with_faults_of(fitted, present)
+    _require_no_loss(judge, present, before, fitted)
+    errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), regression, judge.floor(fitted.vehicle))
     action = _action(fitted, vehicle)
-    changed = with_history(fitted.vehicle, action, dataset, errors, date=date, command=command)
+    changed = with_history(without_command_effects(fitted.vehicle), action, dataset, errors, date=date, command=command)
     return Addition(
         vehicle=changed,
         estimates=fitted.estimates,
         channels=errors,
         keys=fitted.keys,
         chi_square=(
-            reduced_chi_square(judge.rows(vehicle), regression.noise),
+            reduced_chi_square(judge.rows(present), regression.noise),
             reduced_chi_square(judge.rows(fitted.vehicle), regression.noise),
         ),
         open_loop=(_horizons(judge, before), _horizons(judge, fitted.vehicle)),
@@ -123,7 +125,7 @@ def _better_fit(
 ) -> tuple[Fit, bool]:
     """The fit by output error and True where held-out windows end closer and no error rises, else the one given."""
     catalogue, thresholds = regression.catalogue, regression.thresholds
-    again = refit(fitted, vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
+    again = refit(fitted, fitted.vehicle, catalogue, dataset.fitted, dataset.held_out, thresholds)
     if again is None or not again.after < again.before:
         return fitted, False
     levels = [reduced_chi_square(judge.rows(f.vehicle), regression.noise) for f in (fitted, again.fit)]
@@ -252,8 +254,8 @@ def _best_candidate(regression: Regression, name: str, rotor: int | None) -> Can
         raise DataError(
             f"these flights cannot show {name}"
             + (f" on rotor {rotor}" if rotor is not None else "")
-            + ": with measured rotor speeds there is no motor lag, with commands alone no mass, without voltage "
-            "no sag. `alula diagnose` lists what they can show."
+            + ": with measured rotor speeds there is no motor lag, with commands alone no thrust "
+            "constant, without voltage no sag. `alula diagnose` lists what they can show."
         )
     best = max((search.score([c]) for c in candidates), key=lambda s: s.score)
     if best.score == IMPOSSIBLE:

@@ -8,9 +8,10 @@ from dataclasses import dataclass
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
-from diagnosis.estimation.equation_error import Fit
+from diagnosis.estimation.equation_error import Fit, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.leftover import leftover, with_typical_window
+from diagnosis.models.command_effects import GAIN, without_command_effects
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis, MissingEffect
@@ -62,7 +63,8 @@ def diagnose_dataset(
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     selection = select(regression)
     accepted = accepted_fit(regression, selection, dataset)
-    before, after = (residuals_in(regression, v, dataset.held_out) for v in (vehicle, accepted.fit.vehicle))
+    present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
+    before, after = (residuals_in(regression, v, dataset.held_out) for v in (present, accepted.fit.vehicle))
     tests = run_residual_tests(
         regression,
         residuals_in(regression, accepted.fit.vehicle, dataset.fitted),
@@ -87,7 +89,7 @@ def diagnose_dataset(
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
-        vehicle=accepted.fit.vehicle,
+        vehicle=without_command_effects(accepted.fit.vehicle),
         regression=regression,
         selection=selection,
         accepted=accepted,
@@ -96,7 +98,7 @@ def diagnose_dataset(
         after=after,
         chi_square_before=reduced_chi_square(before, regression.noise),
         chi_square_after=reduced_chi_square(after, regression.noise),
-        notes=(*dataset.notes, *_not_followed(regression)),
+        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
     )
 
 
@@ -106,6 +108,15 @@ def _not_followed(regression: Regression) -> list[str]:
         return []
     names, rate = ", ".join(regression.not_followed), regression.segments[0].rate
     return [f"not tried, since logs of {rate:.0f} Hz are too slow for its hidden states: {names}"]
+
+
+def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
+    """The data set's notes, that on commands with the gain of the joint fit."""
+    gain = accepted.commands.get((GAIN.name, GAIN.parameters[0].name))
+    if dataset.curve is None or gain is None:
+        return dataset.notes
+    first, fitted = dataset.curve.note(), dataset.curve.note(gain.value, gain.std)
+    return tuple(fitted if note == first else note for note in dataset.notes)
 
 
 def _rejected(

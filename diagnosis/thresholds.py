@@ -114,9 +114,17 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     noise: specific force of other effects, m/s^2. [not derived yet]
     independent_share: of rows that count as independent observations. [not derived yet]
     term_std: prior standard deviations of constant, linear and quadratic term. [not derived yet]
-    air_std: prior standard deviation of the drag of climbing, 1/s, and the lift of travelling, 1/m. [not derived yet]
+    air_std: prior standard deviation of the drag along body z, 1/s. [not derived yet]
+    lift_std: the same of the lift of travelling, 1/m. [not derived yet]
+    max_curved_ratio: of the variance that a curve leaves over that which a straight line leaves, above which the line
+        is taken. [not derived yet]
     max_motor_difference: of a healthy vehicle's motor from the mean. [decisions: the command's gain; 0.1 occurs]
     command_percentiles: range of commands within which the curve is not straight. [not derived yet]
+    gain_std: prior standard deviation of thrust over weight that all flights share, about the first estimate, which
+        counts lift of travelling as thrust. [not derived yet]
+    flight_gain_std: of a flight's own gain about it; the battery changes it. [not derived yet]
+    motor_std: of a motor's gain about the first estimate. [not derived yet]
+    bend_std: of the curve's bend at hover. [not derived yet]
     """
 
     gain: Range = (0.55, 1.8)
@@ -126,8 +134,14 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     independent_share: Annotated[float, Meta(gt=0, le=1)] = 0.1
     term_std: tuple[Positive, Positive, Positive] = (0.3, 1.0, 0.3)
     air_std: Positive = 1.0
+    lift_std: Positive = 0.02
+    max_curved_ratio: Share = 0.8
     max_motor_difference: Share = 0.25
     command_percentiles: Range = (0.5, 99.5)
+    gain_std: Positive = 0.05
+    flight_gain_std: Positive = 0.03
+    motor_std: Positive = 0.03
+    bend_std: Positive = 0.1
 
 
 class DataChecks(ThresholdGroup, frozen=True):

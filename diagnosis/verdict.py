@@ -13,7 +13,7 @@ from diagnosis.estimation.refusal import Refused
 from diagnosis.models import channels
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.residual_tests import Rejection, ResidualTests
 from diagnosis.selection.rivals import near_rivals, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
@@ -132,7 +132,7 @@ def not_excited(regression: Regression, chosen: Scored) -> tuple[str, ...]:
     """Effects that would not have shown at their usual size: these flights neither confirm nor exclude them."""
     search = Search(regression)
     excited: dict[str, bool] = {}
-    gram: Floats = np.sum(regression.gram, axis=0)
+    gram = marginal(np.sum(regression.gram, axis=0), np.sum(regression.product, axis=0), regression.shared)[0]
     for candidate in regression.candidates:
         name = candidate.effect.name
         specified = candidate.columns[0] in regression.biases.columns  # every flight has some of these

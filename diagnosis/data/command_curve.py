@@ -19,8 +19,11 @@ from diagnosis.data.filters import difference, simpson
 from diagnosis.data.segment import Segment
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds
 from dynamics.arrays import Floats
+from dynamics.effects import CATALOGUE
+from dynamics.effects.motor_lag import EFFECT as ROTOR_LAG
 from dynamics.errors import DataError
-from dynamics.state import VELOCITY
+from dynamics.model import build_model
+from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle import GRAVITY, Vehicle
 
 
@@ -42,6 +45,8 @@ class CommandCurve:
 
     terms: a, b, c.
     gains: of each flight, by log.
+    hover: rotor speed that carries the weight, with the file's effects on mass and thrust, rad/s.
+    mass: with the file's effects over that without.
     low, high: range of s that was flown; beyond it the curve is straight.
     lag: of the rotors, by the vertical force, in seconds.
     explained, without_lag: shares of that force's variance that the curve explains with and without the lag.
@@ -49,6 +54,8 @@ class CommandCurve:
 
     terms: tuple[float, float, float]
     gains: Mapping[str, FlightGain]
+    hover: float
+    mass: float
     low: float
     high: float
     lag: float
@@ -62,23 +69,25 @@ class CommandCurve:
         slope = np.maximum(b + 2 * c * inside, 0.0)
         return np.asarray(np.maximum(a + b * inside + c * inside**2 + slope * (commanded - inside), 0.0))
 
-    def applied(self, segment: Segment, vehicle: Vehicle) -> Segment:
+    def applied(self, segment: Segment) -> Segment:
         """The segment with rotor speeds that give the thrust."""
-        hover = vehicle.hover_speed
-        commanded = (_scaled(segment, self.gains[segment.flight]).rotor_speed / hover) ** 2
-        return replace(segment, rotor_speed=hover * np.sqrt(self.thrust(commanded)))
+        commanded = (_scaled(segment, self.gains[segment.flight]).rotor_speed / self.hover) ** 2
+        speed = self.hover * np.sqrt(self.thrust(commanded))
+        return replace(segment, rotor_speed=speed, carried_mass=self.mass)
 
-    def __str__(self) -> str:
-        means = [gain.mean for gain in self.gains.values()]
+    def note(self, ratio: float = 1.0, std: float | None = None) -> str:
+        """What the user should know of it. ratio: on all gains, from a fit beside the effects; std: of that."""
+        means = [ratio * gain.mean for gain in self.gains.values()]
         motors = np.mean([gain.motors for gain in self.gains.values()], axis=0)
         gain = f"{min(means):.2f}" + (f" to {max(means):.2f}" if len(means) > 1 else "")
+        interval = "" if std is None else f", +- {1.96 * std * float(np.mean(means)) / ratio:.2f}"
         each = ", ".join(f"{motor:.2f}" for motor in motors)
         return (
             f"no measured rotor speed: by these flights the rotors give {gain} times the thrust that the vehicle file "
-            f"gives for their commands, rotor by rotor {each} of that, followed with a lag of about "
+            f"gives for their commands{interval}, rotor by rotor {each} of that, followed with a lag of about "
             f"{1e3 * self.lag:.0f} ms ({100 * self.without_lag:.0f} % of the vertical force explained without lag, "
-            f"{100 * self.explained:.0f} % with it). Mass and thrust_constant cannot be distinguished from such a "
-            "gain, nor a weak rotor from a motor's own"
+            f"{100 * self.explained:.0f} % with it). thrust_constant cannot be distinguished from such a gain, mass "
+            "only where inertia and drag of the file are right, and a weak rotor not from a motor's own"
         )
 
 
@@ -93,67 +102,170 @@ def fit_command_curve(
     held_out: segments of flights that need gains too; only the gains of flights without a fitted segment are
     estimated on them. Raises DataError for gains out of range.
     """
+    nominal = NominalWrench(vehicle)
     logs = dict.fromkeys(s.flight for s in (*fitted, *held_out))
     fitted_logs = {s.flight for s in fitted}
-    own = {name: [s for s in (fitted if name in fitted_logs else held_out) if s.flight == name] for name in logs}
-    gains = {name: _gain(parts, vehicle, thresholds) for name, parts in own.items()}
-    hover, scaled = vehicle.hover_speed, [_scaled(s, gains[s.flight]) for s in fitted]
+    own = [[s for s in (fitted if name in fitted_logs else held_out) if s.flight == name] for name in logs]
+    gains = dict(zip(logs, _gains(own, nominal, thresholds), strict=True))
+    hover, scaled = nominal.hover, [_scaled(s, gains[s.flight]) for s in fitted]
     commanded = np.concatenate([(s.rotor_speed / hover) ** 2 for s in scaled])
     low, high = np.percentile(commanded, thresholds.command_percentiles)
-    force = np.concatenate([_vertical(s) for s in scaled])
+    force = np.concatenate([_vertical(s) - nominal.specific_force(s) for s in scaled])
     lags = np.arange(0.0, thresholds.max_lag + 1e-4, thresholds.lag_step).tolist()
     fits = [_fit(scaled, hover, force, lag, thresholds) for lag in lags]
-    best = int(np.argmax([explained for _, explained in fits]))
-    terms, explained = fits[best]
-    a, b, c = terms.tolist()
-    if min(b + 2 * c * low, b + 2 * c * high) <= 0.0:  # the flights show no more than a gain
-        a, b, c = 0.0, 1.0, 0.0
-    return CommandCurve((a, b, c), gains, float(low), float(high), lags[best], explained, fits[0][1])
+    best = int(np.argmax([fit.explained for fit in fits]))
+    curved, straight = fits[best], _fit(scaled, hover, force, lags[best], thresholds, straight=True)
+    a, b, c = curved.terms
+    falling = min(b + 2 * c * low, b + 2 * c * high) <= 0.0  # the flights show no more than a gain
+    if falling or 1 - curved.explained > thresholds.max_curved_ratio * (1 - straight.explained):
+        a, b, c = straight.terms
+    return CommandCurve(
+        (a, b, c),
+        gains,
+        hover,
+        nominal.mass / vehicle.body.mass,
+        float(low),
+        float(high),
+        lags[best],
+        curved.explained,
+        fits[0].explained,
+    )
 
 
-def _gain(segments: Sequence[Segment], vehicle: Vehicle, thresholds: CommandCurveThresholds) -> FlightGain:
-    """The gains of one flight: the mean force carries the weight, the mean moment is that of the mean motion."""
-    inertia, allocation = np.array(vehicle.body.inertia), vehicle.rotors.allocation
-    squares = np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
-    force = float(np.mean(np.concatenate([_vertical(s) for s in segments]))) * vehicle.body.mass
-    mean = force / float(allocation[0] @ squares)
+class NominalWrench:
+    """Forces and moments of the vehicle file's effects beside the thrust of its rotors."""
+
+    def __init__(self, vehicle: Vehicle) -> None:
+        uses = [u for u in vehicle.effects if u.name in CATALOGUE and not CATALOGUE[u.name].stochastic]
+        uses = [u for u in uses if CATALOGUE[u.name].rotor_speed is None and CATALOGUE[u.name].measurement is None]
+        self._model = build_model(vehicle, effects=uses)
+        lags = [u.parameters for u in vehicle.effects if u.name == ROTOR_LAG.name]
+        self._lag = sum(values.get(name, 0.0) for values in lags for name in ROTOR_LAG.time_constants)
+        self.mass, constants = self._model.mass, self._model.thrust_constants
+        self.hover = float(np.sqrt(self.mass * GRAVITY / constants.sum()))
+        self.allocation = vehicle.rotors.allocation * constants / vehicle.rotors.thrust_constant
+        self._inertia = np.array(vehicle.body.inertia)
+
+    def thrust(self, segment: Segment) -> Floats:
+        """(n,) the rotors' specific thrust by the file, m/s^2."""
+        return np.asarray(self._squares(segment) @ self.allocation[0] / self.mass)
+
+    def specific_force(self, segment: Segment) -> Floats:
+        """(m,) specific force along body z of the effects, filtered and in the regression's rows, m/s^2."""
+        force = self._of_effects(segment)[0]
+        return segment.low_pass(simpson(force))[segment.decimated]
+
+    def missing_moment(self, segment: Segment) -> Floats:
+        """(n, 3) moment of the motion that the effects do not make, N m."""
+        rate = segment.low_pass(segment.body_rate)
+        moment = self._inertia * difference(rate, segment.rate) + np.cross(rate, self._inertia * rate)
+        return np.asarray(moment - self._of_effects(segment)[1])
+
+    def _squares(self, segment: Segment) -> Floats:
+        return lagged(segment.rotor_speed, segment.rate, self._lag) ** 2
+
+    def _of_effects(self, segment: Segment) -> tuple[Floats, Floats]:
+        """(n,) specific force along body z and (n, 3) moment of the effects; zero where no pose was logged."""
+        count = len(segment)
+        if not segment.has_pose or not self._model.effects:
+            return np.zeros(count), np.zeros((count, 3))
+        squares = self._squares(segment)
+        state = np.hstack([segment.smooth, np.tile(self._model.hidden_initial, (count, 1))])
+        values = np.tile(self._model.parameter_values[:, None], (1, count))
+        outputs = self._model.observe.map(count)(state.T, np.sqrt(squares).T, values, segment.environment.T)
+        force, angular = (np.array(output).T for output in outputs[:2])
+        rate = segment.smooth[:, RATE]
+        moment = self._inertia * angular + np.cross(rate, self._inertia * rate) - squares @ self.allocation[1:].T
+        return force[:, 2] - squares @ self.allocation[0] / self.mass, np.asarray(moment)
+
+
+def _gains(
+    flights: Sequence[Sequence[Segment]], nominal: NominalWrench, thresholds: CommandCurveThresholds
+) -> list[FlightGain]:
+    """The gains of each flight: beside one drag of all of them, the thrust carries the weight."""
+    means = _means(flights, nominal, thresholds)
     low, high = thresholds.gain
-    if not low <= mean <= high:
-        raise DataError(
-            f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file gives for their "
-            f"commands; wanted {low:g} to {high:g}. Check mass, thrust_constant, speed_max and thrust_curve "
-            "of the file, and that it is this vehicle's."
-        )
-    moments = []
-    for s in segments:
-        rate = s.low_pass(s.body_rate)
-        moments.append(inertia * difference(rate, s.rate) + np.cross(rate, inertia * rate))
+    for segments, mean in zip(flights, means, strict=True):
+        if not low <= mean <= high:
+            raise DataError(
+                f"{segments[0].flight}: the rotors give {mean:.3g} times the thrust that the vehicle file gives for "
+                f"their commands; wanted {low:g} to {high:g}. Check mass, thrust_constant, speed_max and thrust_curve "
+                "of the file, and that it is this vehicle's."
+            )
+    return [
+        FlightGain(mean, _motors(segments, mean, nominal, thresholds))
+        for segments, mean in zip(flights, means, strict=True)
+    ]
+
+
+def _means(
+    flights: Sequence[Sequence[Segment]], nominal: NominalWrench, thresholds: CommandCurveThresholds
+) -> list[float]:
+    """Thrust over the file's in each flight, by least squares with a drag along body z that all flights share."""
+    blocks, forces = [], []
+    for number, segments in enumerate(flights):
+        for s in segments:
+            columns = np.zeros((len(s), len(flights) + 1))
+            columns[:, number] = nominal.thrust(s)
+            if s.has_pose:
+                columns[:, -1] = -_velocity(s)[:, 2]
+            blocks.append(s.low_pass(simpson(columns))[s.decimated])
+            forces.append(_vertical(s) - nominal.specific_force(s))
+    weight = np.sqrt(thresholds.independent_share) / thresholds.noise
+    prior = np.zeros((1, len(flights) + 1))
+    prior[0, -1] = 1 / thresholds.air_std
+    x, y = np.vstack([np.concatenate(blocks) * weight, prior]), np.append(np.concatenate(forces) * weight, 0.0)
+    return [float(gain) for gain in np.linalg.lstsq(x, y, rcond=None)[0][:-1]]
+
+
+def _motors(
+    segments: Sequence[Segment], mean: float, nominal: NominalWrench, thresholds: CommandCurveThresholds
+) -> tuple[float, ...]:
+    """Each rotor's gain over the mean, with which the mean moment is that of the mean motion."""
+    squares = np.mean(np.concatenate([s.rotor_speed**2 for s in segments]), axis=0)
+    moments = np.concatenate([nominal.missing_moment(s) for s in segments])
     thrust = mean * squares
-    missing = np.mean(np.concatenate(moments), axis=0) - allocation[1:] @ thrust
-    change = np.linalg.pinv(allocation * thrust) @ np.concatenate([[0.0], missing])
+    missing = np.mean(moments, axis=0) - nominal.allocation[1:] @ thrust
+    change = np.linalg.pinv(nominal.allocation * thrust) @ np.concatenate([[0.0], missing])
     plausible = np.max(np.abs(change)) <= thresholds.max_motor_difference
-    motors = 1.0 + change if plausible else np.ones(len(change))
-    return FlightGain(mean, tuple(motors.tolist()))
+    return tuple((1.0 + change if plausible else np.ones(len(change))).tolist())
 
 
 def _scaled(segment: Segment, gain: FlightGain) -> Segment:
     return replace(segment, rotor_speed=segment.rotor_speed * np.sqrt(gain.mean * np.array(gain.motors)))
 
 
+@dataclass(frozen=True)
+class _CurveFit:
+    """Terms a, b, c of a curve at some lag, and the share of the vertical force's variance that it explains."""
+
+    terms: tuple[float, float, float]
+    explained: float
+
+
 def _fit(
-    segments: Sequence[Segment], hover: float, force: Floats, lag: float, thresholds: CommandCurveThresholds
-) -> tuple[Floats, float]:
-    """Terms of the curve at a lag and the share of variance that they explain; the air's terms are fitted with them."""
+    segments: Sequence[Segment],
+    hover: float,
+    force: Floats,
+    lag: float,
+    thresholds: CommandCurveThresholds,
+    *,
+    straight: bool = False,
+) -> _CurveFit:
+    """The curve at a lag; the air's terms are fitted with it. straight: with a linear term alone."""
     columns = np.concatenate([_columns(s, hover, lag) for s in segments])
     weight = np.sqrt(thresholds.independent_share) / thresholds.noise
-    deviation = np.concatenate([thresholds.term_std, np.full(columns.shape[1] - 3, thresholds.air_std)])
+    air = (thresholds.air_std, thresholds.lift_std)[: columns.shape[1] - 3]
+    curve = [1e-6, thresholds.term_std[1], 1e-6] if straight else thresholds.term_std
+    deviation = np.array([*curve, *air])
     expected = np.zeros(columns.shape[1])
     expected[1] = 1.0
     x = np.vstack([columns * weight, np.diag(1 / deviation)])
     y = np.concatenate([force * weight, expected / deviation])
     theta = np.linalg.lstsq(x, y, rcond=None)[0]
     residual = force - columns @ theta
-    return theta[:3], 1.0 - float(np.var(residual) / max(np.var(force), 1e-12))
+    a, b, c = theta[:3].tolist()
+    return _CurveFit((a, b, c), 1.0 - float(np.var(residual) / max(np.var(force), 1e-12)))
 
 
 def _columns(segment: Segment, hover: float, lag: float) -> Floats:
@@ -161,9 +273,14 @@ def _columns(segment: Segment, hover: float, lag: float) -> Floats:
     commanded = (lagged(segment.rotor_speed, segment.rate, lag) / hover) ** 2
     powers = [np.mean(commanded**k, axis=1) * GRAVITY for k in range(3)]
     if segment.has_pose:
-        velocity = np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, VELOCITY])
+        velocity = _velocity(segment)
         powers += [-velocity[:, 2], velocity[:, 0] ** 2 + velocity[:, 1] ** 2]
     return segment.low_pass(simpson(np.column_stack(powers)))[segment.decimated]
+
+
+def _velocity(segment: Segment) -> Floats:
+    """(n, 3) in body axes, m/s."""
+    return np.asarray(np.einsum("nji,nj->ni", segment.to_world, segment.smooth[:, VELOCITY]))
 
 
 def _vertical(segment: Segment) -> Floats:

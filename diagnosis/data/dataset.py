@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from diagnosis.data.command_curve import fit_command_curve
+from diagnosis.data.command_curve import CommandCurve, fit_command_curve
 from diagnosis.data.hold_out import divided, held_out_blocks, missing_motion
 from diagnosis.data.inspected import doubt_note, inspected
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
@@ -30,6 +30,7 @@ class Dataset:
     hashes: sha256 of the logs that were fitted, by path.
     notes: what the user should know of the data.
     findings: of inspection, about the flights that were used.
+    curve: thrust over command, where only commands were logged.
     """
 
     fitted: tuple[Segment, ...]
@@ -38,6 +39,7 @@ class Dataset:
     hashes: dict[str, str]
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
+    curve: CommandCurve | None = None
 
     @property
     def everything(self) -> tuple[Segment, ...]:
@@ -108,11 +110,12 @@ def make_dataset(
     hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
     flight_of = tuple(i for i, group in enumerate(fitted) for _ in group)
     to_fit, held_out = tuple(s for group in fitted for s in group), tuple(judged)
+    curve = None
     if to_fit[0].rotor_source == "command":
         curve = fit_command_curve(to_fit, held_out, vehicle, thresholds.command_curve)
-        notes.append(str(curve))
-        to_fit, held_out = (tuple(curve.applied(s, vehicle) for s in part) for part in (to_fit, held_out))
-    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings)
+        notes.append(curve.note())
+        to_fit, held_out = (tuple(curve.applied(s) for s in part) for part in (to_fit, held_out))
+    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings, curve)
 
 
 def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:

@@ -42,6 +42,7 @@ class Segment:
     pose_source: whether the pose is motion capture's or an estimator's, which used the accelerometer.
     lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
     filters: of both sides of the regression.
+    carried_mass: mass over the vehicle file's body, with which rotor speeds were taken from commands.
     """
 
     flight: str
@@ -58,6 +59,7 @@ class Segment:
     lacks: frozenset[str] = frozenset()
     pose_source: PoseSource = "unknown"
     filters: FilterThresholds = DEFAULT.filters
+    carried_mass: float = 1.0
 
     def __len__(self) -> int:
         return len(self.position)

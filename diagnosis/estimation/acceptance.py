@@ -73,7 +73,8 @@ def judged_fit(
 
     refused: effects that have been refused before. resampled: whether most flight resamples must agree.
     """
-    trial = _Trial(regression, dataset, vehicle, resampled=resampled)
+    lacking = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
+    trial = _Trial(regression, dataset, lacking, resampled=resampled)
     return trial.reduced([*candidates, *_own_effects(regression, candidates)], {c.key for c in candidates}, refused)
 
 
@@ -201,8 +202,9 @@ class _Trial:
 
     def _shows_alone(self, best: Fit, candidate: Candidate) -> bool:
         """Whether an effect that the others replace would show if they stayed as they are."""
-        values = {f"{key}.{name}": e.value for (key, name), e in best.estimates.items()}
-        fewer = with_candidates(self._vehicle, [c for c in best.candidates if c is not candidate], values)
+        values = {f"{key}.{name}": value for (key, name), value in best.values.items()}
+        others = [c for c in (*best.candidates, *best.nuisances) if c is not candidate]
+        fewer = with_candidates(self._vehicle, others, values)
         floor = self._held_out.floor(best.vehicle)
         return _strength(self._held_out.channel_changes(fewer, best.vehicle, floor)) >= self._limits.min_rise
 

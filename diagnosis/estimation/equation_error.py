@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
-from diagnosis.selection.candidates import Candidate, make_instruments
+from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors
 from diagnosis.selection.design_matrix import with_slow_moments
 from diagnosis.selection.errors_in_variables import SEED, perturbed
 from diagnosis.selection.regression import Biases, Regression, marginal
@@ -41,9 +41,11 @@ class Fit:
     vehicle: with the effects at their fitted values.
     estimates: by (effect's key, parameter).
     candidates: what was fitted.
-    covariance: (k, k) of the estimates, in their order.
+    covariance: (k, k) of the estimates, in their order, those of the commands behind them.
     information: (k, k) normal equations of the same, biases marginalised.
     unsettled: keys of effects on whose parameters the fit did not converge; their covariance says nothing.
+    nuisances: what lies between command and thrust, fitted beside them; none where rotor speeds were measured.
+    commands: estimates of these.
     """
 
     vehicle: Vehicle
@@ -52,6 +54,8 @@ class Fit:
     covariance: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     information: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     unsettled: frozenset[str] = frozenset()
+    nuisances: tuple[Candidate, ...] = ()
+    commands: Mapping[tuple[str, str], ParameterEstimate] = field(default_factory=dict)
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -61,6 +65,11 @@ class Fit:
     def of(self, candidate: Candidate) -> list[int]:
         """Places of a candidate's parameters among the estimates."""
         return [place for place, (key, _) in enumerate(self.estimates) if key == candidate.key]
+
+    @property
+    def values(self) -> dict[tuple[str, str], float]:
+        """All fitted values by (key, parameter), those of the commands behind those of the effects."""
+        return {key: estimate.value for key, estimate in (*self.estimates.items(), *self.commands.items())}
 
 
 def with_candidates(vehicle: Vehicle, candidates: Sequence[Candidate], values: Mapping[str, float]) -> Vehicle:
@@ -81,27 +90,38 @@ def fit(
     vehicle: Vehicle | None = None,
     start: Mapping[tuple[str, str], float] | None = None,
 ) -> Fit:
-    """Joint fit of candidates on the regression's flights.
+    """Joint fit of candidates on the regression's flights, and of gain and curve of commands where these are logged.
 
     vehicle: that they are added to; by default the regression's. start: values at which the fit begins, by (effect's
     key, parameter); by default the linear solution.
     """
     base = regression.vehicle if vehicle is None else vehicle
-    if not candidates:
+    together = (*candidates, *regression.nuisances)
+    if not together:
         return Fit(base, {}, ())
-    problem = _EquationErrorProblem(regression, candidates, base)
+    problem = _EquationErrorProblem(regression, together, base)
     values, last, left = _settle(problem, problem.start(start))
     covariance = last.covariance + np.outer(left, left)
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    estimates = {}
+    estimates: dict[tuple[str, str], ParameterEstimate] = {}
+    commands: dict[tuple[str, str], ParameterEstimate] = {}
     for place, (candidate, name) in enumerate(problem.free):
         unit = next(p.unit for p in candidate.effect.parameters if p.name == name)
-        estimates[candidate.key, name] = ParameterEstimate(float(values[place]), float(deviation[place]), unit)
+        group = commands if candidate in regression.nuisances else estimates
+        group[candidate.key, name] = ParameterEstimate(float(values[place]), float(deviation[place]), unit)
     named = dict(zip(problem.names, values.tolist(), strict=True))
     unsettled = frozenset(c.key for (c, _), done in zip(problem.free, settled, strict=True) if not done)
-    fitted = with_candidates(base, candidates, named)
-    return Fit(fitted, estimates, tuple(candidates), covariance, last.information, unsettled)
+    return Fit(
+        with_candidates(base, together, named),
+        estimates,
+        tuple(candidates),
+        covariance,
+        last.information,
+        unsettled,
+        regression.nuisances,
+        commands,
+    )
 
 
 def neutral_values(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> dict[int, float]:
@@ -122,13 +142,13 @@ def left_out(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[dict[
 
     vehicle: that the candidates were added to.
     """
-    keys, own = list(fitted.estimates), fitted.of(candidate)
-    values = np.array([fitted.estimates[key].value for key in keys])
+    keys, own = list(fitted.values), fitted.of(candidate)
+    values = np.array(list(fitted.values.values()))
     change = np.zeros(len(own))
     for i, value in neutral_values(fitted, candidate, vehicle).items():
         change[own.index(i)] = value - values[i]
     rest = [i for i in range(len(keys)) if i not in own]
-    others = [c for c in fitted.candidates if c is not candidate]
+    others = [c for c in (*fitted.candidates, *fitted.nuisances) if c is not candidate]
     if rest:
         scale = np.sqrt(np.maximum(np.abs(np.diag(fitted.information)[rest]), 1e-300))
         inner = fitted.information[np.ix_(rest, rest)] / np.outer(scale, scale)
@@ -151,6 +171,11 @@ class _Step:
     information: Floats
     cost: float
 
+    @property
+    def deviations(self) -> float:
+        """Length of the change, over the standard deviations."""
+        return float(np.linalg.norm(self.change / np.sqrt(np.maximum(np.diag(self.covariance), 1e-300))))
+
     def is_small(self, change: Floats, share: float) -> NDArray[np.bool_]:
         """(k,) whether a change is within a share of the standard deviations."""
         return np.asarray(np.abs(change) <= share * np.sqrt(np.maximum(np.diag(self.covariance), 0.0)) + 1e-15)
@@ -159,7 +184,8 @@ class _Step:
 def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Step, Floats]:
     """Values to which Gauss-Newton converges, the step from there, and (k,) what of it the bounds allow.
 
-    A step that makes the fit worse is halved: along a hidden state's parameters the fit is no parabola.
+    A step after which the fit is worse and the next step no smaller is halved: along a hidden state's parameters the
+    fit is no parabola. The fit alone cannot judge, since instruments do not lead to its minimum.
     """
     thresholds, values = problem.thresholds, start
     here = problem.step(values)
@@ -169,7 +195,8 @@ def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Ste
         if np.all(here.is_small(moved - values, thresholds.converged)):
             break
         there = problem.step(moved)
-        if not there.cost <= thresholds.max_cost_growth * here.cost:
+        grown = not there.cost <= thresholds.max_cost_growth * here.cost
+        if grown and not (np.isfinite(there.cost) and there.deviations < here.deviations):
             change = change / 2
             continue
         values, here, change = moved, there, there.change
@@ -232,7 +259,8 @@ class _EquationErrorProblem:
             thresholds=regression.thresholds.prediction,
         )
         self._lags = {f"{c.key}.{n}" for c, n in self.free if c.effect.rotor_speed is not None}
-        self._instrumented = [c.effect.physics is not None for c, _ in self.free]
+        self._information, self._expected = _priors(regression, self.free)
+        self._instrumented = [scales_rotors(c) for c, _ in self.free]
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random) for s in regression.segments]
 
@@ -244,7 +272,9 @@ class _EquationErrorProblem:
 
     def _linear_solution(self) -> dict[str, float]:
         """Values by the model's names, from the linear regression."""
-        theta, _ = self._regression.solve([i for c in self._candidates for i in c.columns])
+        shared = self._regression.shared.columns
+        chosen = [i for c in self._candidates for i in c.columns if i not in shared]
+        theta = np.concatenate([self._regression.solve(chosen)[0], self._regression.nuisance_values(chosen)])
         starts: dict[str, float] = {}
         place = 0
         for candidate in self._candidates:
@@ -281,6 +311,10 @@ class _EquationErrorProblem:
             gram, product = gram + free[:count, :count], product + free_product[:count]
             noisy += marginal(own, other, biases)[0][:count, :count]
             cost -= _explained_by_biases(one, other, biases)
+        off = self._expected - values
+        gram, product = gram + np.diag(self._information), product + self._information * off
+        noisy += np.diag(self._information)
+        cost += float(self._information @ off**2)
         scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
         step = inverse @ product
@@ -375,6 +409,18 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.fixed_shape:
         return tuple(candidate.at)
     return (*candidate.free, *candidate.effect.refine)
+
+
+def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tuple[Floats, Floats]:
+    """Inverse prior variances and prior means of the free parameters; those of effects have none."""
+    shared = regression.shared
+    places = {id(c): i for c in regression.nuisances for i in [shared.columns.index(c.columns[0])]}
+    information, expected = np.zeros(len(free)), np.zeros(len(free))
+    for i, (candidate, name) in enumerate(free):
+        if id(candidate) in places:
+            information[i] = shared.information[places[id(candidate)]]
+            expected[i] = next(p.neutral for p in candidate.effect.parameters if p.name == name)
+    return information, expected
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:

@@ -9,10 +9,11 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
+from diagnosis.models.command_effects import GAIN, GAIN_RATIO
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor
 from diagnosis.selection.regression import Regression
-from diagnosis.thresholds import DEFAULT, RegressionThresholds, Thresholds
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects.gyro_bias import SENSOR_PRIOR as GYRO_BIAS
@@ -33,24 +34,34 @@ def residuals(
     noise: by which each segment's own sensor errors, within specification, are estimated and removed; None: not.
     """
     measured = segments[0].rotor_source == "measured"
+    free = [GAIN_RATIO] if any(use.name == GAIN.name for use in vehicle.effects) else []
     predictor = Predictor(
-        vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction
+        vehicle, vehicle.effects, catalogue, free, speed_measured=measured, thresholds=thresholds.prediction
     )
     results = []
     for segment in segments:
         prediction = predictor.predict(segment)
         rows = channels.residual(segment, prediction)
         if noise is not None:
-            rows = _without_biases(segment, prediction, rows, noise, thresholds.regression)
+            gain = predictor.slopes(segment)[0] if predictor.free else None
+            rows = _without_biases(segment, prediction, gain, rows, noise, thresholds)
         results.append(rows)
     return results
 
 
 def _without_biases(
-    segment: Segment, prediction: Prediction, rows: Floats, noise: NoiseModel, thresholds: RegressionThresholds
+    segment: Segment,
+    prediction: Prediction,
+    gain: Prediction | None,
+    rows: Floats,
+    noise: NoiseModel,
+    thresholds: Thresholds,
 ) -> Floats:
-    """Rows less the accelerometer's and the gyro's bias and the clock's offset, as far as specification allows."""
-    columns = np.zeros((len(rows), channels.CHANNELS, 7))
+    """Rows less the accelerometer's and the gyro's bias and the clock's offset, as far as specification allows.
+
+    gain: slope of the prediction in the gain of commands, of which every flight has its own.
+    """
+    columns = np.zeros((len(rows), channels.CHANNELS, 7 if gain is None else 8))
     for axis in range(3):
         columns[:, channels.SPECIFIC_FORCE.start + axis, axis] = 1.0
         columns[:, channels.ATTITUDE_RATE.start + axis, 3 + axis] = -1.0
@@ -58,9 +69,12 @@ def _without_biases(
     both = channels.predicted(segment, [prediction, later])
     columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
     deviation = np.array([ACCELEROMETER_BIAS] * 3 + [GYRO_BIAS] * 3 + [CLOCK_OFFSET])
-    white = noise.whiten(columns).reshape(-1, 7)
+    if gain is not None:
+        columns[:, :, 7] = channels.predicted(segment, [gain])[:, :, 0]
+        deviation = np.append(deviation, thresholds.command_curve.flight_gain_std)
+    white = noise.whiten(columns).reshape(-1, columns.shape[2])
     off = np.linalg.solve(white.T @ white + np.diag(deviation**-2), white.T @ noise.whiten(rows).ravel())
-    limit = thresholds.max_bias * deviation
+    limit = thresholds.regression.max_bias * deviation
     off = np.clip(off, -limit, limit)
     return np.asarray(rows - columns @ off)
 

@@ -20,7 +20,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate, bounds, with_candidates
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import SimulatedWindows, Simulator, healthy
-from diagnosis.selection.candidates import make_instruments
+from diagnosis.selection.candidates import make_instruments, scales_rotors
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -68,7 +68,7 @@ def refit(
     if not free or any(s.lacks for s in (*fitted, *held_out)):
         return None
     names = [f"{c.key}.{name}" for c, name in free]
-    instrumented = [c.effect.physics is not None for c, _ in free]
+    instrumented = [scales_rotors(c) for c, _ in free]
     problem, held_out_problem = (
         _OutputErrorProblem(initial.vehicle, catalogue, part, names, instrumented, thresholds)
         for part in (fitted, held_out)

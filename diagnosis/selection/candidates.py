@@ -19,6 +19,7 @@ import numpy as np
 
 from diagnosis.data.filters import difference, slow
 from diagnosis.data.segment import Segment
+from diagnosis.models.command_effects import COMMAND_EFFECTS
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.visibility import can_show
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
@@ -138,6 +139,11 @@ def _grid(
     return [({**present, **held}, ()) for held in others if any(held[n] != present[n] for n in names)]
 
 
+def scales_rotors(candidate: Candidate) -> bool:
+    """Whether a candidate's columns are the rotors' forces, which feedback correlates with the disturbance."""
+    return candidate.effect.physics is not None or candidate.effect.name in COMMAND_EFFECTS
+
+
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
     """The vehicle file's effects except this one."""
     return tuple(u for u in vehicle.effects if (u.name, u.rotor) != (candidate.effect.name, candidate.rotor))
@@ -180,8 +186,9 @@ def make_instruments(segment: Segment, vehicle: Vehicle) -> Instruments:
         return slow(values, segment.rate, segment.filters)
 
     inertia = np.array(vehicle.body.inertia)
-    rate = slow_part(segment.rate_from_attitude)
-    moment = inertia * slow_part(difference(segment.rate_from_attitude, segment.rate))
+    turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate
+    rate = slow_part(turning)
+    moment = inertia * slow_part(difference(turning, segment.rate))
     moment += np.cross(rate, inertia * rate)
     allocation = vehicle.rotors.allocation
     wrench = np.column_stack([segment.rotor_speed**2 @ allocation[0], moment])

@@ -22,6 +22,7 @@ from diagnosis.selection.candidates import (
     make_candidates,
     make_instruments,
     make_predictor,
+    scales_rotors,
 )
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
@@ -65,7 +66,7 @@ class DesignMatrix:
         self._source = _ModelSource(vehicle, catalogue, example, thresholds)
         self.present = self._source.predictor(vehicle.effects)
         together = [c for c in candidates if _vanishes_beside_others(c, candidates)]
-        joint = [[c for c in together if _scales_rotors(c) is scaled] for scaled in (False, True)]
+        joint = [[c for c in together if scales_rotors(c) is scaled] for scaled in (False, True)]
         self._groups = [self._source.joint(group) for group in joint if group]
         self._groups += self._source.alone([c for c in candidates if c not in together])
 
@@ -160,7 +161,7 @@ class _ModelSource:
         others = [use for use in self.vehicle.effects if (use.name, use.rotor) not in own]
         free = [f"{c.key}.{name}" for c in candidates for name in c.free]
         predictor = self.predictor([*others, *(c.use() for c in candidates)], free)
-        return _Group(tuple(candidates), predictor, _scales_rotors(candidates[0]))
+        return _Group(tuple(candidates), predictor, scales_rotors(candidates[0]))
 
     def alone(self, candidates: Sequence[Candidate]) -> list[_Group]:
         """A group for each candidate; those at several points of one grid share a model."""
@@ -169,7 +170,7 @@ class _ModelSource:
         for c in candidates:
             if (c.key, c.free) not in shared:
                 shared[c.key, c.free] = make_predictor(self.vehicle, self.catalogue, c, self.example, self.thresholds)
-            groups.append(_Group((c,), shared[c.key, c.free], _scales_rotors(c)))
+            groups.append(_Group((c,), shared[c.key, c.free], scales_rotors(c)))
         return groups
 
 
@@ -178,10 +179,6 @@ def _vanishes_beside_others(candidate: Candidate, candidates: Sequence[Candidate
     alone = sum(c.key == candidate.key for c in candidates) == 1
     moves = effect.hidden or effect.wind is not None or effect.rotor_speed is not None or effect.resists_air
     return alone and not candidate.fixed_shape and not moves
-
-
-def _scales_rotors(candidate: Candidate) -> bool:
-    return candidate.effect.physics is not None
 
 
 def _predictions(

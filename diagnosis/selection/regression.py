@@ -3,6 +3,9 @@
 Every flight has its own clock offset, gyro's bias and accelerometer's bias, with the sensors' specification as their
 prior: millisecond offsets are otherwise the most frequent false alarm. They are marginalised at once, so that a fault
 of a sensor is what all flights share beyond them. So is a gust of a given strength (`Regression.in_gust`).
+
+Where only commands were logged, the gain and the curve from command to thrust are unknowns that all flights share. They
+are marginalised in every solution, so that drag, mass and inertia compete with them on equal terms.
 """
 
 from __future__ import annotations
@@ -14,13 +17,14 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
+from diagnosis.models.command_effects import COMMAND_EFFECTS, GAIN, prior_deviation, with_command_effects
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
 from diagnosis.selection.errors_in_variables import design_errors
 from diagnosis.selection.noise import NoiseModel, estimate_noise
-from diagnosis.thresholds import DEFAULT, GustThresholds, Thresholds
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -28,14 +32,24 @@ from dynamics.vehicle import Vehicle
 
 @dataclass(frozen=True, eq=False)
 class Biases:
-    """Each flight's own sensor errors.
+    """Unknowns with a prior that are marginalised: each flight's own errors, or what all flights share.
 
     columns: their places among the columns.
     information: their inverse prior variances.
+    expected: prior means as distances from the point about which the columns are linear; None: zero.
     """
 
     columns: tuple[int, ...]
     information: Floats
+    expected: Floats | None = None
+
+    @property
+    def pull(self) -> Floats:
+        """Information times expected, which the prior adds to the product."""
+        return np.zeros(len(self.columns)) if self.expected is None else self.information * self.expected
+
+
+NO_BIASES = Biases((), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,12 +83,16 @@ class Regression:
 
     segments, flight_of: what was fitted, and the flight of each segment.
     candidates: all of them; the model that they are added to is the vehicle's.
+    nuisances: corrections of the vehicle's command gain and curve, in every fit and never named; none where rotor
+        speeds were measured.
     noise: by which residuals are whitened.
     rows: (m, 12) residuals of the vehicle's model, a segment each.
     columns: (m, 12, k) for detection, a segment each.
     gram, product: (k, k) and (k,) a flight, with errors-in-variables correction, biases marginalised.
     plain_gram, plain_product: biases marginalised, without that correction.
     joint_gram, joint_product: with that correction, biases not marginalised.
+    biases: each flight's own.
+    shared: the nuisances' priors; `gram` and `product` hold their columns like any others.
     observations: number of whitened residuals of each flight.
     rate: of the rows, Hz.
     design: makes rows and columns of other segments.
@@ -110,6 +128,8 @@ class Regression:
     thresholds: Thresholds = DEFAULT
     gust_variance: float = 0.0
     not_followed: tuple[str, ...] = ()
+    nuisances: tuple[Candidate, ...] = ()
+    shared: Biases = NO_BIASES
 
     @property
     def flights(self) -> range:
@@ -141,11 +161,29 @@ class Regression:
         return theta, float(gain)
 
     def summed(self, flights: Sequence[int] | None = None, *, plain: bool = False) -> tuple[Floats, Floats]:
-        """(k, k) and (k,) normal equations of all columns, summed over flights, by default all of them."""
+        """(k, k) and (k,) normal equations of all columns, summed over flights, with what these share marginalised.
+
+        flights: by default all of them.
+        """
+        return marginal(*self._sums(range(len(self.product[0])), flights, plain=plain), self.shared)
+
+    def nuisance_values(self, chosen: Sequence[int]) -> Floats:
+        """Coefficients of what the flights share, beside the chosen columns."""
+        places, where = list(self.shared.columns), list(chosen)
+        theta, _ = self.solve(where)
+        gram, product = self._sums([*places, *where])
+        count = len(places)
+        inner = gram[:count, :count] + np.diag(self.shared.information)
+        return np.asarray(np.linalg.solve(inner, product[:count] + self.shared.pull - gram[:count, count:] @ theta))
+
+    def _sums(
+        self, places: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
+    ) -> tuple[Floats, Floats]:
+        """(p, p) and (p,) normal equations of the columns at some places, summed over flights."""
+        flights = self.flights if flights is None else flights
         grams, products = (self.plain_gram, self.plain_product) if plain else (self.gram, self.product)
-        width, flights = len(products[0]), self.flights if flights is None else flights
-        gram: Floats = sum((grams[f] for f in flights), np.zeros((width, width)))
-        product: Floats = sum((products[f] for f in flights), np.zeros(width))
+        gram: Floats = sum((grams[f][np.ix_(places, places)] for f in flights), np.zeros((len(places), len(places))))
+        product: Floats = sum((products[f][places] for f in flights), np.zeros(len(places)))
         return gram, product
 
     def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
@@ -153,15 +191,26 @@ class Regression:
         return self.solve(chosen, flights)[1]
 
     def cross_validated_gain(self, chosen: Sequence[int]) -> float:
-        """The same on each flight with coefficients from the others, without errors-in-variables correction."""
+        """The same on each flight with coefficients from the others, without errors-in-variables correction.
+
+        The gain and the curve of commands are estimated on the flight itself.
+        """
         where = list(chosen)
         if not where:
             return 0.0
-        grams = np.array([gram[np.ix_(where, where)] for gram in self.plain_gram])
-        products = np.array([product[where] for product in self.plain_product])
-        theta, _ = solved(grams.sum(axis=0) - grams, products.sum(axis=0) - products)
+        flights = self.flights
+        others = [self._plain(where, [f for f in flights if f != flight]) for flight in flights]
+        theta, _ = solved(*map(np.array, _unzipped(others)))
+        grams, products = map(np.array, _unzipped(self._plain(where, [flight]) for flight in flights))
         quadratic = np.einsum("fi,fij,fj->", theta, grams, theta)
         return float(2 * np.sum(theta * products) - quadratic)
+
+    def _plain(self, where: Sequence[int], flights: Sequence[int]) -> tuple[Floats, Floats]:
+        """The same sums for some columns, without errors-in-variables correction."""
+        count, every = len(where), [*where, *self.shared.columns]
+        shared = replace(self.shared, columns=tuple(range(count, len(every))))
+        gram, product = marginal(*self._sums(every, flights, plain=True), shared)
+        return gram[:count, :count], product[:count]
 
     @property
     def feels_air(self) -> bool:
@@ -192,7 +241,8 @@ class Regression:
 
     def gust_profile(self, chosen: Sequence[int], variances: Sequence[float]) -> GustProfile:
         """The likelihood of gusts of these variances beside the chosen columns."""
-        off = list(self.biases.columns)
+        shared = replace(self.shared, columns=tuple(range(len(chosen), len(chosen) + len(self.shared.columns))))
+        chosen, off = [*chosen, *self.shared.columns], list(self.biases.columns)
         own = [i for i in chosen if i not in off]
         alike = [own.index(i) if i in own else len(own) + off.index(i) for i in chosen]
         gains = np.zeros((len(variances), len(self.equations)))
@@ -206,11 +256,13 @@ class Regression:
                 grams[v, f], products[v, f] = free[np.ix_(alike, alike)], free_product[alike]
                 gains[v, f] = explained_by_biases(gram, product, biases)
                 gains[v, f] += 0.0 if one.waves is None else one.waves.gain(variance)
-        return GustProfile(tuple(variances), gains, grams, products)
+        return GustProfile(tuple(variances), gains, grams, products, shared)
 
     def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
-        """(m, 12) residual of each segment without the chosen columns and its flight's biases."""
-        where, theta = list(chosen), self.solve(chosen)[0]
+        """(m, 12) residual of each segment without the chosen columns, its flight's biases and what flights share."""
+        where = [*chosen, *(i for i in self.shared.columns if i not in chosen)]
+        beside = dict(zip(self.shared.columns, self.nuisance_values(chosen).tolist(), strict=True))
+        theta = np.concatenate([self.solve(chosen)[0], [beside[i] for i in where[len(chosen) :]]])
         off = []
         for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
             places = list(self.biases.columns)
@@ -229,19 +281,27 @@ class GustProfile:
     variances: (v,) (m/s)^2.
     gains: (v, f) twice the log-likelihood gained by the gust and the flight's biases.
     grams, products: (v, f, p, p) and (v, f, p) normal equations of the columns.
+    shared: the last of these, which all flights share, with their prior.
     """
 
     variances: tuple[float, ...]
     gains: Floats
     grams: Floats
     products: Floats
+    shared: Biases = NO_BIASES
 
     def total(self, weights: Floats | None = None) -> Floats:
         """(v,) twice the log-likelihood, columns included. weights: (f,) how often each flight counts."""
         counts = np.ones(self.gains.shape[1]) if weights is None else weights
         total = self.gains @ counts
         if self.products.shape[2]:
-            total = total + solved(np.einsum("vfij,f->vij", self.grams, counts), counts @ self.products)[1]
+            prior, pull = np.zeros(self.products.shape[2]), np.zeros(self.products.shape[2])
+            prior[list(self.shared.columns)], pull[list(self.shared.columns)] = (
+                self.shared.information,
+                self.shared.pull,
+            )
+            gram = np.einsum("vfij,f->vij", self.grams, counts) + np.diag(prior)
+            total = total + solved(gram, counts @ self.products + pull)[1]
         return np.asarray(total)
 
 
@@ -261,14 +321,17 @@ def make_regression(
     thresholds: Thresholds = DEFAULT,
 ) -> Regression:
     """The regression of all candidates over segments of flights numbered from 0."""
+    vehicle, catalogue = with_command_effects(vehicle, catalogue, segments)
     evaluated = evaluate_design(vehicle, catalogue, segments, thresholds.prediction)
-    candidates, design, rows, columns = evaluated.candidates, evaluated.matrix, evaluated.rows, evaluated.columns
+    design, rows, columns = evaluated.matrix, evaluated.rows, evaluated.columns
+    candidates = tuple(c for c in evaluated.candidates if c.effect.name not in COMMAND_EFFECTS)
+    nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)
     errors = design_errors(segments, design, rows, columns)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
     joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
-    biases = sensor_biases(candidates)
+    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
     gram, product = _marginals(joint_gram, joint_product, biases)
     plain_gram, plain_product = _marginals(
         [one.plain_gram for one in equations], [one.plain_product for one in equations], biases
@@ -300,6 +363,8 @@ def make_regression(
         pose=pose,
         thresholds=thresholds,
         not_followed=evaluated.not_followed,
+        nuisances=nuisances,
+        shared=shared_unknowns(nuisances, thresholds.command_curve),
     )
 
 
@@ -374,7 +439,7 @@ def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Flo
     """One flight's normal equations with its biases integrated out under their prior. gram: (k, k), product: (k,)."""
     places = list(biases.columns)
     inner = gram[np.ix_(places, places)] + np.diag(biases.information)
-    solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places]]))
+    solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places] + biases.pull]))
     return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
 
 
@@ -396,6 +461,24 @@ def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Seque
     size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
     x = x / size
     return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
+
+
+def flight_biases(
+    candidates: Sequence[Candidate], nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds
+) -> Biases:
+    """Each flight's own sensor errors and its own deviation from the gain of commands that all flights share."""
+    sensors = sensor_biases(candidates)
+    gains = [column for c in nuisances if c.effect is GAIN for column in c.columns]
+    information = np.full(len(gains), thresholds.flight_gain_std**-2)
+    return Biases((*sensors.columns, *gains), np.concatenate([sensors.information, information]))
+
+
+def shared_unknowns(nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds) -> Biases:
+    """The gain, the motors' gains and the curve's bend, about their neutral values."""
+    columns = [column for c in nuisances for column in c.columns]
+    deviations = [prior_deviation(c.effect, thresholds) for c in nuisances]
+    expected = [c.effect.parameters[0].neutral - c.at[c.effect.parameters[0].name] for c in nuisances]
+    return Biases(tuple(columns), np.array(deviations) ** -2.0, np.array(expected))
 
 
 def sensor_biases(candidates: Sequence[Candidate]) -> Biases:

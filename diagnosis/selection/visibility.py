@@ -26,7 +26,7 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
     if effect.acts_on == "rotor_speed_reading":
         return source == "measured"
     if effect.acts_on == "command_gain" and source == "command":
-        return False  # where only commands were logged their gain is an unknown of its own, which absorbs this
+        return False  # where only commands were logged their gain is an unknown of its own, which is this
     if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
     lacks = frozenset[str]().union(*(s.lacks for s in segments))

@@ -13,7 +13,7 @@ from diagnosis.data.segment import Segment, segments
 from diagnosis.selection.visibility import state_dependencies
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
-from dynamics.vehicle import Vehicle
+from dynamics.vehicle import EffectUse, Vehicle
 from flights import Flight
 from tests.diagnosis.conftest import with_columns
 
@@ -52,8 +52,36 @@ def test_gains_and_curve_are_recovered_and_give_the_rotors_speeds_back(
     assert curve.explained > 0.95
     for segment in commanded:
         plain = segments(plain_flights[int(segment.flight[-1])], arpl_250g)[0]
-        speed = curve.applied(segment, arpl_250g).rotor_speed
+        speed = curve.applied(segment).rotor_speed
         assert np.sqrt(np.mean((speed / plain.rotor_speed - 1) ** 2)) < 0.03
+
+
+def with_drag(segment: Segment, drag: float) -> Segment:
+    """The segment with a drag along the body's axes in what the accelerometer reads. drag: over mass, 1/s."""
+    assert segment.specific_force is not None
+    velocity = np.einsum("nji,nj->ni", segment.to_world, segment.velocity)
+    return replace(segment, specific_force=segment.specific_force - drag * velocity)
+
+
+@pytest.mark.parametrize("in_file", [False, True])
+def test_drag_does_not_count_as_missing_thrust(commanded: list[Segment], arpl_250g: Vehicle, in_file: bool) -> None:
+    """In tilted flight drag points down the body's axis."""
+    drag = 0.8
+    plain = fit_command_curve(commanded, (), arpl_250g).gains
+    use = EffectUse("linear_drag", {"coefficient": drag * arpl_250g.body.mass})
+    vehicle = arpl_250g.with_effects(use) if in_file else arpl_250g
+    gains = fit_command_curve([with_drag(s, drag) for s in commanded], (), vehicle).gains
+    for name, gain in plain.items():
+        assert gains[name].mean == pytest.approx(gain.mean, rel=0.01)
+
+
+def test_a_mass_in_the_vehicle_file_is_carried_by_the_gain(commanded: list[Segment], arpl_250g: Vehicle) -> None:
+    heavier = arpl_250g.with_effects(EffectUse("mass", {"ratio": 1.25}))
+    plain, curve = (fit_command_curve(commanded, (), vehicle) for vehicle in (arpl_250g, heavier))
+    for segment in commanded:
+        assert curve.gains[segment.flight].mean == pytest.approx(1.25 * plain.gains[segment.flight].mean, rel=0.005)
+        light, heavy = (of.applied(segment).rotor_speed for of in (plain, curve))
+        np.testing.assert_allclose(heavy**2, 1.25 * light**2, rtol=0.03)
 
 
 def test_a_held_out_flight_gets_its_own_gain(commanded: list[Segment], arpl_250g: Vehicle) -> None:

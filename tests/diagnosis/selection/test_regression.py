@@ -1,5 +1,7 @@
 """The regression recovers what is planted, with the covariance that least squares promises."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -62,3 +64,33 @@ def test_a_flights_own_bias_is_taken_out_of_its_residuals(arpl_250g):
     assert theta[0] == pytest.approx(0.4, abs=0.1)
     for residual in of_all.residuals_after([0]):
         assert np.mean(residual**2) == pytest.approx(1.0, abs=0.15)
+
+
+def test_what_all_flights_share_is_fitted_beside_the_chosen_columns(arpl_250g):
+    """A column that is collinear with a shared unknown has the coefficient of a joint least squares with its prior."""
+    random = np.random.default_rng(4)
+    columns = []
+    for _ in range(3):
+        x = random.standard_normal((60, CHANNELS, 3))
+        x[:, :, 1] += 0.8 * x[:, :, 0]
+        columns.append(x)
+    rows = [x @ np.array([0.3, 0.5, 0.0]) + random.standard_normal((60, CHANNELS)) for x in columns]
+    candidates = [candidate(effect(name), i) for i, name in enumerate("abc")]
+    frozen = regression(arpl_250g, candidates, columns, rows)
+    of_all = replace(frozen, shared=Biases((1,), np.array([40.0]), np.array([0.2])))
+    theta, gain = of_all.solve([0, 2])
+    x, y = np.vstack([c.reshape(-1, 3) for c in columns]), np.concatenate([r.ravel() for r in rows])
+    prior = np.diag([0.0, 40.0, 0.0])
+    together = np.linalg.solve(x.T @ x + prior, x.T @ y + [0.0, 40.0 * 0.2, 0.0])
+    np.testing.assert_allclose(theta, together[[0, 2]], rtol=1e-6)
+    np.testing.assert_allclose(of_all.nuisance_values([0, 2]), together[[1]], rtol=1e-6)
+
+    def cost(values):
+        return np.sum((y - x @ values) ** 2) + 40.0 * (values[1] - 0.2) ** 2
+
+    alone = np.array([0.0, of_all.nuisance_values([])[0], 0.0])
+    assert gain == pytest.approx(cost(alone) - cost(together), rel=1e-6)
+    assert abs(frozen.solve([0, 2])[0][0] - 0.3) > 0.3 > 10 * abs(theta[0] - 0.3)
+    residual = np.concatenate([r.ravel() for r in of_all.residuals_after([0, 2])])
+    np.testing.assert_allclose(residual, y - x @ together, atol=1e-6)
+    assert of_all.cross_validated_gain([0]) == pytest.approx(of_all.gain([0]), rel=0.2)
