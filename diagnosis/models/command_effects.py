@@ -73,7 +73,7 @@ COMMAND_EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in (GAIN
 
 
 def _carried(reference: float) -> Effect:
-    """The effect of a mass that the thrust carries. reference: mass ratio at which rotor speeds follow from commands."""
+    """The effect of a mass that the thrust carries. reference: mass ratio for which commands became rotor speeds."""
 
     def physics(body: Physics, p: Values, environment: Environment, rotor: int | None) -> Physics:
         share = p["ratio"] / reference
