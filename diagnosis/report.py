@@ -125,7 +125,8 @@ def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     if diagnosis.verdict == "explained":
         return "The model explains these flights down to the sensors' noise."
-    missing = " and ".join(_described(effect) + _look_alikes(effect) for effect in diagnosis.effects)
+    named = [_described(effect) + _look_alikes(effect) for effect in diagnosis.effects]
+    missing = ("; and " if any(effect.ambiguous_with for effect in diagnosis.effects) else " and ").join(named)
     if diagnosis.verdict == "unknown":
         partly = f" Part of it looks like {missing}." if missing else ""
         left = f" ({leftover_sentence(diagnosis.leftover[0])})" if diagnosis.leftover else ""

@@ -217,7 +217,7 @@ def _largest(test: str, parts: Mapping[int, tuple[float, tuple[Floats, ...]]], f
         return None
     channel = max(there, key=lambda c: parts[c][0] / floor[c])
     rms, part = parts[channel]
-    return Finding(test, channel, rms, rms / float(floor[channel]), part)
+    return Finding(test, channel, float(rms), float(rms / floor[channel]), part)
 
 
 def _band(values: Floats, rate: float, band: tuple[float, float]) -> Floats:
