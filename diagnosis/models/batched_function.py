@@ -30,17 +30,18 @@ class RowFunction:
         count = next(len(a) for i, a in enumerate(arguments) if not self._single(i))
         ready = [np.ascontiguousarray(a, dtype=float) for a in arguments]
         result = np.empty((count, self._function.size1_out(0)))
-        size = count if self._chained else BLOCK
-        for start in range(0, count, size):
-            part = [a if self._single(i) else a[start : start + size] for i, a in enumerate(ready)]
-            rows = min(size, count - start)
-            if rows == size:
-                self._run(size, part, result[start : start + size])
+        for start in range(0, count, BLOCK):
+            part = [a if self._single(i) else a[start : start + BLOCK] for i, a in enumerate(ready)]
+            rows = min(BLOCK, count - start)
+            if rows == BLOCK:
+                self._run(BLOCK, part, result[start : start + BLOCK])
             else:  # the last block is filled up with copies of its last row
-                spare = np.empty((size, result.shape[1]))
-                filled = [a if self._single(i) else _filled_up(a, size) for i, a in enumerate(part)]
-                self._run(size, filled, spare)
+                spare = np.empty((BLOCK, result.shape[1]))
+                filled = [a if self._single(i) else _filled_up(a, BLOCK) for i, a in enumerate(part)]
+                self._run(BLOCK, filled, spare)
                 result[start:] = spare[:rows]
+            if self._chained:
+                ready[0] = result[min(start + BLOCK, count) - 1].copy()
         return result
 
     def _run(self, count: int, arguments: list[Floats], result: Floats) -> None:

@@ -99,6 +99,7 @@ class Predictor:
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
         self._lags, self._step_bounds = _lags(self.model)
         self._advances: dict[int, RowFunction] = {}
+        self._followed: dict[int, tuple[Segment, bytes, Floats]] = {}  # last hidden states along a segment
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -136,7 +137,12 @@ class Predictor:
         Hidden states are not finite where the rate is too low for them.
         """
         values = self.values() if p is None else p
-        hidden = self._hidden(segment, values) if self.model.hidden_count else np.zeros((len(segment), 0))
+        if not self.model.hidden_count:
+            return segment.smooth
+        segment_before, values_before, hidden = self._followed.get(id(segment), (None, b"", np.zeros(0)))
+        if segment_before is not segment or values_before != values.tobytes():
+            hidden = self._hidden(segment, values)
+            self._followed[id(segment)] = (segment, values.tobytes(), hidden)
         return np.hstack([segment.smooth, hidden])
 
     def _arguments(
