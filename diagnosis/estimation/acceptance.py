@@ -123,6 +123,7 @@ class _Trial:
         self._limits, self._search = regression.thresholds.relevance, Search(regression)
         self._held_out, self._resampled = HeldOut(regression, dataset.held_out), resampled
         self._fits: dict[frozenset[str], Fit] = {}
+        self._shares: dict[tuple[frozenset[str], str], float] = {}
 
     def reduced(self, candidates: Sequence[Candidate], chosen: set[str], refused: Sequence[Refused]) -> Accepted:
         """Leave out the weakest effect that fails, until none does. chosen: keys of those that are not the file's."""
@@ -210,10 +211,13 @@ class _Trial:
 
     def _agreement(self, best: Fit, candidate: Candidate) -> float:
         """Share of flight resamples that name an effect, or one that these flights cannot tell from it."""
-        others = [c for c in best.candidates if c is not candidate]
-        rivals = rivals_of(self._search, others, candidate)
-        near = near_rivals(self._search, others, rivals)
-        return resample_share(self._search, others, rivals, near)
+        place = (frozenset(best.keys), candidate.key)
+        if place not in self._shares:
+            others = [c for c in best.candidates if c is not candidate]
+            rivals = rivals_of(self._search, others, candidate)
+            near = near_rivals(self._search, others, rivals)
+            self._shares[place] = resample_share(self._search, others, rivals, near)
+        return self._shares[place]
 
     def _open_loop_failure(self, best: Fit) -> list[tuple[Candidate, Refused]]:
         """The effect that makes an open-loop error worse, if any does; empty where none is worse."""
