@@ -17,7 +17,7 @@ from dynamics.arrays import Floats
 from dynamics.references.campaign import REAL_WORLD
 from dynamics.vehicle_file import parse_effect
 from fixtures.outside_cases import AIR, BY_COMMAND, BY_SPEED, Campaign, flown, milder, sized, write_campaign
-from fixtures.outside_effects import CATALOGUED, FOREIGN, OF_SENSORS, OPEN, wrench_of
+from fixtures.outside_effects import CATALOGUED, FOREIGN, OF_SENSORS, wrench_of
 from fixtures.outside_sensors import CAPTURE, PX4_ACCELEROMETER, PX4_GYRO, Recorder
 from fixtures.outside_simulator import ROW_STEPS, STEP, TURBULENCE, G, Truth, merged
 from vehicles import FOLDER
@@ -33,7 +33,7 @@ SEVERAL = (  # at most one of each group at once: within a group no data can tel
 )  # fmt: skip
 KINDS = {
     "nothing": NOTHING, "single": (*CATALOGUED, *OF_SENSORS), "own": OWN, "estimator": ESTIMATED, "outside": FOREIGN,
-    "open": OPEN, "many": ("nine", "random"), "add": ("single", "random", "outside", "estimator"),
+    "many": ("nine", "random"), "add": ("single", "random", "outside", "estimator"),
 }  # fmt: skip
 FAST_FLIGHTS = ("Lemniscate*", "Ellipse_*", "Parabola")
 NINE_FLIGHTS = ("Lemniscate*", "Ellipse_*", "Parabola", "WarpedEllipse*")
@@ -187,7 +187,7 @@ def strengths(campaign: Campaign, truths: Sequence[Truth]) -> dict[str, float]:
     floor = _floors(campaign)
     faults = campaign.hidden
     late = faults.get("time_delay", {}).get("delay", 0.0)
-    turned = late + faults.get("attitude_late", {}).get("delay", 0.0)
+    turned = late + faults.get("attitude_delay", {}).get("delay", 0.0)
     bias = np.linalg.norm([faults.get("gyro_bias", {}).get(axis, 0.0) for axis in "xyz"])
     made = {
         "imu": np.sqrt(max(_rms(force) ** 2 - floor["turbulent_force"] ** 2, 0.0)),
@@ -220,7 +220,7 @@ def _missed(campaign: Campaign, truth: Truth) -> tuple[Floats, Floats]:
     )  # fmt: skip
     force, moment = wrench_of(fleet, state, 0)
     felt = truth.force + np.array([faults.get("imu_bias", {}).get(axis, 0.0) for axis in "xyz"])
-    turned = np.array([faults.get("imu_turned", {}).get(axis, 0.0) for axis in "xyz"])
+    turned = np.array([faults.get("imu_misalignment", {}).get(axis, 0.0) for axis in "xyz"])
     felt = felt - np.cross(turned, truth.force)
     twisted = (moment - np.cross(truth.rate, frame.inertia * truth.rate)) / frame.inertia
     return felt - force / frame.mass, np.gradient(truth.rate, ROW_STEPS * STEP, axis=0) - twisted

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fixtures.outside_effects import FOREIGN, OPEN
+from fixtures.outside_effects import FOREIGN
 
 Result = Mapping[str, Any]
 MEDIUM = 0.4  # times the noise, from which on an effect counts as medium
@@ -16,8 +16,6 @@ AT_FLOOR = 1.1
 VALUE = 0.05  # relative error of a parameter
 NAMES: Mapping[str, tuple[str, ...]] = {  # under which the catalogue may know what the simulator hides
     "lost_propeller": ("weak_rotor",),
-    "imu_turned": ("imu_misalignment",),
-    "attitude_late": ("attitude_delay",),
     "centre_of_mass": ("centre_of_mass", "imu_lever_arm", "pose_lever_arm"),  # the sensors stay where they were
 }
 ALIKE = ({"mass", "thrust_constant"}, {"torque_constant", "inertia"}, {"wind", "gust"})  # nothing tells these apart
@@ -85,9 +83,6 @@ def table(results: Sequence[Result]) -> str:
     lines.append(_line("outside the catalogue: unknown", foreign, lambda r: verdict(r) == "unknown", ">= 90 %"))
     reasoned = [r for r in foreign if verdict(r) == "unknown"]
     lines.append(_line("of these with a reason", reasoned, lambda r: bool(r["report"].get("leftover")), "100 %"))
-    for name in OPEN:
-        some = [r for r in flown if r["name"] == name and strength(r) >= MEDIUM]
-        lines.append(_line(f"{name}: named rightly or unknown", some, lambda r: not claimed(r), ">= 90 %"))
     lines += several(flown)
     lines += loops([r for r in flown if r["kind"] == "add"])
     lines += intervals(flown)
@@ -250,7 +245,7 @@ def fault_of(r: Result) -> str:
             if all(right(e, r["hidden"], rivals=True) for e in effects(r))
             else "false"
         )
-    if r["name"] in (*FOREIGN, *OPEN):
+    if r["name"] in FOREIGN:
         return "claimed" if claimed(r) else "missed" if strength(r) >= MEDIUM and verdict(r) == "explained" else ""
     if strength(r) < MEDIUM:
         return "claimed" if claimed(r) else ""

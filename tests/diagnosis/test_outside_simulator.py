@@ -11,11 +11,13 @@ import alula
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model
 from fixtures.outside_cases import SIZES, Campaign, file_of, flown, sized, use_of, write_campaign
-from fixtures.outside_effects import CATALOGUED, OF_SENSORS, OPEN, wrench_of
+from fixtures.outside_effects import CATALOGUED, OF_SENSORS, wrench_of
 from fixtures.outside_sensors import PX4_TILT, Recorder, drifting
 from fixtures.outside_simulator import Airframe, G, merged
+from flights.pose_source import source_of
 
-STATIC = [n for n in CATALOGUED if n not in ("slung_load", "battery_sag", "motor_lag", "wind", "gust")]
+NOT_STATIC = ("slung_load", "battery_sag", "motor_lag", "wind", "gust", "lost_propeller")
+STATIC = [n for n in CATALOGUED if n not in NOT_STATIC]
 QUIET = Campaign({}, {}, Recorder(noise=0.0), lag_declared=False, fast=False, flights=1, seed=3, duration=3.0)
 
 
@@ -63,11 +65,9 @@ def test_it_computes_the_same_accelerations_as_our_model(name):
 
 def test_every_effect_of_the_catalogue_can_be_hidden_or_is_listed():
     elsewhere = {"wall_effect", "imu_lever_arm", "pose_lever_arm"}  # no walls; lever arms come with centre_of_mass
-    under_other_names = {"imu_misalignment": "imu_turned", "attitude_delay": "attitude_late"}
-    hidden = {*CATALOGUED, *OF_SENSORS, *OPEN, *(n for n, other in under_other_names.items() if other in OPEN)}
-    assert set(CATALOGUE) - hidden <= elsewhere
+    assert set(CATALOGUE) - {*CATALOGUED, *OF_SENSORS} <= elsewhere
     assert {*CATALOGUED, *OF_SENSORS} <= set(SIZES)
-    assert all(use_of(n, sized(n, QUIET.frame, np.random.default_rng(0))).name == n for n in CATALOGUED)
+    assert all(use_of(n, sized(n, QUIET.frame, np.random.default_rng(0))).name == n for n in SIZES)
 
 
 def test_the_accelerometer_feels_what_moves_the_vehicle():
@@ -104,6 +104,7 @@ def test_its_logs_are_read_with_all_that_they_hold(pose, tmp_path):
     (log,) = [path for path in tmp_path.iterdir() if path.suffix != ".toml"]
     flight = alula.read_flight(log)
     assert flight.duration == pytest.approx(3.0, abs=0.1)
+    assert (source_of(flight.metadata) == "estimator") == (pose == "estimator")
     at = np.searchsorted(truths[0].time, 2.0)
     row = np.searchsorted(flight.time, 2.0)
     where = [flight[f"position_{axis}"][row] for axis in "xyz"]

@@ -60,8 +60,8 @@ def cases() -> list[object]:
 
 @pytest.mark.parametrize(("real", "statement"), cases())
 def test_statement(real: RealSet, statement: Statement) -> None:
-    given = answer(real.name)
-    assert statement.holds(given), str(given)
+    result = answer(real.name)
+    assert statement.holds(result), str(given)
 
 
 def test_every_pending_statement_exists() -> None:
