@@ -61,7 +61,7 @@ def cases() -> list[object]:
 @pytest.mark.parametrize(("real", "statement"), cases())
 def test_statement(real: RealSet, statement: Statement) -> None:
     result = answer(real.name)
-    assert statement.holds(result), str(given)
+    assert statement.holds(result), str(result)
 
 
 def test_every_pending_statement_exists() -> None:
