@@ -262,7 +262,7 @@ class _EquationErrorProblem:
         self._information, self._expected = _priors(regression, self.free)
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
         random = np.random.default_rng(SEED)
-        self._noisier = [perturbed(s, random) for s in regression.segments]
+        self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
 
     def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
         """Values at which the fit begins: the initial ones, else those of the linear regression."""

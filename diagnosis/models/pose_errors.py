@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -62,6 +63,18 @@ def pose_errors(
         return NO_ERRORS
     squares = [_squared_slopes(segment, predictor, thresholds) for segment in segments[: thresholds.examples]]
     return PoseErrors(np.sqrt(np.mean(squares, axis=0)), thresholds)
+
+
+def velocity_error(
+    count: int, rate: float, random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose
+) -> Floats:
+    """(count, 3) a draw of the error of velocity, m/s. rate: Hz."""
+    shares = [np.exp(-1 / (rate * time)) for time in (thresholds.velocity_time, thresholds.smooth_time)]
+    before = round(5 * rate * thresholds.velocity_time)  # until it is stationary
+    a, b = shares
+    variance = (1 + a * b) / ((1 - a * b) * (1 - a * a) * (1 - b * b))
+    error = lfilter([1.0], [1.0, -(a + b), a * b], random.standard_normal((before + count, 3)), axis=0)[before:]
+    return np.asarray(thresholds.velocity_error * error / np.sqrt(variance))
 
 
 def _squared_slopes(segment: Segment, predictor: Predictor, thresholds: PoseThresholds) -> Floats:

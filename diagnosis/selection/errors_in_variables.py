@@ -12,7 +12,9 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.data.segment import Segment
+from diagnosis.models.pose_errors import velocity_error
 from diagnosis.selection.design_matrix import DesignMatrix
+from diagnosis.thresholds import DEFAULT, PoseThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 
@@ -20,7 +22,11 @@ SEED = 1  # of the added noise, so that the same flights have the same answer
 
 
 def design_errors(
-    segments: Sequence[Segment], design: DesignMatrix, rows: Sequence[Floats], columns: Sequence[Floats]
+    segments: Sequence[Segment],
+    design: DesignMatrix,
+    rows: Sequence[Floats],
+    columns: Sequence[Floats],
+    pose: PoseThresholds = DEFAULT.pose,
 ) -> Iterator[tuple[Floats, Floats]]:
     """(m, 12) and (m, 12, k) changes of each segment's rows and columns by added noise.
 
@@ -29,12 +35,15 @@ def design_errors(
     """
     random = np.random.default_rng(SEED)
     for segment, y, x in zip(segments, rows, columns, strict=True):
-        noisier_y, noisier_x = design.evaluate(perturbed(segment, random))
+        noisier_y, noisier_x = design.evaluate(perturbed(segment, random, pose))
         yield noisier_y - y, noisier_x - x
 
 
-def perturbed(segment: Segment, random: np.random.Generator) -> Segment:
-    """The segment with white noise of its sensors' estimated levels added."""
+def perturbed(segment: Segment, random: np.random.Generator, pose: PoseThresholds = DEFAULT.pose) -> Segment:
+    """The segment with white noise of its sensors' estimated levels added, and an estimator's slow error of velocity.
+
+    pose: size and correlation time of the latter.
+    """
 
     def noisier(values: Floats) -> Floats:
         return values + white_level(values) * random.standard_normal(values.shape)
@@ -43,10 +52,13 @@ def perturbed(segment: Segment, random: np.random.Generator) -> Segment:
     step = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-1]), attitude[1:]))
     level = float(np.std(np.diff(step, 2, axis=0))) / np.sqrt(20.0)
     turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(segment), 3))))
+    velocity = noisier(segment.velocity)
+    if segment.pose_source == "estimator":
+        velocity = velocity + velocity_error(len(segment), segment.rate, random, pose)
     return replace(
         segment,
         position=noisier(segment.position),
-        velocity=noisier(segment.velocity),
+        velocity=velocity,
         attitude=np.asarray(turned),
         gyro=None if segment.gyro is None else noisier(segment.gyro),
         specific_force=None if segment.specific_force is None else noisier(segment.specific_force),

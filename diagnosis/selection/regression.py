@@ -328,7 +328,7 @@ def make_regression(
     nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)
-    errors = design_errors(segments, design, rows, columns)
+    errors = design_errors(segments, design, rows, columns, thresholds.pose)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
     joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
     biases = flight_biases(candidates, nuisances, thresholds.command_curve)

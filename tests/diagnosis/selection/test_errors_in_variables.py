@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from diagnosis.selection.errors_in_variables import design_errors, perturbed, white_level
+from diagnosis.thresholds import DEFAULT
 from tests.diagnosis.synthetic import CHANNELS, hovering, white
 
 
@@ -56,3 +57,15 @@ def test_perturbing_adds_the_sensors_noise_and_nothing_else(arpl_250g):
     assert noisier.flight == segment.flight
     commanded = dataclasses.replace(segment, rotor_source="command")
     np.testing.assert_array_equal(perturbed(commanded, np.random.default_rng(0)).rotor_speed, segment.rotor_speed)
+
+
+def test_an_estimators_velocity_errs_slowly_and_motion_captures_does_not(arpl_250g):
+    (segment,) = hovering(arpl_250g, mass_ratio=1.0, seed=1, duration=600.0)
+    limits = DEFAULT.pose
+    for source, level in (("motion_capture", 0.0), ("unknown", 0.0), ("estimator", limits.velocity_error)):
+        posed = dataclasses.replace(segment, pose_source=source)
+        error = perturbed(posed, np.random.default_rng(3)).velocity - segment.velocity
+        slow = error[: len(error) // 20 * 20].reshape(-1, 20, 3).mean(axis=1)
+        assert np.std(slow) == pytest.approx(level, rel=0.15, abs=0.01)
+    later = round(limits.velocity_time * segment.rate)
+    assert np.mean(error[later:] * error[:-later]) / np.var(error) == pytest.approx(np.exp(-1), abs=0.12)
