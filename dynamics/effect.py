@@ -154,8 +154,9 @@ class Reading:
     """Readings of the sensors.
 
     specific_force: (3,) body FLU, m/s^2.
-    rate_body: (3,) rad/s.
+    rate_body: (3,) rad/s, still in the body's axes.
     rotor_speed: (n,) rad/s.
+    gyro_axes: (4,) unit quaternion from the gyro's axes to the body's, applied last of all.
     pose_age: s by which position, velocity and attitude are older than their stamps.
     attitude_age: s by which the attitude is older than that still.
     pose_arm: (3,) body FLU, from the centre of mass to the point whose position and velocity are logged, m.
@@ -165,6 +166,7 @@ class Reading:
     specific_force: Expression
     rate_body: Expression
     rotor_speed: Expression
+    gyro_axes: Expression
     pose_age: Expression
     attitude_age: Expression
     pose_arm: Expression

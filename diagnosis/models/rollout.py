@@ -141,10 +141,12 @@ def _without_faults(segment: Segment, model: Model) -> Segment:
     def read(rate: Floats, speed: Floats) -> list[Floats]:
         return [np.array(reading).ravel() for reading in model.measure(nothing, rate, speed, p, nothing)]
 
-    _, rate, speed, age, attitude_age, arm = read(nothing, still)
-    turn = np.column_stack([read(axis, still)[1] - rate for axis in np.eye(3)])
+    _, rate, speed, age, attitude_age, arm, axes = read(nothing, still)
+    slope = np.column_stack([read(axis, still)[1] - rate for axis in np.eye(3)])
     gain = read(nothing, still + 1)[2] - speed
-    gyro = None if segment.gyro is None else np.asarray((segment.gyro - rate) @ np.linalg.inv(turn).T, dtype=float)
+    gyro = None
+    if segment.gyro is not None:
+        gyro = np.asarray((quaternion.rotate(axes, segment.gyro) - rate) @ np.linalg.inv(slope).T, dtype=float)
     posed = _with_pose_of(segment, float(age[0]), float(age[0] + attitude_age[0]))
     to_world = np.asarray(quaternion.rotation_matrix(posed.attitude))
     rate_body = posed.rate_from_attitude if gyro is None else gyro

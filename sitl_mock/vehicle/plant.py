@@ -203,9 +203,13 @@ def _measure(
 
     read: outputs of the model's `measure`, as the sensors would read them without noise.
     """
-    force_read, rate_read, *_, arm = read
+    force_read, rate_read, *_, arm, gyro_axes = read
     error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
-    gyro = rate_read + constants["gyro_bias"] + constants["gyro_noise"] * noise["gyro"]
+    gyro = (
+        quaternion.rotate_inverse(gyro_axes, rate_read)
+        + constants["gyro_bias"]
+        + constants["gyro_noise"] * noise["gyro"]
+    )
     rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
     acceleration = inner_loop.low_pass(
         (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT

@@ -139,7 +139,10 @@ def weak_rotor(now, p, rotor=1):
 def thrust_exponent(now, p):
     hover = now.vehicle.hover_speed
     thrust = now.vehicle.rotors.thrust_constant * hover**2 * (now.speed / hover) ** p["exponent"]
-    return summed(now, upwards(thrust - now.thrusts))
+    force, torque = summed(now, upwards(thrust - now.thrusts))
+    turned = hover**2 * (now.speed / hover) ** p["torque_exponent"] - now.speed**2
+    reaction = now.vehicle.rotors.torque_constant * (np.array(now.vehicle.rotors.spin) @ turned)
+    return force, torque + np.array([0, 0, reaction])
 
 
 def centre_of_mass(now, p):
@@ -208,7 +211,7 @@ EXPECTED = {
     "wind": (wind, {"x": 2.0, "y": -1.0, "z": 0.5, "coefficient": 2e-5}),
     "mass": (mass, {"ratio": 1.2}),
     "thrust_constant": (thrust_constant, {"ratio": 0.9}),
-    "thrust_exponent": (thrust_exponent, {"exponent": 1.75}),
+    "thrust_exponent": (thrust_exponent, {"exponent": 1.75, "torque_exponent": 1.8}),
     "weak_rotor": (weak_rotor, {"loss": 0.15, "torque_loss": 0.1}),
     "centre_of_mass": (centre_of_mass, {"x": 0.01, "y": -0.004, "z": 0.002}),
     "battery_sag": (battery_sag, {"gain": 0.7, "reference": 0.95}),
@@ -226,7 +229,7 @@ EXPECTED = {
 SENSOR_FAULTS = {
     "imu_bias": {"x": 0.1, "y": -0.2, "z": 0.3},
     "imu_lever_arm": {"x": 0.02, "y": -0.01, "z": 0.03},
-    "imu_misalignment": {"x": 0.05, "y": -0.02, "z": 0.1},
+    "imu_misalignment": {"x": 0.05, "y": -0.02, "z": 0.1, "gyro_turns": 1.0},
     "gyro_bias": {"x": 0.01, "y": -0.02, "z": 0.03},
     "time_delay": {"delay": 0.03},
     "attitude_delay": {"delay": 0.015},
@@ -437,8 +440,9 @@ def reading(vehicle, *uses):
     """The sensors' readings of FORCE, RATE and SPEED, and the pose's ages and arm."""
     model = build_model(vehicle, effects=uses)
     read = model.measure(FORCE, RATE, SPEED, model.parameter_values, ANGULAR)
-    names = ("force", "rate", "speed", "pose_age", "attitude_age", "pose_arm")
-    return {name: np.array(value).ravel() for name, value in zip(names, read, strict=True)}
+    names = ("force", "rate", "speed", "pose_age", "attitude_age", "pose_arm", "gyro_axes")
+    values = {name: np.array(value).ravel() for name, value in zip(names, read, strict=True)}
+    return values | {"rate": quaternion.rotate_inverse(values.pop("gyro_axes"), values["rate"])}
 
 
 def test_rotors_that_speed_up_twist_the_body_against_their_turning(arpl_250g):

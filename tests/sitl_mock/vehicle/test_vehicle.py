@@ -356,3 +356,28 @@ def test_faults_of_sensors_show_in_the_measurements(arpl_250g):
     assert vehicle.imu.specific_force_body[0] == pytest.approx(0.5, abs=0.05)
     assert vehicle.imu.rate_body[2] == pytest.approx(vehicle.truth.rate_body[2] + 0.1, abs=0.01)
     np.testing.assert_allclose(vehicle.rotor_speed / vehicle.true_rotor_speed, [1, 1, 0.5, 1], rtol=1e-6)
+
+
+def test_sensors_off_the_centre_of_mass_and_a_late_attitude_show_in_the_measurements(arpl_250g):
+    arm, turn = {"x": 0.3, "y": 0.0, "z": 0.0}, {"x": 0.0, "y": 0.0, "z": 0.1}
+    faults = (
+        EffectUse("imu_lever_arm", arm),
+        EffectUse("pose_lever_arm", arm),
+        EffectUse("imu_misalignment", turn),
+        EffectUse("attitude_delay", {"delay": 0.05}),
+    )
+    vehicle = SimulatedVehicle(arpl_250g, effects=faults, options=QUIET)
+    take_off(vehicle)
+    spin = ControlSetpoint("rates", rate_body=np.array([0.0, 0.0, 1.5]), thrust=0.5)
+    vehicle.advance(spin, True, 0.5)
+    before = vehicle.truth
+    vehicle.advance(spin, True, 0.05)
+    truth, estimate = vehicle.truth, vehicle.estimate
+    forward = quaternion.rotate(truth.attitude, np.array([0.3, 0.0, 0.0]))
+    delay = QUIET.sensors.delay
+    np.testing.assert_allclose(estimate.position_world, truth.position_world + forward, atol=0.02)
+    assert quaternion.angle_between(estimate.attitude, before.attitude) < 1.6 * (delay + 0.002)
+    centripetal = -(truth.rate_body[2] ** 2) * 0.3
+    inwards = centripetal * np.cos(0.1)  # along the accelerometer's own x
+    assert vehicle.imu.specific_force_body[0] == pytest.approx(inwards, abs=0.1)
+    assert abs(centripetal) > 0.3
