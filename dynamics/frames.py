@@ -30,8 +30,17 @@ def flu_from_frd(vector: ArrayLike) -> Floats:
 
 def attitude_enu_flu(attitude_ned_frd: ArrayLike) -> Floats:
     """Attitude FLU-to-ENU of an attitude FRD-to-NED. Both: (..., 4), w first."""
-    q = quaternion.multiply(_ENU_FROM_NED, np.asarray(attitude_ned_frd, dtype=float))
-    return np.asarray(quaternion.multiply(q, _FRD_FROM_FLU))
+    return attitude_of_flu(attitude_to_enu(attitude_ned_frd))
+
+
+def attitude_to_enu(attitude_to_ned: ArrayLike) -> Floats:
+    """Attitude of any body axes to ENU of the same to NED. Both: (..., 4), w first."""
+    return np.asarray(quaternion.multiply(_ENU_FROM_NED, np.asarray(attitude_to_ned, dtype=float)))
+
+
+def attitude_of_flu(attitude_of_frd: ArrayLike) -> Floats:
+    """Attitude of FLU body axes to any world of the same of FRD. Both: (..., 4), w first."""
+    return np.asarray(quaternion.multiply(np.asarray(attitude_of_frd, dtype=float), _FRD_FROM_FLU))
 
 
 def attitude_ned_frd(attitude_enu_flu: ArrayLike) -> Floats:

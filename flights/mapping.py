@@ -34,6 +34,9 @@ _KIND_OF_UNIT: Table[str, tuple[str, ...]] = {
     "A": ("A", "mA"), "0..1": ("0..1", "1", "%", "0..65535"), "1": ("1", "rad", "deg"), "0 or 1": ("1",),
 }  # fmt: skip
 
+# Axes that a mapping may name for each frame of a quantity; an attitude has those of [frames].
+_AXES: Table[str, tuple[str, str]] = {"world ENU": ("ENU", "NED"), "body FLU": ("FLU", "FRD")}
+
 
 class FileLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Layout of the text.
@@ -100,6 +103,12 @@ class MappedStream(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             raise RequestError(f"{self.quantity}: give one column a rotor, 1 to {MAX_ROTORS} of them.")
         if count is not None and len(self.columns) != count:
             raise RequestError(f"{self.quantity} has {count} columns; {len(self.columns)} are given.")
+        axes = _AXES.get(quantity.frame, ())
+        if self.frame and self.frame not in axes:
+            usual = f"{' or '.join(axes)} fits" if axes else "it has no axes of its own"
+            raise RequestError(
+                f"{self.quantity}: frame {self.frame!r} does not fit; {usual}. Correct it, or leave it out."
+            )
         units = _KIND_OF_UNIT[quantity.unit]
         if self.unit and self.unit not in units:
             raise RequestError(f"{self.quantity}: unit {self.unit!r} is none of {', '.join(units)}.")

@@ -7,8 +7,10 @@ little for a comparison passes it.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -19,6 +21,9 @@ from flights.alignment import resample
 from flights.log import Stream
 from flights.quantities import MOTION
 
+if TYPE_CHECKING:
+    from flights.flight import Flight
+
 _GRID_RATE = 50.0  # Hz of the comparisons
 _MAX_ROWS = 60_000  # rows compared at most
 _SMOOTHING = 0.2  # s, over which differences are taken: far above any sensor's delay
@@ -28,8 +33,16 @@ _MIN_RATE = 0.1  # rad/s rms, below which attitude and rates cannot be compared
 _MIN_SPEED = 0.15  # m/s rms
 _MIN_ACCELERATION = 0.3  # m/s^2 rms
 _AGREEMENT = 0.5  # correlation about zero beyond which a comparison is taken seriously
+_CLEAR_AGREEMENT = 0.8  # correlation about zero of one motion logged along two axes
+_CLEARER = 0.3  # by which that must exceed the correlation along equal axes
 _NO_AGREEMENT = 0.2  # correlation about zero below which there is none
 _DEGREES = 180 / np.pi
+MAX_MEAN_FORCE = 3.0  # g; no vehicle flies a whole log at more
+_MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
+_SAME_SIZE = (0.5, 2.0)  # range of a ratio that must be 1
+_WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
+_DEAD = 0.005  # of the turning that an axis of the gyro must show
+_CLEAR_RATE = 0.15  # rad/s rms about an axis, at which it must show it
 
 
 @dataclass(frozen=True)
@@ -59,8 +72,19 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         _velocity_against_position(on_grid),
         _tilt_against_acceleration(on_grid),
         _force_against_acceleration(on_grid),
+        _force_against_tilt(on_grid),
     ]
     return tuple(finding for finding in contradictions if finding is not None)
+
+
+def check_flight(flight: Flight, free: Sequence[Flight]) -> tuple[Contradiction, ...]:
+    """The same of a flight's columns while it flies. free: its segments of free flight."""
+    flying = np.zeros(len(flight), dtype=bool)
+    for part in free:
+        flying |= (flight.time >= part.time[0]) & (flight.time <= part.time[-1])
+    present = [name for name in MOTION if flight.has(name)]
+    streams = [Stream(name, flight.time, np.where(flying[:, None], flight[name], np.nan), "") for name in present]
+    return check(streams) if flying.any() else ()
 
 
 def _grid(streams: list[Stream]) -> Floats:
@@ -85,7 +109,10 @@ def _too_slow(first: dict[str, Stream]) -> Contradiction | None:
 def _impossible_rates(first: dict[str, Stream]) -> Contradiction | None:
     if "rate" not in first:
         return None
-    largest = float(np.nanpercentile(np.abs(first["rate"].values), 99.5))
+    rates = first["rate"].values
+    if not np.isfinite(rates).any():
+        return None
+    largest = float(np.nanpercentile(np.abs(rates), 99.5))
     if largest <= _MAX_RATE:
         return None
     return Contradiction(
@@ -125,6 +152,26 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
                 f"the body rate about {'xyz'[axis]} has the opposite sign of the attitude's turning: they are not in "
                 "the same axes (FRD and FLU?), or the attitude is world to body. Wanted both in body FLU, w first.",
             )
+    exchanged = _exchanged_axes(turning, rate, _MIN_RATE)
+    if exchanged:
+        return Contradiction(
+            "rate_frame",
+            f"the body rates are along other axes than the attitude's turning ({exchanged}). Wanted both in body FLU, "
+            "x forward, y left, z up; put the columns in order.",
+        )
+    return _dead_axis(turning, rate)
+
+
+def _dead_axis(turning: Floats, rate: Floats) -> Contradiction | None:
+    """An axis of the gyro that shows nothing of the attitude's turning. Both: (n, 3) rad/s."""
+    for axis in range(3):
+        clear = _rms(turning[:, axis])
+        if clear > _CLEAR_RATE and float(np.std(rate[:, axis])) < _DEAD * clear:
+            return Contradiction(
+                "rate_dead",
+                f"the body rate about {'xyz'[axis]} stands still while the attitude turns about it by {clear:.2f} "
+                "rad/s: that column is no gyro. Wanted all three; check the sensor, or leave the rates out.",
+            )
     return None
 
 
@@ -147,10 +194,19 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
             f"the specific force points down ({mean[2]:.1f} m/s^2 along z): these are FRD or NED axes. Wanted FLU and "
             "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
         )
-    if 0.5 < float(np.linalg.norm(mean)) < 2.0:
+    size = float(np.linalg.norm(mean))
+    if _SAME_SIZE[0] < size < _SAME_SIZE[1]:
+        return Contradiction("force_in_g", f"the specific force is {size:.2f} on average: it is in g. Wanted m/s^2.")
+    if size <= _SAME_SIZE[0]:
         return Contradiction(
-            "force_in_g",
-            f"the specific force is {np.linalg.norm(mean):.2f} on average: it is in g. Wanted m/s^2.",
+            "gravity_removed",
+            f"the specific force is {size:.2f} m/s^2 on average: gravity's reaction was removed from it. Wanted what "
+            "an accelerometer reads, 9.81 m/s^2 upwards at rest; if the table holds accelerations, map them so.",
+        )
+    if size > MAX_MEAN_FORCE * GRAVITY:
+        return Contradiction(
+            "force_unit",
+            f"the specific force is {size:.0f} m/s^2 on average: it is in another unit (mg, cm/s^2). Wanted m/s^2.",
         )
     return None
 
@@ -162,9 +218,13 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
     moved = (on_grid["position"][span:] - on_grid["position"][:-span]) / (span / _GRID_RATE)
     velocity = _mean(on_grid["velocity"], span)
     valid = np.isfinite(moved).all(axis=1) & np.isfinite(velocity).all(axis=1)
-    valid &= np.linalg.norm(np.nan_to_num(moved), axis=1) < 50.0  # an estimator's reset is no motion
     if np.count_nonzero(valid) < 50:
         return None
+    speed = np.linalg.norm(np.nan_to_num(moved), axis=1)
+    valid &= speed < max(50.0, 20.0 * float(np.median(speed[valid])))  # an estimator's reset is no motion
+    unit = _unit_of_position(moved[valid], velocity[valid])
+    if unit is not None:
+        return unit
     for axis in range(3):
         a, b = moved[valid, axis], velocity[valid, axis]
         if min(_rms(a), _rms(b)) > _MIN_SPEED and _agreement(a, b) < -_AGREEMENT:
@@ -173,7 +233,48 @@ def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | No
                 f"the velocity along {'xyz'[axis]} has the opposite sign of the position's change: they are not in the "
                 "same axes (NED and ENU?). Wanted both in ENU.",
             )
+    exchanged = _exchanged_axes(moved[valid], velocity[valid], _MIN_SPEED)
+    if exchanged:
+        return Contradiction(
+            "velocity_frame",
+            f"the velocity is along other axes than the position's change ({exchanged}). Wanted both in ENU; put the "
+            "columns in order.",
+        )
     return None
+
+
+def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:
+    """The change of position and the velocity must be of one size. Both: (n, 3) m/s."""
+    moved, velocity = moved - np.median(moved, axis=0), velocity - np.median(velocity, axis=0)
+    if _rms(velocity) < _MIN_SPEED or _rms(moved) == 0.0 or _agreement(moved, velocity) < _AGREEMENT:
+        return None
+    ratio = _rms(moved) / _rms(velocity)
+    if _SAME_SIZE[0] < ratio < _SAME_SIZE[1]:
+        return None
+    names = {1000.0: "mm", 100.0: "cm"}
+    guess = ""
+    for factor, unit in names.items():
+        if _SAME_SIZE[0] < ratio / factor < _SAME_SIZE[1]:
+            guess = f": position is in {unit} beside a velocity in m/s"
+        if _SAME_SIZE[0] < ratio * factor < _SAME_SIZE[1]:
+            guess = f": velocity is in {unit}/s beside a position in m"
+    return Contradiction(
+        "position_unit",
+        f"the position changes by {ratio:.3g} times the velocity{guess}. Wanted m and m/s; convert them, or give a "
+        "column mapping with their units.",
+    )
+
+
+def _exchanged_axes(one: Floats, other: Floats, smallest: float) -> str:
+    """Pairs of axes that agree while equal axes do not, for people; empty if there are none. Both: (n, 3)."""
+    pairs = []
+    for axis, place in itertools.permutations(range(3), 2):
+        a, own, b = one[:, axis], other[:, axis], other[:, place]
+        if min(_rms(a), _rms(b)) < smallest or _rms(own) == 0.0:
+            continue
+        if abs(_agreement(a, b)) > max(_CLEAR_AGREEMENT, abs(_agreement(a, own)) + _CLEARER):
+            pairs.append(f"{'xyz'[axis]} and {'xyz'[place]}: {_agreement(a, b):.2f}")
+    return ", ".join(pairs)
 
 
 def _tilt_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | None:
@@ -225,6 +326,31 @@ def _force_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | N
         "velocity_frame",
         f"the velocity along z falls while the specific force exceeds gravity (agreement {_agreement(a, b):.2f}): "
         "position and velocity are NED labelled as ENU. Wanted z up; convert them, or give a column mapping.",
+    )
+
+
+def _force_against_tilt(on_grid: dict[str, Floats]) -> Contradiction | None:
+    """Specific force is measured along body axes, and shows nothing there of the thrust's horizontal part."""
+    if not {"attitude", "specific_force"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    force = on_grid["specific_force"]
+    size = np.linalg.norm(force, axis=1, keepdims=True)
+    tilted = _mean(size * quaternion.rotate(on_grid["attitude"], np.array([0.0, 0.0, 1.0])), span)[:, :2]
+    logged = _mean(force, span)[:, :2]
+    valid = np.isfinite(tilted).all(axis=1) & np.isfinite(logged).all(axis=1)
+    if np.count_nonzero(valid) < 50:
+        return None
+    a, b = logged[valid] - np.median(logged[valid], axis=0), tilted[valid] - np.median(tilted[valid], axis=0)
+    if _rms(b) < _MIN_TILT_FORCE or not _SAME_SIZE[0] < _rms(a) / _rms(b) < _SAME_SIZE[1]:
+        return None
+    if _agreement(a, b) < _WORLD_AXES:
+        return None
+    return Contradiction(
+        "force_frame",
+        "the specific force along x and y is that of the thrust's tilt in the world (agreement "
+        f"{_agreement(a, b):.2f}): it is in world axes. Wanted body FLU, where an accelerometer measures; rotate it "
+        "back by the attitude.",
     )
 
 

@@ -13,7 +13,7 @@ from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
 from dynamics.vehicle import Vehicle
-from flights import Flight
+from flights import Flight, plausibility
 from flights.exclusion import free_flight
 from flights.quality.findings import Finding
 from flights.quality.frozen import frozen_findings
@@ -29,12 +29,14 @@ def inspected(
     A rotor whose measured speed is far from its peers' without a command that explains it has a wrong sensor, unless
     its moments are those of its speed. Then no measured speed is used where all flights have commands.
 
-    Raises DataError, which names the rotor, where they have none.
+    Raises DataError, which names the rotor, where they have none, and for units and frames that contradict the motion.
     """
     findings: dict[Finding, None] = {}
     doubted: dict[str, UnevenRotor] = {}
     for flight in flights:
         measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
+        for contradiction in plausibility.check_flight(flight, parts):
+            raise DataError(f"{name}: {contradiction.text}")
         for finding in (*(rotor_findings(parts) if measured else ()), *frozen_findings(flight)):
             findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None
         if not measured:

@@ -15,9 +15,11 @@ class Finding(msgspec.Struct, frozen=True):
     name: for programs.
     text: for people.
     advice: what to do, empty when nothing.
+    fatal: whether the log identifies nothing because of it.
     """
 
     severity: FindingSeverity
     name: str
     text: str
     advice: str = ""
+    fatal: bool = False

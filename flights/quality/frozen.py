@@ -25,7 +25,7 @@ def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDA
         columns = {n: v for n, v in flight.columns.items() if (q := quantity_of(n)) is not None and q.name == quantity}
         varying = {name: _varies(values) for name, values in columns.items()}
         for name, values in columns.items():
-            if not any(varying.values()) or (not varying[name] and not np.nanmax(np.abs(values), initial=0.0)):
+            if not any(varying.values()) or (not varying[name] and not np.any(np.nan_to_num(values))):
                 continue
             min_rows = max(2, round(seconds * flight.rate)) if varying[name] else 2
             rows = _constant(values, min_rows)

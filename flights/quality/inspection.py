@@ -146,7 +146,8 @@ def _trusted(usable: set[str], findings: Sequence[Finding]) -> set[str]:
 
 def _framed(log: Log) -> list[Finding]:
     contradictions = plausibility.check(log.streams)
-    return [Finding("error", item.name, item.text, "convert it, or give a column mapping") for item in contradictions]
+    advised = "convert it, or give a column mapping"
+    return [Finding("error", item.name, item.text, advised, fatal=True) for item in contradictions]
 
 
 def _actuation(log: Log) -> list[Finding]:
@@ -155,7 +156,8 @@ def _actuation(log: Log) -> list[Finding]:
     rates = {name: stream.rate for name in WRENCH if (stream := log.stream(name)) is not None}
     faster = advice.faster_rotors(form, parameters)
     if not rates:
-        return [Finding("error", "no_rotors", "neither rotor speeds nor commands are in this log", faster)]
+        text = "neither rotor speeds nor commands are in this log"
+        return [Finding("error", "no_rotors", text, faster, fatal=True)]
     best = max(rates, key=lambda name: rates[name])
     text = f"{best} is logged at {rates[best]:.0f} Hz"
     if rates[best] < MIN_ROTOR_RATE:
@@ -166,6 +168,7 @@ def _actuation(log: Log) -> list[Finding]:
                 f"{text}, wanted {MIN_ROTOR_RATE:.0f} Hz at least: nothing about rotors or "
                 "moments can be estimated from it",
                 faster,
+                fatal=True,
             )
         ]
     findings = []
@@ -192,6 +195,7 @@ def _amount(measured: dict[str, float]) -> list[Finding]:
             "no_flight",
             f"only {measured['duration']:.1f} s of free flight are in this log, wanted {MIN_FLIGHT:.0f} s at least",
             "fly longer, and log velocity, attitude and body rates without gaps",
+            fatal=True,
         )
     ]
 
@@ -226,9 +230,7 @@ def _resets(log: Log) -> list[Finding]:
 
 
 def _verdict(findings: Sequence[Finding], effects: Sequence[EffectAnswer]) -> Verdict:
-    fatal = {"no_rotors", "rotors_too_slow", "no_flight"}
-    framed = {"rates_in_degrees", "rate_frame", "frames_upside_down", "force_in_g", "velocity_frame", "attitude_frame"}
-    if any(finding.severity == "error" and finding.name in fatal | framed for finding in findings):
+    if any(finding.fatal for finding in findings):
         return "unusable"
     if not any(effect.answer != "no" for effect in effects):
         return "unusable"

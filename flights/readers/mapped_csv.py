@@ -107,7 +107,9 @@ def _attitude(values: Floats, stream: MappedStream, mapping: Mapping) -> Floats:
         attitude = frames.quaternion_from_xyzw(values)
     else:
         attitude = values
-    return frames.attitude_enu_flu(attitude) if mapping.frames.world == "NED" else np.asarray(attitude)
+    if mapping.frames.world == "NED":
+        attitude = frames.attitude_to_enu(attitude)
+    return frames.attitude_of_flu(attitude) if mapping.frames.body == "FRD" else np.asarray(attitude)
 
 
 def _default_frame(stream: MappedStream, mapping: Mapping) -> str:

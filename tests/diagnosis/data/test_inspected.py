@@ -61,8 +61,13 @@ def test_rows_in_which_a_column_stands_still_are_left_out(plain_flights, arpl_25
     assert any("rotor_speed_2 stands at" in note for note in dataset.notes)
 
 
-def test_flights_whose_gyro_stands_still_are_refused_with_the_column(changed, arpl_250g):
-    with pytest.raises(DataError, match=r"rate_y stands at 0\.3 rad/s"):
+def test_flights_whose_accelerometer_stands_still_are_refused_with_the_column(changed, arpl_250g):
+    with pytest.raises(DataError, match=r"specific_force_x stands at 0\.3 m/s\^2"):
+        make_dataset(changed(specific_force_x=lambda old: np.full_like(old, 0.3)), arpl_250g)
+
+
+def test_units_that_contradict_the_motion_are_refused_whatever_the_flights_were_read_from(changed, arpl_250g):
+    with pytest.raises(DataError, match=r"flight_0.*about y stands still while the attitude turns"):
         make_dataset(changed(rate_y=lambda old: np.full_like(old, 0.3)), arpl_250g)
 
 

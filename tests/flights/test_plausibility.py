@@ -1,0 +1,127 @@
+"""Units and frames that contradict the motion are refused on real flights; what is right never is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from dynamics import frames, quaternion
+from dynamics.errors import DataError, RequestError
+from flights import Flight, plausibility, read_log
+from flights.mapping import MappedStream
+
+DATA = Path("tests/data")
+NANOBENCH = sorted((DATA / "nanobench").glob("*.gz"))
+REAL = [*NANOBENCH, *sorted((DATA / "px4_sih_flights").glob("*.gz")), DATA / "crazyflie" / "log20.gz"]
+Columns = dict[str, np.ndarray]
+
+
+def quantity(_: Flight, name: str, values: np.ndarray) -> Columns:
+    return {f"{name}_{axis}": values[:, i] for i, axis in enumerate("xyz")}
+
+
+def scaled(name: str, factor: float) -> Callable[[Flight], Columns]:
+    return lambda flight: quantity(flight, name, flight[name] * factor)
+
+
+def ordered(name: str, order: list[int]) -> Callable[[Flight], Columns]:
+    return lambda flight: quantity(flight, name, flight[name][:, order])
+
+
+def in_the_world(flight: Flight) -> Columns:
+    return quantity(flight, "specific_force", quaternion.rotate(flight["attitude"], flight["specific_force"]))
+
+
+def without_gravity(flight: Flight) -> Columns:
+    up = quaternion.rotate_inverse(flight["attitude"], np.array([0.0, 0.0, 9.81]))
+    return quantity(flight, "specific_force", flight["specific_force"] - up)
+
+
+@pytest.mark.parametrize("log", REAL, ids=lambda path: path.name)
+def test_real_flights_contradict_nothing(log: Path) -> None:
+    assert plausibility.check(read_log(log).streams) == ()
+
+
+@pytest.mark.parametrize("log", NANOBENCH, ids=lambda path: path.name)
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (in_the_world, "it is in world axes"),
+        (without_gravity, "gravity's reaction was removed"),
+        (scaled("specific_force", 1 / 9.81), "it is in g"),
+        (scaled("specific_force", 1000 / 9.81), "in another unit"),
+        (scaled("position", 1000.0), "position is in mm beside a velocity in m/s"),
+        (scaled("velocity", 1000.0), "velocity is in mm/s beside a position in m"),
+        (scaled("velocity", 100.0), "velocity is in cm/s beside a position in m"),
+        (scaled("rate", 180 / np.pi), "deg/s"),
+        (ordered("rate", [1, 0, 2]), "along other axes than the attitude's turning"),
+        (ordered("velocity", [1, 0, 2]), "along other axes than the position's change"),
+        (lambda f: quantity(f, "rate", f["rate"] * [1.0, 0.0, 1.0]), "about y stands still"),
+        (lambda f: quantity(f, "rate", frames.flu_from_frd(f["rate"])), "opposite sign"),
+        (lambda f: quantity(f, "specific_force", frames.flu_from_frd(f["specific_force"])), "points down"),
+    ],
+    ids=[
+        "world axes",
+        "no gravity",
+        "g",
+        "mg",
+        "mm",
+        "mm/s",
+        "cm/s",
+        "deg/s",
+        "rate axes",
+        "velocity axes",
+        "dead gyro",
+        "FRD",
+        "FRD force",
+    ],
+)
+def test_wrong_units_and_frames_of_a_real_flight_are_refused(
+    log: Path, change: Callable[[Flight], Columns], message: str, tmp_path: Path
+) -> None:
+    real = Flight.read(log)
+    wrong = Flight(real.time, {**real.columns, **change(real)}, real.provenance)
+    with pytest.raises(DataError, match=message):
+        read_log(wrong.to_csv(tmp_path / "wrong.csv"))
+
+
+@pytest.mark.parametrize("world", ["ENU", "NED"])
+@pytest.mark.parametrize("body", ["FLU", "FRD"])
+def test_a_mapped_attitude_has_the_axes_that_the_mapping_names(world: str, body: str, tmp_path: Path) -> None:
+    real = Flight.read(NANOBENCH[0])
+    attitude, rate, velocity = real["attitude"], real["rate"], real["velocity"]
+    if world == "NED":
+        attitude, velocity = frames.attitude_to_enu(attitude), frames.enu_from_ned(velocity)
+    if body == "FRD":
+        attitude, rate = frames.attitude_of_flu(attitude), frames.flu_from_frd(rate)
+    table = np.column_stack([real.time, attitude, rate, velocity])
+    np.savetxt(tmp_path / "log.txt", table, delimiter=",", header="s,w,x,y,z,p,q,r,u,v,n", comments="", fmt="%.9g")
+    (tmp_path / "axes.toml").write_text(
+        'name = "axes"\n[time]\ncolumn = "s"\n'
+        f'[frames]\nworld = "{world}"\nbody = "{body}"\n'
+        '[[streams]]\nquantity = "attitude"\ncolumns = ["w", "x", "y", "z"]\norder = "wxyz"\n'
+        '[[streams]]\nquantity = "rate"\ncolumns = ["p", "q", "r"]\n'
+        '[[streams]]\nquantity = "velocity"\ncolumns = ["u", "v", "n"]\n'
+    )
+    log = read_log(tmp_path / "log.txt", mapping=tmp_path / "axes.toml")
+    stream = log.stream("attitude")
+    assert stream is not None
+    np.testing.assert_allclose(np.abs(np.sum(stream.values * real["attitude"], axis=1)), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "columns", "frame", "message"),
+    [
+        ("thrust_setpoint", ("a",), "NED", "no axes of its own"),
+        ("velocity", ("a", "b", "c"), "FRD", "ENU or NED fits"),
+        ("rate", ("a", "b", "c"), "NED", "FLU or FRD fits"),
+    ],
+)
+def test_a_frame_that_does_not_fit_the_quantity_is_refused(
+    name: str, columns: tuple[str, ...], frame: str, message: str
+) -> None:
+    with pytest.raises(RequestError, match=message):
+        MappedStream(name, columns, frame=frame)  # type: ignore[arg-type]
