@@ -188,11 +188,12 @@ class _Trial:
             change = by_kind[strongest]
             numbers = {"before": change.before, "after": change.after, "floor": change.floor}
             return refused("redundant" if self._shows_alone(best, candidate) else "too_small", strongest, **numbers)
-        for kind in kinds:
-            if by_kind[kind].is_worse(limits):
-                contradicted = kind == "imu" and _is_force(candidate)
-                numbers = {"before": by_kind[kind].before, "after": by_kind[kind].after, "floor": by_kind[kind].floor}
-                return refused("contradicted" if contradicted else "channel_worse", kind, **numbers)
+        for kind, change in by_kind.items():
+            numbers = {"before": change.before, "after": change.after, "floor": change.floor}
+            if kind == "imu" and _is_force(candidate) and change.is_contradicted(limits):
+                return refused("contradicted", kind, **numbers, size=change.size)
+            if change.is_worse(limits):
+                return refused("channel_worse", kind, **numbers)
         deviations = deviations_from_neutral(best, candidate, self._vehicle)
         if deviations < limits.deviations:
             return refused("interval_holds_neutral", deviations=deviations, required=limits.deviations)

@@ -318,7 +318,7 @@ class _EquationErrorProblem:
         scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
         step = inverse @ product
-        blocks = self._blocks(equations, step)
+        blocks = self._blocks(equations, step, inverse)
         covariance = _greater(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T)
         return _Step(step, covariance, gram, cost)
 
@@ -356,8 +356,13 @@ class _EquationErrorProblem:
                 (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1]),
             )
 
-    def _blocks(self, equations: _Equations, step: Floats) -> Floats:
-        """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases."""
+    def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> Floats:
+        """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases.
+
+        A block that carries much of an effect draws the fit to itself and leaves residuals that are too small; scores
+        are divided by the root of what it leaves, to first order (MacKinnon and White, 1985, HC2). inverse: (k, k) of
+        the normal equations.
+        """
         count, biases = len(step), equations.biases
         places = list(biases.columns)
         regression = self._regression
@@ -375,7 +380,9 @@ class _EquationErrorProblem:
             scores = np.einsum("mck,mc->mk", free, residual)
             starts = np.arange(0, len(scores), length)
             summed = np.add.reduceat(scores, starts, axis=0)
-            meat += summed.T @ summed
+            own = np.add.reduceat(np.einsum("mck,mcl->mkl", free, part.x[:, :, :count]), starts, axis=0)
+            apart = np.linalg.solve(np.eye(count) - own @ inverse / 2, summed[:, :, None])[:, :, 0]
+            meat += apart.T @ apart
         return meat
 
     def _linear(self, segment: Segment, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:

@@ -53,6 +53,20 @@ def test_one_second_of_chaos_is_chance(of_noise):
     assert worse(before, after, of_noise) == set()
 
 
+def test_a_force_that_the_accelerometer_does_not_show_is_contradicted(of_noise):
+    force = [0.5 * np.sin(np.arange(400) / 20)[:, None] * np.repeat([1.0, 1.0, 0.0, 0.0], 3) for _ in range(2)]
+    limits = of_noise.thresholds.relevance
+
+    def contradicted(shown: float) -> set[str]:
+        before = [y + shown * f for y, f in zip(noise_rows(0), force, strict=True)]
+        after = [y - f for y, f in zip(before, force, strict=True)]
+        compared = channel_changes(before, after, np.ones(CHANNELS), 25.0, limits)
+        return {kind for kind, change in compared.items() if change.is_contradicted(limits)}
+
+    assert contradicted(1.0) == set()
+    assert contradicted(0.4) == {"imu", "mocap"}
+
+
 def test_what_else_is_missing_does_not_hide_a_change(of_noise):
     gust = [3 * np.sin(np.arange(400) / 30)[:, None] for _ in range(2)]
     before = [y + 0.5 * np.cos(np.arange(400))[:, None] for y in noise_rows(0)]
