@@ -10,6 +10,7 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.equation_error import Fit, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
+from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import GAIN, without_command_effects
 from diagnosis.next_flight import next_flight
@@ -17,7 +18,7 @@ from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis, MissingEffect
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
-from diagnosis.selection.search import Selection, select
+from diagnosis.selection.search import Selection
 from diagnosis.thresholds import DEFAULT, Thresholds
 from diagnosis.verdict import channel_errors, considered, judge, missing_effects, not_excited, rejections
 from dynamics.arrays import Floats
@@ -61,7 +62,7 @@ def diagnose_dataset(
     """
     require_answerable(dataset.everything, vehicle, thresholds)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
-    selection = select(regression)
+    regression, selection = search_jointly(regression)
     accepted = accepted_fit(regression, selection, dataset)
     present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
     before, after = (residuals_in(regression, v, dataset.held_out) for v in (present, accepted.fit.vehicle))

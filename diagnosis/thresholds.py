@@ -289,7 +289,11 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_share: of the first effect's gain that a further one must add. [not derived yet]
     parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
     min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
-    max_effects: in one search. [not derived yet]
+    min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
+    max_effects: in one set. [convention]
+    max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
+    max_rounds: of search, each about the fit of the last one. [benchmarks/many_effects.py]
+    explained: reduced chi-square of the fitted flights at which no further round is needed. [not derived yet]
     max_paired: best single effects with which pairs are tried. [not derived yet]
     max_trials: best additions that are cross-validated in one step. [not derived yet]
     max_contenders: best single effects of which cross-validation chooses the first. [not derived yet]
@@ -305,7 +309,11 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_share: Share = 0.003
     parsimony: Share = 0.985
     min_cross_validated: Share = 0.3
-    max_effects: Count = 3
+    min_improvement: Score = 1.0
+    max_effects: Count = 10
+    max_steps: Count = 60
+    max_rounds: Count = 3
+    explained: Factor = 1.05
     max_paired: Count = 8
     max_trials: Count = 12
     max_contenders: Count = 5

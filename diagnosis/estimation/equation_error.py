@@ -46,6 +46,7 @@ class Fit:
     unsettled: keys of effects on whose parameters the fit did not converge; their covariance says nothing.
     nuisances: what lies between command and thrust, fitted beside them; none where rotor speeds were measured.
     commands: estimates of these.
+    chi_square: reduced, of the fitted flights.
     """
 
     vehicle: Vehicle
@@ -56,6 +57,7 @@ class Fit:
     unsettled: frozenset[str] = frozenset()
     nuisances: tuple[Candidate, ...] = ()
     commands: Mapping[tuple[str, str], ParameterEstimate] = field(default_factory=dict)
+    chi_square: float = float("nan")
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -121,6 +123,7 @@ def fit(
         unsettled,
         regression.nuisances,
         commands,
+        last.cost / regression.total,
     )
 
 
@@ -263,6 +266,7 @@ class _EquationErrorProblem:
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
+        self._errors: dict[int, tuple[Floats, Floats, Floats]] = {}
 
     def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
         """Values at which the fit begins: the initial ones, else those of the linear regression."""
@@ -345,16 +349,15 @@ class _EquationErrorProblem:
     def _rows(self, changed: Mapping[str, float]) -> Iterator[tuple[_Rows, tuple[Floats, Floats, Floats]]]:
         """Each segment's whitened rows, and the changes of y, x and z by added noise of the sensors' level."""
         r, off, count = self._regression, list(self._regression.biases.columns), len(self.free)
-        for segment, noisier, columns, flight in zip(r.segments, self._noisier, r.columns, r.flight_of, strict=True):
+        for place, (segment, columns, flight) in enumerate(zip(r.segments, r.columns, r.flight_of, strict=True)):
             y, x, z = self._linear(segment, changed)
-            again_y, again_x, again_z = self._linear(noisier, changed)
+            if place not in self._errors:  # they change by as little as the columns do from step to step
+                again_y, again_x, again_z = self._linear(self._noisier[place], changed)
+                errors = [r.noise.whiten(part).reshape(-1, count) for part in (again_x - x, again_z - z)]
+                self._errors[place] = (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1])
             fixed = r.noise.whiten(columns[:, :, off])
             white = [np.concatenate([r.noise.whiten(part), fixed], axis=2) for part in (x, z)]
-            errors = [r.noise.whiten(part).reshape(-1, count) for part in (again_x - x, again_z - z)]
-            yield (
-                _Rows(flight, r.noise.whiten(y), white[0], white[1]),
-                (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1]),
-            )
+            yield _Rows(flight, r.noise.whiten(y), white[0], white[1]), self._errors[place]
 
     def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> Floats:
         """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases.

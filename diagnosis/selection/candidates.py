@@ -13,7 +13,7 @@ rotors' moments from slow measured motion; those for estimation and evaluation a
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,6 +38,8 @@ class Candidate:
     free: parameters that are regressed.
     columns: places of its columns in the regression.
     present: values in the vehicle file, where it names the effect; without them the effect is absent.
+    fitted: values about which it is linear instead, those of an earlier fit that holds it; the coefficients still
+        count from `at`.
     """
 
     effect: Effect
@@ -46,6 +48,7 @@ class Candidate:
     free: tuple[str, ...]
     columns: tuple[int, ...]
     present: Mapping[str, float] | None = None
+    fitted: Mapping[str, float] | None = None
 
     @property
     def fixed_shape(self) -> bool:
@@ -76,11 +79,23 @@ class Candidate:
     @property
     def values(self) -> dict[str, float]:
         """The values about which it is linear, by the model's names."""
-        return {f"{self.key}.{name}": value for name, value in self.at.items()}
+        return {f"{self.key}.{name}": value for name, value in self.use().parameters.items()}
 
     def use(self) -> EffectUse:
         """The effect at the values about which it is linear."""
-        return EffectUse(self.effect.name, dict(self.at), self.rotor)
+        return EffectUse(self.effect.name, {**self.at, **(self.fitted or {})}, self.rotor)
+
+    def about(self, fitted: Mapping[str, float]) -> Candidate:
+        """The same candidate, linear about the values of a fit that holds it."""
+        held = {name: fitted.get(name, value) for name, value in self.at.items() if name not in self.free}
+        return replace(self, at={**self.at, **held}, fitted={**self.at, **fitted})
+
+    @property
+    def coefficients(self) -> list[float]:
+        """Its coefficients in the model that is linearised: zeros, or those of the fit that holds it."""
+        if self.fitted is None:
+            return [0.0] * len(self.columns)
+        return [self.fitted[name] - self.at[name] for name in self.free] or [1.0]
 
 
 def make_candidates(

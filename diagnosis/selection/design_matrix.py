@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 from diagnosis.data.filters import slow
@@ -46,11 +47,13 @@ class _Group:
 
 
 class DesignMatrix:
-    """Residuals of a vehicle's present model, and the columns of all candidates, for any segment.
+    """Residuals of a vehicle's model, and the columns of all candidates, for any segment.
+
+    Candidates that an earlier fit holds are in the model that is linearised; what they contribute is added to its
+    residuals by their columns, so that all coefficients count from the vehicle's own model.
 
     example: any of the segments.
-
-    present: the vehicle's present model.
+    present: the model that is linearised.
     """
 
     def __init__(
@@ -63,8 +66,18 @@ class DesignMatrix:
     ) -> None:
         self._vehicle = vehicle
         self._width = max((i for c in candidates for i in c.columns), default=-1) + 1
-        self._source = _ModelSource(vehicle, catalogue, example, thresholds)
-        self.present = self._source.predictor(vehicle.effects)
+        held = [c for c in candidates if c.fitted is not None]
+        self._coefficients = np.zeros(self._width)
+        for candidate in held:
+            self._coefficients[list(candidate.columns)] = candidate.coefficients
+        own = {c.identity for c in held}
+        uses = (*(u for u in vehicle.effects if (u.name, u.rotor) not in own), *(c.use() for c in held))
+        self._source = _ModelSource(msgspec.structs.replace(vehicle, effects=uses), catalogue, example, thresholds)
+        self.present = self._source.predictor(uses)
+        self._without = {
+            identity: self._source.predictor(_present_without(uses, vehicle, identity))
+            for identity in {c.identity for c in candidates if c.fixed_shape and c.identity in own}
+        }
         together = [c for c in candidates if _vanishes_beside_others(c, candidates)]
         joint = [[c for c in together if scales_rotors(c) is scaled] for scaled in (False, True)]
         self._groups = [self._source.joint(group) for group in joint if group]
@@ -75,17 +88,62 @@ class DesignMatrix:
 
         instrumented: columns for detection, which use instruments for the rotors' moments; else plain ones.
         """
-        base = channels.predicted(segment, [self.present.predict(segment)])
+        columns = np.empty((0, channels.CHANNELS, self._width))
+        return self._evaluated(segment, columns, self._groups, instrumented=instrumented)
+
+    def again(self, segment: Segment, columns: Floats) -> tuple[Floats, Floats]:
+        """The same with earlier columns (m, 12, k), but for those of what the model holds, of air and of what shares a
+        model with others."""
+        changed = [g for g in self._groups if len(g.candidates) > 1 or _is_held_or_air(g.candidates[0])]
+        return self._evaluated(segment, columns, changed, instrumented=True)
+
+    def _evaluated(
+        self, segment: Segment, earlier: Floats, groups: Sequence[_Group], *, instrumented: bool
+    ) -> tuple[Floats, Floats]:
+        present = channels.predicted(segment, [self.present.predict(segment)])[:, :, 0]
+        bases = {i: channels.predicted(segment, [p.predict(segment)])[:, :, 0] for i, p in self._without.items()}
+        base = _Bases(present, bases)
         instruments = make_instruments(segment, self._vehicle) if instrumented else None
-        columns = np.empty((len(base), channels.CHANNELS, self._width))
+        columns = earlier.copy() if len(earlier) else np.empty((len(present), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []
-        for group in self._groups:
+        for group in groups:
             waiting += _predictions(group, segment, instruments)
             if len(waiting) * len(segment) > MAX_BATCH:
                 _fill(columns, segment, waiting, base, instrumented=instrumented)
                 waiting = []
         _fill(columns, segment, waiting, base, instrumented=instrumented)
-        return channels.measured(segment) - base[:, :, 0], columns
+        rows = channels.measured(segment) - present
+        if np.any(self._coefficients):
+            rows = rows + columns @ self._coefficients
+        return rows, columns
+
+
+def _is_held_or_air(candidate: Candidate) -> bool:
+    return candidate.fitted is not None or candidate.effect.wind is not None
+
+
+def _present_without(
+    uses: Sequence[EffectUse], vehicle: Vehicle, identity: tuple[str, int | None]
+) -> tuple[EffectUse, ...]:
+    """Effects with the vehicle's own values of one, or without it where the vehicle has none."""
+    own = tuple(u for u in vehicle.effects if (u.name, u.rotor) == identity)
+    return (*(u for u in uses if (u.name, u.rotor) != identity), *own)
+
+
+@dataclass(frozen=True, eq=False)
+class _Bases:
+    """Predictions (m, 12) from which fixed shapes are differences.
+
+    present: of the model that is linearised.
+    without: of the same without one effect, by name and rotor, where it holds that.
+    """
+
+    present: Floats
+    without: Mapping[tuple[str, int | None], Floats]
+
+    def of(self, candidate: Candidate) -> Floats:
+        """That of a candidate."""
+        return self.without.get(candidate.identity, self.present)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +258,7 @@ def _fill(
     matrix: Floats,
     segment: Segment,
     waiting: Sequence[tuple[int, Prediction, Candidate]],
-    base: Floats,
+    base: _Bases,
     *,
     instrumented: bool,
 ) -> None:
@@ -211,7 +269,7 @@ def _fill(
     for i, (place, _, candidate) in enumerate(waiting):
         column = columns[:, :, i]
         if candidate.fixed_shape:
-            column = column - base[:, :, 0]
+            column = column - base.of(candidate)
             if instrumented and candidate.effect.rotor_speed is not None:
                 column = with_slow_moments(column, segment)
         matrix[:, :, place] = column

@@ -25,9 +25,9 @@ class Gust:
     effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
     """
 
-    gain: float
-    score: float
-    intensity: float
+    gain: float = 0.0
+    score: float = -np.inf
+    intensity: float = 0.0
     std: float = 0.0
     share: float = 0.0
     effect: Effect | None = None
@@ -38,9 +38,6 @@ class Gust:
         return self.intensity**2
 
 
-NO_GUST = Gust(0.0, -np.inf, 0.0)
-
-
 def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool = True) -> Gust:
     """The gust of greatest likelihood beside the chosen columns.
 
@@ -48,7 +45,7 @@ def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool
     """
     effect = next((e for e in regression.catalogue.values() if e.stochastic and e.wind is not None), None)
     if effect is None or not regression.feels_air:
-        return NO_GUST
+        return Gust()
     thresholds = regression.thresholds.gust
     strengths = np.geomspace(*thresholds.intensity, thresholds.strengths)
     profile = regression.gust_profile(chosen, [0.0, *(strengths**2).tolist()])

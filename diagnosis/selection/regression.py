@@ -12,8 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -99,6 +101,7 @@ class Regression:
     everything: (k,) ridge coefficients of all columns at once.
     equations: of each flight in still air.
     pose: errors of the segments' pose that are noise.
+    errors: of rows (m, 12) and columns (m, 12, k) that noise added to a segment causes, a segment each.
     thresholds: for all that is built on this regression.
     gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
@@ -125,6 +128,7 @@ class Regression:
     everything: Floats
     equations: Sequence[FlightEquations]
     pose: PoseErrors = NO_ERRORS
+    errors: Sequence[tuple[Floats, NDArray[np.floating]]] = ()
     thresholds: Thresholds = DEFAULT
     gust_variance: float = 0.0
     not_followed: tuple[str, ...] = ()
@@ -326,19 +330,15 @@ def make_regression(
     design, rows, columns = evaluated.matrix, evaluated.rows, evaluated.columns
     candidates = tuple(c for c in evaluated.candidates if c.effect.name not in COMMAND_EFFECTS)
     nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
+    noisier = design_errors(segments, design, rows, columns, thresholds.pose)
+    errors = [(y, x.astype(np.float32)) for y, x in noisier]
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)
-    errors = design_errors(segments, design, rows, columns, thresholds.pose)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
-    joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
-    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
-    gram, product = _marginals(joint_gram, joint_product, biases)
-    plain_gram, plain_product = _marginals(
-        [one.plain_gram for one in equations], [one.plain_product for one in equations], biases
-    )
-    observations = [0] * len(gram)
+    observations = [0] * len(equations)
     for flight, y in zip(flight_of, rows, strict=True):
         observations[flight] += (len(y) - noise.order) * len(noise.active)
+    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
     return Regression(
         vehicle=vehicle,
         catalogue=catalogue,
@@ -348,12 +348,7 @@ def make_regression(
         noise=noise,
         rows=rows,
         columns=columns,
-        gram=gram,
-        product=product,
-        plain_gram=plain_gram,
-        plain_product=plain_product,
-        joint_gram=joint_gram,
-        joint_product=joint_product,
+        **_still_air(equations, biases),
         observations=observations,
         rate=segments[0].decimated_rate,
         biases=biases,
@@ -361,11 +356,62 @@ def make_regression(
         everything=everything,
         equations=equations,
         pose=pose,
+        errors=errors,
         thresholds=thresholds,
         not_followed=evaluated.not_followed,
         nuisances=nuisances,
         shared=shared_unknowns(nuisances, thresholds.command_curve),
     )
+
+
+def about_fit(
+    regression: Regression, candidates: tuple[Candidate, ...], nuisances: tuple[Candidate, ...]
+) -> Regression | None:
+    """The regression about a fit of some candidates, which hold its values; None where that cannot be followed.
+
+    Made again are the rows, and the columns of what the fit holds, of air and of what shares a model with them. Other
+    columns change by as little as those effects change the vehicle, and so do the errors in variables.
+    """
+    r, thresholds = regression, regression.thresholds
+    design = DesignMatrix(r.vehicle, r.catalogue, (*candidates, *nuisances), r.segments[0], thresholds.prediction)
+    again = [design.again(segment, columns) for segment, columns in zip(r.segments, r.columns, strict=True)]
+    rows, columns = _unzipped(again)
+    if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in again):
+        return None
+    pose = pose_errors(r.segments, design.present, thresholds.pose)
+    noise, _ = _noise(r.segments, rows, columns, pose, thresholds)
+    equations = _equations(candidates, r.flight_of, noise, rows, columns, r.errors, r.rate, thresholds)
+    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
+    return replace(
+        r,
+        candidates=candidates,
+        nuisances=nuisances,
+        noise=noise,
+        pose=pose,
+        rows=rows,
+        columns=columns,
+        **_still_air(equations, biases),
+        biases=biases,
+        shared=shared_unknowns(nuisances, thresholds.command_curve),
+        equations=equations,
+        gust_variance=0.0,
+    )
+
+
+def _still_air(equations: Sequence[FlightEquations], biases: Biases) -> dict[str, Any]:
+    """The fields of a regression with its normal equations, without a gust."""
+    joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
+    gram, product = _marginals(joint_gram, joint_product, biases)
+    plain = [one.plain_gram for one in equations], [one.plain_product for one in equations]
+    plain_gram, plain_product = _marginals(*plain, biases)
+    return {
+        "gram": gram,
+        "product": product,
+        "plain_gram": plain_gram,
+        "plain_product": plain_product,
+        "joint_gram": joint_gram,
+        "joint_product": joint_product,
+    }
 
 
 def _equations(
@@ -374,7 +420,7 @@ def _equations(
     noise: NoiseModel,
     rows: Sequence[Floats],
     columns: Sequence[Floats],
-    errors: Iterable[tuple[Floats, Floats]],
+    errors: Iterable[tuple[Floats, NDArray[np.floating]]],
     rate: float,
     thresholds: Thresholds,
 ) -> list[FlightEquations]:
@@ -382,7 +428,8 @@ def _equations(
     wind = next((list(c.columns) for c in candidates if c.effect.wind is not None), None)
     flights: list[list[tuple[Whitened, Floats]]] = [[] for _ in range(max(flight_of) + 1)]
     for flight, y, x, (y_error, x_error) in zip(flight_of, rows, columns, errors, strict=True):
-        white = Whitened(noise.whiten(x), noise.whiten(y), noise.whiten(x_error), noise.whiten(y_error))
+        white_errors = noise.whiten(np.asarray(x_error, dtype=float)), noise.whiten(y_error)
+        white = Whitened(noise.whiten(x), noise.whiten(y), *white_errors)
         flights[flight].append((white, x[:, :, wind or []]))
     return [
         flight_equations([one for one, _ in parts], [air for _, air in parts], noise, rate, thresholds.gust)

@@ -1,24 +1,31 @@
-"""Which effects explain what the model misses: forward search with pairs, cross-validated by leaving flights out.
+"""Which effects explain what the model misses: forward, swap and backward steps, cross-validated over flights.
 
 Scores are twice the log-likelihood gained less a penalty for each coefficient, each point of a grid that was tried and
 each effect of the catalogue (extended Bayesian information criterion). Coefficients must lie within physical bounds.
+Every step raises the set's worth, its score less what each of its effects must gain at least, so that the search ends.
+A gust is a nuisance beside the effects, whose strength is estimated again with each set.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import Gust, gust_beside
-from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression import Regression, solved
 from diagnosis.thresholds import DEFAULT, SearchThresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
 IMPOSSIBLE = -math.inf
+Set = tuple[Candidate, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +61,7 @@ class Selection:
     singles: each effect alone at its best grid point, best first.
     gust_before, gust: random air motion before and after the effects.
     gust_detected: whether a gust is among what is missing.
+    gust_variance: of the gust that is a nuisance beside the effects, (m/s)^2, named or not.
     """
 
     chosen: Scored
@@ -61,16 +69,31 @@ class Selection:
     gust_before: Gust
     gust: Gust
     gust_detected: bool
+    gust_variance: float = 0.0
 
 
 class Search:
-    """The search over one regression."""
+    """The search over one regression, in the gust that is marginalised there.
 
-    def __init__(self, regression: Regression) -> None:
+    required: score by which an effect must raise that of the others.
+    """
+
+    def __init__(self, regression: Regression, required: float | None = None) -> None:
         self.regression = regression
         self.thresholds = regression.thresholds.search
+        self.required = self.thresholds.min_gain if required is None else required
+        self._gram, self._product = regression.summed()
         self._grid_sizes = Counter(c.effect.name for c in regression.candidates)
         self._size = math.log(regression.independent)
+        self._low, self._high = self._bounds()
+
+    def _bounds(self) -> tuple[Floats, Floats]:
+        """(k,) coefficients' bounds, column by column."""
+        low, high = np.zeros(len(self._product)), np.zeros(len(self._product))
+        for candidate in self.regression.candidates:
+            columns = list(candidate.columns)
+            low[columns], high[columns] = coefficient_bounds(candidate, self.regression.vehicle, self.thresholds)
+        return low, high
 
     def penalty(self, candidate: Candidate) -> float:
         """The criterion's penalty of a candidate."""
@@ -79,22 +102,56 @@ class Search:
 
     def score(self, candidates: Sequence[Candidate]) -> Scored:
         """The score of a set of effects, -inf where a coefficient is physically impossible."""
-        columns = [i for c in candidates for i in c.columns]
-        theta, gain = self.regression.solve(columns)
-        start = 0
-        for candidate in candidates:
-            part = theta[start : start + len(candidate.columns)]
-            start += len(part)
-            if not possible(candidate, part, self.regression.vehicle, self.thresholds):
-                return Scored(tuple(candidates), IMPOSSIBLE, 0.0)
-        return Scored(tuple(candidates), gain - sum(self.penalty(c) for c in candidates), gain)
+        return self.scores([tuple(candidates)])[0]
+
+    def scores(self, sets: Sequence[Set]) -> list[Scored]:
+        """The score of each set, those of equal width at once."""
+        return [scored for scored, _ in self._solved(sets)]
+
+    def _solved(self, sets: Sequence[Set]) -> list[tuple[Scored, Set]]:
+        """The score of each set, and those of its effects whose coefficients are physically possible in it."""
+        places = [[i for c in one for i in c.columns] for one in sets]
+        by_width: dict[int, list[int]] = {}
+        for number, columns in enumerate(places):
+            by_width.setdefault(len(columns), []).append(number)
+        results: dict[int, tuple[Scored, Set]] = {}
+        for width, numbers in by_width.items():
+            where = np.array([places[n] for n in numbers], dtype=int).reshape(len(numbers), width)
+            theta, gain = solved(self._gram[where[:, :, None], where[:, None, :]], self._product[where])
+            inside = (theta >= self._low[where]) & (theta <= self._high[where])
+            for number, gained, fits in zip(numbers, gain.tolist(), inside, strict=True):
+                results[number] = self._judged(sets[number], gained, fits)
+        return [results[number] for number in range(len(sets))]
+
+    def _judged(self, one: Set, gain: float, fits: NDArray[np.bool_]) -> tuple[Scored, Set]:
+        if fits.all():
+            return Scored(one, gain - sum(self.penalty(c) for c in one), gain), one
+        ends = np.cumsum([len(c.columns) for c in one]).tolist()
+        starts = [0, *ends[:-1]]
+        fitting = tuple(c for c, start, end in zip(one, starts, ends, strict=True) if fits[start:end].all())
+        return Scored(one, IMPOSSIBLE, 0.0), fitting
+
+    def possible_scores(self, sets: Sequence[Set]) -> list[Scored]:
+        """The score of each set without the effects that would be impossible in it, no set twice."""
+        waiting, results = list(sets), dict[frozenset[int], Scored]()
+        while waiting:
+            solutions = self._solved(waiting)
+            smaller = [rest for scored, rest in solutions if scored.score == IMPOSSIBLE]
+            results |= {_identity(s.candidates): s for s, _ in solutions if s.score > IMPOSSIBLE}
+            waiting = [rest for rest in smaller if _identity(rest) not in results]
+        return list(results.values())
+
+    def worth(self, scored: Scored) -> float:
+        """What the search maximises: the score less what each effect must gain at least."""
+        faults = all(c.effect.sensor_prior is not None for c in scored.candidates)
+        required = self.thresholds.min_fault_gain if faults else self.required
+        return scored.score - required * len(scored.candidates)
 
     def singles(self) -> tuple[Scored, ...]:
         """Each effect alone at its best grid point, best first."""
         best: dict[str, Scored] = {}
-        for candidate in self.regression.candidates:
-            scored = self.score([candidate])
-            name = candidate.effect.name
+        for scored in self.scores([(candidate,) for candidate in self.regression.candidates]):
+            name = scored.candidates[0].effect.name
             if name not in best or scored.score > best[name].score:
                 best[name] = scored
         return tuple(sorted(best.values(), key=lambda s: -s.score))
@@ -113,87 +170,180 @@ class Search:
                 top = other
         return top
 
-    def grow(self, start: Scored, singles: Sequence[Scored]) -> Scored:
-        """Add effects, or exchange the first for a better pair, while cross-validation confirms the improvement."""
-        chosen, thresholds = start, self.thresholds
-        required = max(thresholds.min_gain, thresholds.min_share * start.gain)
-        for step in range(thresholds.max_effects - 1):
-            trials = [self.score([*chosen.candidates, c]) for c in self._others(chosen)]
-            if step == 0:
-                trials += self._pairs(singles)
-            better = self._confirmed(chosen, trials, required)
-            if better is None:
-                break
-            chosen = self._ordered(better)
-        return self._on_best_grid_points(chosen)
+    def better(self, chosen: Scored) -> Scored | None:
+        """A set that is worth more: one effect fewer, more or exchanged; if none is, one for two or two for one."""
+        near = [*self._fewer(chosen), *self._more(chosen), *self._exchanged(chosen)]
+        return self._confirmed(chosen, near) or self._confirmed(chosen, [*self._merged(chosen), *self._pairs(chosen)])
 
-    def _confirmed(self, chosen: Scored, trials: Sequence[Scored], required: float) -> Scored | None:
-        """The best of the trials whose improvement on the chosen set is confirmed by cross-validation."""
+    def _confirmed(self, chosen: Scored, trials: Sequence[Set]) -> Scored | None:
+        """The trial worth most, if cross-validation shows enough of what it improves."""
+        was, step = self.worth(chosen), self.thresholds.min_improvement
+        scored = self.possible_scores(trials)
+        worth_more = [s for s in scored if self.worth(s) > was + step and self._allowed(s)]
+        if not worth_more:
+            return None
         before = self.regression.cross_validated_gain(chosen.columns)
-        for trial in sorted(trials, key=lambda s: -s.score)[: self.thresholds.max_trials]:
+        for trial in sorted(worth_more, key=lambda s: -self.worth(s))[: self.thresholds.max_trials]:
             improvement = trial.score - chosen.score
-            if improvement <= required:
-                return None
+            if improvement <= 0:  # fewer effects, for next to no loss
+                return trial
             shown = self.regression.cross_validated_gain(trial.columns) - before
             if shown > self.thresholds.min_cross_validated * improvement:
                 return trial
         return None
 
-    def _others(self, chosen: Scored) -> list[Candidate]:
-        return [c for c in self.regression.candidates if c.effect.name not in chosen.names]
+    def _allowed(self, scored: Scored) -> bool:
+        return len(scored.candidates) <= self.thresholds.max_effects
 
-    def _pairs(self, singles: Sequence[Scored]) -> list[Scored]:
-        first = singles[: self.thresholds.max_paired]
-        return [self.score([*s.candidates, other]) for s in first for other in self._others(s)]
+    def _others(self, chosen: Set) -> list[Candidate]:
+        names = {c.effect.name for c in chosen}
+        return [c for c in self.regression.candidates if c.effect.name not in names]
 
-    def _ordered(self, chosen: Scored) -> Scored:
+    def _fewer(self, chosen: Scored) -> list[Set]:
+        return [_without(chosen.candidates, c) for c in chosen.candidates]
+
+    def _more(self, chosen: Scored) -> list[Set]:
+        return [(*chosen.candidates, c) for c in self._others(chosen.candidates)]
+
+    def _exchanged(self, chosen: Scored) -> list[Set]:
+        """Each effect at another point of its grid, on another rotor, or replaced by another effect."""
+        sets = []
+        for one in chosen.candidates:
+            rest = _without(chosen.candidates, one)
+            sets += [(*rest, c) for c in self._others(rest) if c is not one]
+        return sets
+
+    def _merged(self, chosen: Scored) -> list[Set]:
+        """Two effects replaced by one."""
+        sets = []
+        for one, other in itertools.combinations(chosen.candidates, 2):
+            rest = _without(_without(chosen.candidates, one), other)
+            sets += [(*rest, c) for c in self._others(rest) if c is not one and c is not other]
+        return sets
+
+    def _pairs(self, chosen: Scored) -> list[Set]:
+        """Two effects more, or in place of one; one of them among the best single additions."""
+        sets = []
+        for rest in (chosen.candidates, *self._fewer(chosen)):
+            additions = self.scores([(*rest, c) for c in self._others(rest)])
+            best = sorted(additions, key=lambda s: -s.score)[: self.thresholds.max_paired]
+            for addition in best:
+                sets += [(*addition.candidates, c) for c in self._others(addition.candidates)]
+        return sets
+
+    def simplified(self, chosen: Scored) -> Scored:
+        """The set with effects exchanged for others of fewer coefficients that gain nearly as much in their place."""
+        for one in chosen.candidates:
+            rest = _without(chosen.candidates, one)
+            base = self.score(rest).gain
+            simpler = [(*rest, c) for c in self._others(rest) if len(c.columns) < len(one.columns)]
+            required = base + self.thresholds.parsimony * (chosen.gain - base)
+            enough = [s for s in self.scores(simpler) if s.score > IMPOSSIBLE and s.gain >= required]
+            if enough:
+                return self.simplified(max(enough, key=lambda s: s.score))
+        return chosen
+
+    def ordered(self, chosen: Scored) -> Scored:
         """The same set, ordered by how much gain is lost without an effect, most first."""
         if len(chosen.candidates) < 2:
             return chosen
-        rest = {c.key: self.score([o for o in chosen.candidates if o is not c]).gain for c in chosen.candidates}
+        rest = {c.key: self.score(_without(chosen.candidates, c)).gain for c in chosen.candidates}
         return Scored(tuple(sorted(chosen.candidates, key=lambda c: rest[c.key])), chosen.score, chosen.gain)
 
-    def _on_best_grid_points(self, chosen: Scored) -> Scored:
-        """The same effects, each at the grid point that scores best beside the others."""
-        for index, candidate in enumerate(chosen.candidates):
-            rest = list(chosen.candidates)
-            for other in self.regression.candidates:
-                if other.effect.name == candidate.effect.name:
-                    trial = self.score([*rest[:index], other, *rest[index + 1 :]])
-                    chosen = trial if trial.score > chosen.score else chosen
-        return chosen
+
+def _without(chosen: Set, one: Candidate) -> Set:
+    return tuple(c for c in chosen if c is not one)
+
+
+def _identity(chosen: Set) -> frozenset[int]:
+    return frozenset(c.columns[0] for c in chosen)
+
+
+def coefficient_bounds(
+    candidate: Candidate, vehicle: Vehicle, thresholds: SearchThresholds = DEFAULT.search
+) -> tuple[list[float], list[float]]:
+    """Least and greatest possible coefficients of a candidate's columns, with a slack for noise."""
+    if candidate.fixed_shape:
+        low, high = _amplitudes(candidate, thresholds)
+        return [low], [high]
+    parameters = {p.name: p for p in candidate.effect.parameters}
+    free = [(parameters[name], candidate.at[name]) for name in candidate.free]
+    slack = [thresholds.bound_slack * p.prior(vehicle).std for p, _ in free]
+    return (
+        [p.lower - off - at for (p, at), off in zip(free, slack, strict=True)],
+        [p.upper + off - at for (p, at), off in zip(free, slack, strict=True)],
+    )
+
+
+def _amplitudes(candidate: Candidate, thresholds: SearchThresholds) -> tuple[float, float]:
+    """Least and greatest coefficient of a fixed shape, with all parameters within their bounds."""
+    low, high = thresholds.amplitude
+    if candidate.present is not None:  # a correction may be small
+        low = 0.0
+    sizes = candidate.sizes
+    low = max(low, candidate.effect.min_detectable / abs(next(iter(sizes.values()))))
+    for parameter in candidate.effect.parameters:
+        size = sizes[parameter.name]
+        if size:
+            start = candidate.at[parameter.name] - size
+            ends = sorted([(parameter.lower - start) / size, (parameter.upper - start) / size])
+            low, high = max(low, ends[0]), min(high, ends[1])
+    return low, high
 
 
 def possible(
     candidate: Candidate, theta: Floats, vehicle: Vehicle, thresholds: SearchThresholds = DEFAULT.search
 ) -> bool:
-    """Whether coefficients lie within the physical bounds of their parameters, with a slack for noise."""
-    if candidate.fixed_shape:
-        size, (low, high) = abs(next(iter(candidate.sizes.values()))), thresholds.amplitude
-        if candidate.present is not None:  # a correction may be small
-            low = 0.0
-        values = candidate.scaled(float(theta[0]))
-        within = all(p.lower <= values[p.name] <= p.upper for p in candidate.effect.parameters)
-        return bool(within and low < theta[0] < high and theta[0] * size >= candidate.effect.min_detectable)
-    slack = {p.name: thresholds.bound_slack * p.prior(vehicle).std for p in candidate.effect.parameters}
-    bounds = {p.name: (p.lower - slack[p.name], p.upper + slack[p.name]) for p in candidate.effect.parameters}
-    return all(
-        bounds[name][0] <= candidate.at[name] + float(value) <= bounds[name][1]
-        for name, value in zip(candidate.free, theta, strict=True)
-    )
+    """Whether coefficients lie within the physical bounds of their parameters."""
+    low, high = coefficient_bounds(candidate, vehicle, thresholds)
+    return bool(np.all((theta >= low) & (theta <= high)))
 
 
-def select(regression: Regression) -> Selection:
-    """The effects that are missing, none where no score reaches its minimum."""
-    search, thresholds = Search(regression), regression.thresholds.search
-    singles = search.singles()
+def select(regression: Regression, start: Sequence[Candidate] = (), *, min_share: float | None = None) -> Selection:
+    """The effects that are missing, none where no score reaches its minimum.
+
+    start: a set from which to search as well.
+    min_share: of the greatest gain that every effect must add; by default the threshold's.
+    """
+    thresholds = regression.thresholds.search
+    singles = Search(regression).singles()
     before = gust_beside(regression, [])
-    top = search.first(singles)
-    gust_first = before.score > max(top.score, thresholds.min_gain)
-    nothing = top.score < min_score(top.candidates, thresholds) and before.score < thresholds.min_gain
-    if nothing or (gust_first and top.score < thresholds.min_share_beside_gust * before.score):
-        return Selection(Scored((), 0.0, 0.0), singles, before, before, gust_first)
-    chosen = search.grow(top, singles)
+    top = Search(regression).first(singles)
+    if top.score < min_score(top.candidates, thresholds) and not start:
+        return Selection(Scored((), 0.0, 0.0), singles, before, before, before.score >= thresholds.min_gain)
+    required = max(thresholds.min_gain, (thresholds.min_share if min_share is None else min_share) * top.gain)
+    starts: list[tuple[Set, float]] = [(top.candidates, 0.0)]
+    if before.score >= thresholds.min_gain:
+        starts.append(((), before.variance))
+    if start:
+        starts.append((tuple(start), gust_variance(regression, tuple(start))))
+    results = [_searched(regression, candidates, variance, required) for candidates, variance in starts]
+    chosen, variance, _ = max(results, key=lambda one: one[2])
+    search = Search(regression.in_gust(variance), required)
+    chosen = search.ordered(search.simplified(chosen))
     after = gust_beside(regression, chosen.columns)
-    gust_detected = after.score > max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain)
-    return Selection(chosen, singles, before, after, gust_detected)
+    detected = after.score > max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain)
+    return Selection(chosen, singles, before, after, detected, variance)
+
+
+def _searched(regression: Regression, start: Set, variance: float, required: float) -> tuple[Scored, float, float]:
+    """The set to which the steps lead from a start, the variance of the gust beside it, and what both are worth."""
+    search = Search(regression.in_gust(variance), required)
+    chosen = search.score(start)
+    for _ in range(regression.thresholds.search.max_steps):
+        better = search.better(chosen)
+        if better is None:
+            break
+        chosen = better
+        variance = gust_variance(regression, chosen.candidates)
+        if variance != search.regression.gust_variance:
+            search = Search(regression.in_gust(variance), required)
+            chosen = search.score(chosen.candidates)
+    alone = regression.gust_profile([], [0.0, variance]).total()
+    return chosen, variance, search.worth(chosen) + float(alone[1] - alone[0])
+
+
+def gust_variance(regression: Regression, chosen: Set) -> float:
+    """Variance of the gust beside a set, (m/s)^2; 0 where it does not gain enough."""
+    gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
+    return gust.variance if gust.score >= regression.thresholds.search.min_gain else 0.0

@@ -30,7 +30,7 @@ def test_where_nothing_is_planted_nothing_is_named(arpl_250g, seed):
 
 
 def test_no_more_effects_are_named_than_the_threshold_allows(arpl_250g):
-    everything = planted(arpl_250g, [0.3, 0.3, 0.3, 0.3], seed=0)
+    everything = planted(arpl_250g, [0.3] * 12, seed=0)
     assert len(select(everything).chosen.candidates) == DEFAULT.search.max_effects
     two = planted(arpl_250g, [0.3, 0.3, 0.3, 0.3], seed=0, thresholds=with_search(max_effects=2))
     assert len(select(two).chosen.candidates) == 2
