@@ -25,6 +25,7 @@ from benchmarks.provenance import write_result
 from benchmarks.verdict_cases import KINDS, Case, prepare
 from benchmarks.verdict_table import table, wrong_answers
 from dynamics.errors import AlulaError
+from flights.parallel import parallel_map
 
 TOGETHER = 32  # cases that are flown side by side
 MAX_ROUNDS = 6  # of adding
@@ -105,6 +106,7 @@ def parser() -> argparse.ArgumentParser:
     made.add_argument("--count", type=int, default=1, help="seeds")
     made.add_argument("--kept", type=Path, default=Path("build/verdicts.jsonl"), help="where finished cases are kept")
     made.add_argument("--budget", type=float, default=float("inf"), help="seconds after which no case is begun")
+    made.add_argument("--jobs", type=int, default=1, help="processes")
     made.add_argument("--fly-only", action="store_true", help="make the logs, answer nothing")
     made.add_argument("--table", action="store_true", help="write results/verdicts.md")
     made.add_argument("--state", type=Path, help="write the table and the wrong answers to this file instead")
@@ -120,16 +122,16 @@ def main() -> None:
     done = {result["key"]: result for result in map(json.loads, lines)}
     todo = [case for case in planned(options) if case.key not in done]
     began = time.monotonic()
-    for first in range(0, len(todo), TOGETHER):
-        part = todo[first : first + TOGETHER]
-        prepare(part)
-        for case in part:
-            if options.fly_only or time.monotonic() - began > options.budget:
-                continue
-            done[case.key] = result = answer(case)
-            with options.kept.open("a") as file:
-                print(json.dumps(result), file=file)
-            print(f"{time.monotonic() - began:5.0f} s  {case.key}: {spoken(result)}", flush=True)
+    parts = [todo[first : first + TOGETHER] for first in range(0, len(todo), TOGETHER)]
+    for _, _ in parallel_map(prepare, parts, jobs=options.jobs):
+        pass
+    for _, result in [] if options.fly_only else parallel_map(answer, todo, jobs=options.jobs):
+        done[result["key"]] = result
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+        print(f"{time.monotonic() - began:5.0f} s  {result['key']}: {spoken(result)}", flush=True)
+        if time.monotonic() - began > options.budget:
+            break
     results = [done[case.key] for case in planned(options) if case.key in done]
     if options.state:
         options.state.write_text(f"{table(results)}\n\n{wrong_answers(results)}\n")
