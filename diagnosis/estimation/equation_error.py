@@ -19,7 +19,8 @@ from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors
 from diagnosis.selection.design_matrix import with_slow_moments
 from diagnosis.selection.errors_in_variables import SEED, perturbed
-from diagnosis.selection.regression import Biases, Regression, marginal
+from diagnosis.selection.regression import Regression, marginal
+from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle

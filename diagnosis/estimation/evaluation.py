@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -13,12 +12,10 @@ from diagnosis.models.command_effects import GAIN, GAIN_RATIO
 from diagnosis.models.prediction import Prediction, Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor
 from diagnosis.selection.regression import Regression
+from diagnosis.selection.sensor_errors import SensorErrors
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
-from dynamics.effects.gyro_bias import SENSOR_PRIOR as GYRO_BIAS
-from dynamics.effects.imu_bias import SENSOR_PRIOR as ACCELEROMETER_BIAS
-from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
 from dynamics.vehicle import Vehicle
 
 
@@ -28,11 +25,15 @@ def residuals(
     segments: Sequence[Segment],
     noise: NoiseModel | None = None,
     thresholds: Thresholds = DEFAULT,
+    errors: SensorErrors | None = None,
 ) -> list[Floats]:
     """(m, 12) measured less modelled of each segment.
 
     noise: by which each segment's own sensor errors, within specification, are estimated and removed; None: not.
+    errors: of the sensors, to be computed once; by default those under this vehicle's model.
     """
+    if noise is not None and errors is None:
+        errors = SensorErrors(vehicle, catalogue, segments, thresholds)
     measured = segments[0].rotor_source == "measured"
     free = [GAIN_RATIO] if any(use.name == GAIN.name for use in vehicle.effects) else []
     predictor = Predictor(
@@ -42,36 +43,31 @@ def residuals(
     for segment in segments:
         prediction = predictor.predict(segment)
         rows = channels.residual(segment, prediction)
-        if noise is not None:
+        if noise is not None and errors is not None:
             gain = predictor.slopes(segment)[0] if predictor.free else None
-            rows = _without_biases(segment, prediction, gain, rows, noise, thresholds)
+            rows = _without_biases(segment, errors, gain, rows, noise, thresholds)
         results.append(rows)
     return results
 
 
 def _without_biases(
     segment: Segment,
-    prediction: Prediction,
+    errors: SensorErrors,
     gain: Prediction | None,
     rows: Floats,
     noise: NoiseModel,
     thresholds: Thresholds,
 ) -> Floats:
-    """Rows less the accelerometer's and the gyro's bias and the clock's offset, as far as specification allows.
+    """Rows less the errors of healthy sensors and, of commands, the flight's own gain, as far as specification allows.
 
     gain: slope of the prediction in the gain of commands, of which every flight has its own.
     """
-    columns = np.zeros((len(rows), channels.CHANNELS, 7 if gain is None else 8))
-    for axis in range(3):
-        columns[:, channels.SPECIFIC_FORCE.start + axis, axis] = 1.0
-        columns[:, channels.ATTITUDE_RATE.start + axis, 3 + axis] = -1.0
-    later = replace(prediction, pose_age=prediction.pose_age + CLOCK_OFFSET)
-    both = channels.predicted(segment, [prediction, later])
-    columns[:, :, 6] = (both[:, :, 1] - both[:, :, 0]) / CLOCK_OFFSET
-    deviation = np.array([ACCELEROMETER_BIAS] * 3 + [GYRO_BIAS] * 3 + [CLOCK_OFFSET])
+    columns, deviation = errors.columns(segment), errors.deviation
     if gain is not None:
-        columns[:, :, 7] = channels.predicted(segment, [gain])[:, :, 0]
+        columns = np.concatenate([columns, channels.predicted(segment, [gain])], axis=2)
         deviation = np.append(deviation, thresholds.command_curve.flight_gain_std)
+    if not len(deviation):
+        return rows
     white = noise.whiten(columns).reshape(-1, columns.shape[2])
     off = np.linalg.solve(white.T @ white + np.diag(deviation**-2), white.T @ noise.whiten(rows).ravel())
     limit = thresholds.regression.max_bias * deviation
@@ -81,7 +77,8 @@ def _without_biases(
 
 def residuals_in(regression: Regression, vehicle: Vehicle, segments: Sequence[Segment]) -> list[Floats]:
     """(m, 12) of each segment under a vehicle's model, without sensor errors that a regression's noise allows."""
-    return residuals(vehicle, regression.catalogue, segments, regression.noise, regression.thresholds)
+    errors = regression.sensor_errors
+    return residuals(vehicle, regression.catalogue, segments, regression.noise, regression.thresholds, errors)
 
 
 def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:

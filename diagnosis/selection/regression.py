@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,32 +27,11 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
 from diagnosis.selection.errors_in_variables import design_errors
 from diagnosis.selection.noise import NoiseModel, estimate_noise
+from diagnosis.selection.sensor_errors import NO_BIASES, Biases, SensorErrors, sensor_biases
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
-
-
-@dataclass(frozen=True, eq=False)
-class Biases:
-    """Unknowns with a prior that are marginalised: each flight's own errors, or what all flights share.
-
-    columns: their places among the columns.
-    information: their inverse prior variances.
-    expected: prior means as distances from the point about which the columns are linear; None: zero.
-    """
-
-    columns: tuple[int, ...]
-    information: Floats
-    expected: Floats | None = None
-
-    @property
-    def pull(self) -> Floats:
-        """Information times expected, which the prior adds to the product."""
-        return np.zeros(len(self.columns)) if self.expected is None else self.information * self.expected
-
-
-NO_BIASES = Biases((), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,6 +114,11 @@ class Regression:
     not_followed: tuple[str, ...] = ()
     nuisances: tuple[Candidate, ...] = ()
     shared: Biases = NO_BIASES
+
+    @cached_property
+    def sensor_errors(self) -> SensorErrors:
+        """Errors of the sensors within specification, for any segment."""
+        return SensorErrors(self.vehicle, self.catalogue, self.segments, self.thresholds)
 
     @property
     def flights(self) -> range:
@@ -526,20 +511,3 @@ def shared_unknowns(nuisances: Sequence[Candidate], thresholds: CommandCurveThre
     deviations = [prior_deviation(c.effect, thresholds) for c in nuisances]
     expected = [c.effect.parameters[0].neutral - c.at[c.effect.parameters[0].name] for c in nuisances]
     return Biases(tuple(columns), np.array(deviations) ** -2.0, np.array(expected))
-
-
-def sensor_biases(candidates: Sequence[Candidate]) -> Biases:
-    """Columns of sensor errors within specification: of effects with a sensor prior, one candidate each."""
-    columns: list[int] = []
-    information: list[float] = []
-    taken: set[str] = set()
-    for candidate in candidates:
-        deviation = candidate.effect.sensor_prior
-        if deviation is None or candidate.key in taken:
-            continue
-        taken.add(candidate.key)
-        if candidate.fixed_shape:  # its column is the effect of the size at which it was tried
-            deviation /= abs(next(iter(candidate.sizes.values())))
-        columns += candidate.columns
-        information += [deviation**-2] * len(candidate.columns)
-    return Biases(tuple(columns), np.array(information))

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from diagnosis.selection.regression import Biases, marginal
+from diagnosis.selection.regression import marginal
+from diagnosis.selection.sensor_errors import Biases
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 
