@@ -23,6 +23,7 @@ from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.effects.time_delay import SENSOR_PRIOR as CLOCK_OFFSET
 from dynamics.vehicle import EffectUse, Vehicle
 
 
@@ -105,6 +106,7 @@ def fit(
     problem = _EquationErrorProblem(regression, together, base)
     values, last, left = _settle(problem, problem.start(start))
     covariance = last.covariance + np.outer(left, left)
+    covariance += np.diag([clock_variance(c.effect, name, regression.segments[0].rate) for c, name in problem.free])
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates: dict[tuple[str, str], ParameterEstimate] = {}
@@ -432,6 +434,17 @@ def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tu
             information[i] = shared.information[places[id(candidate)]]
             expected[i] = next(p.neutral for p in candidate.effect.parameters if p.name == name)
     return information, expected
+
+
+def clock_variance(effect: Effect, name: str, rate: float) -> float:
+    """Variance, s^2, that a lag of the rotors behind their commands has by the commands' clock, 0 for other parameters.
+
+    Commands are as old as clocks are apart, and are held for a time between none and a row: half of it is their mean
+    age, of which the logs show nothing. rate: of the rows, Hz.
+    """
+    if effect.rotor_speed is None or name not in effect.time_constants:
+        return 0.0
+    return float(CLOCK_OFFSET**2 + (0.5 / rate) ** 2 / 12)
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:

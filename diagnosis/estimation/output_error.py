@@ -17,7 +17,7 @@ import numpy as np
 
 from diagnosis.data.filters import decimation
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate, bounds, with_candidates
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, bounds, clock_variance, with_candidates
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import SimulatedWindows, Simulator, healthy
 from diagnosis.selection.candidates import make_instruments, scales_rotors
@@ -83,7 +83,8 @@ def refit(
     level = problem.cost(first, white) / problem.count
     if not np.isfinite([before, after, level]).all():
         return None
-    deviation = np.sqrt(np.diag(covariance))
+    clock = [clock_variance(c.effect, name, fitted[0].rate) for c, name in free]
+    deviation = np.sqrt(np.diag(covariance) + clock)
     keys = list(initial.estimates)
     joint = np.diag([estimate.std**2 for estimate in initial.estimates.values()])
     places = [keys.index((c.key, name)) for c, name in free]
@@ -112,8 +113,11 @@ def _settle(
 
 
 def _moves(effect: Effect) -> bool:
-    """Whether an effect acts on the vehicle's motion, and not on a sensor's reading alone."""
-    return effect.moves_vehicle
+    """Whether an effect acts on the vehicle's motion, and not on a sensor's reading alone.
+
+    Nor on the rotors' speed: turbulence that accumulates along a window and that commands answer looks like lag.
+    """
+    return effect.moves_vehicle and effect.rotor_speed is None
 
 
 class _OutputErrorProblem:

@@ -13,6 +13,8 @@ from flights.quantities import MOTION, quantity_of
 
 WATCHED = (*MOTION, "rotor_speed", "rotor_command")
 
+ATTITUDE_RESOLUTION = 1e-3  # of a quaternion's component in coarse logs
+
 
 def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDArray[np.bool_]]:
     """(n,) rows in which a column of motion or rotors keeps one value for so long, by column, if there are any.
@@ -30,6 +32,8 @@ def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDA
             min_rows = max(2, round(seconds * flight.rate)) if varying[name] else 2
             rows = _constant(values, min_rows)
             others = [other for other in columns if other != name]
+            if quantity == "attitude" and _has_unit_length([columns[other][rows] for other in others]):
+                continue
             if rows.any() and any(_varies(columns[other][rows]) for other in others):
                 frozen[name] = rows
     return frozen
@@ -47,6 +51,12 @@ def frozen_findings(flight: Flight) -> list[Finding]:
         )
         for name, rows in frozen_rows(flight).items()
     ]
+
+
+def _has_unit_length(others: list[Floats]) -> bool:
+    """Whether a quaternion's component may stand still by the other ones: near 1 its changes are of second order."""
+    component = np.sqrt(np.maximum(1.0 - sum(values**2 for values in others), 0.0))
+    return not len(component) or float(np.ptp(component)) < ATTITUDE_RESOLUTION
 
 
 def _varies(values: Floats) -> bool:

@@ -24,6 +24,7 @@ from flights.tables import TIME
 _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
 _SECTION = 8 << 20  # bytes of a long file that are parsed together
+MIN_SLOWER = 10  # rows of a quantity from which on its own rate shows
 _MAX_TORN = 0.01  # share of rows with another number of cells than the header
 
 
@@ -106,10 +107,23 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
             continue
         parts = _all_parts(name, grouped[name])
         table = np.stack([columns[part] for part in parts], axis=1)
+        logged = _slower_rows(table)
+        stamps, table = time[logged], table[logged]
         blank = int(np.count_nonzero(~np.isfinite(table).all(axis=1)))
         if blank:
-            assembly.repair("missing_values", f"{name}: {blank} of {len(time)} rows without a number masked")
-        assembly.add(name, time, table, ", ".join((parts[0], "...", parts[-1]) if len(parts) > 2 else parts))
+            assembly.repair("missing_values", f"{name}: {blank} of {len(stamps)} rows without a number masked")
+        assembly.add(name, stamps, table, ", ".join((parts[0], "...", parts[-1]) if len(parts) > 2 else parts))
+
+
+def _slower_rows(table: Floats) -> NDArray[np.int64]:
+    """The rows of a quantity that was logged less often than the table's other ones, in between which it is blank.
+
+    All rows, if it is blank in fewer than every second one. table: (n, k).
+    """
+    filled = np.flatnonzero(np.isfinite(table).any(axis=1))
+    if len(filled) < MIN_SLOWER or np.median(np.diff(filled)) < 2:
+        return np.arange(len(table))
+    return filled
 
 
 def read_columns(file: Path, layout: Layout, names: Sequence[str], assembly: Assembly) -> dict[str, Floats]:

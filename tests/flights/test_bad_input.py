@@ -110,6 +110,18 @@ def test_blank_and_nan_cells_are_masked(lines: list[str], tmp_path: Path) -> Non
     assert np.flatnonzero(np.isnan(flight["position_x"])).tolist() == [9, 10]
 
 
+def test_a_quantity_that_is_blank_in_most_rows_was_logged_less_often(lines: list[str], tmp_path: Path) -> None:
+    columns = [i for i, name in enumerate(lines[0].split(",")) if name.startswith("velocity")]
+    for row in range(1, len(lines)):
+        for column in columns if row % 3 else []:
+            _edit(lines, row, column, "")
+    log = _read(tmp_path, lines)
+    assert _repairs(log) == set()
+    flight = Flight.from_log(log)
+    assert flight.origins["velocity"].rate == pytest.approx(flight.origins["rate"].rate / 3, rel=0.01)
+    assert np.isfinite(flight["velocity_x"][5:-5]).all()
+
+
 def test_infinite_values_are_masked(lines: list[str], tmp_path: Path) -> None:
     _edit(lines, 10, 1, "inf")
     assert "absurd_values" in _repairs(_read(tmp_path, lines))

@@ -5,6 +5,7 @@ import pytest
 from diagnosis.data.dataset import make_dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.output_error import refit
 from diagnosis.selection.candidates import make_candidates
 from diagnosis.selection.regression import make_regression, sensor_biases
 from diagnosis.selection.search import Search, possible
@@ -76,3 +77,16 @@ def test_corrections_are_regressed_as_differences_from_the_file(arpl_250g):
     biases = sensor_biases(candidates)
     information = biases.information[biases.columns.index(late.columns[0])]
     assert information == pytest.approx((CATALOGUE["time_delay"].sensor_prior / 0.005) ** -2)
+
+
+def test_the_interval_of_a_lag_has_the_clocks_of_the_commands_in_it(arpl_250g):
+    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=37), arpl_250g)
+    regression = make_regression(arpl_250g, SENSORS, dataset.fitted, dataset.flight_of)
+    lag = next(c for c in regression.candidates if c.at.get("time_constant") == 0.03)
+    fitted = fit(regression, [lag])
+    estimate = fitted.estimates["motor_lag", "time_constant"]
+    assert 0.001 < estimate.std < 0.003  # a clock's millisecond, and commands held for up to 10 ms
+    assert estimate.value == pytest.approx(0.03, abs=0.001)
+    assert fitted.covariance[0, 0] == pytest.approx(estimate.std**2)
+    # turbulence along simulated windows looks like lag, so that they do not fit it
+    assert refit(fitted, arpl_250g, SENSORS, dataset.fitted, dataset.held_out) is None
