@@ -266,6 +266,9 @@ class _EquationErrorProblem:
         )
         self._lags = {f"{c.key}.{n}" for c, n in self.free if c.effect.rotor_speed is not None}
         self._information, self._expected = _priors(regression, self.free)
+        gains = {column: self.names.index(f"{c.key}.{c.free[0]}") for c in regression.nuisances for column in c.columns}
+        off = regression.biases.columns
+        self._own_gains = [(i, gains[column]) for i, column in enumerate(off) if column in gains]
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
@@ -359,8 +362,19 @@ class _EquationErrorProblem:
                 errors = [r.noise.whiten(part).reshape(-1, count) for part in (again_x - x, again_z - z)]
                 self._errors[place] = (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1])
             fixed = r.noise.whiten(columns[:, :, off])
-            white = [np.concatenate([r.noise.whiten(part), fixed], axis=2) for part in (x, z)]
+            white = [self._with_biases(r.noise.whiten(part), fixed) for part in (x, z)]
             yield _Rows(flight, r.noise.whiten(y), white[0], white[1]), self._errors[place]
+
+    def _with_biases(self, slopes: Floats, biases: Floats) -> Floats:
+        """Whitened slopes (m, c, k) and biases (m, c, b) beside each other.
+
+        A flight's own gain of commands has the slope of the gain that all share: at other values of the parameters the
+        regression's column is not that slope, and the difference of the two would be a parameter of its own.
+        """
+        together = np.concatenate([slopes, biases], axis=2)
+        for bias, place in self._own_gains:
+            together[:, :, slopes.shape[2] + bias] = slopes[:, :, place]
+        return together
 
     def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> Floats:
         """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases.
