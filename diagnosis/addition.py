@@ -15,7 +15,7 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
-from diagnosis.estimation.evaluation import reduced_chi_square
+from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.refusal import Refused, reason_of
@@ -101,7 +101,9 @@ def add_effect(
     fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
     before = with_faults_of(fitted, present)
     _require_no_loss(judge, present, before, fitted)
-    errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), regression, judge.floor(fitted.vehicle))
+    floor = judge.floor(fitted.vehicle)
+    sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
+    errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
     action = _action(fitted, vehicle)
     changed = with_history(without_command_effects(fitted.vehicle), action, dataset, errors, date=date, command=command)
     return Addition(

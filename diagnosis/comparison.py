@@ -11,7 +11,7 @@ import numpy as np
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.data.segment import Segment
-from diagnosis.estimation.evaluation import floor_norms, residuals
+from diagnosis.estimation.evaluation import floor_norms, residuals, sensors_floor
 from diagnosis.models import channels
 from diagnosis.models.open_loop import HorizonError, open_loop_errors
 from diagnosis.regimes import (
@@ -35,13 +35,14 @@ from dynamics.vehicle import Vehicle
 
 
 class AxisError(msgspec.Struct, frozen=True):
-    """RMS error of one channel and its noise floor."""
+    """RMS error of one channel, its floor, and the noise of the sensors alone, as for `ChannelError`."""
 
     kind: str
     axis: str
     rms: float
     floor: float
     unit: str
+    sensors: float
 
 
 class WorstSeconds(msgspec.Struct, frozen=True):
@@ -100,7 +101,7 @@ def compare_dataset(
     planes = regime_planes(segments, rows, floor, vehicle, thresholds.regimes)
     spectrum = residual_spectrum(rows, regression.noise, regression.rate, thresholds)
     comparison = Comparison(
-        axes=_axes(rows, floor),
+        axes=_axes(rows, floor, sensors_floor(regression, vehicle, segments, floor)),
         fails_where=worst_cells(maps, thresholds.regimes),
         worst=_worst(segments, rows, regression),
         open_loop=open_loop_errors(vehicle, catalogue, segments, thresholds.prediction),
@@ -112,10 +113,17 @@ def compare_dataset(
     return ComparisonDetails(comparison, rows, maps, planes, spectrum, regression)
 
 
-def _axes(rows: Sequence[Floats], floor: Floats) -> tuple[AxisError, ...]:
+def _axes(rows: Sequence[Floats], floor: Floats, sensors: Floats) -> tuple[AxisError, ...]:
     rms, by_kind = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)), floor_norms(floor)
     return tuple(
-        AxisError(kind, "xyz"[axis], float(rms[3 * k + axis]), float(floor[3 * k + axis]), channels.UNITS[kind])
+        AxisError(
+            kind=kind,
+            axis="xyz"[axis],
+            rms=float(rms[3 * k + axis]),
+            floor=float(floor[3 * k + axis]),
+            unit=channels.UNITS[kind],
+            sensors=float(sensors[3 * k + axis]),
+        )
         for k, kind in enumerate(channels.KINDS)
         if by_kind[kind] > 0
         for axis in range(channels.AXES)

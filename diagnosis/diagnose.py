@@ -9,7 +9,7 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.equation_error import Fit, fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
+from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, sensors_floor, typical_chi_square
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import GAIN, without_command_effects
@@ -75,12 +75,13 @@ def diagnose_dataset(
     effects = missing_effects(regression, selection, accepted)
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
+    sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
     rejected = _rejected(regression, selection, accepted.fit, effects, tests, before, after)
     left = leftover(rejected, tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
     diagnosis = Diagnosis(
         verdict=judge(effects, rejected),
         effects=effects,
-        channels=channel_errors(before, after, regression, accepted.floor),
+        channels=channel_errors(before, after, accepted.floor, sensors),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
         next_flight=next_flight(effects, left, accepted.refused, quiet, catalogue),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -55,12 +56,24 @@ class Considered(msgspec.Struct, frozen=True):
 
 
 class ChannelError(msgspec.Struct, frozen=True):
-    """RMS over the three axes on held-out flights, before and after, and the sensors' noise floor of the same."""
+    """RMS over the three axes on held-out flights, before and after.
+
+    floor: what no effect of the catalogue lowers: noise of the sensors, and the fast remainder.
+    sensors: the sensors' noise alone, as it is heard where no motion reaches.
+    fast_remainder: the rest of the floor, such as the rotors' turbulence.
+    """
 
     before: float
     after: float
     floor: float
     unit: str
+    sensors: float
+    fast_remainder: float
+
+    @property
+    def at_sensors(self) -> bool:
+        """Whether the floor is the sensors' noise, and not mostly a remainder."""
+        return self.sensors > self.fast_remainder
 
 
 class Seconds(msgspec.Struct, frozen=True):
@@ -121,10 +134,18 @@ class Diagnosis(msgspec.Struct, frozen=True):
     leftover: tuple[Leftover, ...] = ()
 
 
+def _ground(errors: Mapping[str, ChannelError]) -> str:
+    """What an explained residual consists of."""
+    fast = [kind for kind, error in errors.items() if not error.at_sensors]
+    if not fast:
+        return "the sensors' noise"
+    return f"what no effect of the catalogue makes; in {' and '.join(fast)} that is mostly fast and no sensor's noise"
+
+
 def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     if diagnosis.verdict == "explained":
-        return "The model explains these flights down to the sensors' noise."
+        return f"The model explains these flights down to {_ground(diagnosis.channels)}."
     named = [_described(effect) + _look_alikes(effect) for effect in diagnosis.effects]
     missing = ("; and " if any(effect.ambiguous_with for effect in diagnosis.effects) else " and ").join(named)
     if diagnosis.verdict == "unknown":

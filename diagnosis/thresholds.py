@@ -236,6 +236,10 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
     slow_order: of the models beside an estimator's slow errors. [px4_sih_flights: with it and `slow_spectrum_rows` the
     whitened residual below 0.1 Hz has 1.0 to 2.5 times the power of white noise, 1.5 to 4 with the usual ones]
     slow_spectrum_rows: of a periodogram beside them. [the same]
+    sensor_band: over the filters' cutoff, where sensors alone are heard. [not derived yet]
+    sensor_share: of the log's rate, at which that band ends at the latest. [formula: central differences see little
+    beyond]
+    sensor_rows: of a periodogram of the unfiltered residual. [not derived yet]
     torque_redness: factor on that cap for torques, which the rotors' turbulence reddens. [decisions: the noise floor]
     """
 
@@ -244,6 +248,9 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
     spectrum_rows: Annotated[int, Meta(ge=16)] = 128
     slow_order: Count = 10
     slow_spectrum_rows: Annotated[int, Meta(ge=16)] = 512
+    sensor_band: Range = (1.25, 3.0)
+    sensor_share: Share = 0.3
+    sensor_rows: Annotated[int, Meta(ge=64)] = 256
     torque_redness: Factor = 1.5
 
 

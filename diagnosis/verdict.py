@@ -173,12 +173,22 @@ def _usual(parameter: Parameter, vehicle: Vehicle) -> float:
 
 
 def channel_errors(
-    before: Sequence[Floats], after: Sequence[Floats], regression: Regression, floor: Floats
+    before: Sequence[Floats], after: Sequence[Floats], floor: Floats, sensors: Floats
 ) -> dict[str, ChannelError]:
-    """Error of each kind that the regression has, before and after, over its floor. floor: (12,) of the same rows."""
-    was, now, levels = channels.norms(before), channels.norms(after), floor_norms(floor)
+    """Error of each kind that there is, before and after, over its floor.
+
+    floor, sensors: (12,) of the same rows; the sensors' noise is at most the floor.
+    """
+    was, now, levels, heard = channels.norms(before), channels.norms(after), floor_norms(floor), floor_norms(sensors)
     return {
-        kind: ChannelError(was[kind], now[kind], levels[kind], channels.UNITS[kind])
+        kind: ChannelError(
+            before=was[kind],
+            after=now[kind],
+            floor=levels[kind],
+            unit=channels.UNITS[kind],
+            sensors=heard[kind],
+            fast_remainder=float(np.sqrt(max(levels[kind] ** 2 - heard[kind] ** 2, 0.0))),
+        )
         for kind in channels.KINDS
         if levels[kind] > 0
     }

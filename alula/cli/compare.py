@@ -38,10 +38,10 @@ def compare(
 
 def _print(comparison: Comparison, console: Console) -> None:
     table = Table("channel", title="measured less modelled", title_justify="left")
-    for heading in ("RMS", "noise floor", "over floor", "unit"):
+    for heading in ("RMS", "floor", "over floor", "sensors", "unit"):
         table.add_column(heading, justify="right")
     for axis in comparison.axes:
-        figures = (axis.rms, axis.floor, axis.rms / axis.floor)
+        figures = (axis.rms, axis.floor, axis.rms / axis.floor, axis.sensors)
         table.add_row(f"{axis.kind} {axis.axis}", *(f"{value:.3g}" for value in figures), axis.unit)
     console.print(table)
     open_loop = Table("open loop, s", title="prediction error, RMS", title_justify="left")

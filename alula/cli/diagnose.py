@@ -87,10 +87,10 @@ def _print(result: DiagnosisResult, console: Console) -> None:
     for note in result.details.notes:
         console.print(f"note: {note}", highlight=False)
     table = Table("channel", title="RMS on held-out flights", title_justify="left")
-    for heading in ("before", "after", "noise floor", "unit"):
+    for heading in ("before", "after", "floor", "sensors", "unit"):
         table.add_column(heading, justify="right")
     for kind, error in diagnosis.channels.items():
-        figures = (error.before, error.after, error.floor)
+        figures = (error.before, error.after, error.floor, error.sensors)
         table.add_row(kind, *(f"{value:.4g}" for value in figures), error.unit)
     console.print(table)
     for cell in diagnosis.fails_where:

@@ -10,7 +10,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.command_effects import GAIN, GAIN_RATIO
 from diagnosis.models.prediction import Prediction, Predictor
-from diagnosis.selection.noise import NoiseModel, noise_floor
+from diagnosis.selection.noise import NoiseModel, noise_floor, sensor_floor
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.sensor_errors import SensorErrors
 from diagnosis.thresholds import DEFAULT, Thresholds
@@ -114,6 +114,26 @@ def held_out_floor(regression: Regression, segments: Sequence[Segment], after: S
     residuals after all columns of the catalogue, or of the fitted model where that is lower.
     """
     return np.minimum(saturated_floor(regression, segments), residual_floor(regression, after))
+
+
+def sensors_floor(regression: Regression, vehicle: Vehicle, segments: Sequence[Segment], floor: Floats) -> Floats:
+    """(12,) the sensors' own noise in the residuals of segments under a vehicle's model, at most their floor (12,).
+
+    It is heard above the filters' cutoff, where no motion reaches; the rest of the floor is a fast remainder, such as
+    the rotors' turbulence.
+    """
+    return np.minimum(floor, _heard(vehicle, regression.catalogue, segments, regression.thresholds))
+
+
+def _heard(
+    vehicle: Vehicle, catalogue: Mapping[str, Effect], segments: Sequence[Segment], thresholds: Thresholds
+) -> Floats:
+    measured = segments[0].rotor_source == "measured"
+    predictor = Predictor(
+        vehicle, vehicle.effects, catalogue, speed_measured=measured, thresholds=thresholds.prediction
+    )
+    rows = [channels.unfiltered(s, predictor.predict(s)) for s in segments]
+    return sensor_floor(rows, segments[0].rate, segments[0].filters, thresholds.noise)
 
 
 def floor_norms(floor: Floats) -> dict[str, float]:

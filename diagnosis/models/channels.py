@@ -75,6 +75,21 @@ def residual(segment: Segment, prediction: Prediction) -> Floats:
     return measured(segment) - predicted(segment, [prediction])[:, :, 0]
 
 
+def unfiltered(segment: Segment, prediction: Prediction) -> Floats:
+    """(n, 12) measured less predicted at every row, differentiated, not filtered; zero where a kind is absent."""
+    rate, rows = segment.rate, np.zeros((len(segment), CHANNELS))
+    has_force, has_pose, _, has_attitude_rate = present(segment)
+    if has_force and segment.specific_force is not None:
+        rows[:, SPECIFIC_FORCE] = simpson(segment.specific_force - prediction.specific_force)
+    if has_pose:
+        world = difference(segment.velocity, rate) + np.array([0.0, 0.0, GRAVITY])
+        rows[:, POSE_ACCELERATION] = _into_body(segment, world - simpson(prediction.world_acceleration(segment)))
+    rows[:, ANGULAR_ACCELERATION] = difference(segment.body_rate, rate) - simpson(prediction.angular_acceleration)
+    if has_attitude_rate:
+        rows[:, ATTITUDE_RATE] = segment.rate_from_attitude - simpson(prediction.attitude_rate(segment))
+    return rows
+
+
 def _into_body(segment: Segment, world: Floats) -> Floats:
     return np.asarray(np.einsum("nji,nj->ni", segment.to_world, world))
 

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 import msgspec
 import numpy as np
 from scipy.linalg import solve_toeplitz
+from scipy.optimize import nnls
 from scipy.signal import lfilter, welch
 
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, POSE_ACCELERATION, SPECIFIC_FORCE
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
-from diagnosis.thresholds import DEFAULT, NoiseThresholds
+from diagnosis.thresholds import DEFAULT, FilterThresholds, NoiseThresholds
 from dynamics.arrays import Floats
+from flights.filters import zero_phase
 
 TORQUES = range(ANGULAR_ACCELERATION.start, ANGULAR_ACCELERATION.stop)
 
@@ -150,6 +152,48 @@ def noise_floor(
         power = spectrum[~slow].sum() + min(float(spectrum[slow].mean()), float(limit)) * slow.sum()
         floor[channel] = np.sqrt(power * rate / len(spectrum))
     return floor
+
+
+def sensor_floor(
+    rows: Sequence[Floats], rate: float, filters: FilterThresholds, thresholds: NoiseThresholds = DEFAULT.noise
+) -> Floats:
+    """(12,) standard deviation, below the filters' cutoff, of what reaches beyond it as sensors' noise does.
+
+    Above the cutoff a spectrum is fitted by white noise, the derivative of white noise and the tail of motion, which
+    falls as 1 / f^2; the first two are continued below it.
+    rows: (n, 12) unfiltered residuals at rate Hz, differentiated by central differences.
+    """
+    band = _sensors_band(rate, filters, thresholds)
+    frequency: Floats = np.asarray(np.fft.rfftfreq(thresholds.sensor_rows, 1 / rate), dtype=float)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    response = np.sinc(2 * frequency / rate) ** 2  # of central differences; Simpson's weights are much the same
+    passed = response * _low_pass_gain(rate, filters.cutoff, frequency) ** 2
+    floor = np.zeros(rows[0].shape[1])
+    for channel in range(len(floor)):
+        columns = [r[:, channel] for r in rows if len(r) >= thresholds.sensor_rows]
+        if not columns or not any(np.any(x) for x in columns):
+            continue
+        power = _spectrum(columns, rate, thresholds.sensor_rows)[1][: len(frequency)]
+        fitted = power[inside] / response[inside]
+        shapes = np.column_stack([np.ones(len(fitted)), frequency[inside] ** 2, frequency[inside] ** -2.0])
+        (white, rising, _), _ = nnls(shapes / fitted[:, None], np.ones(len(fitted)))
+        total = np.sum((white + rising * frequency**2) * passed) * 2 * frequency[1]
+        floor[channel] = np.sqrt(total)
+    return floor
+
+
+def _sensors_band(rate: float, filters: FilterThresholds, thresholds: NoiseThresholds) -> tuple[float, float]:
+    """Frequencies that only sensors reach, Hz."""
+    low, high = (factor * filters.cutoff for factor in thresholds.sensor_band)
+    return low, min(high, thresholds.sensor_share * rate)
+
+
+def _low_pass_gain(rate: float, cutoff: float, frequency: Floats) -> Floats:
+    """Gain of the regression's low-pass at frequencies, Hz."""
+    impulse = np.zeros(2 * round(rate) + 1)
+    impulse[len(impulse) // 2] = 1.0
+    gain = np.abs(np.fft.rfft(zero_phase(impulse, rate, cutoff)))
+    return np.asarray(np.interp(frequency, np.fft.rfftfreq(len(impulse), 1 / rate), gain))
 
 
 def _capped_ar(

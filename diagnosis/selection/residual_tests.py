@@ -40,7 +40,7 @@ class Finding:
     channel: int
     rms: float
     over_floor: float
-    part: tuple[Floats, ...]
+    part: tuple[Floats, ...] = field(repr=False)
     frequency: float | None = None
 
 

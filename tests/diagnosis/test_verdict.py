@@ -100,10 +100,14 @@ def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):
 
 def test_channel_errors_are_norms_over_the_three_axes(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
-    errors = channel_errors([np.full((50, CHANNELS), 2.0)], [np.ones((50, CHANNELS))], of_all, of_all.noise.floor)
+    floor = of_all.noise.floor
+    errors = channel_errors([np.full((50, CHANNELS), 2.0)], [np.ones((50, CHANNELS))], floor, 0.6 * floor)
     assert errors["imu"].before == pytest.approx(2 * np.sqrt(3))
     assert errors["mocap"].after == pytest.approx(np.sqrt(3))
     assert errors["angular"].floor == pytest.approx(np.sqrt(3))
+    assert errors["angular"].sensors == pytest.approx(0.6 * np.sqrt(3))
+    assert errors["angular"].fast_remainder == pytest.approx(0.8 * np.sqrt(3))
+    assert not errors["angular"].at_sensors
 
 
 def test_what_was_tried_says_what_became_of_it(arpl_250g):

@@ -4,10 +4,13 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnosis.selection.noise import estimate_noise, noise_floor
-from diagnosis.thresholds import NoiseThresholds
+from diagnosis.data.filters import difference, simpson
+from diagnosis.selection.noise import estimate_noise, noise_floor, sensor_floor
+from diagnosis.thresholds import DEFAULT, NoiseThresholds
+from flights.filters import zero_phase
 
 RATE = 25.0
+FULL_RATE = 100.0  # of the log
 
 
 def coloured(seed: int = 0, count: int = 2) -> list[np.ndarray]:
@@ -74,3 +77,33 @@ def test_torques_may_be_redder_than_forces():
     floor = noise_floor(rows, RATE, range(12))
     assert np.all(floor[6:9] > stricter[6:9])
     np.testing.assert_array_equal(floor[:6], stricter[:6])
+
+
+def turbulence(random: np.random.Generator, rows: int) -> np.ndarray:
+    """A force with a correlation time of 50 ms and unit size, as rotors make it."""
+    share = np.exp(-1 / (FULL_RATE * 0.05))
+    return lfilter([np.sqrt(1 - share**2)], [1.0, -share], random.standard_normal((rows, 12)), axis=0)
+
+
+def test_the_sensors_noise_is_heard_beyond_what_the_rotors_turbulence_reaches():
+    random = np.random.default_rng(3)
+    noise = [simpson(0.2 * random.standard_normal((4000, 12))) for _ in range(3)]
+    turbulent = [n + turbulence(random, len(n)) for n in noise]
+    below = np.std(np.vstack([zero_phase(n, FULL_RATE, DEFAULT.filters.cutoff) for n in noise]), axis=0)
+    for rows, tolerance in ((noise, 0.15), (turbulent, 0.5)):
+        heard = sensor_floor(rows, FULL_RATE, DEFAULT.filters)
+        assert np.median(heard / below) == pytest.approx(1.0, abs=tolerance)
+    assert np.std(zero_phase(turbulent[0], FULL_RATE, DEFAULT.filters.cutoff)) > 3 * below.mean()
+
+
+def test_the_derivative_of_a_gyros_noise_is_heard_as_that_gyros():
+    random = np.random.default_rng(4)
+    rows = [difference(0.01 * random.standard_normal((4000, 12)), FULL_RATE) for _ in range(3)]
+    below = np.std(np.vstack([zero_phase(r, FULL_RATE, DEFAULT.filters.cutoff) for r in rows]), axis=0)
+    assert np.median(sensor_floor(rows, FULL_RATE, DEFAULT.filters) / below) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_channel_that_is_absent_has_no_noise():
+    rows = [np.zeros((1000, 12))]
+    assert sensor_floor(rows, FULL_RATE, DEFAULT.filters).max() == 0.0
+    assert sensor_floor([rows[0][:100]], FULL_RATE, DEFAULT.filters).max() == 0.0
