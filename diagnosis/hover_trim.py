@@ -22,6 +22,7 @@ from diagnosis.data.filters import difference
 from diagnosis.report import MissingEffect, ParameterValue, Verdict
 from diagnosis.thresholds import DEFAULT, HoverTrimThresholds
 from dynamics.arrays import Floats
+from dynamics.effects import CATALOGUE
 from dynamics.effects.weak_rotor import EFFECT as WEAK_ROTOR
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import Vehicle
@@ -98,6 +99,11 @@ def hover_shares(flight: Flight, vehicle: Vehicle, thresholds: HoverTrimThreshol
         raise DataError(f"{name} has {flight[quantity].shape[1]} rotors, the vehicle file {vehicle.rotors.count}.")
     power = 2.0 if "speed" in quantity else 1.0  # speeds act by their squares
     effort = np.maximum(flight[quantity], 0.0) ** power
+    if not flight.has("velocity") and not flight.has("position"):
+        raise DataError(
+            f"{name} has {', '.join(flight.quantities)}. Wanted velocity or position as well, without which hover "
+            "cannot be told from travel; log one of them."
+        )
     rows = _hovering(flight, thresholds) & np.isfinite(effort).all(axis=1)
     seconds = float(np.count_nonzero(rows)) * flight.period
     if seconds < thresholds.min_hover:
@@ -128,13 +134,23 @@ def compare_trim(
             f"the flights hold different quantities of their rotors: "
             f"{', '.join(sorted({s.quantity for s in now + usual}))}. Give flights that were logged alike."
         )
-    return judge_shares(np.array([s.shares for s in now]), np.array([s.shares for s in usual]), vehicle, thresholds)
+    shares_now, shares_usual = (np.array([s.shares for s in group]) for group in (now, usual))
+    measured = now[0].quantity == "rotor_speed"
+    return judge_shares(shares_now, shares_usual, vehicle, thresholds, measured=measured)
 
 
 def judge_shares(
-    now: Floats, usual: Floats, vehicle: Vehicle, thresholds: HoverTrimThresholds = DEFAULT.hover_trim
+    now: Floats,
+    usual: Floats,
+    vehicle: Vehicle,
+    thresholds: HoverTrimThresholds = DEFAULT.hover_trim,
+    *,
+    measured: bool = False,
 ) -> TrimComparison:
-    """The verdict on shares (flights, rotors) in hover, compared with those of normal flights."""
+    """The verdict on shares (flights, rotors) in hover, compared with those of normal flights.
+
+    measured: whether they are of measured speeds, which a sensor's fault changes too.
+    """
     spread, freedom = _spread(usual, thresholds)
     before, after, count = usual.mean(axis=0), now.mean(axis=0), vehicle.rotors.count
     error = spread * float(np.sqrt(1 / len(now) + 1 / len(usual)))
@@ -145,7 +161,7 @@ def judge_shares(
     effects: tuple[MissingEffect, ...] = ()
     if after[rotor] > limit[rotor]:
         chance = min(1.0, count * float(stats.t.sf(change[rotor] / error, freedom)))
-        effects = (_weak(rotor, before, after, error, 1.0 - chance),)
+        effects = (_weak(rotor, before, after, error, 1.0 - chance, measured=measured),)
     moved = np.array(vehicle.rotors.position)[:, :2].T @ change / count
     table = np.round(np.column_stack([before, after, limit]), 4).tolist()
     return TrimComparison(
@@ -224,13 +240,16 @@ def _spread(shares: Floats, thresholds: HoverTrimThresholds) -> tuple[float, flo
     return float(np.sqrt((prior * thresholds.prior_spread**2 + squares) / together)), float(together)
 
 
-def _weak(rotor: int, before: Floats, after: Floats, error: float, confidence: float) -> MissingEffect:
+def _weak(
+    rotor: int, before: Floats, after: Floats, error: float, confidence: float, *, measured: bool
+) -> MissingEffect:
     """The weak rotor that would explain the change: with a loss l it needs 1 / (1 - l) times its usual command."""
     was, now = (x[rotor] / np.delete(x, rotor).mean() for x in (before, after))
     loss = float(1 - was / now)
     deviation = float(error * (1 - loss) / after[rotor])
     parameters = {"loss": ParameterValue(round(loss, 4), round(deviation, 4), "1")}
-    return MissingEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), WEAK_ROTOR.confounded_with)
+    alike = [n for n in WEAK_ROTOR.confounded_with if measured or CATALOGUE[n].acts_on != "rotor_speed_reading"]
+    return MissingEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), tuple(alike))
 
 
 def _next_flight(effects: Sequence[MissingEffect], normal: int, thresholds: HoverTrimThresholds) -> str:
@@ -245,7 +264,7 @@ def _next_flight(effects: Sequence[MissingEffect], normal: int, thresholds: Hove
 
 
 def _notes(normal: int, thresholds: HoverTrimThresholds) -> tuple[str, ...]:
-    if normal >= 3:
+    if normal >= thresholds.few_flights:
         return ()
     return (
         f"{normal} normal flight{'s' if normal > 1 else ''} only: what is usual rests on other vehicles' spread of "

@@ -66,7 +66,10 @@ class SegmentThresholds(ThresholdGroup, frozen=True):
     max_specific_force: beyond it is a crash or a landing, m/s^2. [not derived yet]
     full_cell: voltage of a full battery cell, V. [definition: lithium polymer]
     cell_slack: by which a cell may be above that, V. [not derived yet]
+    full_quantile: of the voltage, that is taken for the highest one. [convention]
     min_voltage: of a battery that is measured at all, V. [not derived yet]
+    min_cell: voltage of a cell in flight below which it is no measurement, V. [definition: lithium polymer; 2.5 V occur
+    under load]
     voltage_cutoff: of the low-pass on the voltage, Hz; it falls with every manoeuvre, its noise does not. [not derived
     yet]
     """
@@ -79,7 +82,9 @@ class SegmentThresholds(ThresholdGroup, frozen=True):
     max_specific_force: Positive = 60.0
     full_cell: Positive = 4.2
     cell_slack: Score = 0.2
+    full_quantile: Share = 0.99
     min_voltage: Score = 2.5
+    min_cell: Score = 2.0
     voltage_cutoff: Positive = 4.0
 
 
@@ -547,6 +552,7 @@ class HoverTrimThresholds(ThresholdGroup, frozen=True):
     false_alarms: of normal flights, over all rotors. [convention: 5 %]
     min_spreads: above the normal flight in which the rotor worked hardest. [decisions: normal flights]
     enough_flights: normal flights that need no prior. [decisions: normal flights]
+    few_flights: normal flights below which a note says that the spread is others'. [decisions: normal flights]
     """
 
     min_hover: Positive = 4.0
@@ -560,6 +566,7 @@ class HoverTrimThresholds(ThresholdGroup, frozen=True):
     false_alarms: Annotated[float, Meta(gt=0, lt=1)] = 0.05
     min_spreads: Score = 1.0
     enough_flights: Count = 5
+    few_flights: Count = 3
 
 
 class Thresholds(ThresholdGroup, frozen=True):

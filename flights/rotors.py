@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from dynamics.allocation import effectiveness
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
@@ -68,8 +69,8 @@ def _speeds(quantity: str, values: Floats, rotors: Rotors) -> Floats:
 
 
 def _allocated(flight: Flight, vehicle: Vehicle) -> Floats:
-    """(n, rotors) rad/s that give the commanded thrust and torque, for logs without rotors."""
+    """(n, rotors) rad/s of commanded thrust and of torque about the centre of mass, for logs without rotors."""
     thrust = flight["collective_thrust_command"].reshape(-1, 1)
-    wrench = np.hstack([thrust, flight["torque_command"]])
-    squares = wrench @ np.linalg.pinv(vehicle.rotors.allocation).T
-    return np.asarray(np.sqrt(np.maximum(squares, 0.0)))
+    torque_and_thrust = np.hstack([flight["torque_command"], thrust])
+    at_full_speed = torque_and_thrust @ np.linalg.pinv(effectiveness(vehicle)).T
+    return np.asarray(vehicle.rotors.speed_max * np.sqrt(np.maximum(at_full_speed, 0.0)))

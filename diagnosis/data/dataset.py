@@ -19,6 +19,8 @@ from flights import Flight, Log, read_log
 from flights.hold_out import matching
 from flights.quality.findings import Finding
 
+NOTED = ("frozen_channel", "battery_unmeasured")  # findings that change what is used
+
 
 @dataclass(frozen=True, eq=False)
 class Dataset:
@@ -101,9 +103,9 @@ def make_dataset(
     notes += doubt_note(distinct, flights, findings)
     flown = [(flight, parts) for flight in flights if (parts := segments(flight, vehicle, thresholds))]
     notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration, findings)
-    notes += [finding.text for finding in findings if finding.name == "frozen_channel"]
+    notes += [finding.text for finding in findings if finding.name in NOTED]
     _require_one_source([parts for _, parts in flown])
-    notes += _missing(flights[0], thresholds.segment)
+    notes += _missing(flights, thresholds.segment)
     limits = thresholds.dataset
     fitted, judged, held = _held_out(flown, hold_out, notes, thresholds)
     fitted = _enough_groups(fitted, limits)
@@ -168,9 +170,19 @@ def _require_one_source(parts: Sequence[Sequence[Segment]]) -> None:
         )
 
 
-def _missing(flight: Flight, thresholds: SegmentThresholds) -> list[str]:
-    """Notes on what was not logged, or too slowly, in a flight."""
+def _missing(flights: Sequence[Flight], thresholds: SegmentThresholds) -> list[str]:
+    """Notes on what was not logged, or too slowly, each with the flights that lack it if others do not."""
+    lacking: dict[str, list[str]] = {}
+    for flight in flights:
+        for note in _missing_in(flight, thresholds):
+            lacking.setdefault(note, []).append(Path(flight.provenance.path).name)
+    return [
+        note if len(names) == len(flights) else f"{note} (in {len(names)} of {len(flights)} flights: {names[0]} ...)"
+        for note, names in lacking.items()
+    ]
 
+
+def _missing_in(flight: Flight, thresholds: SegmentThresholds) -> list[str]:
     def usable(*names: str) -> bool:
         return any(fast(flight, name, thresholds) for name in names)
 

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import msgspec
+import numpy as np
 
 from diagnosis.data.rotor_moments import compared_moments, rotor_gains
-from diagnosis.data.segment import segments
+from diagnosis.data.segment import battery_is_measured, segments
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
@@ -37,7 +38,8 @@ def inspected(
         measured, parts, name = _measured(flight, vehicle), free_flight(flight), Path(flight.provenance.path).name
         for contradiction in plausibility.check_flight(flight, parts):
             raise DataError(f"{name}: {contradiction.text}")
-        for finding in (*(rotor_findings(parts) if measured else ()), *frozen_findings(flight)):
+        of_rotors = rotor_findings(parts) if measured else []
+        for finding in (*of_rotors, *frozen_findings(flight), *_battery_findings(parts, thresholds)):
             findings[msgspec.structs.replace(finding, text=f"{name}: {finding.text}")] = None
         if not measured:
             continue
@@ -69,6 +71,22 @@ def doubt_note(flights: Sequence[Flight], used: Sequence[Flight], findings: Sequ
     return [
         f"no measured rotor speed is used, because a speed sensor is wrong (rotor_speed_fault): {reason}. The motor "
         "commands are used instead"
+    ]
+
+
+def _battery_findings(parts: Sequence[Flight], thresholds: Thresholds) -> list[Finding]:
+    if not parts or not parts[0].has("battery_voltage"):
+        return []
+    if all(battery_is_measured(part, thresholds.segment) for part in parts):
+        return []
+    lowest = min(float(np.nanmin(part["battery_voltage"], initial=np.inf)) for part in parts)
+    return [
+        Finding(
+            "warning",
+            "battery_unmeasured",
+            f"the battery voltage, {lowest:.2f} V at least, is none that a battery has in flight: it is not used",
+            "check its sensor, its unit (V) and its scale",
+        )
     ]
 
 

@@ -250,12 +250,25 @@ def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:
 
 
 def _battery_ratio(part: Flight, thresholds: SegmentThresholds) -> Floats | None:
-    """Voltage over that of as many full cells as the highest voltage needs, smoothed."""
-    if not part.has("battery_voltage"):
+    """Voltage over that of as many full cells as the highest voltage needs, smoothed; None if no battery flies so."""
+    if not battery_is_measured(part, thresholds):
         return None
     volts = part["battery_voltage"].reshape(-1)
+    smooth = np.asarray(zero_phase(volts, part.rate, thresholds.voltage_cutoff, 2))
+    return smooth / (_cells(volts, thresholds) * thresholds.full_cell)
+
+
+def battery_is_measured(part: Flight, thresholds: SegmentThresholds = DEFAULT.segment) -> bool:
+    """Whether a part of a flight has a voltage that a battery in flight can have."""
+    if not part.has("battery_voltage"):
+        return False
+    volts = part["battery_voltage"].reshape(-1)
     if not np.isfinite(volts).all() or volts.max() < thresholds.min_voltage:
-        return None
-    full, slack = thresholds.full_cell, thresholds.cell_slack
-    cells = math.ceil(float(np.quantile(volts, 0.99)) / (full + slack))
-    return np.asarray(zero_phase(volts, part.rate, thresholds.voltage_cutoff, 2)) / (cells * full)
+        return False
+    lowest = float(np.quantile(volts, 1.0 - thresholds.full_quantile))
+    return lowest >= thresholds.min_cell * _cells(volts, thresholds)
+
+
+def _cells(volts: Floats, thresholds: SegmentThresholds) -> int:
+    highest = float(np.quantile(volts, thresholds.full_quantile))
+    return max(1, math.ceil(highest / (thresholds.full_cell + thresholds.cell_slack)))

@@ -97,3 +97,10 @@ def test_signals_are_not_compared_with_speeds(arpl_250g: Vehicle) -> None:
     speeds = Flight(signals.time, columns, Provenance("b", "b", "flight CSV", ""))
     with pytest.raises(DataError, match="rotor_command, rotor_speed"):
         compare_trim([signals], [speeds], arpl_250g)
+
+
+def test_without_velocity_and_position_hover_is_not_assumed(arpl_250g: Vehicle) -> None:
+    whole = flown(UNEVEN, name="a")
+    blind = Flight(whole.time, {n: v for n, v in whole.columns.items() if n.startswith("rotor")}, whole.provenance)
+    with pytest.raises(DataError, match="hover cannot be told from travel"):
+        hover_shares(blind, arpl_250g)

@@ -73,3 +73,19 @@ def test_units_that_contradict_the_motion_are_refused_whatever_the_flights_were_
 
 def test_healthy_flights_have_no_findings(plain_flights, arpl_250g):
     assert make_dataset(plain_flights, arpl_250g).findings == ()
+
+
+@pytest.mark.parametrize("volts", [0.0, 1.5])
+def test_a_battery_that_sags_to_nothing_is_not_used(plain_flights, arpl_250g, volts):
+    def sagging(flight):
+        return with_columns(flight, {"battery_voltage": np.linspace(8.0, volts, len(flight))})
+
+    dataset = make_dataset([sagging(flight) for flight in plain_flights], arpl_250g)
+    assert all(segment.battery_ratio is None for segment in dataset.everything)
+    assert any("none that a battery has in flight" in note for note in dataset.notes)
+
+
+def test_what_some_flights_lack_is_noted_with_their_number(plain_flights, arpl_250g):
+    bare = {f"specific_force_{a}": None for a in "xyz"}
+    dataset = make_dataset([*plain_flights[:4], *(with_columns(f, bare) for f in plain_flights[4:])], arpl_250g)
+    assert any("no accelerometer in the log" in note and "in 2 of 6 flights" in note for note in dataset.notes)
