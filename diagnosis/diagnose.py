@@ -8,11 +8,12 @@ from dataclasses import dataclass
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
+from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import Fit, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, sensors_floor, typical_chi_square
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.leftover import leftover, with_typical_window
-from diagnosis.models.command_effects import GAIN, without_command_effects
+from diagnosis.models.command_effects import without_command_effects
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis, MissingEffect
@@ -114,7 +115,7 @@ def _not_followed(regression: Regression) -> list[str]:
 
 def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
     """The data set's notes, that on commands with the gain of the joint fit."""
-    gain = accepted.commands.get((GAIN.name, GAIN.parameters[0].name))
+    gain = None if dataset.curve is None else command_gain(accepted, dataset.curve.mass)
     if dataset.curve is None or gain is None:
         return dataset.notes
     first, fitted = dataset.curve.note(), dataset.curve.note(gain.value, gain.std)
