@@ -262,8 +262,8 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
 class PoseThresholds(ThresholdGroup, frozen=True):
     """Slow errors of a pose by an estimator that used the accelerometer: smooth Gauss-Markov processes.
 
-    velocity_error: standard deviation, m/s; up to it what looks like a gust is the estimator's. [px4_sih_flights: 0.14
-    to 0.23 over 28 flights of PX4 with GNSS]
+    velocity_error: standard deviation, m/s, at most, and where there is no position to compare with.
+    [tests/data/px4_sih_flights: 0.14 to 0.23 over 28 flights of PX4 with GNSS]
     velocity_time: correlation time of that, s. [the same: 2.6 to 2.7]
     tilt_error: standard deviation, rad. [the same: 1.2 degrees]
     tilt_time: correlation time of that, s. [the same: 2.5 to 3.8]

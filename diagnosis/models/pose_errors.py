@@ -28,9 +28,11 @@ class PoseErrors:
 
     slopes: (12,) of the channels in an error of velocity, RMS over its three axes, 1/s or 1/(s m); None where the pose
         has no errors of its own.
+    velocity: standard deviation of that error, m/s; what looks like a gust no stronger than it is the estimator's.
     """
 
     slopes: Floats | None
+    velocity: float = 0.0
     thresholds: PoseThresholds = DEFAULT.pose
 
     @property
@@ -43,7 +45,7 @@ class PoseErrors:
         if self.slopes is None:
             return np.zeros((channels.CHANNELS, len(frequency)))
         limits = self.thresholds
-        velocity = limits.velocity_error**2 * _shape(frequency, limits.velocity_time, limits.smooth_time)
+        velocity = self.velocity**2 * _shape(frequency, limits.velocity_time, limits.smooth_time)
         tilt = limits.tilt_error**2 * _shape(frequency, limits.tilt_time, limits.smooth_time)
         squared = (2 * np.pi * frequency) ** 2
         density = self.slopes[:, None] ** 2 * velocity
@@ -59,22 +61,38 @@ def pose_errors(
     segments: Sequence[Segment], predictor: Predictor, thresholds: PoseThresholds = DEFAULT.pose
 ) -> PoseErrors:
     """The errors of these segments' pose; predictor: of the present model, for its slopes in the velocity."""
-    if not any(segment.pose_source == "estimator" for segment in segments):
+    estimated = [segment for segment in segments if segment.pose_source == "estimator"]
+    if not estimated:
         return NO_ERRORS
+    velocity = float(np.sqrt(np.mean([velocity_disagreement(s, thresholds) ** 2 for s in estimated])))
     squares = [_squared_slopes(segment, predictor, thresholds) for segment in segments[: thresholds.examples]]
-    return PoseErrors(np.sqrt(np.mean(squares, axis=0)), thresholds)
+    return PoseErrors(np.sqrt(np.mean(squares, axis=0)), velocity, thresholds)
 
 
-def velocity_error(
-    count: int, rate: float, random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose
-) -> Floats:
-    """(count, 3) a draw of the error of velocity, m/s. rate: Hz."""
-    shares = [np.exp(-1 / (rate * time)) for time in (thresholds.velocity_time, thresholds.smooth_time)]
-    before = round(5 * rate * thresholds.velocity_time)  # until it is stationary
+def velocity_error(segment: Segment, random: np.random.Generator, thresholds: PoseThresholds = DEFAULT.pose) -> Floats:
+    """(n, 3) a draw of the error of a segment's velocity, m/s."""
+    shares = [np.exp(-1 / (segment.rate * time)) for time in (thresholds.velocity_time, thresholds.smooth_time)]
+    before = round(5 * segment.rate * thresholds.velocity_time)  # until it is stationary
     a, b = shares
     variance = (1 + a * b) / ((1 - a * b) * (1 - a * a) * (1 - b * b))
-    error = lfilter([1.0], [1.0, -(a + b), a * b], random.standard_normal((before + count, 3)), axis=0)[before:]
-    return np.asarray(thresholds.velocity_error * error / np.sqrt(variance))
+    white = random.standard_normal((before + len(segment), 3))
+    error = lfilter([1.0], [1.0, -(a + b), a * b], white, axis=0)[before:]
+    return np.asarray(velocity_disagreement(segment, thresholds) * error / np.sqrt(variance))
+
+
+def velocity_disagreement(segment: Segment, thresholds: PoseThresholds = DEFAULT.pose) -> float:
+    """Size of the velocity's error in one segment, m/s: by how much it is not the derivative of the position.
+
+    An estimator corrects both separately, so that their disagreement is about as large as the error of either. It
+    counts up to the thresholds' error, which is assumed where no position was logged.
+    """
+    count = max(1, round(thresholds.smooth_time * segment.rate))
+    if "position" in segment.lacks or "velocity" in segment.lacks or len(segment) <= count:
+        return thresholds.velocity_error
+    travelled = (segment.position[count:] - segment.position[:-count]) * (segment.rate / count)
+    passed = np.vstack([np.zeros((1, 3)), np.cumsum((segment.velocity[1:] + segment.velocity[:-1]) / 2, axis=0)])
+    difference = travelled - (passed[count:] - passed[:-count]) / count
+    return float(min(thresholds.velocity_error, np.sqrt(np.mean(difference**2))))
 
 
 def _squared_slopes(segment: Segment, predictor: Predictor, thresholds: PoseThresholds) -> Floats:

@@ -54,7 +54,7 @@ def perturbed(segment: Segment, random: np.random.Generator, pose: PoseThreshold
     turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(segment), 3))))
     velocity = noisier(segment.velocity)
     if segment.pose_source == "estimator":
-        velocity = velocity + velocity_error(len(segment), segment.rate, random, pose)
+        velocity = velocity + velocity_error(segment, random, pose)
     return replace(
         segment,
         position=noisier(segment.position),

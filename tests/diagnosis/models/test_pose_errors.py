@@ -2,11 +2,12 @@
 
 import dataclasses
 
+import msgspec
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
+from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
 from diagnosis.thresholds import DEFAULT
@@ -17,7 +18,10 @@ from tests.diagnosis.synthetic import hovering
 RATE = 25.0
 LIMITS = DEFAULT.pose
 FORCE, POSE = 0, 3  # channels: x of the accelerometer and of the pose
-DRAG = PoseErrors(np.eye(12)[FORCE])  # an error of velocity acts on the accelerometer's x, 1 m/s^2 for 1 m/s
+# an error of velocity acts on the accelerometer alone, along x, 1 m/s^2 for 1 m/s
+DRAG = PoseErrors(np.eye(12)[FORCE], LIMITS.velocity_error)
+    np.eye(12)[FORCE], LIMITS.velocity_error
+)  # an error of velocity acts on the accelerometer's x, 1 m/s^2 for 1 m/s
 
 
 def slow(random: np.random.Generator, rows: int) -> np.ndarray:
@@ -91,3 +95,24 @@ def test_the_model_tells_how_an_error_of_velocity_acts(arpl_250g):
     errors = pose_errors([dataclasses.replace(segment, pose_source="estimator")], predictor)
     assert errors.slopes[FORCE] == pytest.approx(0.5 / arpl_250g.body.mass, rel=1e-3)
     assert errors.slopes[6:9].max() < 1e-6
+
+
+def flown(vehicle, error):
+    """A segment that moves, its velocity with an error (n, 3) m/s that the position does not have."""
+    (still,) = hovering(vehicle, mass_ratio=1.0, seed=0, duration=60.0)
+    time = np.arange(len(still)) / still.rate
+    position = np.column_stack([np.sin(time), np.cos(0.7 * time), 0.2 * np.sin(1.3 * time)])
+    velocity = np.gradient(position, 1 / still.rate, axis=0) + error(still)
+    return dataclasses.replace(still, position=position, velocity=velocity, lacks=frozenset(), pose_source="estimator")
+
+
+def test_the_velocitys_error_is_measured_by_the_position(arpl_250g):
+    exact = flown(arpl_250g, lambda segment: 0.0)
+    assert velocity_disagreement(exact) < 0.005
+    small = msgspec.structs.replace(LIMITS, velocity_error=0.1)
+    unplaced = dataclasses.replace(exact, lacks=frozenset({"position"}))
+    wrong = flown(arpl_250g, lambda segment: velocity_error(unplaced, np.random.default_rng(1), small))
+    assert velocity_disagreement(wrong) == pytest.approx(0.1, rel=0.3)
+    far = flown(arpl_250g, lambda segment: 5.0)
+    assert velocity_disagreement(far) == LIMITS.velocity_error
+    assert velocity_disagreement(unplaced) == LIMITS.velocity_error
