@@ -310,7 +310,8 @@ def select(regression: Regression, start: Sequence[Candidate] = (), *, min_share
     before = gust_beside(regression, [])
     top = Search(regression).first(singles)
     if top.score < min_score(top.candidates, thresholds) and not start:
-        return Selection(Scored((), 0.0, 0.0), singles, before, before, before.score >= thresholds.min_gain)
+        detected = _is_gust(before, regression, thresholds.min_gain)
+        return Selection(Scored((), 0.0, 0.0), singles, before, before, detected)
     required = max(thresholds.min_gain, (thresholds.min_share if min_share is None else min_share) * top.gain)
     starts: list[tuple[Set, float]] = [(top.candidates, 0.0)]
     if before.score >= thresholds.min_gain:
@@ -322,8 +323,13 @@ def select(regression: Regression, start: Sequence[Candidate] = (), *, min_share
     search = Search(regression.in_gust(variance), required)
     chosen = search.ordered(search.simplified(chosen))
     after = gust_beside(regression, chosen.columns)
-    detected = after.score > max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain)
+    detected = _is_gust(after, regression, max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain))
     return Selection(chosen, singles, before, after, detected, variance)
+
+
+def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
+    """Whether random air motion is a gust: clear, and more than the error of an estimator's velocity."""
+    return gust.score >= min_score and gust.intensity > regression.pose.velocity
 
 
 def _searched(regression: Regression, start: Set, variance: float, required: float) -> tuple[Scored, float, float]:

@@ -20,8 +20,6 @@ LIMITS = DEFAULT.pose
 FORCE, POSE = 0, 3  # channels: x of the accelerometer and of the pose
 # an error of velocity acts on the accelerometer alone, along x, 1 m/s^2 for 1 m/s
 DRAG = PoseErrors(np.eye(12)[FORCE], LIMITS.velocity_error)
-    np.eye(12)[FORCE], LIMITS.velocity_error
-)  # an error of velocity acts on the accelerometer's x, 1 m/s^2 for 1 m/s
 
 
 def slow(random: np.random.Generator, rows: int) -> np.ndarray:

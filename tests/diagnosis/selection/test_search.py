@@ -1,14 +1,18 @@
 """The search names a planted pair, and nothing where nothing is planted."""
 
+import dataclasses
+
 import msgspec
 import numpy as np
 import pytest
 
+from diagnosis.models.pose_errors import PoseErrors
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.search import IMPOSSIBLE, Search, min_score, possible, select
+from diagnosis.selection.gust import Gust
+from diagnosis.selection.search import IMPOSSIBLE, Search, _is_gust, min_score, possible, select
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
-from tests.diagnosis.synthetic import candidate, effect, planted
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted
 
 
 def with_search(**fields):
@@ -75,3 +79,13 @@ def test_a_fixed_shape_comes_with_its_own_size(arpl_250g):
     assert not possible(
         short, np.array([1.0]), arpl_250g
     )  # shorter than the least detectable, which clock offsets hide
+
+
+def test_air_motion_within_the_estimators_own_error_is_no_gust(arpl_250g):
+    of_all = planted(arpl_250g, [0.0], seed=0)
+    estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
+    weak, strong = (Gust(100.0, 90.0, intensity) for intensity in (0.15, 0.4))
+    assert _is_gust(weak, of_all, 40.0)
+    assert not _is_gust(weak, estimated, 40.0)
+    assert _is_gust(strong, estimated, 40.0)
+    assert not _is_gust(strong, estimated, 95.0)
