@@ -32,6 +32,6 @@ EFFECT = Effect(
         weak=5.0,
         enough=15.0,
         flight="hover",
-        manoeuvre="thrust steps in hover with the motor commands logged beside the measured speeds",
+        manoeuvre="thrust steps in hover, then the same with this rotor's propeller exchanged for another rotor's",
     ),
 )

@@ -42,6 +42,6 @@ EFFECT = Effect(
         weak=5.0,
         enough=15.0,
         flight="hover",
-        manoeuvre="thrust steps in hover, then the same with the payload moved",
+        manoeuvre="thrust steps in hover, then the same with the payload moved and with the propellers exchanged",
     ),
 )
