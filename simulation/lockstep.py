@@ -48,6 +48,7 @@ class FlightRows:
     estimate: list[tuple[float, Floats]] = field(default_factory=list)
     imu: list[tuple[float, Floats]] = field(default_factory=list)
     motors: list[tuple[float, Floats]] = field(default_factory=list)
+    speed: list[tuple[float, Floats]] = field(default_factory=list)
     setpoint: list[tuple[float, Floats]] = field(default_factory=list)
     truth: list[tuple[float, Floats]] = field(default_factory=list)
     away: list[bool] = field(default_factory=list)
@@ -198,7 +199,11 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
 def _advance(
     plant: SimulatedVehicle, before: ControlSetpoint, after: ControlSetpoint, rows: FlightRows | None, since: float
 ) -> None:
-    """One period, with an inertial sample whose middle is the period's start."""
+    """One period, with inertial and rotor speed samples whose middle is the period's start.
+
+    Rotor speeds ripple with the period of the setpoints, which is the log's: at an instant of each period they would
+    be a percent off their mean wherever the vehicle turns.
+    """
     half = round(plant.options.sensors.imu_average / 2, 3)
     first = min(half, LATENCY)
     plant.advance(before, True, first)
@@ -206,6 +211,8 @@ def _advance(
         sample = plant.imu
         rows.imu.append((since, np.concatenate([sample.specific_force_body, sample.rate_body])))
     plant.advance(before, True, LATENCY - first)
+    if rows is not None:
+        rows.speed.append((since, plant.mean_rotor_speed(2 * LATENCY)))
     plant.advance(after, True, CONTROL_PERIOD - LATENCY)
 
 
@@ -216,7 +223,7 @@ def _keep(
     age = round(1000 * (plant.time - estimated.time)) / 1000
     pose = [estimated.position_world, estimated.velocity_world, estimated.attitude]
     rows.estimate.append((since - age, np.concatenate(pose)))
-    rows.motors.append((since, np.concatenate([plant.rotor_speed, plant.motor_signal, [plant.battery.voltage]])))
+    rows.motors.append((since, np.append(plant.motor_signal, plant.battery.voltage)))
     tracked = np.full(RIGID_BODY_STATES, np.nan) if reference is None else reference
     rows.setpoint.append((since, np.concatenate([tracked[: RATE.start], setpoint.rate_body, [setpoint.thrust]])))
     motion = [true.position_world, true.velocity_world, true.attitude, true.rate_body, plant.true_rotor_speed]
@@ -224,14 +231,12 @@ def _keep(
 
 
 def _log(rows: FlightRows, name: str) -> Log:
-    motors = len(rows.motors[0][1]) // 2 if rows.motors else 0
+    motors = len(rows.motors[0][1]) - 1 if rows.motors else 0
     streams = [
         *_streams(rows.estimate, "estimate", position=(0, 3), velocity=(3, 6), attitude=(6, 10)),
         *_streams(rows.imu, "imu", rate=(3, 6), specific_force=(0, 3)),
-        *_streams(
-            rows.motors, "motors", rotor_speed=(0, motors), rotor_command=(motors, 2 * motors),
-            battery_voltage=(2 * motors, 2 * motors + 1),
-        ),
+        *_streams(rows.speed, "motors", rotor_speed=(0, motors)),
+        *_streams(rows.motors, "motors", rotor_command=(0, motors), battery_voltage=(motors, motors + 1)),
         *_streams(
             rows.setpoint, "setpoint", position_setpoint=(0, 3), velocity_setpoint=(3, 6), attitude_setpoint=(6, 10),
             rate_setpoint=(10, 13), thrust_setpoint=(13, 14),

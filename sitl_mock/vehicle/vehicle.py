@@ -169,7 +169,17 @@ class SimulatedVehicle:
     @property
     def rotor_speed(self) -> Floats:
         """(rotors,) measured, rad/s, in the vehicle file's order."""
-        measured = self._newest("rotor_speed_measured")
+        return self._read_speed(self._newest("rotor_speed_measured"))
+
+    def mean_rotor_speed(self, duration: float) -> Floats:
+        """(rotors,) measured over the last `duration` s, as a sensor that counts turns does, rad/s."""
+        count = min(max(1, round(duration / DT)), len(self._loop.records) - 1)
+        mean = self._records["rotor_speed"][[self._row(age) for age in range(count)]].mean(axis=0)
+        now, measured = self._newest("rotor_speed"), self._newest("rotor_speed_measured")
+        turning = now > 1.0  # rad/s; the error of the newest reading is relative to a speed
+        return self._read_speed(np.where(turning, measured * mean / np.where(turning, now, 1.0), measured))
+
+    def _read_speed(self, measured: Floats) -> Floats:
         for rotor, factor in self.options.rotor_speed_fault:
             measured[rotor] *= factor
         return np.maximum(quantised(measured, self.options.sensors.rotor_speed_step), 0.0)

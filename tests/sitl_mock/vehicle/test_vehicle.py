@@ -381,3 +381,16 @@ def test_sensors_off_the_centre_of_mass_and_a_late_attitude_show_in_the_measurem
     inwards = centripetal * np.cos(0.1)  # along the accelerometer's own x
     assert vehicle.imu.specific_force_body[0] == pytest.approx(inwards, abs=0.1)
     assert abs(centripetal) > 0.3
+
+
+def test_a_mean_rotor_speed_is_that_of_the_last_milliseconds_with_the_sensors_fault(arpl_250g: Vehicle) -> None:
+    options = dataclasses.replace(QUIET, rotor_speed_fault=((1, 0.5),))
+    mock = SimulatedVehicle(arpl_250g, options=options)
+    mock.advance(IDLE, True, 1.0)
+    speeds = []
+    for _ in range(10):
+        mock.advance(rates(3.0, 0.0, 0.0, 0.4), True, 0.001)
+        speeds.append(mock.true_rotor_speed)
+    mean = np.mean(speeds, axis=0)
+    assert np.ptp([s[0] for s in speeds]) > 10.0
+    np.testing.assert_allclose(mock.mean_rotor_speed(0.01), mean * [1.0, 0.5, 1.0, 1.0], rtol=1e-6)
