@@ -95,6 +95,12 @@ def table(results: Sequence[Result]) -> str:
     return "\n".join(line for line in lines if line)
 
 
+def visible(result: Result) -> list[str]:
+    """What is hidden and can show: no gust, which is a nuisance, nor a lag of motors whose speeds are measured."""
+    commands = result["conditions"].get("recorder", {}).get("commands", False)
+    return [n for n in result["hidden"] if n != "gust" and (n != "motor_lag" or commands)]
+
+
 def alone(result: Result) -> bool:
     """Whether the hidden effect is named or declared and no other is."""
     return (
@@ -116,7 +122,7 @@ def several(flown: Sequence[Result]) -> list[str]:
     lines = []
     for name in ("nine", "random"):
         some = [r for r in flown if r["kind"] == "many" and r["name"] == name and "report" in r]
-        hidden = [(r, n) for r in some for n in r["hidden"] if n != "gust"]
+        hidden = [(r, n) for r in some for n in visible(r)]
         named = [n for r, n in hidden if any(right(e, {n: r["hidden"][n]}, rivals=True) for e in effects(r))]
         false = [e for r in some for e in effects(r) if not right(e, r["hidden"], rivals=True)]
         close = [error for r in some for error, _ in errors(r)]
@@ -233,11 +239,7 @@ def fault_of(r: Result) -> str:
     if r["kind"] == "nothing":
         return "" if verdict(r) == "explained" else "not explained"
     if r["kind"] == "many":
-        missing = [
-            n
-            for n in r["hidden"]
-            if n != "gust" and not any(right(e, {n: r["hidden"][n]}, rivals=True) for e in effects(r))
-        ]
+        missing = [n for n in visible(r) if not any(right(e, {n: r["hidden"][n]}, rivals=True) for e in effects(r))]
         return (
             f"{len(missing)} missing"
             if missing
