@@ -23,7 +23,7 @@ from dynamics.vehicle import Vehicle
 
 Expression = Any  # casadi.SX or casadi.MX
 Values = Mapping[str, Expression]
-ActsOn = Literal["motion", "command_gain", "rotor_speed_reading"]
+ActsOn = Literal["motion", "command_gain", "weight", "rotor_speed_reading"]
 
 
 @dataclass(frozen=True)
@@ -208,8 +208,8 @@ class Effect:
     per_rotor: it acts on one rotor, named by index.
     resists_air: it is a drag, through which wind acts on the vehicle.
     stochastic: noise drives its hidden states, so that no value in a vehicle file predicts them.
-    acts_on: "command_gain" is absorbed by the unknown gain of motor commands, "rotor_speed_reading" shows only where
-        rotor speeds are measured, "motion" is everything else.
+    acts_on: "command_gain" is absorbed by the unknown gain of motor commands, and "weight" too unless the vehicle file
+        has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
     excitation: logged quantities and motion that a flight needs to show it; None where that is not stated.
     confounded_with: effects with nearly the same signal in most flights.

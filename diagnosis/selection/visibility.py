@@ -27,10 +27,17 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
         return source == "measured"
     if effect.acts_on == "command_gain" and source == "command":
         return False  # where only commands were logged their gain is an unknown of its own, which is this
+    if effect.acts_on == "weight" and source == "command" and not _has_drag(segments, vehicle, catalogue):
+        return False  # thrust carries the weight, and what is left of a mass is what inertia does
     if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & state_dependencies(effect, vehicle, catalogue)
+
+
+def _has_drag(segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether the vehicle file has a drag, and the segments a pose that shows it."""
+    return all(s.has_pose for s in segments) and any(catalogue[use.name].resists_air for use in vehicle.effects)
 
 
 def state_dependencies(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> frozenset[str]:

@@ -19,6 +19,7 @@ EFFECT = Effect(
         Parameter("ratio", "1", "real mass over the file's", 0.3, 3.0, lambda _: Prior(1.1, 0.15), neutral=1.0),
     ),
     physics=physics,
+    acts_on="weight",
     confounded_with=("thrust_constant",),
     excitation=Excitation(
         (FORCE, WRENCH),

@@ -75,6 +75,9 @@ def test_where_commands_are_all_there_is_their_gain_is_no_candidate_but_every_ot
     without = {f"rotor_speed_{i}": None for i in range(4)}
     part = segments(with_columns(plain_flights[0], without), arpl_250g)[0]
     names = {c.effect.name for c in make_candidates(arpl_250g, CATALOGUE, [part])}
+    assert names == set(CATALOGUE) - {"gust", "rotor_speed_fault", "mass", "thrust_constant", "thrust_exponent"}
+    with_drag = arpl_250g.with_effects(EffectUse("linear_drag", {"coefficient": 0.1}))
+    names = {c.effect.name for c in make_candidates(with_drag, CATALOGUE, [part])}
     assert names == set(CATALOGUE) - {"gust", "rotor_speed_fault", "thrust_constant", "thrust_exponent"}
     assert part.rotor_source == "command"
 
