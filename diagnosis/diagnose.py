@@ -10,7 +10,13 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import Fit, fit
-from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, sensors_floor, typical_chi_square
+from diagnosis.estimation.evaluation import (
+    reduced_chi_square,
+    residuals_in,
+    sensors_floor,
+    telling_channels,
+    typical_chi_square,
+)
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import without_command_effects
@@ -72,7 +78,7 @@ def diagnose_dataset(
         residuals_in(regression, accepted.fit.vehicle, dataset.fitted),
         by_position=selection.gust_detected,
     )
-    tests = with_typical_window(tests, after, accepted.floor)
+    tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
     effects = missing_effects(regression, selection, accepted)
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)

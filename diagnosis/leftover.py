@@ -19,10 +19,15 @@ from dynamics.vehicle import Vehicle
 TYPICAL_WINDOW = "typical_window"
 
 
-def with_typical_window(tests: ResidualTests, rows: Sequence[Floats], floor: Floats) -> ResidualTests:
-    """The tests with what held-out residuals (m, 12) have beyond their floor (12,), in the channel that has most."""
+def with_typical_window(
+    tests: ResidualTests, rows: Sequence[Floats], floor: Floats, among: Sequence[int] = range(channels.CHANNELS)
+) -> ResidualTests:
+    """The tests with what held-out residuals (m, 12) have beyond their floor (12,), in the channel that has most.
+
+    among: the channels that tell of the model.
+    """
     everything = np.vstack(rows)
-    there = floor > 0
+    there = (floor > 0) & np.isin(np.arange(channels.CHANNELS), among)
     excess = np.zeros(channels.CHANNELS)
     excess[there] = np.mean(everything[:, there] ** 2, axis=0) / floor[there] ** 2 - 1
     channel = int(np.argmax(excess))

@@ -88,11 +88,21 @@ def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:
 
 
 def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
-    """The same of a typical window (geometric mean over windows), which a few chaotic seconds do not dominate."""
+    """The same of a typical window (geometric mean over windows), which a few chaotic seconds do not dominate.
+
+    Of the channels that tell of the model: an estimator's attitude is made from the gyro, and differs from it by itself.
+    """
+    noise = regression.noise
+    places = [place for place, channel in enumerate(noise.active) if channel in telling_channels(regression)]
     length = max(1, round(regression.thresholds.acceptance.typical_window * regression.rate))
-    squares = [np.mean(regression.noise.whiten(r) ** 2, axis=1) for r in rows]
+    squares = [np.mean(noise.whiten(r)[:, places] ** 2, axis=1) for r in rows]
     means = [np.mean(s[i : i + length]) for s in squares for i in range(0, max(1, len(s) - length // 2), length)]
     return float(np.exp(np.mean(np.log(means))))
+
+
+def telling_channels(regression: Regression) -> range:
+    """The channels whose residuals tell of the model."""
+    return range(channels.MOTION.stop if regression.pose.there else channels.CHANNELS)
 
 
 def saturated_floor(regression: Regression, segments: Sequence[Segment]) -> Floats:

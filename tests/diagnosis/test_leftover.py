@@ -47,3 +47,5 @@ def test_a_typical_window_names_the_channel_with_the_greatest_excess(arpl_250g, 
     (named,) = leftover([Rejection("typical_window", 2.0, 1.5)], tests, (), segments, arpl_250g)
     assert named.channel == "angular y"
     assert len(named.seconds) == 3
+    elsewhere = with_typical_window(ResidualTests(0.0, 0.0, 0.0), rows, floor, range(7))
+    assert elsewhere.over_floor("typical_window") < 0.5

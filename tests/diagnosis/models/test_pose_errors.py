@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from diagnosis.estimation.evaluation import typical_chi_square
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
-from tests.diagnosis.synthetic import hovering
+from tests.diagnosis.synthetic import CHANNELS, hovering, planted
 
 RATE = 25.0
 LIMITS = DEFAULT.pose
@@ -114,3 +115,11 @@ def test_the_velocitys_error_is_measured_by_the_position(arpl_250g):
     far = flown(arpl_250g, lambda segment: 5.0)
     assert velocity_disagreement(far) == LIMITS.velocity_error
     assert velocity_disagreement(unplaced) == LIMITS.velocity_error
+
+
+def test_how_an_estimators_attitude_differs_from_the_gyro_tells_nothing_of_the_model(arpl_250g):
+    captured = planted(arpl_250g, [0.0], seed=0)
+    estimated = dataclasses.replace(captured, pose=DRAG)
+    rows = [y * np.where(np.arange(CHANNELS) >= 9, 3.0, 1.0) for y in captured.rows]
+    assert typical_chi_square(rows, captured) > 2.0
+    assert typical_chi_square(rows, estimated) == pytest.approx(1.0, abs=0.1)
