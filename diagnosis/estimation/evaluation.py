@@ -90,7 +90,7 @@ def reduced_chi_square(rows: Sequence[Floats], noise: NoiseModel) -> float:
 def typical_chi_square(rows: Sequence[Floats], regression: Regression) -> float:
     """The same of a typical window (geometric mean over windows), which a few chaotic seconds do not dominate.
 
-    Of the channels that tell of the model: an estimator's attitude is made from the gyro, and differs from it by itself.
+    Of the channels that tell of the model: an estimator's attitude is made from the gyro, which it differs from anyway.
     """
     noise = regression.noise
     places = [place for place, channel in enumerate(noise.active) if channel in telling_channels(regression)]

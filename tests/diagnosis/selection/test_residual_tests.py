@@ -103,8 +103,8 @@ def test_a_slow_force_on_which_accelerometer_and_pose_agree_is_noticed(of_noise)
     for y in rows:  # the same in the accelerometer alone is a sensor's
         y[:, 4] = np.random.default_rng(1).standard_normal(len(y))
     assert "low_frequency_agreement" not in fires(run_residual_tests(of_all, rows))
-    found = tests.findings["low_frequency_agreement"]
-    assert type(found.rms) is type(found.over_floor) is float  # as JSON holds it
+    tone = tests.findings["low_frequency_agreement"]
+    assert type(tone.rms) is type(tone.over_floor) is float  # as JSON holds it
 
 
 def test_a_force_that_depends_on_the_state_is_predictable(of_noise, segments):
