@@ -298,7 +298,10 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
     where nothing is hidden]
     min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
-    min_share: of the first effect's gain that a further one must add. [not derived yet]
+    relevant: gain over the number of whitened residuals below which an effect does not matter. [formula: a fifth of
+    2 % of the floor of one kind of four]
+    min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
+    vehicle without either. [not derived yet]
     parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
     min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
     min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
@@ -318,13 +321,14 @@ class SearchThresholds(ThresholdGroup, frozen=True):
 
     min_gain: Score = 40.0
     min_fault_gain: Score = 15.0
+    relevant: Share = 0.002
     min_share: Share = 0.003
     parsimony: Share = 0.985
     min_cross_validated: Share = 0.3
     min_improvement: Score = 1.0
     max_effects: Count = 10
     max_steps: Count = 60
-    max_rounds: Count = 3
+    max_rounds: Count = 5
     explained: Factor = 1.05
     max_paired: Count = 8
     max_trials: Count = 12
@@ -332,7 +336,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_contender_share: Share = 0.5
     bound_slack: Score = 0.02
     amplitude: Range = (0.4, 1.9)
-    min_gust_share: Share = 0.10
+    min_gust_share: Share = 0.03
     min_share_beside_gust: Share = 0.5
 
 

@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, about_fit
-from diagnosis.selection.search import Selection, select
+from diagnosis.selection.search import Selection, select, select_from
 
 
 def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
@@ -32,7 +32,7 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
         if again is None:
             break
         regression = again
-        selection = select(regression, [c for c in held if c.fitted is not None], min_share=0.0)
+        selection = select_from(regression, [c for c in held if c.fitted is not None], selection)
         if {c.key for c in selection.chosen.candidates} <= {c.key for c in chosen}:
             break
     return regression.in_gust(selection.gust_variance), selection

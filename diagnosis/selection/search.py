@@ -184,7 +184,7 @@ class Search:
             return None
         before = self.regression.cross_validated_gain(chosen.columns)
         for trial in sorted(worth_more, key=lambda s: -self.worth(s))[: self.thresholds.max_trials]:
-            improvement = trial.score - chosen.score
+            improvement = min(trial.score - chosen.score, trial.gain - chosen.gain)
             if improvement <= 0:  # fewer effects, for next to no loss
                 return trial
             shown = self.regression.cross_validated_gain(trial.columns) - before
@@ -299,37 +299,55 @@ def possible(
     return bool(np.all((theta >= low) & (theta <= high)))
 
 
-def select(regression: Regression, start: Sequence[Candidate] = (), *, min_share: float | None = None) -> Selection:
-    """The effects that are missing, none where no score reaches its minimum.
-
-    start: a set from which to search as well.
-    min_share: of the greatest gain that every effect must add; by default the threshold's.
-    """
-    thresholds = regression.thresholds.search
-    singles = Search(regression).singles()
+def select(regression: Regression) -> Selection:
+    """The effects that are missing, none where no score reaches its minimum."""
+    thresholds, singles = regression.thresholds.search, Search(regression).singles()
     before = gust_beside(regression, [])
     top = Search(regression).first(singles)
-    if top.score < min_score(top.candidates, thresholds) and not start:
-        detected = _is_gust(before, regression, thresholds.min_gain)
-        return Selection(Scored((), 0.0, 0.0), singles, before, before, detected)
-    required = max(thresholds.min_gain, (thresholds.min_share if min_share is None else min_share) * top.gain)
+    if top.score < min_score(top.candidates, thresholds):
+        return Selection(Scored((), 0.0, 0.0), singles, before, before, _is_gust(before, regression, 0.0))
+    required = max(_relevant(regression), thresholds.min_share * top.gain)
     starts: list[tuple[Set, float]] = [(top.candidates, 0.0)]
     if before.score >= thresholds.min_gain:
         starts.append(((), before.variance))
-    if start:
-        starts.append((tuple(start), gust_variance(regression, tuple(start))))
     results = [_searched(regression, candidates, variance, required) for candidates, variance in starts]
     chosen, variance, _ = max(results, key=lambda one: one[2])
+    return _selection(regression, chosen, variance, required, singles, before)
+
+
+def select_from(regression: Regression, start: Sequence[Candidate], earlier: Selection) -> Selection:
+    """The effects that are missing, by a search from a set on a regression about the fit of that set."""
+    required = _relevant(regression)
+    chosen, variance, _ = _searched(regression, tuple(start), gust_variance(regression, tuple(start)), required)
+    return _selection(regression, chosen, variance, required, earlier.singles, earlier.gust_before)
+
+
+def _selection(
+    regression: Regression,
+    chosen: Scored,
+    variance: float,
+    required: float,
+    singles: tuple[Scored, ...],
+    before: Gust,
+) -> Selection:
     search = Search(regression.in_gust(variance), required)
     chosen = search.ordered(search.simplified(chosen))
     after = gust_beside(regression, chosen.columns)
-    detected = _is_gust(after, regression, max(thresholds.min_gain, thresholds.min_gust_share * chosen.gain))
+    detected = _is_gust(after, regression, regression.thresholds.search.min_gust_share * chosen.gain)
     return Selection(chosen, singles, before, after, detected, variance)
 
 
+def _relevant(regression: Regression) -> float:
+    """Score by which an effect must raise that of the others to matter."""
+    thresholds = regression.thresholds.search
+    return max(thresholds.min_gain, thresholds.relevant * regression.total)
+
+
 def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
-    """Whether random air motion is a gust: clear, and more than the error of an estimator's velocity."""
-    return gust.score >= min_score and gust.intensity > regression.pose.velocity
+    """Whether random air motion is a gust: clear in most resamples, and more than an estimator's error of velocity."""
+    limits = regression.thresholds.relevance
+    clear = gust.intensity > limits.deviations * gust.std and gust.share >= limits.min_agreement
+    return clear and gust.score >= max(_relevant(regression), min_score) and gust.intensity > regression.pose.velocity
 
 
 def _searched(regression: Regression, start: Set, variance: float, required: float) -> tuple[Scored, float, float]:

@@ -3,30 +3,42 @@
 import numpy as np
 import pytest
 
+from diagnosis.selection.air_motion import cosines
+from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
+from diagnosis.selection.search import select
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
 
 ROWS, RATE, FLIGHTS = 250, 25.0, 3
 
 
-def blown(vehicle, *, intensity: float, seed: int, catalogue=CATALOGUE):
-    """Flights whose x and y forces are those of air with a corner at 0.15 Hz; 1 m/s gives 1 unit of force."""
+def blown(vehicle, *, intensity: float, seed: int, catalogue=CATALOGUE, drag: float = 0.0, count: int = ROWS):
+    """Flights whose x and y forces are those of air with a corner at 0.15 Hz; 1 m/s gives 1 unit of force.
+
+    drag: coefficient of another slow force along x.
+    """
     random = np.random.default_rng(seed)
-    column = np.zeros((ROWS, CHANNELS, 3))
+    column = np.zeros((count, CHANNELS, 3))
     for axis in range(3):
         column[:, axis, axis] = column[:, 3 + axis, axis] = 1.0
     rows = []
+    columns = []
     for _ in range(FLIGHTS):
-        spectrum = np.fft.rfft(random.standard_normal((ROWS, 2)), axis=0)
-        frequency = np.fft.rfftfreq(ROWS, 1 / RATE)
-        air = np.fft.irfft(spectrum / np.sqrt(1 + (frequency / 0.15) ** 2)[:, None], ROWS, axis=0)
-        y = random.standard_normal((ROWS, CHANNELS))
+        spectrum = np.fft.rfft(random.standard_normal((count, 2)), axis=0)
+        frequency = np.fft.rfftfreq(count, 1 / RATE)
+        air = np.fft.irfft(spectrum / np.sqrt(1 + (frequency / 0.15) ** 2)[:, None], count, axis=0)
+        y = random.standard_normal((count, CHANNELS))
         y[:, 0:2] += intensity * air / air.std()
         y[:, 3:5] += intensity * air / air.std()
-        rows.append(y)
-    wind = candidate(CATALOGUE["wind"], 0, 1, 2)
-    return regression(vehicle, [wind], [column] * FLIGHTS, rows, catalogue=catalogue)
+        slow = np.cumsum(random.standard_normal((count, 1)), axis=0) / 5
+        force = np.zeros((count, CHANNELS, 1))
+        force[:, [0, 3], 0] = slow
+        columns.append(np.concatenate([column, force], axis=2))
+        rows.append(y + drag * force[:, :, 0])
+    wind = Candidate(CATALOGUE["wind"], None, {"x": 0.0, "y": 0.0, "z": 0.0}, ("x", "y", "z"), (0, 1, 2))
+    candidates = [wind, candidate(effect("drag"), 3)]
+    return regression(vehicle, candidates, columns, rows, catalogue={**catalogue, "drag": candidates[1].effect})
 
 
 def test_a_planted_gust_besides_and_shows_its_strength(arpl_250g):
@@ -51,3 +63,24 @@ def test_without_wind_or_without_a_stochastic_effect_there_is_no_gust(arpl_250g)
     columns = [random.standard_normal((50, CHANNELS, 1))]
     other = regression(arpl_250g, [candidate(effect("a"), 0)], columns, [columns[0][:, :, 0]], catalogue=CATALOGUE)
     assert gust_beside(other, []).score == -np.inf
+
+
+def test_a_gust_beside_an_effect_ends_no_search_and_both_have_their_size(arpl_250g):
+    both = blown(arpl_250g, intensity=1.0, seed=1, drag=0.5)
+    selection = select(both)
+    assert selection.chosen.names == {"drag"}
+    assert selection.gust_detected
+    assert selection.gust.intensity == pytest.approx(1.0, rel=0.2)
+    theta, _ = both.in_gust(selection.gust_variance).solve(selection.chosen.columns)
+    assert theta[0] == pytest.approx(0.5, abs=0.1)
+
+
+def test_normal_equations_beside_a_gust_are_those_of_its_covariance(arpl_250g):
+    calm = blown(arpl_250g, intensity=1.0, seed=2, count=60)
+    gusty = calm.in_gust(0.7)
+    basis, weight = cosines(60, RATE, calm.thresholds.gust)
+    x = calm.columns[0].reshape(-1, 4)
+    waves = np.stack([calm.columns[0][:, :, i, None] * basis[:, None, :] for i in range(3)], axis=2)
+    z = (waves * np.sqrt(weight)).reshape(len(x), -1)
+    covariance = np.eye(len(x)) + 0.7 * z @ z.T
+    np.testing.assert_allclose(gusty.gram[0], x.T @ np.linalg.solve(covariance, x), rtol=1e-6, atol=1e-6)

@@ -12,7 +12,7 @@ from diagnosis.selection.gust import Gust
 from diagnosis.selection.search import IMPOSSIBLE, Search, _is_gust, min_score, possible, select
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
-from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 
 def with_search(**fields):
@@ -84,8 +84,73 @@ def test_a_fixed_shape_comes_with_its_own_size(arpl_250g):
 def test_air_motion_within_the_estimators_own_error_is_no_gust(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
     estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
-    weak, strong = (Gust(100.0, 90.0, intensity) for intensity in (0.15, 0.4))
+    weak, strong = (Gust(100.0, 90.0, intensity, 0.02, 1.0) for intensity in (0.15, 0.4))
     assert _is_gust(weak, of_all, 40.0)
     assert not _is_gust(weak, estimated, 40.0)
     assert _is_gust(strong, estimated, 40.0)
     assert not _is_gust(strong, estimated, 95.0)
+
+
+def test_a_gust_that_few_resamples_show_or_whose_interval_holds_nothing_is_none(arpl_250g):
+    of_all = planted(arpl_250g, [0.0], seed=0)
+    assert _is_gust(Gust(100.0, 90.0, 0.4, 0.1, 0.6), of_all, 40.0)
+    assert not _is_gust(Gust(100.0, 90.0, 0.4, 0.25, 0.6), of_all, 40.0)
+    assert not _is_gust(Gust(100.0, 90.0, 0.4, 0.1, 0.4), of_all, 40.0)
+
+
+def mixture(vehicle, *, seed, columns_of, theta, flights=6, rows=80, bound=10.0):
+    """A regression on columns made of random ones by columns_of; theta of the random ones are in the rows."""
+    random = np.random.default_rng(seed)
+    pure = [random.standard_normal((rows, CHANNELS, len(theta))) for _ in range(flights)]
+    residuals = [x @ np.array(theta) + random.standard_normal((rows, CHANNELS)) for x in pure]
+    columns = [columns_of(x) for x in pure]
+    candidates = [candidate(effect(chr(ord("a") + i), bound=bound), i) for i in range(columns[0].shape[2])]
+    return regression(vehicle, candidates, columns, residuals)
+
+
+def test_an_effect_that_looks_like_two_is_exchanged_for_them(arpl_250g):
+    def with_sum(x):
+        return np.concatenate([x @ np.array([[1.0], [1.0], [0.3]]), x[:, :, :2]], axis=2)
+
+    both = mixture(arpl_250g, seed=0, columns_of=with_sum, theta=[0.35, 0.25, 0.0])
+    assert Search(both).singles()[0].names == {"a"}
+    assert select(both).chosen.names == {"b", "c"}
+
+
+def test_two_effects_that_share_the_work_of_one_are_merged(arpl_250g):
+    def with_halves(x):
+        z, n = x[:, :, :1], x[:, :, 1:]
+        return np.concatenate([z + n, z - n, z], axis=2)
+
+    one = mixture(arpl_250g, seed=1, columns_of=with_halves, theta=[0.4, 0.0])
+    search = Search(one)
+    a, b, c = one.candidates
+    halves = search.score([a, b])
+    assert halves.gain == pytest.approx(search.score([c]).gain, rel=0.01)
+    assert search.better(halves).names == {"c"}
+
+
+def test_a_set_with_an_impossible_effect_is_tried_without_it(arpl_250g):
+    tight = mixture(arpl_250g, seed=2, columns_of=lambda x: x, theta=[0.3, 2.0], bound=1.0)
+    search = Search(tight)
+    a, b = tight.candidates
+    assert search.score([a, b]).score == IMPOSSIBLE
+    assert [scored.names for scored in search.possible_scores([(a, b)])] == [{"a"}]
+
+
+def test_every_step_of_the_search_raises_what_it_maximises(arpl_250g):
+    search = Search(planted(arpl_250g, [0.3, 0.0, 0.2, 0.0, 0.25, 0.15], seed=3))
+    chosen, worths = search.score([search.regression.candidates[1]]), []
+    while chosen is not None:
+        worths.append(search.worth(chosen))
+        last, chosen = chosen, search.better(chosen)
+    assert last.names == {"a", "c", "e", "f"}
+    assert worths == sorted(set(worths))
+
+
+@pytest.mark.parametrize("count", [9, 12])
+def test_many_effects_are_named_up_to_the_greatest_number(arpl_250g, count):
+    theta = [0.3] * count + [0.0] * 6
+    chosen = select(planted(arpl_250g, theta, seed=4)).chosen
+    assert len(chosen.candidates) == min(count, DEFAULT.search.max_effects)
+    assert {int(c.columns[0]) for c in chosen.candidates} <= set(range(count))
