@@ -298,7 +298,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
     where nothing is hidden]
     min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
-    relevant: gain over the number of whitened residuals below which an effect does not matter. [formula: a fifth of
+    relevant: gain over the number of whitened residuals below which an effect does not matter. [formula: a tenth of
     2 % of the floor of one kind of four]
     min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
     vehicle without either. [not derived yet]
@@ -321,7 +321,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
 
     min_gain: Score = 40.0
     min_fault_gain: Score = 15.0
-    relevant: Share = 0.002
+    relevant: Share = 0.001
     min_share: Share = 0.003
     parsimony: Share = 0.985
     min_cross_validated: Share = 0.3

@@ -250,8 +250,8 @@ class Regression:
     def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
         """(m, 12) residual of each segment without the chosen columns, its flight's biases and what flights share."""
         where = [*chosen, *(i for i in self.shared.columns if i not in chosen)]
-        beside = dict(zip(self.shared.columns, self.nuisance_values(chosen).tolist(), strict=True))
-        theta = np.concatenate([self.solve(chosen)[0], [beside[i] for i in where[len(chosen) :]]])
+        shared = dict(zip(self.shared.columns, self.nuisance_values(chosen).tolist(), strict=True))
+        theta = np.concatenate([self.solve(chosen)[0], [shared[i] for i in where[len(chosen) :]]])
         off = []
         for gram, product in zip(self.joint_gram, self.joint_product, strict=True):
             places = list(self.biases.columns)
