@@ -161,6 +161,11 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_tilt_acceleration: RMS of the latter that the ratio needs, m/s^2. [not derived yet]
     min_rotor_speed: share of hover speed below which a sensor is dead. [not derived yet]
     unit_slack: factor by which a ratio may miss that of two units and still be called it. [not derived yet]
+    velocity_span: over which velocity and the change of position are compared, s. [not derived yet]
+    max_velocity_error: by which they may differ, m/s; estimators reach 0.3. [benchmarks/mutated_flights.py]
+    max_velocity_share: the same over the speed. [benchmarks/mutated_flights.py]
+    max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [benchmarks/mutated_flights.py]
+    max_rotor_clipped: the same of a measured rotor speed, which may fly at its limit. [benchmarks/mutated_flights.py]
     """
 
     min_duration: Positive = 20.0
@@ -172,6 +177,11 @@ class DataChecks(ThresholdGroup, frozen=True):
     min_tilt_acceleration: Score = 0.3
     min_rotor_speed: Share = 0.1
     unit_slack: Factor = 2.0
+    velocity_span: Positive = 0.2
+    max_velocity_error: Score = 0.6
+    max_velocity_share: Share = 0.3
+    max_clipped: Share = 0.03
+    max_rotor_clipped: Share = 0.3
 
 
 class RotorMomentChecks(ThresholdGroup, frozen=True):

@@ -9,6 +9,7 @@ import numpy as np
 from diagnosis.data.filters import difference
 from diagnosis.data.rotor_moments import require_rotor_moments
 from diagnosis.data.segment import Segment
+from diagnosis.data.sensor_checks import require_range, require_velocity
 from diagnosis.thresholds import DEFAULT, DataChecks, Thresholds
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
@@ -32,6 +33,8 @@ def require_answerable(
         )
     _require_motion(segments, limits)
     _require_metres(segments, limits)
+    require_velocity(segments, limits)
+    require_range(segments, limits)
     _require_live_rotors(segments, vehicle, limits)
     _require_thrust(segments, vehicle, limits)
     return require_rotor_moments(segments, vehicle, thresholds.rotor_moments)
