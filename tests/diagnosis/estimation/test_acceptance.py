@@ -9,7 +9,8 @@ from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.paired_errors import channel_changes
 from diagnosis.selection.regression import make_regression
-from diagnosis.selection.search import select
+from diagnosis.selection.rivals import rivals_of
+from diagnosis.selection.search import Search, select
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, planted, white
@@ -119,3 +120,15 @@ def test_a_mass_that_the_held_out_flights_contradict_is_refused(arpl_250g, held_
         for vehicle in (arpl_250g, result.fit.vehicle)
     )
     assert after <= before
+
+
+def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):
+    """The third effect is the nearest rival of the first: one effect twice is no model."""
+    found = planted(arpl_250g, [3.0, 0.0, 2.0], seed=4)
+    a, b, c = found.candidates
+    chosen = [a, b, c]
+    for place, candidate_of in enumerate(chosen):
+        others = [other for i, other in enumerate(chosen) if i != place]
+        rivals = rivals_of(Search(found), others, candidate_of)
+        assert [len({r.key for r in s.candidates}) for s in rivals] == [3] * len(rivals)
+    assert len(rivals_of(Search(found), [b], a)) == 2  # c stands for a where it is not there yet
