@@ -156,7 +156,8 @@ def _grid(
 
 def scales_rotors(candidate: Candidate) -> bool:
     """Whether a candidate's columns are the rotors' forces, which feedback correlates with the disturbance."""
-    return candidate.effect.physics is not None or candidate.effect.name in COMMAND_EFFECTS
+    effect = candidate.effect
+    return effect.physics is not None or effect.acts_on == "command_gain" or effect.name in COMMAND_EFFECTS
 
 
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
