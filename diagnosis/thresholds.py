@@ -278,6 +278,9 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     tilt_error: standard deviation, rad. [the same: 1.2 degrees]
     tilt_time: correlation time of that, s. [the same: 2.5 to 3.8]
     smooth_time: below which these errors do not change, s. [the same]
+    min_coherence: of the velocity's derivative with the accelerometer where no motion reaches, above which the pose of
+    a table is an estimator's. [tests/data/px4_sih_flights 0.997; tests/data/nanobench 0.26 to 0.40; simulated motion
+    capture 0.13 and less]
     examples: segments on which the model's slope in the velocity is found. [not derived yet]
     """
 
@@ -286,6 +289,7 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     tilt_error: Score = 0.021
     tilt_time: Positive = 3.0
     smooth_time: Positive = 0.3
+    min_coherence: Share = 0.7
     examples: Count = 3
 
 
@@ -387,6 +391,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
 
     features: random Fourier features of state or position. [not derived yet]
     state_fineness: of a feature of the state, over the standard deviation of the state. [not derived yet]
+    velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [not derived yet]
     position_fineness: the same of position alone, where a field of air repeats. [not derived yet]
     ridges: that are tried. [not derived yet]
     low_band: in which accelerometer and pose must not agree, Hz. [not derived yet]
@@ -399,6 +404,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
 
     features: Count = 120
     state_fineness: Positive = 0.35
+    velocity_fineness: Positive = 1.5
     position_fineness: Positive = 1.5
     ridges: tuple[Positive, ...] = (1e2, 1e3, 1e4, 1e5)
     low_band: Range = (0.05, 1.5)

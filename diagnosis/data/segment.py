@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.filters import decimated_rows, decimation, difference
+from diagnosis.data.pose import pose_source
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -168,7 +169,8 @@ def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT)
         raise DataError(lacking(flight, limits))
     speed, _ = rotor_speeds(flight, vehicle)
     parts = flight.segments(exclude=_unusable(flight, speed, limits), shortest=limits.min_duration)
-    return tuple(_segment(part, vehicle, thresholds) for part in parts)
+    source = pose_source(flight, thresholds)
+    return tuple(replace(_segment(part, vehicle, thresholds), pose_source=source) for part in parts)
 
 
 def fast(flight: Flight, quantity: str, thresholds: SegmentThresholds = DEFAULT.segment) -> bool:
@@ -244,7 +246,6 @@ def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:
         rotor_source=source,
         battery_ratio=_battery_ratio(part, thresholds.segment),
         lacks=frozenset(name for name, there in logged.items() if not there),
-        pose_source=part.pose_source,
         filters=thresholds.filters,
     )
 

@@ -59,8 +59,8 @@ class ResidualTests:
 
     low_frequency_agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid
         frequencies.
-    predictable_from_state: twice the log-likelihood that a function of the state gains on flights left out, over the
-        number of whitened residuals.
+    predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
+        velocity, gains on flights left out, over the number of whitened residuals.
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -91,7 +91,11 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     thresholds, total = regression.thresholds.residual_tests, max(regression.total, 1)
     states = [_state(s) for s in regression.segments]
     features = _features(states, thresholds.state_fineness, thresholds.features)
-    predictable, of_state = _predictable(regression, features, rows, regression.flight_of)
+    fine_in_velocity = _features([x[:, :AXES] for x in states], thresholds.velocity_fineness, thresholds.features)
+    predictable, of_state = max(
+        (_predictable(regression, x, rows, regression.flight_of) for x in (features, fine_in_velocity)),
+        key=lambda gain_and_parts: gain_and_parts[0],
+    )
     found = [_largest("predictable_from_state", of_state, regression.noise.floor)]
     repeating = 0.0
     if by_position:

@@ -131,3 +131,10 @@ def test_a_force_that_depends_on_the_place_repeats_there(of_noise, segments):
     for y in rows:  # a slow force that does not recur at the same place
         y[:, 0] += np.sin(2 * np.pi * 0.11 * np.arange(len(y)) / 25.0)
     assert "position_dependent" not in fires(run_residual_tests(of_all, rows, by_position=True))
+
+
+def test_a_force_that_bends_sharply_with_the_velocity_is_predictable(of_noise, segments):
+    of_all, rows = of_noise(0)
+    for y, segment in zip(rows, segments, strict=True):
+        y[:, 0] += 0.6 * np.sign(segment.smooth[segment.decimated, VELOCITY][:, 0])
+    assert "predictable_from_state" in fires(run_residual_tests(of_all, rows))
