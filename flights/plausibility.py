@@ -37,9 +37,12 @@ _CLEAR_AGREEMENT = 0.8  # correlation about zero of one motion logged along two 
 _CLEARER = 0.3  # by which that must exceed the correlation along equal axes
 _NO_AGREEMENT = 0.2  # correlation about zero below which there is none
 _DEGREES = 180 / np.pi
-MAX_MEAN_FORCE = 3.0  # g; no vehicle flies a whole log at more
+_MAX_SHIFT = 0.5  # s between two clocks that is tried
+_CLEAR_SHIFT = 0.12  # s beyond which no sensor is late in a usable log
+_BETTER = 0.1  # by which the correlation must rise at that shift
+_MIN_LATERAL = 0.2  # m/s^2 rms of force along body x and y that both sensors must show
 _MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
-_SAME_SIZE = (0.5, 2.0)  # range of a ratio that must be 1
+_SAME_SIZE = (0.6, 1.67)  # range of a ratio that must be 1
 _WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
 _DEAD = 0.005  # of the turning that an axis of the gyro must show
 _CLEAR_RATE = 0.15  # rad/s rms about an axis, at which it must show it
@@ -73,6 +76,8 @@ def check(streams: Sequence[Stream]) -> tuple[Contradiction, ...]:
         _tilt_against_acceleration(on_grid),
         _force_against_acceleration(on_grid),
         _force_against_tilt(on_grid),
+        _lateral_force(on_grid),
+        _clocks(on_grid),
     ]
     return tuple(finding for finding in contradictions if finding is not None)
 
@@ -144,6 +149,11 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
             "rates_in_degrees",
             f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
         )
+    if _agreement(turning, rate) > _AGREEMENT and not _SAME_SIZE[0] < ratio < _SAME_SIZE[1]:
+        return Contradiction(
+            "rate_unit",
+            f"the body rates are {ratio:.2f} times those by which the attitude turns. Wanted rad/s; check the scale.",
+        )
     for axis in range(3):
         a, b = turning[:, axis], rate[:, axis]
         if min(_rms(a), _rms(b)) > _MIN_RATE and _agreement(a, b) < -_AGREEMENT:
@@ -195,20 +205,21 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
             "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
         )
     size = float(np.linalg.norm(mean))
+    if _SAME_SIZE[0] < size / GRAVITY < _SAME_SIZE[1]:
+        return None
     if _SAME_SIZE[0] < size < _SAME_SIZE[1]:
         return Contradiction("force_in_g", f"the specific force is {size:.2f} on average: it is in g. Wanted m/s^2.")
-    if size <= _SAME_SIZE[0]:
+    if size < _SAME_SIZE[0]:
         return Contradiction(
             "gravity_removed",
             f"the specific force is {size:.2f} m/s^2 on average: gravity's reaction was removed from it. Wanted what "
             "an accelerometer reads, 9.81 m/s^2 upwards at rest; if the table holds accelerations, map them so.",
         )
-    if size > MAX_MEAN_FORCE * GRAVITY:
-        return Contradiction(
-            "force_unit",
-            f"the specific force is {size:.0f} m/s^2 on average: it is in another unit (mg, cm/s^2). Wanted m/s^2.",
-        )
-    return None
+    return Contradiction(
+        "force_unit",
+        f"the specific force is {size:.3g} m/s^2 on average, wanted about 9.81: it is in another unit (mg, cm/s^2) or "
+        "of another scale.",
+    )
 
 
 def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | None:
@@ -352,6 +363,84 @@ def _force_against_tilt(on_grid: dict[str, Floats]) -> Contradiction | None:
         f"{_agreement(a, b):.2f}): it is in world axes. Wanted body FLU, where an accelerometer measures; rotate it "
         "back by the attitude.",
     )
+
+
+def _pose_force(on_grid: dict[str, Floats]) -> Floats:
+    """(n - span, 3) specific force along body axes that the motion of the pose has, m/s^2."""
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    acceleration = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) / (span / _GRID_RATE)
+    middle = on_grid["attitude"][span // 2 : span // 2 + len(acceleration)]
+    return np.asarray(quaternion.rotate_inverse(middle, acceleration + np.array([0.0, 0.0, GRAVITY])))
+
+
+def _lateral_force(on_grid: dict[str, Floats]) -> Contradiction | None:
+    """Along body x and y the accelerometer reads the drag that slows the vehicle."""
+    if not {"attitude", "velocity", "specific_force"} <= on_grid.keys():
+        return None
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    pose, logged = _pose_force(on_grid)[:, :2], _mean(on_grid["specific_force"], span)[:, :2]
+    valid = np.isfinite(pose).all(axis=1) & np.isfinite(logged).all(axis=1)
+    if np.count_nonzero(valid) < 50:
+        return None
+    a, b = pose[valid] - np.median(pose[valid], axis=0), logged[valid] - np.median(logged[valid], axis=0)
+    for axis in range(2):
+        one, other = a[:, axis], b[:, axis]
+        if min(_rms(one), _rms(other)) > _MIN_LATERAL and _agreement(one, other) < -_AGREEMENT:
+            return Contradiction(
+                "force_frame",
+                f"the specific force along {'xy'[axis]} has the opposite sign of what the pose's motion needs "
+                f"(agreement {_agreement(one, other):.2f}): its axes are not the body's. Wanted body FLU.",
+            )
+    return None
+
+
+def _clocks(on_grid: dict[str, Floats]) -> Contradiction | None:
+    """Streams of one motion must show it at one time."""
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    pairs: list[tuple[str, Floats, Floats]] = []
+    if {"attitude", "rate"} <= on_grid.keys():
+        attitude = on_grid["attitude"]
+        turned = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-span]), attitude[span:]))
+        pairs.append(("the body rates are", turned * (_GRID_RATE / span), _mean(on_grid["rate"], span)))
+    if {"position", "velocity"} <= on_grid.keys():
+        moved = (on_grid["position"][span:] - on_grid["position"][:-span]) * (_GRID_RATE / span)
+        pairs.append(("the velocity is", moved, _mean(on_grid["velocity"], span)))
+    if {"attitude", "velocity", "specific_force"} <= on_grid.keys():
+        world = quaternion.rotate(on_grid["attitude"], on_grid["specific_force"]) - np.array([0.0, 0.0, GRAVITY])
+        gained = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) * (_GRID_RATE / span)
+        pairs.append(("the accelerometer's clock, or the attitude's, is", gained, _mean(world, span)))
+    for name, one, other in pairs:
+        seconds, gained_agreement = _clock_offset(one, other)
+        if abs(seconds) >= _CLEAR_SHIFT and gained_agreement > _BETTER:
+            late = "late" if seconds > 0 else "early"
+            return Contradiction(
+                "clock",
+                f"{name} {abs(seconds):.2f} s {late} against the rest of the motion. Wanted one clock; stamp samples "
+                "when they are measured, or shift the columns.",
+            )
+    return None
+
+
+def _clock_offset(one: Floats, other: Floats) -> tuple[float, float]:
+    """By how much the other is late, s, and the rise of their correlation at that shift; zeros where none is clear."""
+    best, plain, at = -1.0, 0.0, 0
+    reach = round(_MAX_SHIFT * _GRID_RATE)
+    if len(one) <= 2 * reach:
+        return 0.0, 0.0
+    for shift in range(-reach, reach + 1):
+        a = one[max(-shift, 0) : len(one) - max(shift, 0)]
+        b = other[max(shift, 0) : len(other) - max(-shift, 0)]
+        valid = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+        if np.count_nonzero(valid) < 50:
+            return 0.0, 0.0
+        a, b = a[valid], b[valid]
+        if min(_rms(a), _rms(b)) < _MIN_RATE:
+            return 0.0, 0.0
+        agreement = _agreement(a, b)
+        plain = agreement if shift == 0 else plain
+        if agreement > best:
+            best, at = agreement, shift
+    return (at / _GRID_RATE, best - plain) if best > _CLEAR_AGREEMENT else (0.0, 0.0)
 
 
 def _rms(values: Floats) -> float:

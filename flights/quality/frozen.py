@@ -11,12 +11,14 @@ from flights.quality.channels import STUCK_TIME
 from flights.quality.findings import Finding
 from flights.quantities import MOTION, quantity_of
 
+NOISY = ("rate", "specific_force", "rotor_speed")  # sensors whose noise changes every sample
+NOISY_TIME = 2.0  # s for which they may keep a value
 WATCHED = (*MOTION, "rotor_speed", "rotor_command")
 
 ATTITUDE_RESOLUTION = 1e-3  # of a quaternion's component in coarse logs
 
 
-def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDArray[np.bool_]]:
+def frozen_rows(flight: Flight) -> dict[str, NDArray[np.bool_]]:
     """(n,) rows in which a column of motion or rotors keeps one value for so long, by column, if there are any.
 
     Others of its quantity must change meanwhile. A column that never does counts as well, unless it is zero, as those
@@ -29,6 +31,7 @@ def frozen_rows(flight: Flight, *, seconds: float = STUCK_TIME) -> dict[str, NDA
         for name, values in columns.items():
             if not any(varying.values()) or (not varying[name] and not np.any(np.nan_to_num(values))):
                 continue
+            seconds = NOISY_TIME if quantity in NOISY else STUCK_TIME
             min_rows = max(2, round(seconds * flight.rate)) if varying[name] else 2
             rows = _constant(values, min_rows)
             others = [other for other in columns if other != name]

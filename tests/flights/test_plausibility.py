@@ -35,6 +35,14 @@ def in_the_world(flight: Flight) -> Columns:
     return quantity(flight, "specific_force", quaternion.rotate(flight["attitude"], flight["specific_force"]))
 
 
+def late(name: str, seconds: float) -> Callable[[Flight], Columns]:
+    def moved(flight: Flight) -> Columns:
+        rows = round(seconds * flight.rate)
+        return {c: np.roll(v, rows) for c, v in flight.columns.items() if c.startswith(f"{name}_")}
+
+    return moved
+
+
 def without_gravity(flight: Flight) -> Columns:
     up = quaternion.rotate_inverse(flight["attitude"], np.array([0.0, 0.0, 9.81]))
     return quantity(flight, "specific_force", flight["specific_force"] - up)
@@ -57,6 +65,11 @@ def test_real_flights_contradict_nothing(log: Path) -> None:
         (scaled("velocity", 1000.0), "velocity is in mm/s beside a position in m"),
         (scaled("velocity", 100.0), "velocity is in cm/s beside a position in m"),
         (scaled("rate", 180 / np.pi), "deg/s"),
+        (scaled("rate", 0.5), r"0\.[45]. times those by which the attitude turns"),
+        (scaled("specific_force", 2.0), "in another unit"),
+        (late("velocity", 0.2), r"s (late|early) against the rest of the motion"),
+        (late("rate", -0.3), r"the body rates are 0\.30 s early"),
+        (lambda f: quantity(f, "specific_force", f["specific_force"] * [-1.0, 1.0, 1.0]), "along x has the opposite"),
         (ordered("rate", [1, 0, 2]), "along other axes than the attitude's turning"),
         (ordered("velocity", [1, 0, 2]), "along other axes than the position's change"),
         (lambda f: quantity(f, "rate", f["rate"] * [1.0, 0.0, 1.0]), "about y stands still"),
@@ -72,6 +85,11 @@ def test_real_flights_contradict_nothing(log: Path) -> None:
         "mm/s",
         "cm/s",
         "deg/s",
+        "half the rate",
+        "twice g",
+        "late velocity",
+        "early gyro",
+        "turned accelerometer",
         "rate axes",
         "velocity axes",
         "dead gyro",
