@@ -270,6 +270,7 @@ class _EquationErrorProblem:
         off = regression.biases.columns
         self._own_gains = [(i, gains[column]) for i, column in enumerate(off) if column in gains]
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
+        self._lagged = bool(self._predictor.model.rotor_speed_places)  # instruments for speeds that nothing replaces
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
         self._errors: dict[int, tuple[Floats, Floats, Floats]] = {}
@@ -413,7 +414,7 @@ class _EquationErrorProblem:
         if self.linear:
             plain = channels.predicted(segment, self._predictor.slopes(segment, changed))
             slopes = {name: plain[:, :, i] for i, name in enumerate(self.linear)}
-            if any(self._instrumented):
+            if any(self._instrumented) and not self._lagged:
                 speed = make_instruments(segment, self._regression.vehicle).rotor_speed
                 slow = channels.predicted(segment, self._predictor.slopes(segment, changed, rotor_speed=speed))
                 instruments = {name: slow[:, :, i] for i, name in enumerate(self.linear)}
@@ -422,7 +423,7 @@ class _EquationErrorProblem:
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
-            if name in self._lags:
+            if name in self._lags or (instrumented and self._lagged):
                 z[-1] = with_slow_moments(slope, segment)
         return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
 

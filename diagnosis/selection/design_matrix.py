@@ -104,14 +104,15 @@ class DesignMatrix:
         bases = {i: channels.predicted(segment, [p.predict(segment)])[:, :, 0] for i, p in self._without.items()}
         base = _Bases(present, bases)
         instruments = make_instruments(segment, self._vehicle) if instrumented else None
+        lagged = bool(self.present.model.rotor_speed_places)  # rotor speeds are hidden states, which nothing replaces
         columns = earlier.copy() if len(earlier) else np.empty((len(present), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []
         for group in groups:
             waiting += _predictions(group, segment, instruments)
             if len(waiting) * len(segment) > MAX_BATCH:
-                _fill(columns, segment, waiting, base, instrumented=instrumented)
+                _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
                 waiting = []
-        _fill(columns, segment, waiting, base, instrumented=instrumented)
+        _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
         rows = channels.measured(segment) - present
         if np.any(self._coefficients):
             rows = rows + columns @ self._coefficients
@@ -261,8 +262,9 @@ def _fill(
     base: _Bases,
     *,
     instrumented: bool,
+    lagged: bool,
 ) -> None:
-    """Write filtered columns to their places in the matrix (m, 12, k)."""
+    """Write filtered columns to their places in the matrix (m, 12, k). lagged: whether the rotors have a lag."""
     if not waiting:
         return
     columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
@@ -270,8 +272,9 @@ def _fill(
         column = columns[:, :, i]
         if candidate.fixed_shape:
             column = column - base.of(candidate)
-            if instrumented and candidate.effect.rotor_speed is not None:
-                column = with_slow_moments(column, segment)
+        slow_only = candidate.effect.rotor_speed is not None or (lagged and scales_rotors(candidate))
+        if instrumented and slow_only:
+            column = with_slow_moments(column, segment)
         matrix[:, :, place] = column
 
 
