@@ -464,6 +464,7 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
     min_held_out_change: squared change over noise on held-out flights, below which these cannot judge. [decisions:
     held-out flights]
     leading: effects whose rivals are fitted in the full model. [decisions: the full model decides]
+    max_rivals: of each of these that are fitted. [not derived yet]
     typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
     flights]
     max_linear_rise: of an error without an effect, over the floor, up to which the others are fitted again in full and
@@ -474,6 +475,7 @@ class AcceptanceThresholds(ThresholdGroup, frozen=True):
     max_redundant_ratio: Factor = 1.01
     min_held_out_change: Score = 25.0
     leading: Count = 2
+    max_rivals: Count = 2
     typical_window: Positive = 2.0
     max_linear_rise: Score = 0.1
 

@@ -57,7 +57,13 @@ def accepted_fit(
     """
     lacking = regression.vehicle if vehicle is None else vehicle
     chosen, worse = _decided_rivals(regression, selection.chosen.candidates, lacking)
-    return judged_fit(regression, chosen, dataset, lacking, refused=worse)
+    accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
+    preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
+    if preferred <= set(accepted.fit.keys):
+        return accepted
+    # a rival that is refused itself refuses nothing
+    own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
+    return own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
 
 
 def judged_fit(
@@ -104,7 +110,7 @@ def _decided_rivals(
     for place in range(min(len(chosen), thresholds.leading)):
         others = [c for i, c in enumerate(best) if i != place]
         near = near_rivals(search, others, rivals_of(search, others, best[place]))
-        for rival in near[:1]:
+        for rival in near[: thresholds.max_rivals]:
             level = level or chi_square(best)
             trial = [*best[:place], rival.candidates[-1], *best[place + 1 :]]
             trial_level = chi_square(trial)
@@ -187,12 +193,15 @@ class _Trial:
         if not -by_kind[strongest].rise >= limits.min_rise:
             change = by_kind[strongest]
             numbers = {"before": change.before, "after": change.after, "floor": change.floor}
-            return refused("redundant" if self._shows_alone(best, candidate) else "too_small", strongest, **numbers)
+            replaced = _strength(self._alone(best, candidate)) >= limits.min_rise
+            return refused("redundant" if replaced else "too_small", strongest, **numbers)
+        alone = self._alone(best, candidate).get("imu") if _is_force(candidate) else None
+        if alone is not None and alone.is_contradicted(limits):
+            numbers = {"before": alone.before, "after": alone.after, "floor": alone.floor, "size": alone.size}
+            return refused("contradicted", "imu", **numbers)
         for kind, change in by_kind.items():
-            numbers = {"before": change.before, "after": change.after, "floor": change.floor}
-            if kind == "imu" and _is_force(candidate) and change.is_contradicted(limits):
-                return refused("contradicted", kind, **numbers, size=change.size)
             if change.is_worse(limits):
+                numbers = {"before": change.before, "after": change.after, "floor": change.floor}
                 return refused("channel_worse", kind, **numbers)
         deviations = deviations_from_neutral(best, candidate, self._vehicle)
         if deviations < limits.deviations:
@@ -202,13 +211,12 @@ class _Trial:
             return refused("few_resamples", share=share, required=limits.min_agreement)
         return None
 
-    def _shows_alone(self, best: Fit, candidate: Candidate) -> bool:
-        """Whether an effect that the others replace would show if they stayed as they are."""
+    def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
+        """Held-out errors without an effect and with it, by kind of channel, the others staying as they are."""
         values = {f"{key}.{name}": value for (key, name), value in best.values.items()}
         others = [c for c in (*best.candidates, *best.nuisances) if c is not candidate]
         fewer = with_candidates(self._vehicle, others, values)
-        floor = self._held_out.floor(best.vehicle)
-        return _strength(self._held_out.channel_changes(fewer, best.vehicle, floor)) >= self._limits.min_rise
+        return self._held_out.channel_changes(fewer, best.vehicle, self._held_out.floor(best.vehicle))
 
     def _agreement(self, best: Fit, candidate: Candidate) -> float:
         """Share of flight resamples that name an effect, or one that these flights cannot tell from it."""
