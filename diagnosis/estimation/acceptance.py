@@ -85,11 +85,14 @@ def judged_fit(
 
 
 def _own_effects(regression: Regression, chosen: Sequence[Candidate]) -> list[Candidate]:
-    """Corrections of the vehicle file's own effects that stand beside the chosen ones."""
+    """Corrections of the vehicle file's own effects that improve the score of the chosen ones."""
+    if not chosen:
+        return []
     names = {(use.name, use.rotor) for use in regression.vehicle.effects}
-    taken = {c.key for c in chosen}
-    own = [c for c in regression.candidates if (c.effect.name, c.rotor) in names and not c.fixed_shape]
-    return [c for c in own if c.key not in taken] if chosen else []
+    taken, search = {c.key for c in chosen}, Search(regression)
+    own = [c for c in regression.candidates if c.identity in names and not c.fixed_shape and c.key not in taken]
+    alone = search.score(chosen).score
+    return [c for c in own if search.score([*chosen, c]).score > alone]
 
 
 def _decided_rivals(
@@ -140,11 +143,14 @@ class _Trial:
             failing = failing or self._open_loop_failure(best)
             if not failing:
                 break
-            own = [pair for pair in failing if pair[0].key not in chosen]  # corrections of the file's effects first
-            weakest, failure = min(own or failing, key=lambda pair: _strength(relevance[pair[0].key]))
-            if weakest.key in chosen:
+            weakest, failure = min(failing, key=lambda pair: _strength(relevance[pair[0].key]))
+            left = [
+                c for c, _ in failing if c.key not in chosen
+            ]  # corrections of the file's effects first, all at once
+            if not left:
+                left = [weakest]
                 refused.append(failure)
-            best = self._fit([c for c in best.candidates if c is not weakest])
+            best = self._fit([c for c in best.candidates if c not in left])
         agreement = {c.key: self._agreement(best, c) for c in best.candidates}
         return Accepted(best, tuple(refused), relevance, agreement, floor)
 
@@ -167,7 +173,7 @@ class _Trial:
         if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
             judge, floor = self._others, regression.noise.floor
         by_kind = judge.channel_changes(fewer, best.vehicle, floor)
-        if _strength(by_kind) < thresholds.max_linear_rise:
+        if self._limits.min_rise <= _strength(by_kind) < thresholds.max_linear_rise:
             again = self._fit([c for c in best.candidates if c is not candidate], values)
             by_kind = judge.channel_changes(again.vehicle, best.vehicle, floor)
         return by_kind

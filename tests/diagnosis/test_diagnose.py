@@ -50,6 +50,13 @@ def test_a_wrong_mass_is_named_with_its_value_and_the_error_falls_to_the_floor(p
     assert diagnosis.channels["mocap"].after < 1.1 * diagnosis.channels["mocap"].floor
 
 
+def test_a_mass_that_is_far_off_is_no_thrust_constant_with_an_inertia(plain, arpl_250g):
+    body = msgspec.structs.replace(arpl_250g.body, mass=arpl_250g.body.mass / 1.17)
+    result = diagnose_dataset(plain, msgspec.structs.replace(arpl_250g, body=body), SOME)
+    assert [effect.name for effect in result.diagnosis.effects] == ["mass"]
+    assert result.diagnosis.effects[0].parameters["ratio"].value == pytest.approx(1.17, rel=0.005)
+
+
 def test_a_drag_that_the_file_overstates_is_corrected(plain, arpl_250g):
     draggy = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 2e-5}))
     diagnosis = diagnose_dataset(plain, draggy, SOME).diagnosis

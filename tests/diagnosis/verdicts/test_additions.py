@@ -5,6 +5,8 @@ import pytest
 
 from diagnosis.addition import Addition, add_effect
 from diagnosis.data.dataset import Dataset, make_dataset
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
 from dynamics.vehicle import EffectUse, Vehicle
@@ -70,10 +72,25 @@ def test_what_no_effect_explains_never_leads_to_a_worse_model(plain, arpl_250g):
     assert errors_never_rise(additions)
 
 
+def test_what_is_too_small_to_matter_is_listed_and_not_named(plain, arpl_250g):
+    eager = msgspec.structs.replace(DEFAULT, search=msgspec.structs.replace(DEFAULT.search, min_gain=5.0))
+    diagnosis = diagnose_dataset(plain, wrong(arpl_250g, inertia=0.993), SOME, eager).diagnosis
+    assert diagnosis.verdict == "explained"
+    assert diagnosis.effects == ()
+    refused = next(r for r in diagnosis.refused if r.name == "inertia")
+    assert refused.reason == "too_small"
+    assert refused.parameters["ratio_x"] == pytest.approx(1 / 0.993, abs=0.008)
+    assert not refused.is_hint
+
+
 @pytest.mark.parametrize(
     ("name", "reason"),
-    [("axial_inflow", "too small to matter"), ("inertia", "too small to matter"), ("imu_bias", "too small to matter")],
+    [
+        ("axial_inflow", r"(too small to matter.* from [\d.e-]+ to [\d.e-]+|at its physical bound)"),
+        ("inertia", r"too small to matter.* from [\d.e-]+ to [\d.e-]+"),
+        ("imu_bias", r"too small to matter.* from [\d.e-]+ to [\d.e-]+"),
+    ],
 )
-def test_an_effect_that_is_not_there_is_refused_with_the_numbers(plain, arpl_250g, name, reason):
-    with pytest.raises(DataError, match=rf"{name} was not added: .*{reason}.* from [\d.e-]+ to [\d.e-]+"):
+def test_an_effect_that_is_not_there_is_refused_with_its_reason(plain, arpl_250g, name, reason):
+    with pytest.raises(DataError, match=rf"{name} was not added: .*{reason}"):
         add_effect(name, plain, arpl_250g, SOME, date="2026-01-02")
