@@ -1,0 +1,52 @@
+"""A vehicle that hides many effects in a gust: all are named with their values, and nothing else."""
+
+import pytest
+
+from diagnosis.data.dataset import make_dataset
+from diagnosis.diagnose import diagnose_dataset
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle import EffectUse
+from fixtures.planted import planted_flights
+from tests.diagnosis.conftest import MANOEUVRES
+
+HIDDEN = (
+    EffectUse("rotor_drag", {"coefficient": 3e-5}),
+    EffectUse("blade_flapping", {"coefficient": -4e-7}),
+    EffectUse("thrust_constant", {"ratio": 0.95}),
+    EffectUse("inertia", {"ratio_x": 1.1, "ratio_y": 1.07, "ratio_z": 0.9}),
+    EffectUse("gust", {"intensity": 0.4, "correlation_time": 1.0}),
+)
+OTHERS = ("parasitic_drag", "torque_constant", "wind", "imu_bias", "gyro_bias", "time_delay")
+SOME = {name: CATALOGUE[name] for name in (*(use.name for use in HIDDEN), *OTHERS)}
+
+
+@pytest.fixture(scope="module")
+def answer(arpl_250g):
+    flights = planted_flights(arpl_250g, HIDDEN, seed=41, manoeuvres=MANOEUVRES)
+    return diagnose_dataset(make_dataset(flights, arpl_250g), arpl_250g, SOME)
+
+
+def test_all_that_is_hidden_is_named_and_nothing_else(answer):
+    assert {effect.name for effect in answer.diagnosis.effects} == {use.name for use in HIDDEN}
+
+
+@pytest.mark.parametrize("use", HIDDEN[:-1], ids=lambda use: use.name)
+def test_the_values_are_those_that_were_hidden(answer, use):
+    (named,) = (effect for effect in answer.diagnosis.effects if effect.name == use.name)
+    for name, value in use.parameters.items():
+        fitted = named.parameters[name]
+        assert fitted.value == pytest.approx(value, abs=max(0.05 * abs(value), 2.5 * fitted.std))
+
+
+def test_the_gusts_strength_has_an_interval_and_a_share_of_resamples(answer):
+    (gust,) = (effect for effect in answer.diagnosis.effects if effect.name == "gust")
+    intensity = gust.parameters["intensity"]
+    assert intensity.value == pytest.approx(0.4, rel=0.35)
+    assert 0.005 < intensity.std < 0.1
+    assert gust.confidence >= 0.5
+
+
+def test_the_regression_is_about_the_fit_and_keeps_the_users_vehicle(answer, arpl_250g):
+    assert answer.regression.vehicle == arpl_250g
+    assert any(candidate.fitted is not None for candidate in answer.regression.candidates)
+    assert answer.regression.gust_variance == answer.selection.gust_variance > 0
