@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import re
 import tempfile
 import time
 import traceback
@@ -75,7 +76,7 @@ class Case(msgspec.Struct, frozen=True):
 class Outcome(msgspec.Struct):
     """What came of a case.
 
-    what: the mutation in words. hidden: the effect beneath it. said: the answer or the refusal. took: s.
+    what: the mutation in words. hidden: the effect beneath it. answer: the answer or the refusal. took: s.
     """
 
     number: int
@@ -84,7 +85,7 @@ class Outcome(msgspec.Struct):
     commands: bool
     hidden: str
     outcome: str
-    said: str
+    answer: str
     took: float
 
 
@@ -97,10 +98,10 @@ def run(case: Case) -> Outcome:
     flown = _flights(use.name if use else "", commands, seed, tuple(FLOWN.get(case.mutation, USUAL)))
     mutated = MUTATIONS[case.mutation](flown, vehicle, random)
     began = time.process_time()
-    outcome, said = _answer(mutated, use.name if use else "")
+    outcome, answer = _answer(mutated, use.name if use else "")
     hidden = use.name if use else "nothing"
     took = time.process_time() - began
-    return Outcome(case.number, case.mutation, mutated.what, commands, hidden, outcome, said, took)
+    return Outcome(case.number, case.mutation, mutated.what, commands, hidden, outcome, answer, took)
 
 
 @lru_cache(maxsize=8)
@@ -152,11 +153,17 @@ def table(outcomes: Sequence[Outcome]) -> str:
         lines += ["", f"**{kind}s** ({len(chosen)})", ""] if chosen else []
         for o in chosen:
             source = "commands" if o.commands else "speeds"
-            lines.append(f"- {o.number}: {o.what} ({source}, hidden: {o.hidden}): {o.said}")
-    refusals = Counter(o.said.split(": ")[-1].split(". ")[0][:90] for o in outcomes if o.outcome == "refused")
+            lines.append(f"- {o.number}: {o.what} ({source}, hidden: {o.hidden}): {o.answer}")
+    refusals = Counter(_reason(o.answer) for o in outcomes if o.outcome == "refused")
     lines += ["", "Reasons of refusals, the most frequent:", ""]
     lines += [f"- {count} x {reason}" for reason, count in refusals.most_common(12)]
     return "\n".join(lines)
+
+
+def _reason(answer: str) -> str:
+    """The first words of a refusal without files and numbers."""
+    without_files = re.sub(r"^(/?flight_\d\.csv(, )?)+:? ?", "", answer)
+    return re.sub(r"-?\d[\d.e+]*", "N", without_files)[:80]
 
 
 def parser() -> argparse.ArgumentParser:

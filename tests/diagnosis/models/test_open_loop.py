@@ -28,5 +28,5 @@ def test_a_position_that_was_not_logged_has_no_error(without_position, arpl_250g
 
 def test_nothing_is_judged_by_a_position_that_was_not_logged(without_position, arpl_250g):
     windows = open_loop_windows(arpl_250g, CATALOGUE, without_position)
-    changes = open_loop_changes(windows, windows, 0.5, DEFAULT.relevance)
-    assert {quantity for _, quantity in changes} == {"velocity", "attitude", "rate"}
+    compared = open_loop_changes(windows, windows, 0.5, DEFAULT.relevance)
+    assert {quantity for _, quantity in compared} == {"velocity", "attitude", "rate"}
