@@ -44,6 +44,7 @@ _MIN_LATERAL = 0.2  # m/s^2 rms of force along body x and y that both sensors mu
 _MIN_TILT_FORCE = 0.5  # m/s^2 rms of the thrust's horizontal part, below which body and world axes look alike
 _SAME_SIZE = (0.6, 1.67)  # range of a ratio that must be 1
 _WORLD_AXES = 0.8  # correlation about zero of specific force and tilt, beyond which it is in world axes
+_CLIPPED = 0.01  # share of values at the largest, from which on a range ends there
 _DEAD = 0.005  # of the turning that an axis of the gyro must show
 _CLEAR_RATE = 0.15  # rad/s rms about an axis, at which it must show it
 
@@ -149,7 +150,8 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
             "rates_in_degrees",
             f"the body rates are {ratio:.0f} times those by which the attitude turns: they are in deg/s. Wanted rad/s.",
         )
-    if _agreement(turning, rate) > _AGREEMENT and not _SAME_SIZE[0] < ratio < _SAME_SIZE[1]:
+    scaled = not _SAME_SIZE[0] < ratio < _SAME_SIZE[1] and not _clips(on_grid["rate"])
+    if scaled and _agreement(turning, rate) > _AGREEMENT:
         return Contradiction(
             "rate_unit",
             f"the body rates are {ratio:.2f} times those by which the attitude turns. Wanted rad/s; check the scale.",
@@ -170,6 +172,12 @@ def _rates_against_attitude(on_grid: dict[str, Floats]) -> Contradiction | None:
             "x forward, y left, z up; put the columns in order.",
         )
     return _dead_axis(turning, rate)
+
+
+def _clips(values: Floats) -> bool:
+    """Whether values (n, k) stay at their largest, as at the end of a range."""
+    size = np.abs(values[np.isfinite(values)])
+    return float(np.mean(size >= (1 - 1e-6) * size.max())) > _CLIPPED
 
 
 def _dead_axis(turning: Floats, rate: Floats) -> Contradiction | None:
