@@ -33,8 +33,8 @@ def with_typical_window(
     channel = int(np.argmax(excess))
     over_floor = float(np.sqrt(max(excess[channel], 0.0)))
     part = tuple(r[:, channel] for r in rows)
-    found = Finding(TYPICAL_WINDOW, channel, over_floor * float(floor[channel]), over_floor, part)
-    return replace(tests, findings={**tests.findings, TYPICAL_WINDOW: found})
+    finding = Finding(TYPICAL_WINDOW, channel, over_floor * float(floor[channel]), over_floor, part)
+    return replace(tests, findings={**tests.findings, TYPICAL_WINDOW: finding})
 
 
 def leftover(
@@ -49,14 +49,14 @@ def leftover(
 
     fitted, held_out: the segments that were tested; a typical window is of the latter.
     """
-    found = []
+    entries = []
     for rejection in rejections:
         finding = tests.findings[rejection.test]
         segments = held_out if rejection.test == TYPICAL_WINDOW else fitted
         kind = channels.KINDS[finding.channel // channels.AXES]
         rows, floor = _alone(finding)
         maps = regime_maps(segments, rows, floor, vehicle, thresholds)
-        found.append(
+        entries.append(
             Leftover(
                 test=rejection.test,
                 channel=f"{kind} {'xyz'[finding.channel % channels.AXES]}",
@@ -70,7 +70,7 @@ def leftover(
                 regimes=worst_cells(maps, thresholds, count=thresholds.leftover_cells),
             )
         )
-    return tuple(sorted(found, key=lambda one: -one.over_floor))
+    return tuple(sorted(entries, key=lambda one: -one.over_floor))
 
 
 def _alone(finding: Finding) -> tuple[list[Floats], Floats]:

@@ -99,8 +99,8 @@ def _print(result: DiagnosisResult, console: Console) -> None:
             "its floor",
             highlight=False,
         )
-    for found in diagnosis.leftover:
-        console.print(f"left: {leftover_sentence(found)}. {evidence_sentence(found)}", highlight=False)
+    for left in diagnosis.leftover:
+        console.print(f"left: {leftover_sentence(left)}. {evidence_sentence(left)}", highlight=False)
     for one in diagnosis.refused:
         console.print(f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one)}", highlight=False)
     if diagnosis.not_excited:

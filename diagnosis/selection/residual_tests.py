@@ -96,7 +96,7 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         (_predictable(regression, x, rows, regression.flight_of) for x in (features, fine_in_velocity)),
         key=lambda gain_and_parts: gain_and_parts[0],
     )
-    found = [_largest("predictable_from_state", of_state, regression.noise.floor)]
+    findings = [_largest("predictable_from_state", of_state, regression.noise.floor)]
     repeating = 0.0
     if by_position:
         positions = [s.smooth[s.decimated, POSITION] for s in regression.segments]
@@ -104,7 +104,7 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         features, parts = ([half for x in whole_flights for half in _halves(x)] for whole_flights in (fine, rows))
         repeating, of_halves = _predictable(regression, features, parts, range(len(parts)))
         of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.items()}
-        found.append(_largest("position_dependent", of_place, regression.noise.floor))
+        findings.append(_largest("position_dependent", of_place, regression.noise.floor))
     line, tone = _line(rows, regression, thresholds)
     return ResidualTests(
         low_frequency_agreement=_slow_agreement(rows, regression, thresholds),
@@ -112,7 +112,7 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         spectral_line=line,
         position_dependent=repeating / total,
         findings={
-            one.test: one for one in (*found, _slow_force(rows, regression, thresholds), tone) if one is not None
+            one.test: one for one in (*findings, _slow_force(rows, regression, thresholds), tone) if one is not None
         },
     )
 
@@ -200,8 +200,8 @@ def _line(
     at, part, power = max(zip(near, sines, powers, strict=True), key=lambda one: one[2])
     shown = max(0.0, 1 - 1 / float(over[place, channel]))  # the rest of the sine is noise of its surroundings
     size = float(np.sqrt(shown * power))
-    found = _largest("spectral_line", {int(channel): (size, part)}, regression.noise.floor)
-    return float(over[place, channel]), None if found is None else replace(found, frequency=float(at))
+    finding = _largest("spectral_line", {int(channel): (size, part)}, regression.noise.floor)
+    return float(over[place, channel]), None if finding is None else replace(finding, frequency=float(at))
 
 
 def _sine(values: Floats, frequency: float, rate: float, count: int) -> Floats:
@@ -277,8 +277,8 @@ def _predictable(
         total += gains[best]
         left_out = coefficients_without(grams, products, best)
         part = tuple(x @ left_out[group] for x, group in zip(features, group_of, strict=True))
-        whole = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, grams, strict=True))
-        confirmed = min(1.0, gains[best] / whole) if whole > 0 else 0.0
+        predicted = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, grams, strict=True))
+        confirmed = min(1.0, gains[best] / predicted) if predicted > 0 else 0.0
         parts[channel] = (float(np.sqrt(confirmed * np.mean(np.concatenate(part) ** 2))), part)
     return total, parts
 

@@ -100,7 +100,7 @@ def test_signals_are_not_compared_with_speeds(arpl_250g: Vehicle) -> None:
 
 
 def test_without_velocity_and_position_hover_is_not_assumed(arpl_250g: Vehicle) -> None:
-    whole = flown(UNEVEN, name="a")
-    blind = Flight(whole.time, {n: v for n, v in whole.columns.items() if n.startswith("rotor")}, whole.provenance)
+    flight = flown(UNEVEN, name="a")
+    blind = Flight(flight.time, {n: v for n, v in flight.columns.items() if n.startswith("rotor")}, flight.provenance)
     with pytest.raises(DataError, match="hover cannot be told from travel"):
         hover_shares(blind, arpl_250g)

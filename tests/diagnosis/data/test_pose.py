@@ -39,10 +39,10 @@ def test_a_velocity_with_the_accelerometers_noise_is_an_estimators():
     assert pose_source(table(captured)) == "unknown"
 
 
-@pytest.mark.parametrize("told", ["motion_capture", "estimator"])
-def test_what_log_or_user_tell_is_believed(told):
+@pytest.mark.parametrize("declared", ["motion_capture", "estimator"])
+def test_what_log_or_user_tell_is_believed(declared):
     for made in (integrated, captured):
-        assert pose_source(dataclasses.replace(table(made), metadata={"pose_source": told})) == told
+        assert pose_source(dataclasses.replace(table(made), metadata={"pose_source": declared})) == declared
 
 
 def test_what_cannot_be_compared_is_unknown():

@@ -124,11 +124,11 @@ def test_a_mass_that_the_held_out_flights_contradict_is_refused(arpl_250g, held_
 
 def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):
     """The third effect is the nearest rival of the first: one effect twice is no model."""
-    found = planted(arpl_250g, [3.0, 0.0, 2.0], seed=4)
-    a, b, c = found.candidates
+    regression = planted(arpl_250g, [3.0, 0.0, 2.0], seed=4)
+    a, b, c = regression.candidates
     chosen = [a, b, c]
     for place, candidate_of in enumerate(chosen):
         others = [other for i, other in enumerate(chosen) if i != place]
-        rivals = rivals_of(Search(found), others, candidate_of)
+        rivals = rivals_of(Search(regression), others, candidate_of)
         assert [len({r.key for r in s.candidates}) for s in rivals] == [3] * len(rivals)
-    assert len(rivals_of(Search(found), [b], a)) == 2  # c stands for a where it is not there yet
+    assert len(rivals_of(Search(regression), [b], a)) == 2  # c stands for a where it is not there yet

@@ -31,9 +31,9 @@ MANOEUVRES = ("Lemniscate:laps=4,ramp=1.5,speed=0.9", "line:laps=3,ramp=1")
 def test_sensors_that_the_file_places_leave_open_loop_as_it_was(arpl_250g, flown):
     plain, placed = flown
     expected = open_loop_errors(arpl_250g, CATALOGUE, plain)
-    known = open_loop_errors(arpl_250g.with_effects(*PLACED), CATALOGUE, placed)
-    unknown = open_loop_errors(arpl_250g, CATALOGUE, placed)
-    for right, named, wrong in zip(expected, known, unknown, strict=True):
+    with_places = open_loop_errors(arpl_250g.with_effects(*PLACED), CATALOGUE, placed)
+    without_places = open_loop_errors(arpl_250g, CATALOGUE, placed)
+    for right, named, wrong in zip(expected, with_places, without_places, strict=True):
         assert named.velocity < 1.5 * right.velocity
         assert named.rate < 1.5 * right.rate
         assert wrong.velocity > 1.5 * right.velocity
