@@ -312,8 +312,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_gain: score below which no effect is claimed. [planted truth: feedback makes inertia reach 29
     where nothing is hidden]
     min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
-    relevant: gain over the number of whitened residuals below which an effect does not matter. [formula: a tenth of
-    2 % of the floor of one kind of four]
+    relevant: gain over the number of whitened residuals below which an effect does not matter: a tenth of
+    2 % of the floor of one kind of four. [not derived yet]
     min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
     vehicle without either. [not derived yet]
     parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
@@ -321,7 +321,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
     max_effects: in one set. [convention]
     max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
-    max_rounds: of search, each about the fit of the last one. [benchmarks/many_effects.py]
+    max_rounds: of search, each about the fit of the last one. [not derived yet]
     explained: reduced chi-square of the fitted flights at which no further round is needed. [not derived yet]
     max_paired: best single effects with which pairs are tried. [not derived yet]
     max_trials: best additions that are cross-validated in one step. [not derived yet]

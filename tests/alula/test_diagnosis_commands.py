@@ -58,13 +58,15 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
     assert "mass" in shown
     assert "one flight only" not in shown
     verdict = json.loads(file.read_text())
-    assert set(verdict) == {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
+    contract = {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
+    assert set(verdict) == contract | {"refused", "candidates", "leftover"}
+    assert "mass" in [one["name"] for one in verdict["candidates"][:3]]
     assert verdict["verdict"] in ("effect", "ambiguous")
     first = verdict["effects"][0]
     assert set(first) == {"name", "rotor", "parameters", "confidence", "ambiguous_with"}
     assert "mass" in [first["name"], *first["ambiguous_with"]]
     mocap = verdict["channels"]["mocap"]
-    assert set(mocap) == {"before", "after", "floor", "unit"}
+    assert set(mocap) == {"before", "after", "floor", "unit", "sensors", "fast_remainder"}
     assert mocap["after"] < 1.15 * mocap["floor"] < mocap["before"]
     assert set(verdict["fails_where"][0]) == {"regime", "low", "high", "channel", "rms_over_floor"}
 
@@ -92,11 +94,13 @@ def test_add_without_an_effect_adds_the_first_one_and_writes_errors_before_and_a
     addition = json.loads(file.read_text())
     assert set(addition) == {
         "effect",
+        "effects",
         "parameters",
         "fitted_by",
         "channels",
         "misfit",
         "open_loop",
+        "refused",
         "notes",
         "vehicle",
     }
