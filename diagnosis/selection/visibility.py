@@ -13,7 +13,13 @@ from dynamics.state import ATTITUDE, POSITION, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 
 STATE_ROWS = {"position": POSITION, "velocity": VELOCITY, "attitude": ATTITUDE}
-RATE_READING, POSE_AGE, ATTITUDE_AGE, POSE_ARM = 1, 3, 4, 5  # places among the outputs of a model's `measure`
+RATE_READING, POSE_AGE, ATTITUDE_AGE, POSE_ARM, GYRO_AXES = (
+    1,
+    3,
+    4,
+    5,
+    6,
+)  # places among the outputs of a model's `measure`
 PARAMETERS = 3  # place among its inputs
 ENVIRONMENT, BATTERY = 3, 1  # place among the inputs of `observe` and `derivative`, and of the voltage in it
 
@@ -31,8 +37,16 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
         return False  # thrust carries the weight, and what is left of a mass is what inertia does
     if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
+    if any(s.pose_source == "estimator" for s in segments) and _turns_gyro(effect, vehicle, catalogue):
+        return False  # an estimator's attitude is that of the sensors, whose axes are then the body's
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & state_dependencies(effect, vehicle, catalogue)
+
+
+def _turns_gyro(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect turns the axes of the inertial sensors against the body."""
+    measure = _alone(effect, vehicle, catalogue).measure
+    return not effect.moves_vehicle and measure.jac_sparsity(GYRO_AXES, PARAMETERS).nnz() > 0
 
 
 def _has_drag(segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:

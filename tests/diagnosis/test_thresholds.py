@@ -18,12 +18,13 @@ from tests.diagnosis.synthetic import hovering
 
 ROOM = Path(diagnosis.__file__).parent
 SOME = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias", "gyro_bias")}
-# Sizes and places of arrays, units, a seed, and how many rows fit the cache: nothing that a fleet would retune.
+# Sizes and places of arrays, units, a seed, how many rows fit the cache, effects: nothing that a fleet would retune.
 NO_THRESHOLDS = {
     "DEGREES", "OUTPUTS", "OF_VELOCITY", "OF_ATTITUDE", "OF_RATE", "START", "BLOCK", "AXES", "SPECIFIC_FORCE",
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
+    "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE",
 }  # fmt: skip
 
 
@@ -120,10 +121,9 @@ def test_a_higher_minimum_score_claims_nothing(answer):
     assert answer(search={"min_gain": 1e9}).effects == ()
 
 
-def test_a_narrower_margin_tells_rivals_apart(answer):
-    narrow = answer(rivals={"score_margin": 0.0, "gain_share": 0.0})
-    assert narrow.effects[0].ambiguous_with == ()
-    assert narrow.verdict == "effect"
+def test_a_wider_margin_tells_fewer_rivals_apart(answer, usual):
+    wide = answer(rivals={"score_margin": 1e9})
+    assert set(wide.effects[0].ambiguous_with) > set(usual.effects[0].ambiguous_with)
 
 
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):

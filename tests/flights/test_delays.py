@@ -14,14 +14,15 @@ from flights.log import Log, Provenance, Stream
 from tests.support.simulated_flight import flown, without
 
 PLANTED = {"attitude": 0.031, "velocity": 0.067, "position": 0.012, "rotor_speed": 0.048}
-IMU_MIDDLE = 0.0005  # s from an inertial sample's stamp to the middle of its four milliseconds
+SAMPLE_MIDDLE = 0.0005  # s from the stamp to the middle of the milliseconds that an inertial or rotor sample averages
 
 
 def late(log: Log, planted: dict[str, float]) -> Log:
     random = np.random.default_rng(8)
     streams = []
     for stream in log.streams:
-        delay = planted.get(stream.name, IMU_MIDDLE if stream.source == "imu" else 0.0)
+        averaged = stream.source == "imu" or stream.name == "rotor_speed"
+        delay = planted.get(stream.name, 0.0) + (SAMPLE_MIDDLE if averaged else 0.0)
         jitter = 0.0003 * random.standard_normal(len(stream.time)).clip(-3, 3)
         streams.append(Stream(stream.name, stream.time + delay + jitter, stream.values, stream.source))
     return replace(log, streams=tuple(streams))

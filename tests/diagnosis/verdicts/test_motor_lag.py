@@ -64,7 +64,7 @@ def test_a_right_lag_in_the_file_is_not_doubted(arpl_250g):
 
 def test_corrections_are_regressed_as_differences_from_the_file(arpl_250g):
     vehicle = with_lag(arpl_250g, 0.045).with_effects(EffectUse("time_delay", {"delay": 0.01}))
-    dataset = make_dataset(commanded(arpl_250g, 0.045, seed=35), vehicle)
+    dataset = make_dataset(commanded(arpl_250g, 0.03, seed=35), vehicle)
     candidates = make_candidates(vehicle, SENSORS, dataset.fitted)
     lags = [c for c in candidates if c.key == "motor_lag"]
     assert [c.at["time_constant"] for c in lags] == [0.004, 0.01, 0.018, 0.03, 0.07, 0.12]
