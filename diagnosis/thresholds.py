@@ -146,7 +146,7 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     gain_std: Positive = 0.05
     flight_gain_std: Positive = 0.03
     motor_std: Positive = 0.03
-    bend_std: Positive = 0.1
+    bend_std: Positive = 0.05
 
 
 class DataChecks(ThresholdGroup, frozen=True):
