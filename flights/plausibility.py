@@ -194,7 +194,7 @@ def _dead_axis(turning: Floats, rate: Floats) -> Contradiction | None:
 
 
 def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
-    """The mean specific force must point up with about g."""
+    """The specific force must point up with about g, or with what the velocity's change needs: a fall is no unit."""
     if "specific_force" not in on_grid:
         return None
     force = on_grid["specific_force"]
@@ -213,7 +213,7 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
             "ENU, where gravity's reaction points up; convert them, or give a column mapping with its frames.",
         )
     size = float(np.linalg.norm(mean))
-    if _SAME_SIZE[0] < size / GRAVITY < _SAME_SIZE[1]:
+    if any(_SAME_SIZE[0] < size / needed < _SAME_SIZE[1] for needed in (GRAVITY, _needed_force(on_grid)) if needed):
         return None
     if _SAME_SIZE[0] < size < _SAME_SIZE[1]:
         return Contradiction("force_in_g", f"the specific force is {size:.2f} on average: it is in g. Wanted m/s^2.")
@@ -228,6 +228,18 @@ def _gravity(on_grid: dict[str, Floats]) -> Contradiction | None:
         f"the specific force is {size:.3g} m/s^2 on average, wanted about 9.81: it is in another unit (mg, cm/s^2) or "
         "of another scale.",
     )
+
+
+def _needed_force(on_grid: dict[str, Floats]) -> float:
+    """Size of the median specific force that the motion needs, m/s^2; 0 where no velocity tells."""
+    if "velocity" not in on_grid:
+        return 0.0
+    span = max(1, round(_SMOOTHING * _GRID_RATE))
+    gained = (on_grid["velocity"][span:] - on_grid["velocity"][:-span]) * (_GRID_RATE / span)
+    gained = gained[np.isfinite(gained).all(axis=1)]
+    if len(gained) < 20:
+        return 0.0
+    return float(np.linalg.norm(np.median(gained, axis=0) + np.array([0.0, 0.0, GRAVITY])))
 
 
 def _velocity_against_position(on_grid: dict[str, Floats]) -> Contradiction | None:

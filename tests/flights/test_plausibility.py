@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,7 +11,9 @@ import pytest
 
 from dynamics import frames, quaternion
 from dynamics.errors import DataError, RequestError
+from dynamics.vehicle import GRAVITY
 from flights import Flight, plausibility, read_log
+from flights.log import Stream
 from flights.mapping import MappedStream
 
 DATA = Path("tests/data")
@@ -104,6 +107,31 @@ def test_wrong_units_and_frames_of_a_real_flight_are_refused(
     wrong = Flight(real.time, {**real.columns, **change(real)}, real.provenance)
     with pytest.raises(DataError, match=message):
         read_log(wrong.to_csv(tmp_path / "wrong.csv"))
+
+
+def tumbling(fall: float) -> list[Stream]:
+    """10 s in which a vehicle rolls over once a second and falls by `fall` m/s^2, air drag and thrust as they come."""
+    time = np.arange(0.0, 10.0, 0.005)
+    roll = 2 * np.pi * time + np.sin(2 * time)
+    attitude = quaternion.exponential(roll[:, None] * np.array([1.0, 0.0, 0.0]))
+    velocity = np.outer(-fall * time + 0.5 * np.sin(time), [0.0, 0.0, 1.0])
+    acceleration = np.gradient(velocity, time, axis=0)
+    force = quaternion.rotate_inverse(attitude, acceleration + np.array([0.0, 0.0, GRAVITY]))
+    rate = np.outer(np.gradient(roll, time), [1.0, 0.0, 0.0])
+    values = {"velocity": velocity, "attitude": attitude, "specific_force": force, "rate": rate}
+    return [Stream(name, time, value, "") for name, value in values.items()]
+
+
+@pytest.mark.parametrize("fall", [5.0, 8.0])
+def test_a_fall_is_no_wrong_unit(fall: float) -> None:
+    assert plausibility.check(tumbling(fall)) == ()
+
+
+def test_a_wrong_unit_is_seen_in_a_fall() -> None:
+    streams = [
+        dataclasses.replace(s, values=s.values * 5.0) if s.name == "specific_force" else s for s in tumbling(5.0)
+    ]
+    assert [finding.name for finding in plausibility.check(streams)] == ["force_unit"]
 
 
 @pytest.mark.parametrize("world", ["ENU", "NED"])
