@@ -59,7 +59,7 @@ def activate(
             start = RIGID_BODY_STATES + len(initial)
             places[hidden.name] = slice(start, start + count)
             initial += [hidden.initial(vehicle)] * count
-        key = use.name if use.rotor is None else f"{use.name}[{use.rotor}]"
+        key = use.label
         if any(item.key == key for item in active):
             raise RequestError(f"effect {key} is given twice; give it once, with the values that it has in all.")
         values = {**effect.defaults(vehicle), **use.parameters}

@@ -152,6 +152,11 @@ class EffectUse(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     parameters: dict[str, float] = msgspec.field(default_factory=dict)
     rotor: int | None = None
 
+    @property
+    def label(self) -> str:
+        """The name, with the rotor of an effect of one rotor: "weak_rotor[1]"."""
+        return self.name if self.rotor is None else f"{self.name}[{self.rotor}]"
+
 
 class HistoryEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One line of a vehicle file's history: what was added, from which flights, and the errors before and after."""

@@ -50,7 +50,7 @@ def with_diagnosed_effects(
             f"{completion.first.diagnosis.verdict}), so there is no effect to build on. res_tcn is the residual on the "
             "nominal model."
         )
-    named = ", ".join(use.name if use.rotor is None else f"{use.name}[{use.rotor}]" for use in identified.effects)
+    named = ", ".join(use.label for use in identified.effects)
     return (
         identified,
         f"effects by diagnosis of {len(used)} flights ({completion.last.diagnosis.verdict} then): {named}",

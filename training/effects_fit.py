@@ -154,7 +154,7 @@ def _slope(problem: _Problem, values: Floats, residual: Floats, place: int) -> F
 
 def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
     def settled(use: EffectUse) -> EffectUse:
-        key = use.name if use.rotor is None else f"{use.name}[{use.rotor}]"
+        key = use.label
         own = {
             name.removeprefix(f"{key}."): float(f"{value:.6g}")
             for name, value in values.items()
