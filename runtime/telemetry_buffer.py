@@ -40,7 +40,6 @@ LINK_EVENTS: Mapping[str, Event] = {
     "estimate_jump": Event.ESTIMATE_JUMP,
     "estimate_moved": Event.ESTIMATOR_RESET,
     "estimator_reset": Event.ESTIMATOR_RESET,
-    "link_lost": Event.LINK_LOST,
     "battery_low": Event.BATTERY_LOW,
 }
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}

@@ -91,6 +91,13 @@ class Command:
     status: int
     seconds: float
 
+    @property
+    def fault(self) -> str:
+        """Why it must not be sent, empty when it may be."""
+        if not math.isfinite(float(self.rate_body.sum()) + self.collective_thrust):
+            return "the solution is not finite"
+        return f"status {self.status}" if self.status != 0 else ""
+
 
 class Controller:
     """RTI MPC for one vehicle; states are rigid-body states (13,) in our frames, times in seconds of one clock.
@@ -218,13 +225,20 @@ class Controller:
         return self._state
 
     def feedback(self, state: Floats, time: float) -> Command:
-        """The command for a state (nx,) from `compensate`; the tick's urgent half."""
+        """The command for a state (nx,) from `compensate`; the tick's urgent half.
+
+        One that must not be sent does not count as acting.
+        """
         status = self.solver.feedback(state)
         speed = self.solver.inputs[0].copy()
-        self._acted(state, time, speed)
         now, then = self._command_states[0, RATE], self._command_states[1, RATE]
         rate = now + self._lookahead * (then - now)
-        return Command(rate, float(self.collective_thrust(speed)), speed, status, self.solver.report.feedback_seconds)
+        thrust = float(self.collective_thrust(speed))
+        command = Command(rate, thrust, speed, status, self.solver.report.feedback_seconds)
+        self._take_state(state, time)
+        if not command.fault:
+            self._remember(self._acting, speed)
+        return command
 
     def collective_thrust(self, rotor_speed: Floats) -> Floats:
         """Thrust of all rotors with the model's effects on each, N. rotor_speed: (..., n) rad/s."""
@@ -261,7 +275,8 @@ class Controller:
         """
         state_now = self.compensate(state, taken, now)
         self.solver.inputs[:] = other.solver.inputs
-        self._acted(state_now, now, other.solver.inputs[0])
+        self._take_state(state_now, now)
+        self._remember(self._acting, other.solver.inputs[0])
 
     def model_faults(self, time: float) -> tuple[str, str, str]:
         """Reasons against flying a learned model now: history not filled, input outside of its range, error too large.
@@ -285,10 +300,9 @@ class Controller:
             self.health.compare(predicted, state, taken - last[0])
         return columns.add_measurement(taken, state)
 
-    def _acted(self, state: Floats, time: float, speed: Floats) -> None:
+    def _take_state(self, state: Floats, time: float) -> None:
         self._state[:] = state
         self._acting = time + self.options.delay
-        self._remember(self._acting, speed)
 
     def _propagate(self, speed: Floats, seconds: float, start: float, *, keep: bool = True) -> None:
         """Propagate the state from a time on. keep: whether its steps go into the history."""

@@ -103,7 +103,9 @@ POLICIES: Mapping[Event, Policy] = {
     Event.CLOCK_BACKWARDS: Policy(
         "the vehicle's clock ran backwards", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
-    Event.LINK_LOST: Policy("nothing arrives from the vehicle", Severity.CRITICAL, Fallback.LEVEL_HOLD, refuses=True),
+    Event.LINK_LOST: Policy(
+        "nothing arrives from the vehicle", Severity.CRITICAL, Fallback.STOP_STREAMING, refuses=True
+    ),
     Event.SETPOINT_REFUSED: Policy(
         "the vehicle does not act on setpoints", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
     ),
@@ -140,6 +142,11 @@ POLICIES: Mapping[Event, Policy] = {
 }
 
 
+def event_text(event: Event, detail: str) -> str:
+    """An event in one line. detail: what the check measured."""
+    return f"{POLICIES[event].text}: {detail}" if detail else POLICIES[event].text
+
+
 @dataclass(frozen=True)
 class EventChange:
     """An event raised or cleared.
@@ -157,8 +164,7 @@ class EventChange:
     @property
     def text(self) -> str:
         """One line for a log, a STATUSTEXT or a screen."""
-        detail = f": {self.detail}" if self.detail else ""
-        return f"{POLICIES[self.event].text}{detail}"
+        return event_text(self.event, self.detail)
 
 
 class EventMonitor:
@@ -187,7 +193,7 @@ class EventMonitor:
 
     @property
     def reason(self) -> str:
-        """Why the present fallback is required, empty when none is."""
+        """Why a fallback is required, empty when none is."""
         return self._text_of(lambda policy: policy.fallback == self.fallback) if self.fallback else ""
 
     @property
@@ -229,5 +235,5 @@ class EventMonitor:
     def _text_of(self, condition: Callable[[Policy], bool]) -> str:
         for event, detail in self._active.items():
             if condition(POLICIES[event]):
-                return EventChange(0.0, event, True, detail).text
+                return event_text(event, detail)
         return ""

@@ -7,7 +7,7 @@ it from the link, the replay from a recording, and both get the same setpoints.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf, isfinite, isnan, nan
+from math import inf, isnan, nan
 
 import msgspec
 import numpy as np
@@ -34,7 +34,7 @@ DISARM_PATIENCE = 5.0  # s until the autopilot is requested to land and disarm
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
 ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is expected
-_UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS, Event.LINK_LOST)
+_UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
 
 
 class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -120,6 +120,7 @@ class Flyer:
         self._previous: StateEstimate | None = None
         self._force = nan
         self._solution: tuple[float, Command, Controller] | None = None
+        self._failed: Controller | None = None
         self._state: Floats | None = None
         self._last_setpoint: tuple[Floats, float] = (ZERO_RATE, 0.0)
         self._last_disarm_request = -inf
@@ -267,14 +268,17 @@ class Flyer:
         if not self.engagement.flying:
             return self.events.fallback
         active = self.events.active
-        usable = self._state is not None and not (active and any(event in active for event in _UNUSABLE))
-        solves = self._nominal_ready or (self._nominal is None and not (active and Event.SOLVER_FAILED in active))
+        if Event.ESTIMATE_STALE in active and self._estimate and self._health.is_current(self._estimate, time):
+            active = {event: detail for event, detail in active.items() if event is not Event.ESTIMATE_STALE}
+        failed = (self._failed or self._controller) if Event.SOLVER_FAILED in active else None
+        model = self._nominal or self._controller
+        diverges = Event.MODEL_OSCILLATES in active and self._shifted.controller is self._controller
         chosen = self._chain.choose(
-            self.events.fallback,
+            active,
             time=time,
-            estimate_usable=usable,
-            solution_left=self._shifted.reaches(time) or not self.mission.airborne,
-            nominal_available=solves,
+            estimate_usable=self._state is not None and not any(event in active for event in _UNUSABLE),
+            solution_left=not self.mission.airborne or (self._shifted.reaches(time) and not diverges),
+            nominal_available=failed is not model and (self._nominal_ready or self._nominal is None),
         )
         # without a learned model the vehicle file's model flies already
         return Fallback.NONE if chosen is Fallback.NOMINAL_MODEL and self._nominal is None else chosen
@@ -293,7 +297,7 @@ class Flyer:
             mode=observation.mode,
             refusal=self.events.refusal,
             fallback=decision.fallback,
-            reason=self.events.reason,
+            reason=self._chain.reason if was_flying else self.events.reason,
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
@@ -349,7 +353,7 @@ class Flyer:
         assert self._state is not None
         decision.rate_body = ZERO_RATE
         if decision.fallback >= Fallback.LEVEL_HOLD:
-            self.mission.land(self.events.reason, self._state, observation.time)
+            self.mission.land(self._chain.reason, self._state, observation.time)
             return
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
@@ -380,8 +384,7 @@ class Flyer:
         command = self._solve(observation.time, decision)
         if command is not None:
             decision.rate_body, decision.collective_thrust = command
-        elif self._shifted.reaches(observation.time):
-            decision.fallback = max(decision.fallback, Fallback.SHIFTED_SOLUTION)
+        elif decision.fallback is Fallback.SHIFTED_SOLUTION and self._shifted.reaches(observation.time):
             decision.rate_body, decision.collective_thrust = self._shifted.at(observation.time)
         elif not self._prepared and self._hand_over is not None:
             decision.rate_body, decision.collective_thrust = ZERO_RATE, self._hand_over.thrust
@@ -402,10 +405,9 @@ class Flyer:
         state = controller.compensate(self._estimate.state, self._estimate.time, time)
         command = controller.feedback(state, time)
         decision.solver_status, decision.feedback_seconds = command.status, command.seconds
-        finite = isfinite(float(command.rate_body.sum()) + command.collective_thrust)
-        if command.status != 0 or not finite:
-            detail = f"status {command.status}" if finite else "the solution is not finite"
-            self._pending[Event.SOLVER_FAILED] = detail
+        if command.fault:
+            self._pending[Event.SOLVER_FAILED], self._failed = command.fault, controller
+            decision.fallback = self._chain.replace_solution(Event.SOLVER_FAILED, command.fault)
             return None
         self._solution, self._flying = (time, command, controller), controller
         self._last_solution = time

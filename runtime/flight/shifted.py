@@ -10,9 +10,13 @@ from runtime.control.controller import Command, Controller
 
 
 class ShiftedSolution:
-    """The last good command and its prediction, and their continuation."""
+    """The last good command and its prediction, and their continuation.
+
+    controller: whose solution it is, None before the first.
+    """
 
     def __init__(self) -> None:
+        self.controller: Controller | None = None
         self._since = 0.0
         self._times = np.zeros(0)
         self._rates = np.zeros((0, 3))
@@ -22,6 +26,7 @@ class ShiftedSolution:
 
     def keep(self, time: float, command: Command, controller: Controller) -> None:
         """Store a good solution of the tick at `time`, s; copies what the solver will overwrite."""
+        self.controller = controller
         self._since, self._times = time, controller.node_times(time)
         self._rates = controller.predicted_states[:, RATE].copy()
         self._thrusts = controller.collective_thrust(controller.predicted_inputs)

@@ -77,6 +77,22 @@ def test_a_centre_of_mass_off_the_middle_needs_no_rates_in_hover(arpl_250g: Vehi
     np.testing.assert_allclose(command.rate_body, 0, atol=0.02)
 
 
+@pytest.mark.parametrize(("status", "scale"), [(1, 1.5), (0, np.nan)])
+def test_an_answer_that_may_not_be_sent_does_not_count_as_acting(
+    arpl_250g: Vehicle, monkeypatch: pytest.MonkeyPatch, status: int, scale: float
+) -> None:
+    controller = hovering(arpl_250g, delay=0.0)
+    controller.feedback(controller.compensate(HOVER, 0.0, 0.0), 0.0)
+
+    def refused(state: np.ndarray) -> int:
+        controller.solver.inputs[:] *= scale
+        return status
+
+    monkeypatch.setattr(controller.solver, "feedback", refused)
+    assert controller.feedback(controller.compensate(HOVER, 0.01, 0.01), 0.01).fault
+    np.testing.assert_allclose(controller.compensate(HOVER, 0.01, 0.1), HOVER, atol=1e-6)
+
+
 def test_an_old_estimate_is_propagated_to_now_by_the_inputs_since(arpl_250g: Vehicle) -> None:
     """A truth flown by the controller's own inputs is recovered from estimates 30 ms old."""
     controller = hovering(arpl_250g, delay=0.0)

@@ -51,7 +51,7 @@ def test_a_latched_event_clears_only_by_engaging_again(event: Event) -> None:
 def test_the_strongest_fallback_wins_and_gives_the_reason() -> None:
     monitor = EventMonitor()
     monitor.update({Event.ESTIMATE_STALE: "60 ms old", Event.LINK_LOST: "2 s of silence"}, 0.0)
-    assert monitor.fallback is Fallback.LEVEL_HOLD
+    assert monitor.fallback is Fallback.STOP_STREAMING
     assert "2 s of silence" in monitor.reason
 
 

@@ -391,13 +391,74 @@ def test_a_solver_that_fails_for_a_moment_is_bridged_and_one_that_stays_so_is_le
     assert flight.story.decisions[-1].rate_body is None
 
 
+def gaps(flight: Flight, seconds: float, findings: dict[str, str], count: int = 3) -> list[Fallback]:
+    """Fallbacks over some gaps of the estimates, the age of the last one being 20 ms; `findings` in between as well."""
+    flight.findings = findings
+    flight.run(0.6)
+    start = len(flight.story.decisions)
+    for _ in range(count):
+        flight.frozen = True
+        flight.run(seconds)
+        flight.frozen = False
+        flight.run(0.1)
+    return [decision.fallback for decision in flight.story.decisions[start:]]
+
+
+@pytest.mark.parametrize("event", [Event.DEADLINES_MISSED, Event.MODEL_UNHEALTHY, Event.MODEL_OUTSIDE])
+@pytest.mark.parametrize("learned", [False, True])
+def test_gaps_of_80_ms_get_the_shifted_solution_while_an_event_asks_for_the_nominal_model(
+    vehicle: Vehicle, controller: Controller, event: Event, learned: bool
+) -> None:
+    flight = prepare(vehicle, controller, nominal=Controller.build(vehicle) if learned else None)
+    flight.run(30.0, until=Phase.TRACK)
+    flown = gaps(flight, 0.08, {event.value: "as planted"})
+    sustained = Fallback.NOMINAL_MODEL if learned else Fallback.NONE
+    assert set(flown) == {sustained, Fallback.SHIFTED_SOLUTION}
+    assert flown.count(Fallback.SHIFTED_SOLUTION) <= 9
+    assert flight.flyer.engagement.flying
+    assert max(flight.story.errors) < 0.3
+    entered = [step.reason for step in flight.story.transitions if step.after is State.FALLBACK]
+    assert learned or all("no fresh estimate" in reason for reason in entered)
+
+
+def test_two_controllers_that_fail_end_the_stream_with_the_solver_as_the_reason(vehicle: Vehicle) -> None:
+    failing, nominal = Watched(Controller.build(vehicle)), Watched(Controller.build(vehicle))
+    flight = prepare(vehicle, failing, nominal=nominal)  # type: ignore[arg-type]
+    flight.run(30.0, until=Phase.TRACK)
+    failing.fails = nominal.fails = True
+    flight.findings = {Event.DEADLINES_MISSED.value: "as planted"}
+    flight.run(3.0)
+    assert flight.story.after[-1] is State.STANDBY
+    assert "the solver failed" in flight.story.transitions[-1].reason
+
+
+def test_a_vehicle_that_falls_silent_gets_nothing_more_and_control_is_not_taken_back(
+    vehicle: Vehicle, controller: Controller
+) -> None:
+    flight = tracking(vehicle, controller)
+    flight.frozen, flight.connected = True, False
+    flight.findings = {Event.LINK_LOST.value: "for 1.0 s"}
+    flight.run(0.05)
+    assert flight.story.after[-1] is State.DISCONNECTED
+    assert flight.story.transitions[-1].reason == "nothing arrives from the vehicle: for 1.0 s"
+    flight.frozen, flight.connected, flight.findings = False, True, {}
+    flight.run(2.0)
+    assert flight.story.decisions[-1].rate_body is None
+
+
 EVENTS = st.dictionaries(st.sampled_from([event.value for event in Event]), st.just("planted"), max_size=2)
 
 
 @settings(max_examples=15, suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(
     st.lists(
-        st.tuples(st.floats(0.01, 2.5), EVENTS, st.booleans(), st.sampled_from(["OFFBOARD", "OFFBOARD", "HOLD"])),
+        st.tuples(
+            st.floats(0.01, 2.5),
+            EVENTS,
+            st.booleans(),
+            st.sampled_from(["OFFBOARD", "OFFBOARD", "HOLD"]),
+            st.sampled_from([True, True, True, False]),
+        ),
         max_size=8,
     ),
     st.floats(0.5, 1.5),
@@ -405,13 +466,13 @@ EVENTS = st.dictionaries(st.sampled_from([event.value for event in Event]), st.j
 def test_whatever_happens_no_tick_raises_and_no_setpoint_is_out_of_bounds(
     vehicle: Vehicle,
     controller: Controller,
-    events: list[tuple[float, dict[str, str], bool, str]],
+    events: list[tuple[float, dict[str, str], bool, str, bool]],
     effectiveness: float,
 ) -> None:
     flight = prepare(vehicle, controller, effectiveness=effectiveness)
     flight.run(4.0)
-    for duration, findings, frozen, mode in events:
-        flight.findings, flight.frozen = findings, frozen
+    for duration, findings, frozen, mode, connected in events:
+        flight.findings, flight.frozen, flight.connected = findings, frozen or not connected, connected
         flight.mode = mode if flight.flyer.engagement.flying else flight.mode
         flight.run(duration)
     limit = np.array(vehicle.limits.rate) + 1e-9
