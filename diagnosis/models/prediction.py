@@ -15,7 +15,7 @@ import numpy as np
 
 from diagnosis.data.filters import delayed
 from diagnosis.data.segment import Segment
-from diagnosis.models.batched_function import RowFunction
+from diagnosis.models.batched_function import Recurrence, RowFunction
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
@@ -98,7 +98,7 @@ class Predictor:
         stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
         self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
         self._lags, self._step_bounds = _lags(self.model)
-        self._advances: dict[int, RowFunction] = {}
+        self._advances: dict[int, Recurrence] = {}
         self._followed: dict[int, tuple[Segment, bytes, Floats]] = {}  # last hidden states along a segment
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
@@ -168,13 +168,11 @@ class Predictor:
         if count is None:
             return np.full((len(segment), self.model.hidden_count), np.nan)
         if count not in self._advances:
-            self._advances[count] = RowFunction(_advance(self.model, self._symbols, count), chained=True)
+            self._advances[count] = Recurrence(_advance(self.model, self._symbols, count), shared=(3, 4))
         here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
-        steps = len(here) - 1
-        initial = _settled(self.model, segment)
-        same, period = np.tile(p, (steps, 1)), np.full((steps, 1), stride / segment.rate)
+        initial, period = _settled(self.model, segment), np.array([stride / segment.rate])
         with np.errstate(all="ignore"):
-            hidden = np.vstack([initial, self._advances[count](initial, here[:-1], here[1:], same, period)])
+            hidden = np.vstack([initial, self._advances[count](initial, here[:-1], here[1:], p, period)])
         return hidden if stride == 1 else _between(hidden, stride, len(segment))
 
 
