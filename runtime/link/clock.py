@@ -1,19 +1,25 @@
 """The vehicle's clock relative to ours: offset and drift from MAVLink's TIMESYNC exchanges.
 
 A Kalman filter with two states, offset and drift (as in time-transfer filters for oscillators, e.g. Galleani and
-Tavella 2010), whose measurement noise is that of the round trip: a request sent at s and answered at r with the
-vehicle's time v bounds the offset to v - (s + r) / 2 by plus or minus (r - s) / 2 (NTP, RFC 5905 section 8), taken
-as uniform in between.
+Tavella 2010). A request sent at s and answered at r with the vehicle's time v bounds the offset to v - (s + r) / 2 by
+plus or minus (r - s) / 2 (NTP, RFC 5905 section 8), taken as uniform in between. Where the stamps scatter more than
+that, as those of a simulator that counts in steps of 4 ms do, the measurement noise is their own spread: the second
+difference of the measured offsets, which neither offset nor drift enters. A lasting step is followed; it is a jump, an
+event, only beyond what such clocks do.
 """
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from typing import Literal
 
 import msgspec
 
-Verdict = Literal["accepted", "slow", "outlier", "out_of_order", "jumped", "ran_backwards"]
+Verdict = Literal["accepted", "stepped", "slow", "outlier", "out_of_order", "jumped", "ran_backwards"]
+
+# a Gaussian's standard deviation from the mean absolute second difference of its samples
+_TO_SPREAD = math.sqrt(math.pi / 12)
 
 
 class ClockLimits(msgspec.Struct, frozen=True):
@@ -23,8 +29,13 @@ class ClockLimits(msgspec.Struct, frozen=True):
     one_way_noise: standard deviation of a vehicle stamp received without a round trip.
     drift_noise: standard deviation of the drift's change within one second.
     initial_drift: standard deviation of the drift at the start.
+    initial_spread: standard deviation of the stamps before their own is measured.
+    spread_samples: exchanges over which that is measured.
     outlier: innovation in standard deviations beyond which a sample is rejected.
-    jump_samples: consecutive outliers that agree with each other and restart the filter.
+    step_samples: consecutive outliers that agree with each other and are followed as a step.
+    jump: offset, beyond which and beyond `outlier` spreads a step is a jump. PX4's simulator steps by up to 18 ms, and
+        an age that is wrong by more than this is half of what makes an estimate stale.
+    jump_samples: consecutive outliers that agree with each other, after which a jump restarts the filter.
     slow_factor: medians beyond which a round trip is rejected.
     min_samples: before the conversion is valid.
     max_uncertainty: standard deviation of the offset up to which it is valid.
@@ -35,7 +46,11 @@ class ClockLimits(msgspec.Struct, frozen=True):
     one_way_noise: float = 3e-3
     drift_noise: float = 3e-3
     initial_drift: float = 0.02
+    initial_spread: float = 2e-3
+    spread_samples: int = 30
     outlier: float = 5.0
+    step_samples: int = 2
+    jump: float = 0.03
     jump_samples: int = 5
     slow_factor: float = 3.0
     min_samples: int = 5
@@ -67,6 +82,9 @@ class VehicleClock:
         self._latest_two_way = float("-inf")
         self._round_trips: deque[float] = deque(maxlen=50)
         self._outliers: list[tuple[float, float]] = []
+        self._measured: deque[float] = deque(maxlen=3)
+        limits = self._limits
+        self._scatter = deque([limits.initial_spread / _TO_SPREAD] * limits.spread_samples, limits.spread_samples)
         self.samples = 0
         self._valid_until = float("-inf")
 
@@ -99,6 +117,18 @@ class VehicleClock:
         median = sorted(self._round_trips)[len(self._round_trips) // 2]
         return len(self._round_trips) >= 5 and round_trip > self._limits.slow_factor * median + 1e-3
 
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the stamps about the clock, as measured, s."""
+        return _TO_SPREAD * sum(self._scatter) / len(self._scatter)
+
+    def _scatters(self, measured: float) -> None:
+        """Enter a measured offset into the spread; a lost sample counts as scatter."""
+        self._measured.append(measured)
+        if len(self._measured) == 3:
+            first, second, third = self._measured
+            self._scatter.append(min(abs(third - 2 * second + first), self._limits.jump))
+
     def _handle_stamp(self, ours: float, remote: float, noise: float, slow: bool) -> Verdict:
         measured = remote - ours
         if self.samples and remote < self._latest_remote - noise - self._limits.max_uncertainty:
@@ -110,13 +140,14 @@ class VehicleClock:
         if self.samples == 0:
             self._start(ours, measured, noise)
             return "accepted"
+        self._scatters(measured)
         offset, variance = self._predict(ours)
         innovation = measured - offset
-        total = variance[0] + noise**2 + self._limits.stamp_noise**2
-        if innovation**2 > self._limits.outlier**2 * total:
-            return self._handle_outlier(ours, remote, noise)
+        spread = max(noise**2 + self._limits.stamp_noise**2, self.spread**2)
+        if innovation**2 > self._limits.outlier**2 * (variance[0] + spread):
+            return self._handle_outlier(ours, remote, noise, innovation, spread)
         self._outliers.clear()
-        self._update(ours, offset, variance, innovation, total)
+        self._update(ours, innovation, spread)
         return "accepted"
 
     def _start(self, ours: float, measured: float, noise: float) -> None:
@@ -132,13 +163,21 @@ class VehicleClock:
         self._start(ours, remote - ours, noise)
         self.resets += 1
 
-    def _handle_outlier(self, ours: float, remote: float, noise: float) -> Verdict:
+    def _handle_outlier(self, ours: float, remote: float, noise: float, innovation: float, spread: float) -> Verdict:
         measured, limits = remote - ours, self._limits
         if self._outliers:
             time, previous = self._outliers[-1]
             if abs(measured - previous) > 2 * noise + limits.initial_drift * (ours - time) + limits.max_uncertainty:
                 self._outliers.clear()
         self._outliers.append((ours, measured))
+        if abs(innovation) <= max(limits.jump, limits.outlier * spread**0.5):
+            if len(self._outliers) < limits.step_samples:
+                return "outlier"
+            offset, covariance, drift = self._variance
+            self._variance = (offset + innovation**2, covariance, drift)
+            self._outliers.clear()
+            self._update(ours, innovation, spread)
+            return "stepped"
         if len(self._outliers) < limits.jump_samples:
             return "outlier"
         self._start_again(ours, remote, noise)
@@ -155,10 +194,10 @@ class VehicleClock:
         )
         return self._offset + self._drift * (ours - self._updated), variance
 
-    def _update(
-        self, ours: float, offset: float, variance: tuple[float, float, float], innovation: float, total: float
-    ) -> None:
-        gain_offset, gain_drift = variance[0] / total, variance[1] / total
+    def _update(self, ours: float, innovation: float, spread: float) -> None:
+        """Correct the state by an innovation, s. spread: variance of its measurement, s^2."""
+        offset, variance = self._predict(ours)
+        gain_offset, gain_drift = variance[0] / (variance[0] + spread), variance[1] / (variance[0] + spread)
         self._offset, self._drift = offset + gain_offset * innovation, self._drift + gain_drift * innovation
         self._variance = (
             (1 - gain_offset) * variance[0],

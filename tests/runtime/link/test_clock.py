@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from hypothesis import strategies as st
 from runtime.link.clock import VehicleClock, Verdict
 
 PERIOD = 0.1
+FOLDER = Path(__file__).parents[2] / "data" / "px4_sih_flights"
+RECORDED = ("nothing_1_circle", "drag2_4_lemniscate", "tipped_44deg", "crash_circle")
+QUIET = {"accepted", "slow", "outlier", "stepped"}
 
 
 def linear(offset: float, drift: float) -> Callable[[float], float]:
@@ -162,3 +166,63 @@ def test_the_first_answer_replaces_stamps_that_came_late() -> None:
     exchange.run(2.0, vehicle)
     assert set(exchange.verdicts) == {"accepted"}
     assert exchange.error(vehicle) < 1e-3
+
+
+def simulator_clock(seed: int, drift: float, quantum: float, seconds: float = 60.0) -> Callable[[float], float]:
+    """A clock that drifts, pauses for seconds, steps by 5 to 18 ms every ten seconds and counts in `quantum`, s."""
+    random, times = np.random.default_rng(seed), np.arange(0.0, seconds, 1e-3)
+    pauses = np.repeat(random.random(round(seconds)) < 0.15, 1000)
+    offset = 1e-3 * np.cumsum(np.where(pauses, 0.0, drift))
+    for at in random.uniform(0.0, seconds, round(seconds / 10)):
+        offset[times > at] += random.choice([-1.0, 1.0]) * random.uniform(5e-3, 18e-3)
+    vehicle = np.maximum.accumulate(times + offset)
+    return lambda ours: 500.0 + float(np.interp(ours - 100.0, times, vehicle)) // quantum * quantum
+
+
+@pytest.mark.parametrize("drift", [-0.012, 0.0, 0.012])
+@pytest.mark.parametrize("round_trip", [0.0006, 0.006])
+@pytest.mark.parametrize("quantum", [1e-6, 4e-3])
+def test_a_simulator_s_clock_is_followed_without_a_jump(drift: float, round_trip: float, quantum: float) -> None:
+    vehicle = simulator_clock(round(1e3 * drift) + 100, drift, quantum)
+    exchange, errors = Exchange(round_trip), []
+    exchange.run(1.0, vehicle)
+    while exchange.now < 155.0:
+        exchange.run(PERIOD, vehicle)
+        assert exchange.clock.is_valid(exchange.now)
+        errors.append(exchange.error(vehicle))
+    assert set(exchange.verdicts) <= QUIET
+    assert np.median(errors) < 2.5e-3
+    assert np.percentile(errors, 95) < 0.01
+    assert exchange.clock.resets == 0
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_px4_s_recorded_clock_is_followed_without_a_jump(name: str) -> None:
+    with np.load(FOLDER / "clocks.npz") as data:
+        ours, vehicle = 100.0 + data[f"{name}_ours_usec"] * 1e-6, 50.0 + data[f"{name}_vehicle_msec"] * 1e-3
+    clock, errors = VehicleClock(), []
+    for received, stamp in zip(ours.tolist(), vehicle.tolist(), strict=True):
+        assert clock.handle(received - 6e-4, received, stamp) in QUIET
+        if received > 101.0:
+            assert clock.is_valid(received)
+            errors.append(abs(clock.to_vehicle(received) - stamp))
+    assert clock.resets == 0
+    assert np.percentile(errors, 95) < 6e-3  # of which 4 ms are the steps that the clock counts in
+
+
+@pytest.mark.parametrize("jump", [-0.5, 0.1, 1.0])
+def test_a_true_jump_is_noticed_on_a_simulator_s_clock(jump: float) -> None:
+    exchange, vehicle = Exchange(0.0006), simulator_clock(1, -0.01, 4e-3)
+    exchange.run(30.0, vehicle)
+    assert set(exchange.verdicts) <= QUIET
+    exchange.run(1.0, lambda ours: vehicle(ours) + jump)
+    assert {"jumped", "ran_backwards"} & set(exchange.verdicts)
+    assert exchange.error(lambda ours: vehicle(ours) + jump) < 0.01
+
+
+def test_an_asymmetric_delay_shifts_the_clock_and_disturbs_nothing_else() -> None:
+    exchange, vehicle = Exchange(0.0006), simulator_clock(2, -0.01, 4e-3)
+    exchange.run(10.0, vehicle)
+    exchange.run(20.0, lambda ours: vehicle(ours - 0.008))
+    assert set(exchange.verdicts) <= QUIET
+    assert exchange.clock.is_valid(exchange.now)
