@@ -8,16 +8,22 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 
+import msgspec
+
 from dynamics.errors import RequestError
+from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.scenario import Scenario, read_scenario
 from sitl_mock.server import Pace, Server, Wire
+from sitl_mock.vehicle.estimator import Estimator
 from sitl_mock.vehicle.tuning import default_tuning, parameter_values
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.wire.link_spec import LinkSpec, default_links
+
+PX4_SIMULATED = ("px4_sih",)  # vehicle files of quadrotors that fly in PX4's own simulation
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,6 +33,8 @@ class MockOptions:
     vehicle: the vehicle file.
     effects: hidden effects as on the command line, `name:key=value,...`.
     scenario: the scenario file.
+    estimator: whose errors the estimate has; None for the scenario's or the one that suits the vehicle.
+    start_height_error: of the estimate, m; None for the scenario's or one by chance.
     seed: of all randomness.
     double_ack, rule, body_velocity: see `Behaviour`.
     clock_drift: see `Behaviour`; None for the scenario's.
@@ -37,6 +45,8 @@ class MockOptions:
     vehicle: Path
     effects: tuple[str, ...] = ()
     scenario: Path | None = None
+    estimator: Estimator | None = None
+    start_height_error: float | None = None
     seed: int = 0
     double_ack: bool = False
     rule: Rule = "documented"
@@ -53,6 +63,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     """
     vehicle = read_vehicle(options.vehicle)
     scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
+    scenario = _with_overrides(scenario, options)
     requested = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
     tuning = default_tuning(vehicle, hidden)
@@ -60,7 +71,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     simulated = SimulatedVehicle(
         vehicle,
         effects=hidden,
-        options=scenario.vehicle_options(),
+        options=scenario.vehicle_options(usual_estimator(vehicle)),
         tuning=tuning,
         seed=options.seed,
     )
@@ -74,6 +85,17 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         seed=options.seed,
     )
     return Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
+
+
+def usual_estimator(vehicle: Vehicle) -> Estimator:
+    """The estimator that suits a vehicle: PX4's own for the quadrotor of its simulation, else motion capture."""
+    return "px4" if vehicle.name in PX4_SIMULATED else "mocap"
+
+
+def _with_overrides(scenario: Scenario, options: MockOptions) -> Scenario:
+    """The scenario with what the options decide otherwise. Raises RequestError for a value that is not possible."""
+    fields = {"estimator": options.estimator, "start_height_error": options.start_height_error}
+    return msgspec.structs.replace(scenario, **{name: value for name, value in fields.items() if value is not None})
 
 
 def parse_parameter(text: str) -> tuple[str, float]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -14,8 +15,11 @@ from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.vehicle.battery import BatteryPack
+from sitl_mock.vehicle.estimator import ERRORS, Estimator
 from sitl_mock.vehicle.sensors import SensorErrors
 from sitl_mock.vehicle.vehicle import VehicleOptions
+
+START_HEIGHT_ERROR_MAX = 100.0  # m
 
 
 class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,7 +49,9 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     effects: hidden from the vehicle file.
     wind: steady wind.
     battery: None for one that suits the vehicle.
-    sensors: fields of `SensorErrors`.
+    estimator: whose errors the estimate has; None for the one that suits the vehicle.
+    start_height_error: of the estimate, m; None for one by chance.
+    sensors: fields of `SensorErrors` in place of the estimator's.
     clock: the vehicle's clock.
     ground_height: m.
     position: of the start, east and north, m.
@@ -58,6 +64,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     effects: tuple[EffectUse, ...] = ()
     wind: Wind | None = None
     battery: BatteryPack | None = None
+    estimator: Estimator | None = None
+    start_height_error: float | None = None
     sensors: dict[str, float] = {}
     clock: Clock = Clock()
     ground_height: float = 0.0
@@ -67,16 +75,26 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     parameters: dict[str, float] = {}
     faults: tuple[Fault, ...] = ()
 
+    def __post_init__(self) -> None:
+        error = self.start_height_error
+        if error is not None and not abs(error) <= START_HEIGHT_ERROR_MAX:
+            raise RequestError(
+                f"start_height_error of {error} m: wanted -{START_HEIGHT_ERROR_MAX:g} to {START_HEIGHT_ERROR_MAX:g}."
+            )
+
     def hidden_effects(self) -> tuple[EffectUse, ...]:
         """The effects, the wind among them."""
         if self.wind is None:
             return self.effects
         return (*self.effects, steady_wind(self.wind.x, self.wind.y, self.wind.z))
 
-    def vehicle_options(self) -> VehicleOptions:
-        """The part that the simulated vehicle needs."""
+    def vehicle_options(self, estimator: Estimator = "mocap") -> VehicleOptions:
+        """The part that the simulated vehicle needs. estimator: where the file names none."""
+        sensors, wander = ERRORS[self.estimator or estimator]
         return VehicleOptions(
-            sensors=SensorErrors(**self.sensors),
+            sensors=replace(sensors, **self.sensors),
+            wander=wander,
+            start_height_error=self.start_height_error,
             ground_height=self.ground_height,
             position=self.position,
             yaw=self.yaw,

@@ -12,6 +12,7 @@ from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
 from sitl_mock.server import Pace
+from sitl_mock.vehicle.estimator import Estimator
 from sitl_mock.wire.link_spec import LinkSpec, default_links, parse_link
 
 
@@ -30,6 +31,16 @@ def mock(
         ),
     ] = None,
     gcs_link: Annotated[list[str] | None, typer.Option(help="Ground station's link, as --link. Repeatable.")] = None,
+    estimator: Annotated[
+        Estimator | None,
+        typer.Option(
+            help="Errors of the estimate: px4 (as of its EKF on GNSS: decimetres, and the height at the start), mocap "
+            "(millimetres) or perfect; px4 by default for px4_sih, otherwise mocap."
+        ),
+    ] = None,
+    start_height_error: Annotated[
+        float | None, typer.Option(help="The estimate's error in height at the start, m; random by default.")
+    ] = None,
     instance: Annotated[int, typer.Option(min=0, max=249, help="PX4's instance: added to ports and system id.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of all randomness.")] = 0,
     lockstep: Annotated[
@@ -53,6 +64,8 @@ def mock(
         vehicle=find_vehicle(vehicle),
         effects=tuple(effect or ()),
         scenario=scenario,
+        estimator=estimator,
+        start_height_error=start_height_error,
         seed=seed,
         double_ack=double_ack,
         rule=offboard_rule,

@@ -23,10 +23,11 @@ from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
 from sitl_mock.vehicle.layout import Layout
-from sitl_mock.vehicle.sensors import next_estimate_error
+from sitl_mock.vehicle.sensors import next_estimate_error, next_wander
 
 DT = 0.001  # s
 ACTUATION_STEPS = round(ACTUATION_DELAY / DT)
+AT_REST = 0.01  # share of the greatest rotor speed below which the rotors stand still
 CASCADE_STEPS = 4  # from attitude to rate control, which runs first in each of PX4's cycles of 4 ms
 
 
@@ -78,8 +79,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     state = {
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
         "rate_setpoint_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1,
-        "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "force_integral": 3,
-        "gyro_integral": 3,
+        "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "wander": 9,
+        "wander_rate": 9, "offset": 9, "force_integral": 3, "gyro_integral": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -92,8 +93,9 @@ def _layouts(model: Model) -> dict[str, Layout]:
         "attitude_gain": 3, "rate_limit": 3, "yaw_weight": 1, "rate_gain_p": 3, "rate_gain_i": 3, "rate_gain_d": 3,
         "rate_gain_ff": 3, "integral_limit": 3, "thrust_model_factor": 1, "gyro_cutoff": 1, "acceleration_cutoff": 1,
         "yaw_torque_cutoff": 1,
-        "gyro_noise": 1, "accelerometer_noise": 1, "gyro_bias": 3, "accelerometer_bias": 3, "estimate_noise": 9,
-        "estimate_time": 9, "rotor_speed_noise": 1,
+        "gyro_noise": 3, "accelerometer_noise": 3, "gyro_rest_noise": 3, "accelerometer_rest_noise": 3,
+        "gyro_bias": 3, "accelerometer_bias": 3, "estimate_noise": 9, "estimate_time": 9, "rotor_speed_noise": 1,
+        "wander_frequency": 9, "wander_noise": 9, "wander_rest": 9, "drift": 9,
     }  # fmt: skip
     noise = {"hidden": model.hidden_count, "rotor": n, "gyro": 3, "accelerometer": 3, "estimate": 9, "rotor_speed": n}
     record = {
@@ -121,7 +123,8 @@ def _step(
     jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
     sensed = (observed["specific_force"], x[RATE], observed["rotor_speed"] + jitter)
     read = model.measure(*sensed, constants["model"], observed["angular_acceleration"])
-    measured, estimate = _measure(x, read, state, constants, noise)
+    turning = ca.sumsqr(observed["rotor_speed"]) > n * (AT_REST * constants["speed_max"]) ** 2
+    measured, estimate = _measure(x, read, turning, state, constants, noise)
     record = {
         "truth": x[:RIGID_BODY_STATES], "estimate": estimate, "force_integral": measured["force_integral"],
         "gyro_integral": measured["gyro_integral"], "rotor_speed": observed["rotor_speed"],
@@ -133,7 +136,7 @@ def _step(
 
 def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
     """The inner loop's own states after the step, and the motor signals that it commands."""
-    attitude = _estimated_attitude(state["plant"], state["estimate_error"])
+    attitude = _estimated_attitude(state["plant"], state)
     rates = inner_loop.rate_setpoint(
         attitude,
         command["attitude"],
@@ -197,39 +200,57 @@ def _observe(
 
 
 def _measure(
-    x: Expression, read: Sequence[Expression], state: Values, constants: Values, noise: Values
+    x: Expression,
+    read: Sequence[Expression],
+    turning: Expression,
+    state: Values,
+    constants: Values,
+    noise: Values,
 ) -> tuple[dict[str, Expression], Expression]:
     """States of sensors and estimator after the step, and the estimate without its delay: (13,) as the truth.
 
     read: outputs of the model's `measure`, as the sensors would read them without noise.
+    turning: whether the rotors turn, whose vibration is most of the inertial sensors' noise.
     """
     force_read, rate_read, *_, arm, gyro_axes = read
-    error = next_estimate_error(state["estimate_error"], noise["estimate"], constants, DT)
-    gyro = (
-        quaternion.rotate_inverse(gyro_axes, rate_read)
-        + constants["gyro_bias"]
-        + constants["gyro_noise"] * noise["gyro"]
-    )
+    gyro_noise = ca.if_else(turning, constants["gyro_noise"], constants["gyro_rest_noise"])
+    force_noise = ca.if_else(turning, constants["accelerometer_noise"], constants["accelerometer_rest_noise"])
+    gyro = quaternion.rotate_inverse(gyro_axes, rate_read) + constants["gyro_bias"] + gyro_noise * noise["gyro"]
     rate, memory = inner_loop.butterworth(gyro, state["gyro_memory"], constants["gyro_cutoff"], DT)
     acceleration = inner_loop.low_pass(
         (rate - state["rate"]) / DT, state["rate_acceleration"], constants["acceleration_cutoff"], DT
     )
-    force = force_read + constants["accelerometer_bias"] + constants["accelerometer_noise"] * noise["accelerometer"]
+    force = force_read + constants["accelerometer_bias"] + force_noise * noise["accelerometer"]
     states = {
         "gyro_memory": memory,
         "rate": rate,
         "rate_acceleration": acceleration,
-        "estimate_error": error,
         "force_integral": state["force_integral"] + force * DT,
         "gyro_integral": state["gyro_integral"] + gyro * DT,
+        **_estimate_errors(turning, state, constants, noise["estimate"]),
     }
     position = x[POSITION] + quaternion.rotate(x[ATTITUDE], arm)
     velocity = x[VELOCITY] + quaternion.rotate(x[ATTITUDE], ca.cross(x[RATE], arm))
-    return states, ca.vertcat(position + error[0:3], velocity + error[3:6], _estimated_attitude(x, error), rate)
+    error = states["estimate_error"] + states["wander"] + states["offset"]
+    return states, ca.vertcat(position + error[0:3], velocity + error[3:6], _estimated_attitude(x, states), rate)
 
 
-def _estimated_attitude(x: Expression, error: Expression) -> Expression:
-    return quaternion.multiply(x[ATTITUDE], quaternion.exponential(error[6:9]))
+def _estimate_errors(turning: Expression, state: Values, constants: Values, noise: Expression) -> dict[str, Expression]:
+    """States of the estimate's errors after the step: fast and smooth ones, and offsets that drift. (9,) each."""
+    driving = noise * ca.if_else(turning, 1, constants["wander_rest"])
+    wander, rate = next_wander(state["wander"], state["wander_rate"], driving, constants, DT)
+    return {
+        "estimate_error": next_estimate_error(state["estimate_error"], driving, constants, DT),
+        "wander": wander,
+        "wander_rate": rate,
+        "offset": state["offset"] + DT * constants["drift"],
+    }
+
+
+def _estimated_attitude(x: Expression, errors: Values) -> Expression:
+    """(4,) fast errors turn about body axes, the others about the world's."""
+    true = quaternion.multiply(x[ATTITUDE], quaternion.exponential(errors["estimate_error"][6:9]))
+    return quaternion.multiply(quaternion.exponential((errors["wander"] + errors["offset"])[6:9]), true)
 
 
 def _discharge(state: Values, rotor_speed: Expression, constants: Values) -> tuple[dict[str, Expression], Expression]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from dynamics.effect import Expression, Values
 
+WANDER_DAMPING = 0.65  # of the estimate's smooth errors
 Vector3 = tuple[float, float, float]
 
 
@@ -18,8 +19,10 @@ Vector3 = tuple[float, float, float]
 class SensorErrors:
     """Standard deviations of the errors of sensors and estimator; all zero for perfect ones.
 
-    gyro: white, of a sample of 1 ms, rad/s.
-    accelerometer: white, of a sample of 1 ms, m/s^2.
+    gyro: white, of a sample, rad/s; about all body axes or about each.
+    accelerometer: white, of a sample, m/s^2; along all body axes or along each.
+    gyro_at_rest, accelerometer_at_rest: the same while the rotors stand still; None for no difference.
+    sample_period: time from one sample to the next, s.
     gyro_bias, accelerometer_bias: constant during a flight, drawn at its start.
     position, velocity, tilt, yaw: of the estimate, m, m/s, rad, rad; the velocity's error is integrated into the
         position's, as in any filter.
@@ -27,11 +30,14 @@ class SensorErrors:
     rotor_speed: white, rad/s.
     rotor_speed_step: resolution of the measured rotor speed, rad/s.
     delay: age of the estimate when it is read, s.
-    imu_average: time over which an inertial sample is averaged, s.
+    imu_average: time over which an inertial sample is averaged, s: by trapezoids where samples are as far apart.
     """
 
-    gyro: float = 0.02
-    accelerometer: float = 0.3
+    gyro: float | Vector3 = 0.02
+    accelerometer: float | Vector3 = 0.3
+    gyro_at_rest: float | None = None
+    accelerometer_at_rest: float | None = None
+    sample_period: float = 0.001
     gyro_bias: float = 0.001
     accelerometer_bias: float = 0.02
     position: float = 0.003
@@ -65,9 +71,14 @@ class SensorErrors:
 
     def constants(self, random: np.random.Generator) -> dict[str, NDArray[np.float64]]:
         """The constants of the compiled step; the biases of this flight are drawn here."""
+        gyro, force = (np.broadcast_to(np.array(value), 3) for value in (self.gyro, self.accelerometer))
         return {
-            "gyro_noise": np.array([self.gyro]),
-            "accelerometer_noise": np.array([self.accelerometer]),
+            "gyro_noise": gyro,
+            "accelerometer_noise": force,
+            "gyro_rest_noise": gyro if self.gyro_at_rest is None else np.full(3, self.gyro_at_rest),
+            "accelerometer_rest_noise": (
+                force if self.accelerometer_at_rest is None else np.full(3, self.accelerometer_at_rest)
+            ),
             "gyro_bias": self.gyro_bias * random.standard_normal(3),
             "accelerometer_bias": self.accelerometer_bias * random.standard_normal(3),
             "estimate_noise": np.array([self.position] * 3 + [self.velocity] * 3 + [self.tilt, self.tilt, self.yaw]),
@@ -81,6 +92,16 @@ def next_estimate_error(error: Expression, noise: Expression, constants: Values,
     keep = ca.exp(-dt / constants["estimate_time"])
     correlated = keep * error + constants["estimate_noise"] * ca.sqrt(1 - keep**2) * noise
     return ca.vertcat(correlated[0:3] + dt * error[3:6], correlated[3:9])
+
+
+def next_wander(
+    error: Expression, rate: Expression, noise: Expression, constants: Values, dt: float
+) -> tuple[Expression, Expression]:
+    """Smooth errors and their rates after dt: Gauss-Markov processes of second order. (9,) each."""
+    frequency = constants["wander_frequency"]
+    damped = 2 * WANDER_DAMPING * frequency * rate + frequency**2 * error
+    after = rate + dt * (constants["wander_noise"] * noise / dt**0.5 - damped)
+    return error + dt * after, after
 
 
 def quantised(value: NDArray[np.float64], step: float) -> NDArray[np.float64]:

@@ -23,6 +23,7 @@ from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
 from sitl_mock.vehicle.battery import BatteryPack, open_circuit_voltage, usual_battery
+from sitl_mock.vehicle.estimator import Drift, Wander, at_rest
 from sitl_mock.vehicle.land_detector import LandDetector
 from sitl_mock.vehicle.plant import DT, Plant, build_plant
 from sitl_mock.vehicle.position_control import PositionControl
@@ -32,6 +33,7 @@ from sitl_mock.vehicle.tuning import default_tuning
 from sitl_mock.vehicle.vehicle_interface import BatteryState, ControlSetpoint, ImuSample, MotionState, Tuning
 
 NOISE_BLOCK = 512  # steps whose random numbers are drawn at once
+DRIFT_SEED = 1  # keeps the drifting errors' random numbers apart from all others
 SUPERVISION = 8  # steps between two updates of position control and land detector
 POSITION_KINDS = ("hold", "land", "rtl")
 LEVEL, NOTHING = [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
@@ -42,6 +44,8 @@ class VehicleOptions:
     """The vehicle's surroundings, sensors and battery.
 
     sensors: their errors.
+    wander: slower errors of the estimate.
+    start_height_error: of the estimate, m; None for one by chance, of the size that `wander` has.
     ground_height: m.
     position: of the start, east and north, m.
     yaw: of the start, rad from east.
@@ -51,6 +55,8 @@ class VehicleOptions:
     """
 
     sensors: SensorErrors = dataclasses.field(default_factory=SensorErrors)
+    wander: Wander = dataclasses.field(default_factory=Wander)
+    start_height_error: float | None = None
     ground_height: float = 0.0
     position: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
@@ -83,12 +89,16 @@ class SimulatedVehicle:
         self.options = options or VehicleOptions()
         self.plant: Plant = build_plant(vehicle, effects, catalogue)
         self._random = np.random.default_rng(seed)
+        drifting = np.random.default_rng((seed, DRIFT_SEED))
+        self._drift = Drift(self.options.wander, drifting, self.options.start_height_error)
         self._loop = StepLoop(self.plant)
         self._records = self.plant.record.views(self._loop.records)
         command = self.plant.command.views(self._loop.command)
         self._armed, self._landed = command["armed"], command["landed"]
         self._constants = self.plant.constants.views(self._loop.constants)
         self._noise = np.empty((NOISE_BLOCK, self.plant.noise.size))
+        noise = self.plant.noise.views(self._noise)
+        self._inertial_noise = noise["gyro"], noise["accelerometer"]
         self._battery = self.options.battery or usual_battery(vehicle)
         self._step = 0
         self._due = 0.0
@@ -99,7 +109,7 @@ class SimulatedVehicle:
         self._pose_age, self._attitude_age = (max(round(age / DT), 0) for age in (ages[0], sum(ages)))  # steps
         self.land_detector = LandDetector()
         self._set_constants()
-        self._set_state()
+        self._set_state(drifting)
         self.tuning = tuning or default_tuning(vehicle, effects, catalogue)
         self._position_control = PositionControl(self.truth.position_world, self.tuning)
         self.tune(self.tuning)
@@ -122,10 +132,21 @@ class SimulatedVehicle:
             if self._step % SUPERVISION == 0:
                 self._supervise(setpoint, armed)
             if self._step % NOISE_BLOCK == 0:
-                self._random.standard_normal(out=self._noise)
+                self._draw()
             steps = min(end, *(self._step // n * n + n for n in (SUPERVISION, NOISE_BLOCK))) - self._step
             self._loop.run(steps, self._step + 1, self._noise, self._step % NOISE_BLOCK)
             self._step += steps
+
+    def _draw(self) -> None:
+        """The random numbers of the next block of steps, and how far the drifting errors go in it."""
+        self._random.standard_normal(out=self._noise)
+        held = max(1, round(self.options.sensors.sample_period / DT))
+        if held > 1:
+            for part in self._inertial_noise:
+                part[:] = np.repeat(part[::held], held, axis=0)[:NOISE_BLOCK]
+        before = self._drift.offset
+        self._drift.advance(NOISE_BLOCK * DT)
+        self._constants["drift"][:] = (self._drift.offset - before) / (NOISE_BLOCK * DT)
 
     # measurements and state
 
@@ -157,14 +178,33 @@ class SimulatedVehicle:
         return dataclasses.replace(pose, time=stamped.time, rate_body=stamped.rate_body, attitude=turned.attitude)
 
     @property
+    def estimate_now(self) -> MotionState:
+        """The estimate before any delay: what the autopilot itself flies by."""
+        return self._motion("estimate", 0)
+
+    @property
     def imu(self) -> ImuSample:
-        """The newest inertial measurement at the centre of mass, averaged as PX4's delta velocities and angles are."""
-        count = min(max(1, round(self.options.sensors.imu_average / DT)), len(self._loop.records) - 1)
-        newest, oldest = self._row(0), self._row(count)
-        duration = count * DT
-        velocity, angle = self._records["force_integral"], self._records["gyro_integral"]
-        force, rate = velocity[newest] - velocity[oldest], angle[newest] - angle[oldest]
-        return ImuSample(self.time, force / duration, rate / duration)
+        """The newest inertial measurement at the centre of mass, averaged as PX4's delta velocities and angles are.
+
+        It is free of the biases that the estimator sees.
+        """
+        count = max(1, round(self.options.sensors.imu_average / DT))
+        if self.options.sensors.sample_period > DT:
+            mean = 0.5 * (self._mean_inertial(0, 1) + self._mean_inertial(count, 1))
+        else:
+            mean = self._mean_inertial(0, count)
+        mean = mean - self._drift.bias
+        return ImuSample(self.time, mean[0:3], mean[3:6])
+
+    def _mean_inertial(self, age: int, count: int) -> Floats:
+        """(6,) specific force and rates as measured, averaged over so many steps until so many steps ago."""
+        longest = len(self._loop.records) - 1
+        age = min(age, longest - 1)
+        count = min(count, longest - age)
+        newest, oldest = self._row(age), self._row(age + count)
+        integrals = self._records["force_integral"], self._records["gyro_integral"]
+        parts = [(integral[newest] - integral[oldest]) / (count * DT) for integral in integrals]
+        return np.concatenate(parts)
 
     @property
     def rotor_speed(self) -> Floats:
@@ -249,10 +289,11 @@ class SimulatedVehicle:
             "resistance": battery.resistance,
             "nominal_voltage": battery.nominal_voltage,
             **self.options.sensors.constants(self._random),
+            **self.options.wander.constants(),
         }
         self._loop.constants[:] = self.plant.constants.fill(constants)
 
-    def _set_state(self) -> None:
+    def _set_state(self, random: np.random.Generator) -> None:
         model = self.plant.model
         east, north = self.options.position
         height = self.options.ground_height + ground.leg_height(self.vehicle) - ground.SINKAGE
@@ -263,11 +304,15 @@ class SimulatedVehicle:
         for place in model.rotor_speed_places:
             x[place] = 0.0
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
-        state = {"plant": x, "charge": self._battery.charge, "voltage": voltage}
+        wander, rate = at_rest(self.options.wander, random)
+        errors = {"wander": wander, "wander_rate": rate, "offset": self._drift.offset}
+        state = {"plant": x, "charge": self._battery.charge, "voltage": voltage, **errors}
         self._loop.state[:] = self.plant.state.fill(state)
+        error = wander + self._drift.offset
+        turned = quaternion.multiply(quaternion.exponential(error[6:9]), attitude)
         record = {
             "truth": x[:RIGID_BODY_STATES],
-            "estimate": x[:RIGID_BODY_STATES],
+            "estimate": np.concatenate([position + error[0:3], error[3:6], turned, np.zeros(3)]),
             "charge": self._battery.charge,
             "voltage": voltage,
         }
@@ -307,7 +352,7 @@ class SimulatedVehicle:
         flies_itself = armed and setpoint.kind in POSITION_KINDS
         if not flies_itself and self._step % (2 * SUPERVISION):
             return
-        now, detector = self._motion("estimate", 0), self.land_detector
+        now, detector = self.estimate_now, self.land_detector
         detector.update(self.time, now, armed=armed, thrust=self._thrust, hover_thrust=self.tuning.hover_thrust)
         self._landed[:] = detector.maybe_landed
         if flies_itself:

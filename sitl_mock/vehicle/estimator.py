@@ -1,0 +1,148 @@
+"""Errors of a vehicle's estimate by the kind of its estimator: none, those of motion capture, or those of PX4's EKF.
+
+PX4's were measured against the ground truth of its own simulation (SITL, SIH quadrotor, GNSS and barometer with PX4's
+default noise); `benchmarks/px4_estimate.py` compares them with what the mock makes of them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from dynamics.arrays import Floats
+from sitl_mock.vehicle.sensors import WANDER_DAMPING, SensorErrors, Vector3
+
+Estimator = Literal["px4", "mocap", "perfect"]
+CORRELATION_PHASE = 1.69  # frequency x time after which a smooth error's correlation is 1/e, at WANDER_DAMPING
+
+
+@dataclass(frozen=True)
+class Wander:
+    """Errors of an estimate that come and go within seconds, and offsets that drift over minutes.
+
+    World axes ENU, standard deviations of position (m), velocity (m/s) and rotation (rad); all zero for none.
+
+    position, velocity, rotation: smooth errors in flight.
+    position_time, velocity_time, rotation_time: until their correlation has fallen to 1/e, s.
+    rest: share of the smooth errors of velocity while the rotors stand still.
+    position_offset, rotation_offset: constant within seconds.
+    offset_time: correlation time of the offsets, s.
+    accelerometer_bias, gyro_bias: of the filter's bias estimates, which its inertial samples are freed of, m/s^2,
+        rad/s.
+    bias_time: correlation time of those, s.
+    """
+
+    position: Vector3 = (0.0, 0.0, 0.0)
+    velocity: Vector3 = (0.0, 0.0, 0.0)
+    rotation: Vector3 = (0.0, 0.0, 0.0)
+    position_time: Vector3 = (1.0, 1.0, 1.0)
+    velocity_time: Vector3 = (1.0, 1.0, 1.0)
+    rotation_time: Vector3 = (1.0, 1.0, 1.0)
+    rest: Vector3 = (1.0, 1.0, 1.0)
+    position_offset: Vector3 = (0.0, 0.0, 0.0)
+    rotation_offset: Vector3 = (0.0, 0.0, 0.0)
+    offset_time: float = 1.0
+    accelerometer_bias: Vector3 = (0.0, 0.0, 0.0)
+    gyro_bias: Vector3 = (0.0, 0.0, 0.0)
+    bias_time: float = 1.0
+
+    @property
+    def spread(self) -> Floats:
+        """(9,) standard deviations of the smooth errors in flight."""
+        return np.array([*self.position, *self.velocity, *self.rotation])
+
+    @property
+    def frequency(self) -> Floats:
+        """(9,) natural frequencies of the smooth errors, rad/s."""
+        return CORRELATION_PHASE / np.array([*self.position_time, *self.velocity_time, *self.rotation_time])
+
+    @property
+    def share_at_rest(self) -> Floats:
+        """(9,) of the smooth errors."""
+        return np.array([*np.ones(3), *self.rest, *np.ones(3)])
+
+    def constants(self) -> dict[str, Floats]:
+        """The constants of the compiled step."""
+        return {
+            "wander_frequency": self.frequency,
+            "wander_noise": self.spread * np.sqrt(4 * WANDER_DAMPING * self.frequency**3),
+            "wander_rest": self.share_at_rest,
+        }
+
+
+class Drift:
+    """The part of a `Wander` that takes minutes: offsets of the estimate and biases, drawn anew now and then.
+
+    offset: (9,) of position, velocity and rotation.
+    bias: (6,) of accelerometer and gyro.
+    """
+
+    def __init__(self, wander: Wander, random: np.random.Generator, height_error: float | None = None) -> None:
+        """height_error: of the estimate at the start, m; None for one by chance."""
+        self._offset_spread = np.array([*wander.position_offset, 0.0, 0.0, 0.0, *wander.rotation_offset])
+        self._bias_spread = np.array([*wander.accelerometer_bias, *wander.gyro_bias])
+        self._times = wander.offset_time, wander.bias_time
+        self._random = random
+        self.offset: Floats = self._offset_spread * random.standard_normal(9)
+        self.bias: Floats = np.zeros(6)
+        self._centre = 0.0  # of the height's offset, m
+        if height_error is not None:
+            self.offset[2] = self._centre = height_error
+
+    def advance(self, duration: float) -> None:
+        """Draw both after a duration, s."""
+        share, bias_share = (math.exp(-duration / time) for time in self._times)
+        centre = np.zeros(9)
+        centre[2] = self._centre
+        step = math.sqrt(1 - share**2) * self._offset_spread * self._random.standard_normal(9)
+        self.offset = centre + share * (self.offset - centre) + step
+        self.bias = bias_share * self.bias + math.sqrt(1 - bias_share**2) * self._bias_spread * (
+            self._random.standard_normal(6)
+        )
+
+
+def at_rest(wander: Wander, random: np.random.Generator) -> tuple[Floats, Floats]:
+    """Smooth errors of a vehicle that has stood for a while, and their rates. (9,) each."""
+    spread = wander.spread * wander.share_at_rest
+    return spread * random.standard_normal(9), spread * wander.frequency * random.standard_normal(9)
+
+
+PX4_SENSORS = SensorErrors(
+    gyro=(0.14, 0.07, 0.03),
+    accelerometer=(0.5, 1.7, 1.4),
+    gyro_at_rest=0.01,
+    accelerometer_at_rest=0.1,
+    sample_period=0.004,
+    gyro_bias=0.0,
+    accelerometer_bias=0.0,
+    position=0.0,
+    velocity=0.04,
+    velocity_time=0.4,
+    tilt=math.radians(0.15),
+    yaw=math.radians(0.2),
+    attitude_time=0.5,
+    delay=0.004,
+)
+PX4_WANDER = Wander(
+    position=(0.11, 0.15, 0.24),
+    velocity=(0.18, 0.23, 0.14),
+    rotation=(math.radians(0.75), math.radians(0.63), math.radians(0.59)),
+    position_time=(3.1, 3.0, 4.0),
+    velocity_time=(2.7, 2.6, 2.7),
+    rotation_time=(2.5, 2.9, 3.8),
+    rest=(0.8, 0.3, 0.55),
+    position_offset=(0.10, 0.20, 0.42),
+    rotation_offset=(math.radians(0.5), math.radians(0.4), math.radians(0.35)),
+    offset_time=230.0,
+    accelerometer_bias=(0.15, 0.15, 0.15),
+    gyro_bias=(0.001, 0.001, 0.001),
+    bias_time=30.0,
+)
+ERRORS: dict[Estimator, tuple[SensorErrors, Wander]] = {
+    "px4": (PX4_SENSORS, PX4_WANDER),
+    "mocap": (SensorErrors(), Wander()),
+    "perfect": (SensorErrors().without_noise(), Wander()),
+}
