@@ -46,7 +46,7 @@ def fly(rate: int, seconds: float, *, realtime: bool) -> dict[str, Any]:
     with mock() as port, tempfile.TemporaryDirectory() as folder:
         options = ["--vehicle", "arpl_250g", "--reference", "hover", "--duration", str(seconds), "--rate", str(rate)]
         options += ["--link", f"udpin:127.0.0.1:{port}", "--record", folder, "--json"]
-        command = [*ALULA, "fly", *options, *(["--realtime"] if realtime else [])]
+        command = [*ALULA, "fly", *options, "--realtime" if realtime else "--no-realtime"]
         began = time.monotonic()
         with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
             assert process.stderr is not None

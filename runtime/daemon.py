@@ -102,6 +102,7 @@ class FlightReport(msgspec.Struct, frozen=True):
     events: how often each was raised, by name.
     effectiveness: thrust per modelled thrust, at the end.
     start_up: s from constructing the daemon to the first setpoint, negative when none was sent.
+    scheduling: SCHED_FIFO with its priority or ordinary, and what was refused, each with its remedy.
     """
 
     outcome: str
@@ -115,6 +116,7 @@ class FlightReport(msgspec.Struct, frozen=True):
     events: dict[str, int]
     effectiveness: float
     start_up: float
+    scheduling: str
 
 
 class Daemon:
@@ -143,6 +145,7 @@ class Daemon:
         self._engagement_requested = False
         self._recorder: Recorder | None = None
         self._telemetry = TelemetryBuffer()
+        self._scheduling, self._refusals = realtime.Scheduling(None), 0
 
     def interrupt(self, name: str) -> None:
         """Land, and on a second call stop streaming at once. For signal handlers; name: the signal's.
@@ -163,14 +166,14 @@ class Daemon:
                 self._recorder = self._open_recorder(request.record)
                 stack.callback(self._recorder.close)
             self._telemetry = TelemetryBuffer(self._recorder)
-            settings = LinkSettings(target_system=request.system, priority=request.priority)
+            self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
+            settings = LinkSettings(target_system=request.system, priority=self._scheduling.priority)
             link = stack.enter_context(Link(request.endpoint, settings, self._telemetry.callbacks))
             # while the link listens
             controllers = build_controllers(self._vehicle, self._bundle, self._controller_options())
             warm_up(controllers, self._reference, request.plan, rate=request.rate)
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
-            stack.callback(realtime.lower_thread)
             control = self._start(link, controllers)
             stack.callback(self._stop, control)
             self._serve(link, control)
@@ -216,10 +219,9 @@ class Daemon:
     def _start(self, link: Link, controllers: Controllers) -> ControlThread:
         request = self._request
         realtime.prepare_interpreter()
-        if request.priority is not None:
-            for refusal in (realtime.lock_memory(), realtime.raise_threads(BACKGROUND_PRIORITY, exempt="link")):
-                if refusal:
-                    self._report_event(Event.REALTIME_UNAVAILABLE, refusal)
+        scheduling = self._scheduling
+        scheduling.raise_all(BACKGROUND_PRIORITY, exempt="link")
+        self._report_refusals()
         rates = {"ODOMETRY": request.rate, "HIGHRES_IMU": min(request.rate, MAX_ESTIMATE_RATE)}
         request_rates(link, rates)
         thrust_curve = self._thrust_curve(link)
@@ -234,7 +236,7 @@ class Daemon:
             self._flyer,
             self._requests,
             period=1.0 / request.rate,
-            priority=request.priority,
+            priority=scheduling.priority,
             processor=request.processor,
             recorder=self._recorder,
         )
@@ -265,6 +267,13 @@ class Daemon:
             self._report_event(Event.REFERENCE_INFEASIBLE, reason)
             raise RequestError(reason)
 
+    def _report_refusals(self) -> None:
+        """Announce and record what was refused of real-time scheduling since the last call."""
+        new = self._scheduling.refusals[self._refusals :]
+        self._refusals += len(new)
+        for refusal in new:
+            self._report_event(Event.REALTIME_UNAVAILABLE, refusal)
+
     def _report_event(self, event: Event, detail: str) -> None:
         """Announce and record an event that no tick raises."""
         now, policy = time.monotonic(), POLICIES[event]
@@ -284,6 +293,7 @@ class Daemon:
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
             self._requests.slow_findings = self._slow_findings(link, now)
+            self._report_refusals()
             self._publish(link, control)
             engagement = self._flyer.engagement
             waiting = engagement.state in (State.DISCONNECTED, State.STANDBY) and engagement.requested
@@ -364,4 +374,5 @@ class Daemon:
             events={event.value: count for event, count in flyer.events.counts.items() if count},
             effectiveness=flyer.effectiveness.value,
             start_up=-1.0 if isnan(start_up) else start_up,
+            scheduling=self._scheduling.describe(),
         )

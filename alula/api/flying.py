@@ -101,7 +101,7 @@ def fly(
     record: folder for the recording (MCAP and tlog).
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
-    priority: of SCHED_FIFO for the control thread.
+    priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
     processor: number of the processor that the control thread stays on.
     system: the vehicle's system id; by default the first one on the link.
     timeout: longest wait for the vehicle, s.

@@ -46,7 +46,10 @@ def fly(
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
     ] = True,
     resume: Annotated[bool, typer.Option(help="Take control of a vehicle that is armed already.")] = False,
-    realtime: Annotated[bool, typer.Option(help="Request SCHED_FIFO and locked memory.")] = False,
+    realtime: Annotated[
+        bool,
+        typer.Option(help="SCHED_FIFO and locked memory where the system permits them; what it refuses is reported."),
+    ] = True,
     processor: Annotated[int | None, typer.Option(min=0, help="Processor to keep the control thread on.")] = None,
     system: System = None,
     timeout: Timeout = 10.0,
@@ -99,6 +102,7 @@ def _print(report: FlightReport, console: Console) -> None:
     table.add_row("between setpoints", _milliseconds(timing.interval))
     missed = ", ".join(f"{count} by {cause}" for cause, count in timing.missed.items())
     table.add_row("late setpoints", f"of {timing.ticks}: {missed}; {timing.ticks_by_clock} ticks without an estimate")
+    table.add_row("scheduling", report.scheduling)
     if report.events:
         table.add_row("events", ", ".join(f"{name} {count}x" for name, count in report.events.items()))
     table.add_row("thrust", f"{report.effectiveness:.3f} of the vehicle file's")
