@@ -123,16 +123,18 @@ class ControlThread:
             schedule.estimates_keep_up = self._requests.estimates_keep_up
             due, by_clock = self._await(schedule)
             woken, busy = time.monotonic(), time.thread_time()
-            schedule.ticked(due, woken)
+            schedule.ticked(due, woken, by_clock=by_clock)
             try:
                 self._fly(due, by_clock, woken, busy)
                 self._defects = 0
             except Exception as error:  # a defect of ours must degrade the flight, not end it
                 self._defects += 1
                 self.defect = f"tick {self._tick} failed: {error!r}"
+                self._put(TextRecord(woken, "daemon", 3, self.defect), woken)
                 if self._defects >= MAX_DEFECTS:
                     self.notifications.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
+            self._tick += 1
             self._busy_before = time.thread_time() - self._busy_at_departure
             self._free = time.monotonic()
 
@@ -161,7 +163,6 @@ class ControlThread:
         self._preparation = time.monotonic() - departed
         self._publish(decision)
         self._record(observation, estimate, decision, times, cause)
-        self._tick += 1
 
     def _send(self, decision: Decision) -> None:
         assert decision.rate_body is not None
@@ -238,8 +239,6 @@ class ControlThread:
         for change in decision.event_changes:
             severity = int(POLICIES[change.event].severity)
             self._put(EventRecord(change.time, change.event.value, change.active, severity, change.text), now)
-        if self.defect:
-            self._put(TextRecord(now, "daemon", 3, self.defect), now)
         phase = self._flyer.mission.phase
         if phase is not self._phase:
             self._phase = phase

@@ -6,10 +6,10 @@ checks, publishes notifications, and turns SIGINT and SIGTERM into a landing.
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
+from functools import partial
 from math import isnan
 from pathlib import Path
 
@@ -39,6 +39,7 @@ from runtime.link.telemetry import VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
+from runtime.stream_requests import StreamRequests
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import TimingReport
 
@@ -47,6 +48,7 @@ MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 send
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
+STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
     "EXTENDED_SYS_STATE": 5.0,
@@ -133,12 +135,13 @@ class Daemon:
     ) -> None:
         """Prepare a flight; nothing is opened yet.
 
-        announce: takes one line of text; called from the thread that calls `fly`.
+        announce: takes one line of text, which starts with the time since now, s; called from the thread that calls
+            `fly`.
         bundle: of the learned model to fly, None for the vehicle file's model.
         """
         self._bundle = bundle
         self._request, self._vehicle, self._reference = request, vehicle, reference
-        self._announce = announce
+        self._publish_line = announce
         self._created = time.monotonic()
         self._requests = Requests()
         self._landing_since = float("inf")
@@ -146,6 +149,10 @@ class Daemon:
         self._recorder: Recorder | None = None
         self._telemetry = TelemetryBuffer()
         self._scheduling, self._refusals = realtime.Scheduling(None), 0
+
+    def _announce(self, text: str, at: float | None = None) -> None:
+        """Publish a line. at: when it happened, s, monotonic; None for now."""
+        self._publish_line(f"{(at or time.monotonic()) - self._created:8.2f} s  {text}")
 
     def interrupt(self, name: str) -> None:
         """Land, and on a second call stop streaming at once. For signal handlers; name: the signal's.
@@ -175,7 +182,7 @@ class Daemon:
             status = link.wait_for_vehicle(request.timeout)
             self._check_autopilot(status)
             control = self._start(link, controllers)
-            stack.callback(self._stop, control)
+            stack.callback(self._stop, link, control)
             self._serve(link, control)
             return self._report(link, control)
 
@@ -243,7 +250,8 @@ class Daemon:
         self._engagement_requested = True
         self._requests.engage = True
         control.start()
-        threading.Thread(target=request_rates, args=(link, SLOW_STREAMS), name="slow streams", daemon=True).start()
+        self._streams = StreamRequests(partial(request_rates, link), {**rates, **SLOW_STREAMS})
+        self._streams.send(time.monotonic())
         return control
 
     def _thrust_curve(self, link: Link) -> float:
@@ -289,23 +297,38 @@ class Daemon:
         handlers = link_handlers(link)
         self._worker = RequestWorker(control.autopilot_requests, handlers, lambda: control.join(0.0))
         self._worker.start()
-        patience = time.monotonic() + READINESS_PATIENCE
+        self._heard_since = time.monotonic()
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
             self._requests.slow_findings = self._slow_findings(link, now)
             self._report_refusals()
             self._publish(link, control)
-            engagement = self._flyer.engagement
-            waiting = engagement.state in (State.DISCONNECTED, State.STANDBY) and engagement.requested
-            if waiting and now > patience:
-                reason = engagement.refusal or "no estimate came"
-                self._requests.leave = self._requests.leave or f"not engaged: {reason}"
+            self._await_readiness(link, now)
             if self._requests.leave:
                 self._landing_since = min(self._landing_since, now)
             if now - self._landing_since > LANDING_PATIENCE:
                 self._announce(f"not landed within {LANDING_PATIENCE:g} s, the autopilot's failsafe acts")
                 self._requests.stop = True
         self._publish(link, control)
+
+    def _await_readiness(self, link: Link, now: float) -> None:
+        """Ask for slow streams again, and give up waiting for a vehicle that is silent or not ready for too long."""
+        connected = link.is_connected(now)
+        if not connected:
+            self._heard_since = now
+        elif Event.RATES_LOW in self._requests.slow_findings:
+            self._streams.repeat(now)
+        engagement = self._flyer.engagement
+        if engagement.state not in (State.DISCONNECTED, State.STANDBY) or not engagement.requested:
+            return
+        silence = now - link.status.last_heard
+        if connected and now - self._heard_since > READINESS_PATIENCE:
+            reason = engagement.refusal or "no estimate came"
+        elif not connected and silence > self._request.timeout:
+            reason = f"the vehicle has been silent for {silence:.0f} s"
+        else:
+            return
+        self._requests.leave = self._requests.leave or f"not engaged: {reason}"
 
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
         present: dict[Event, str] = {}
@@ -323,7 +346,7 @@ class Daemon:
     def _publish(self, link: Link, control: ControlThread) -> None:
         while self._telemetry.notifications:
             event = self._telemetry.notifications.popleft()
-            self._announce(f"link: {event.text}")
+            self._announce(f"link: {event.text}", event.time)
         while self._telemetry.texts:
             self._announce(f"vehicle: {self._telemetry.texts.popleft()}")
         while not control.notifications.empty():
@@ -332,12 +355,13 @@ class Daemon:
     def _publish_notification(self, link: Link, notification: Notification) -> None:
         match notification:
             case Transition():
-                self._announce(f"{notification}" + (f" ({self._worker.refusal})" if self._worker.refusal else ""))
+                refusal = f" ({self._worker.refusal})" if self._worker.refusal else ""
+                self._announce(f"{notification}{refusal}", notification.time)
                 link.send_text(f"alula: {notification.after.value}: {notification.reason}", Severity.NOTICE)
             case EventChange():
                 policy = POLICIES[notification.event]
                 word = "" if notification.active else "over: "
-                self._announce(f"{word}{notification.text}")
+                self._announce(f"{word}{notification.text}", notification.time)
                 if notification.active and policy.severity <= Severity.NOTICE:
                     link.send_text(f"alula: {notification.text}", policy.severity)
             case str():
@@ -346,10 +370,23 @@ class Daemon:
 
     # --- after the flight
 
-    def _stop(self, control: ControlThread) -> None:
+    def _stop(self, link: Link, control: ControlThread) -> None:
         """End the control thread: no setpoint leaves after this, whatever ended the flight."""
         self._requests.stop = True
-        control.join(1.0)
+        if not control.join(STOP_PATIENCE):
+            link.close()
+            self._announce(f"the control thread did not end within {STOP_PATIENCE:g} s: its link was closed")
+
+    def _left_behind(self, status: VehicleStatus) -> str:
+        """What becomes of a vehicle that the flight leaves armed, in brackets; empty for a disarmed one."""
+        silence = time.monotonic() - status.last_heard
+        if silence > LinkSettings().silence:
+            state = f"{'armed' if status.armed else 'disarmed'} in {status.mode}"
+            return (
+                f" (the vehicle has been silent for {silence:.1f} s, and was {state} before: its own failsafe has it, "
+                "if its autopilot still runs)"
+            )
+        return f" (the vehicle is armed, mode {status.mode}: the autopilot or the pilot has it)" if status.armed else ""
 
     def _report(self, link: Link, control: ControlThread) -> FlightReport:
         flyer, status = self._flyer, link.status
@@ -358,8 +395,7 @@ class Daemon:
             outcome = f"{outcome}: {self._worker.refusal}"
         if control.defect:
             outcome = f"{outcome}; a defect of the daemon: {control.defect}"
-        if status.armed:
-            outcome = f"{outcome} (the vehicle is armed, mode {status.mode}: the autopilot or the pilot has it)"
+        outcome += self._left_behind(status)
         landed, cut_short = flyer.landed and not status.armed, flyer.mission.landing_reason
         start_up = control.first_setpoint - self._created
         return FlightReport(

@@ -9,6 +9,7 @@ import numpy as np
 
 from dynamics.arrays import Floats
 
+FOLLOWING = 0.1  # share of an estimate's distance from the beat by which it moves it
 CAPACITY = 400_000  # ticks whose times count for the percentiles: more than half an hour at 200 Hz
 
 
@@ -68,7 +69,9 @@ class TimingReport(msgspec.Struct, frozen=True):
 class Schedule:
     """The trigger of a tick: the first estimate after half a period, at the latest the clock after one and a half.
 
-    While estimates come less often than ticks are due, the clock does not wait beyond the period.
+    While estimates come less often than ticks are due, the clock does not wait beyond the period. An estimate moves the
+    beat of the ticks by a part of its distance from it only: so they keep step with estimates of about their rate, and
+    estimates of another rate do not make more of them.
     """
 
     def __init__(self, period: float, *, start: float) -> None:
@@ -86,9 +89,15 @@ class Schedule:
         """Whether an estimate that arrived at this time triggers a tick."""
         return arrival >= self._last + 0.5 * self.period
 
-    def ticked(self, due: float, now: float) -> None:
-        """A tick that was due then runs now; ticks that were missed meanwhile are left out."""
-        self._last = due if now - due < self.period else now
+    def ticked(self, due: float, now: float, *, by_clock: bool) -> None:
+        """A tick that was due then, by the clock or an estimate, runs now; missed ones are left out."""
+        beat = self._last + self.period
+        if now - due >= self.period:
+            self._last = now
+        elif by_clock or due - beat > 0.5 * self.period:
+            self._last = due
+        else:
+            self._last = beat + FOLLOWING * (due - beat)
 
 
 class Deadlines:

@@ -168,10 +168,12 @@ def test_every_tick_is_recorded_with_its_setpoint() -> None:
     assert [record.thrust for record in setpoints] == [0.5] * 10
 
 
-@pytest.mark.xfail(strict=True, reason="the text of a defect is recorded at every tick after it")
-def test_a_defect_is_recorded_once() -> None:
+def test_a_defect_is_recorded_once_and_its_tick_counts() -> None:
     flyer, recorder = ScriptedFlyer(hovering(), ticks=10, defects=1), ListRecorder()
     control = control_thread(flyer, SilentLink(), recorder=recorder)
     control.start()
     assert control.join(10.0)
-    assert len([record for record in recorder.records if isinstance(record, TextRecord)]) == 1
+    texts = [record.text for record in recorder.records if isinstance(record, TextRecord)]
+    assert texts == ["tick 0 failed: ZeroDivisionError('planted')"]
+    assert [observation.tick for observation in flyer.observations] == list(range(10))
+    assert [record.tick for record in recorder.records if isinstance(record, TickRecord)] == list(range(1, 10))

@@ -6,6 +6,7 @@ import contextlib
 import errno
 import functools
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -183,6 +184,35 @@ def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monke
     assert not report.landed
     assert "streams are too slow" in report.outcome
     assert report.timing.latency["median"] != report.timing.latency["median"]  # no setpoint ever left
+
+
+def test_a_vehicle_restarted_on_the_ground_is_asked_for_its_streams_again(vehicle: Vehicle) -> None:
+    announcements = Announcements()
+    with contextlib.ExitStack() as stack:
+        mock = stack.enter_context(mock_process(vehicle=VEHICLE_FILE))
+
+        def restart() -> None:
+            mock.stop(signal.SIGKILL)
+            link = ["--link", f"udpout:127.0.0.1:{mock.port}", "--gcs-link", f"udpout:127.0.0.1:{mock.gcs_port}"]
+            command = [sys.executable, "-m", "alula", "mock", "--vehicle", str(VEHICLE_FILE), *link]
+            process = stack.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
+            stack.callback(process.terminate)
+
+        announcements.waiting["DISCONNECTED -> STANDBY"] = restart
+        report = fly(vehicle, announcements, request_for(mock.url, timeout=30.0))
+    assert report.landed, announcements
+    assert announcements.contain("STANDBY -> DISCONNECTED"), announcements
+
+
+def test_a_vehicle_that_dies_in_flight_is_in_nobody_s_hands(vehicle: Vehicle) -> None:
+    announcements = Announcements()
+    with mock_process(vehicle=VEHICLE_FILE) as mock:
+        announcements.waiting["in_air"] = lambda: mock.stop(signal.SIGKILL)
+        report = fly(vehicle, announcements, request_for(mock.url))
+    assert not report.landed
+    assert "the vehicle has been silent for" in report.outcome
+    assert "the pilot has it" not in report.outcome
+    assert all(re.match(r" *\d+\.\d\d s  \S", line) for line in announcements)
 
 
 SECOND = """

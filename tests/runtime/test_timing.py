@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from dynamics.arrays import Floats
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes, percentiles
 
 PERIOD = 0.01
@@ -25,15 +26,47 @@ def test_slow_estimates_do_not_slow_the_ticks() -> None:
     now = 1.0
     while now < 2.0:
         now = schedule.latest
-        schedule.ticked(now, now)
+        schedule.ticked(now, now, by_clock=True)
         ticks += 1
     assert ticks == pytest.approx(100, abs=1)
 
 
 def test_after_a_long_pause_what_was_missed_is_not_made_up_for() -> None:
     schedule = Schedule(PERIOD, start=1.0)
-    schedule.ticked(1.015, 1.5)
+    schedule.ticked(1.015, 1.5, by_clock=True)
     assert schedule.latest == pytest.approx(1.515)
+
+
+def ticks_of(rate: float, arrivals: Floats, *, keep_up: bool) -> tuple[float, float]:
+    """Ticks per second, and the share of them that an estimate triggered."""
+    schedule, at, ticks, by_clock = Schedule(1.0 / rate, start=0.0), 0, 0, 0
+    schedule.estimates_keep_up = keep_up
+    while at < len(arrivals):
+        if arrivals[at] <= schedule.latest and not schedule.is_due(arrivals[at]):
+            at += 1
+            continue
+        clock = arrivals[at] > schedule.latest
+        due = schedule.latest if clock else float(arrivals[at])
+        schedule.ticked(due, due + 2e-4, by_clock=clock)
+        ticks, by_clock, at = ticks + 1, by_clock + clock, at + (not clock)
+    return ticks / float(arrivals[-1]), 1.0 - by_clock / ticks
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
+@pytest.mark.parametrize("estimates", [62.5, 124.0, 250.0])
+def test_ticks_come_at_their_rate_whatever_the_rate_of_the_estimates(rate: float, estimates: float) -> None:
+    random = np.random.default_rng(0)
+    arrivals = np.sort(np.arange(4000) / estimates + random.normal(0.0, 3e-4, 4000))
+    achieved, _ = ticks_of(rate, arrivals, keep_up=estimates >= 0.9 * rate)
+    assert achieved == pytest.approx(rate, rel=0.045)
+
+
+def test_ticks_keep_step_with_estimates_of_px4_s_jitter() -> None:
+    """PX4 in simulation sends 100 Hz in intervals of 8, 12 and 16 ms."""
+    arrivals = np.ceil(np.arange(4000) * 0.0101 / 0.004) * 0.004
+    achieved, triggered = ticks_of(100.0, arrivals, keep_up=True)
+    assert achieved == pytest.approx(1 / 0.0101, rel=0.01)
+    assert triggered > 0.99
 
 
 def times(due: float, *, wait: float, work: float, free: float = 0.0, by_clock: bool = False) -> TickTimes:
