@@ -89,7 +89,11 @@ def mock_process(*arguments: str, vehicle: str | Path = FOLDER / "px4_sih.toml")
         port, gcs_port = int(listener.getsockname()[1]), free_port()
         links = ["--link", f"udpout:127.0.0.1:{port}", "--gcs-link", f"udpout:127.0.0.1:{gcs_port}"]
         command = [sys.executable, "-m", "alula", "mock", "--vehicle", str(vehicle), *links, *arguments]
-        process = subprocess.Popen(command, stdout=output, stderr=output, env=dict(os.environ))
+        # its input ends with this process, however that ends, and the mock with its input
+        command.append("--end-with-input")
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=output, stderr=output, env=dict(os.environ))
+        assert process.stdin is not None
+        stack.callback(process.stdin.close)
         mock = MockProcess(process, port, gcs_port, Path(file.name))
         stack.callback(mock.stop)
         _await_heartbeat(listener, mock)

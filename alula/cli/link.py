@@ -25,11 +25,27 @@ def link(
     timeout: Timeout = 10.0,
     system: System = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
+    request_mode: Annotated[
+        bool,
+        typer.Option(
+            "--request-mode", help="Request a disarmed vehicle's present mode once more, to count the acknowledgements."
+        ),
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
-    """Check a link without flying: rates, latency, clock offset, frames, mode, parameters."""
+    """Check a link without flying: rates, latency, clock offset, frames, mode, parameters.
+
+    Message rates are requested for some seconds and reset to their defaults; nothing else of the vehicle is changed.
+    """
     streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
-    report = check_link(parse_endpoint(link), timeout=timeout, target_system=system, streams=streams, window=window)
+    report = check_link(
+        parse_endpoint(link),
+        timeout=timeout,
+        target_system=system,
+        streams=streams,
+        window=window,
+        request_mode=request_mode,
+    )
     if as_json:
         write_json(_as_plain(report), STANDARD_OUTPUT)
     else:
@@ -63,7 +79,8 @@ def _print(report: LinkReport, console: Console) -> None:
         )
         facts.add_row("gravity", text)
     facts.add_row("battery", f"{vehicle.battery_voltage:.2f} V")
-    facts.add_row("mode request", f"{report.acknowledgements_of_mode} acknowledgements")
+    count = report.acknowledgements_of_mode
+    facts.add_row("mode request", f"{count} acknowledgements" if count else "none was made or acknowledged")
     facts.add_row("frames", f"{report.frames}, unknown {report.unknown_frames}, skipped {report.skipped_bytes} bytes")
     console.print(facts)
     console.print(_streams(report))

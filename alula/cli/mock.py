@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
+import threading
 from pathlib import Path
 from typing import Annotated
 
@@ -58,6 +61,9 @@ def mock(
         float | None, typer.Option(help="Seconds that the vehicle's clock gains per second; 0.00002 by default.")
     ] = None,
     param: Annotated[list[str] | None, typer.Option(help="PX4 parameter NAME=VALUE. Repeatable.")] = None,
+    end_with_input: Annotated[
+        bool, typer.Option("--end-with-input", help="End when standard input does, as when its program was killed.")
+    ] = False,
 ) -> None:
     """Fly a simulated vehicle behind PX4's side of the link, until interrupted."""
     options = MockOptions(
@@ -74,12 +80,20 @@ def mock(
         parameters=dict(parse_parameter(text) for text in param or ()),
         instance=instance,
     )
+    if end_with_input:
+        threading.Thread(target=_end_with_input, name="input", daemon=True).start()
     links = _links(link or [], gcs_link or [], instance)
     pace: Pace = "lockstep" if lockstep else "realtime"
     print(f"mock of {vehicle} on {', '.join(spec.name for spec in links)}; Ctrl-C ends it", file=sys.stderr, flush=True)
     server = serve(options, links, pace=pace, speed=speed)
     if server.slipped > 1.0:
         print(f"this machine was too slow, by {server.slipped:.1f} s of simulated time", file=sys.stderr)
+
+
+def _end_with_input() -> None:
+    while os.read(sys.stdin.fileno(), 4096):
+        pass
+    os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _links(onboard: list[str], gcs: list[str], instance: int) -> list[LinkSpec]:

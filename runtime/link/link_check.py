@@ -43,12 +43,15 @@ def check_link(
     target_system: int | None = None,
     streams: Mapping[str, float] = STREAMS,
     window: float = WINDOW,
+    request_mode: bool = False,
 ) -> LinkReport:
-    """Listen to a vehicle, request its streams, and reset them to their default rates. Sends no setpoint, arms nothing.
+    """Listen to a vehicle, request its streams on this link, and reset them to their default rates.
 
-    A disarmed vehicle's present mode is requested once more, to count the acknowledgements.
+    Changes nothing else: no setpoint is sent, no mode requested, nothing armed.
 
     timeout: s to wait for the vehicle. streams: message name to Hz. window: s over which rates are measured.
+    request_mode: whether to request a disarmed vehicle's present mode once more, to count the acknowledgements. A mode
+        switched since its last heartbeat would be taken back.
     Raises VehicleError when no vehicle is heard, RequestError for a message that does not exist.
     """
     events: list[LinkEvent] = []
@@ -59,7 +62,7 @@ def check_link(
         answers = commands.request_rates(link, streams)
         requested_at = time.monotonic()
         parameters = read_parameters(link, PARAMETERS)
-        acknowledgements = _count_acknowledgements(link)
+        acknowledgements = _count_acknowledgements(link) if request_mode else 0
         time.sleep(max(0.0, window - (time.monotonic() - requested_at)) + 0.1)
         now = time.monotonic()
         checks = tuple(

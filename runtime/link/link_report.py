@@ -81,7 +81,7 @@ class LinkReport(msgspec.Struct, frozen=True):
     estimate_source: the message that gives estimates, None without any.
     position_world: m, of the newest estimate.
     parameters: of PX4 that matter to a flight, or why they could not be read.
-    acknowledgements_of_mode: to one request of the present mode; two in some versions of PX4.
+    acknowledgements_of_mode: to one request of the present mode, two in some versions of PX4; 0 without a request.
     events: of the link during the check.
     problems: errors and warnings.
     frames, unknown_frames, skipped_bytes: counts over the whole check.

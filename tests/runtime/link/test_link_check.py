@@ -71,9 +71,9 @@ def vehicle(port: int) -> Iterator[StreamingVehicle]:
         yield fake
 
 
-def check(port: int, rate: float = 100.0) -> LinkReport:
-    streams = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0}
-    return check_link(Endpoint("udpin", "127.0.0.1", port), timeout=5.0, streams=streams, window=WINDOW)
+def check(port: int, rate: float = 100.0, *, request_mode: bool = False) -> LinkReport:
+    streams, endpoint = {"ODOMETRY": rate, "HIGHRES_IMU": 50.0}, Endpoint("udpin", "127.0.0.1", port)
+    return check_link(endpoint, timeout=5.0, streams=streams, window=WINDOW, request_mode=request_mode)
 
 
 def problems(report: LinkReport) -> str:
@@ -95,14 +95,17 @@ def test_a_good_link_is_ready(port: int, vehicle: StreamingVehicle) -> None:
     assert report.attitude.tilt_error_degrees < 0.1
     assert report.parameters["MC_YAW_P"] == pytest.approx(2.8)
     assert report.vehicle.battery_voltage == pytest.approx(16.0)
-    assert report.acknowledgements_of_mode == 1
+    assert report.acknowledgements_of_mode == 0
 
 
-def test_nothing_flies_and_the_streams_are_reset_to_their_defaults(port: int, vehicle: StreamingVehicle) -> None:
+def test_only_message_rates_are_requested_and_the_streams_are_reset_to_their_defaults(
+    port: int, vehicle: StreamingVehicle
+) -> None:
     check(port)
     assert vehicle.count("SET_ATTITUDE_TARGET") == 0
     commands = [message for message in vehicle.received if message.get_type() == "COMMAND_LONG"]
-    assert not [message for message in commands if message.command == mavlink.MAV_CMD_COMPONENT_ARM_DISARM]
+    assert {message.command for message in commands} == {mavlink.MAV_CMD_SET_MESSAGE_INTERVAL}
+    assert vehicle.count("PARAM_SET") == vehicle.count("SET_MODE") == 0
     intervals = [message.param2 for message in commands if message.command == 511 and message.param1 == 331]
     assert intervals == [10000.0, 0.0]
     assert vehicle.custom_mode == 4 << 16 | 3 << 24
@@ -110,7 +113,7 @@ def test_nothing_flies_and_the_streams_are_reset_to_their_defaults(port: int, ve
 
 def test_a_double_acknowledgement_is_counted(port: int, vehicle: StreamingVehicle) -> None:
     vehicle.acknowledgements[mavlink.MAV_CMD_DO_SET_MODE] = [0, 1]
-    assert check(port).acknowledgements_of_mode == 2
+    assert check(port, request_mode=True).acknowledgements_of_mode == 2
 
 
 def test_a_slow_estimate_stops_a_flight(port: int) -> None:
