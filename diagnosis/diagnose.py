@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import Accepted, accepted_fit
+from diagnosis.estimation.acceptance import Accepted, accepted_fit, drifting_effects, without
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import Fit, fit
 from diagnosis.estimation.evaluation import (
@@ -18,16 +19,25 @@ from diagnosis.estimation.evaluation import (
     typical_chi_square,
 )
 from diagnosis.estimation.joint_search import search_jointly
+from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.next_flight import next_flight
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import Diagnosis, MissingEffect
+from diagnosis.report import Diagnosis
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection
 from diagnosis.thresholds import DEFAULT, Thresholds
-from diagnosis.verdict import channel_errors, considered, judge, missing_effects, not_excited, rejections
+from diagnosis.verdict import (
+    channel_errors,
+    considered,
+    gust_refusal,
+    judge,
+    missing_effects,
+    not_excited,
+    rejections,
+)
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -70,30 +80,29 @@ def diagnose_dataset(
     require_answerable(dataset.everything, vehicle, thresholds)
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
     regression, selection = search_jointly(regression)
-    accepted = accepted_fit(regression, selection, dataset)
     present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
-    before, after = (residuals_in(regression, v, dataset.held_out) for v in (present, accepted.fit.vehicle))
-    tests = run_residual_tests(
-        regression,
-        residuals_in(regression, accepted.fit.vehicle, dataset.fitted),
-        by_position=selection.gust_detected,
-    )
-    tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
-    effects = missing_effects(regression, selection, accepted)
+    before = residuals_in(regression, present, dataset.held_out)
+    judgement = _Judgement(regression, selection, dataset, before)
+    accepted = accepted_fit(regression, selection, dataset)
+    judged = judgement.of(accepted)
+    while judged.rejected and (drifting := drifting_effects(regression, accepted.fit, judged.fitted)):
+        accepted = without(regression, accepted, drifting, dataset)
+        judged = judgement.of(accepted)
+    effects = missing_effects(regression, selection, accepted, gusty=judged.gusty)
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
-    rejected = _rejected(regression, selection, accepted.fit, effects, tests, before, after)
-    left = leftover(rejected, tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
+    left = leftover(judged.rejected, judged.tests, dataset.fitted, dataset.held_out, vehicle, thresholds.regimes)
+    refused = (*accepted.refused, *judged.refused)
     diagnosis = Diagnosis(
-        verdict=judge(effects, rejected),
+        verdict=judge(effects, judged.rejected),
         effects=effects,
-        channels=channel_errors(before, after, accepted.floor, sensors),
+        channels=channel_errors(before, judged.after, accepted.floor, sensors),
         not_excited=quiet,
         fails_where=worst_cells(maps, thresholds.regimes),
-        next_flight=next_flight(effects, left, accepted.refused, quiet, catalogue),
-        refused=accepted.refused,
-        candidates=considered(selection, effects, accepted.refused),
+        next_flight=next_flight(effects, left, refused, quiet, catalogue),
+        refused=refused,
+        candidates=considered(selection, effects, refused),
         leftover=left,
     )
     return DiagnosisDetails(
@@ -102,11 +111,11 @@ def diagnose_dataset(
         regression=regression,
         selection=selection,
         accepted=accepted,
-        residual_tests=tests,
+        residual_tests=judged.tests,
         before=before,
-        after=after,
+        after=judged.after,
         chi_square_before=reduced_chi_square(before, regression.noise),
-        chi_square_after=reduced_chi_square(after, regression.noise),
+        chi_square_after=reduced_chi_square(judged.after, regression.noise),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
     )
 
@@ -128,20 +137,52 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
     return tuple(fitted if note == first else note for note in dataset.notes)
 
 
-def _rejected(
-    regression: Regression,
-    selection: Selection,
-    accepted: Fit,
-    effects: tuple[MissingEffect, ...],
-    tests: ResidualTests,
-    before: list[Floats],
-    after: list[Floats],
-) -> tuple[Rejection, ...]:
-    """The residual tests that reject, and that by typical held-out windows unless the model has a swinging load."""
-    tests_before = run_residual_tests(regression, regression.residuals_after([])) if accepted.candidates else tests
-    swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
-    typical = None if swinging else (typical_chi_square(before, regression), typical_chi_square(after, regression))
-    gust_share = selection.gust.gain / max(regression.total, 1)
-    gusty = any(regression.catalogue[effect.name].stochastic for effect in effects)
-    thresholds = regression.thresholds.verdict
-    return rejections(tests, tests_before, typical, gust_share, gusty=gusty, thresholds=thresholds)
+@dataclass(frozen=True, eq=False)
+class _Judged:
+    """What the residuals of an accepted fit say.
+
+    after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.
+    gusty: whether a gust is named. refused: a gust that is not.
+    """
+
+    after: list[Floats]
+    fitted: list[Floats]
+    tests: ResidualTests
+    rejected: tuple[Rejection, ...]
+    gusty: bool
+    refused: tuple[Refused, ...]
+
+
+class _Judgement:
+    """The tests of the residuals of accepted fits. before: (m, 12) held-out residuals without effects."""
+
+    def __init__(self, regression: Regression, selection: Selection, dataset: Dataset, before: list[Floats]) -> None:
+        self._regression, self._selection, self._dataset, self._before = regression, selection, dataset, before
+
+    def of(self, accepted: Accepted) -> _Judged:
+        """A gust and the tests that reject, of one fit."""
+        regression, selection = self._regression, self._selection
+        after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
+        fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
+        tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected)
+        tests = with_typical_window(tests, after, accepted.floor, telling_channels(regression))
+        refused = gust_refusal(regression, selection, tests, regression.thresholds.verdict)
+        gusty = selection.gust_detected and refused is None
+        rejected = self._rejected(accepted.fit, tests, after, gusty=gusty)
+        return _Judged(after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
+
+    def _rejected(
+        self, accepted: Fit, tests: ResidualTests, after: list[Floats], *, gusty: bool
+    ) -> tuple[Rejection, ...]:
+        """The tests that reject, and that by typical held-out windows unless the model has a swinging load."""
+        regression = self._regression
+        swinging = any(c.effect.hidden and c.effect.rotor_speed is None for c in accepted.candidates)
+        typical = None
+        if not swinging:
+            typical = typical_chi_square(self._before, regression), typical_chi_square(after, regression)
+        tests_before = self._tests_before if accepted.candidates else tests
+        return rejections(tests, tests_before, typical, gusty=gusty, thresholds=regression.thresholds.verdict)
+
+    @cached_property
+    def _tests_before(self) -> ResidualTests:
+        return run_residual_tests(self._regression, self._regression.residuals_after([]))

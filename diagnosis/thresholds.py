@@ -499,6 +499,18 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     min_agreement: Share = 0.5
 
 
+class ConsistencyThresholds(ThresholdGroup, frozen=True):
+    """Whether an effect has one value, asked where a test of the residuals rejects.
+
+    max_drift: of its signal between where it acts strongly and weakly, or early and late in a flight, over the signal.
+    [benchmarks/verdicts.py: right forms 0.00 to 0.08, a form in place of another from 0.3]
+    deviations: of that difference from none, that is not chance. [convention: 95 %]
+    """
+
+    max_drift: Share = 0.2
+    deviations: Positive = 2.0
+
+
 class VerdictThresholds(ThresholdGroup, frozen=True):
     """Limits above which the residual tests reject, and how effects are reported.
 
@@ -510,8 +522,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [not derived yet]
-    max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: a residual that depends
-    on the place]
+    max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: air in motion is no
+    function of the state]
     resamples: of flights, for the confidence. [not derived yet]
     """
 
@@ -612,6 +624,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     output_error: OutputErrorThresholds = OutputErrorThresholds()
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
+    consistency: ConsistencyThresholds = ConsistencyThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()

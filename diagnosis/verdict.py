@@ -23,8 +23,34 @@ from dynamics.effect import Parameter
 from dynamics.vehicle import Vehicle
 
 
-def missing_effects(regression: Regression, selection: Selection, accepted: Accepted) -> tuple[MissingEffect, ...]:
-    """The accepted effects with their intervals, rivals and share of resamples; a gust where one was detected."""
+def gust_refusal(
+    regression: Regression, selection: Selection, tests: ResidualTests, thresholds: VerdictThresholds = DEFAULT.verdict
+) -> Refused | None:
+    """Why a gust that was detected is not named, None where it is named or none was detected.
+
+    Air in motion is no function of the vehicle's state nor of its position: what a function of these predicts on
+    flights left out is no gust.
+    """
+    if not selection.gust_detected or selection.gust.effect is None:
+        return None
+    gained = max(selection.gust.gain / max(regression.total, 1), 1e-12)
+    shares = {
+        where: tests.statistics[test] / gained
+        for test, where in (("predictable_from_state", "state"), ("position_dependent", "position"))
+        if tests.over_floor(test) > thresholds.min_over_floor
+    }
+    where = max(shares, key=lambda place: shares[place], default="")
+    if not where or shares[where] <= thresholds.max_gust_predictable:
+        return None
+    strength = {selection.gust.effect.parameters[0].name: selection.gust.intensity}
+    detail = {"share": shares[where], "required": thresholds.max_gust_predictable}
+    return Refused(selection.gust.effect.name, None, "predictable", detail, where, strength)
+
+
+def missing_effects(
+    regression: Regression, selection: Selection, accepted: Accepted, *, gusty: bool
+) -> tuple[MissingEffect, ...]:
+    """The accepted effects with their intervals, rivals and share of resamples. gusty: whether a gust is named, too."""
     search, effects = Search(regression), []
     for candidate in accepted.fit.candidates:
         others = [c for c in accepted.fit.candidates if c is not candidate]
@@ -40,7 +66,7 @@ def missing_effects(regression: Regression, selection: Selection, accepted: Acce
             )
         )
     gust, before = selection.gust, selection.gust_before
-    if selection.gust_detected and gust.effect is not None:
+    if gusty and gust.effect is not None:
         parameter = gust.effect.parameters[0]
         strength = {parameter.name: ParameterValue(gust.intensity, gust.std, parameter.unit)}
         first = not selection.chosen.candidates or before.score > selection.chosen.score
@@ -68,7 +94,6 @@ def rejections(
     after: ResidualTests,
     before: ResidualTests,
     chi_squares: tuple[float, float] | None,
-    gust_share: float,
     *,
     gusty: bool,
     thresholds: VerdictThresholds = DEFAULT.verdict,
@@ -78,19 +103,15 @@ def rejections(
     after, before: residual tests with the effects and without them.
     chi_squares: reduced, of a typical held-out window, before and after; None beside a load that swings, which cannot
         be predicted on wild flights.
-    gust_share: gain of a gust over the number of whitened residuals.
-    gusty: whether a gust is among the effects; residuals are then allowed, unless the state predicts them or they
-        repeat at the same positions.
+    gusty: whether a gust is among the effects; residuals are then allowed. That the state or the position predicts
+        them has refused the gust before (`gust_refusal`).
     """
     share, sizes = thresholds.max_share, after.statistics
     limits = {"spectral_line": thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging}
-    if gusty:
-        limits |= dict.fromkeys(
-            ("predictable_from_state", "position_dependent"), thresholds.max_gust_predictable * gust_share
-        )
-    else:
+    if not gusty:
         limits["low_frequency_agreement"] = max(thresholds.max_agreement, share * before.low_frequency_agreement)
         limits["predictable_from_state"] = max(thresholds.max_predictable, share * before.predictable_from_state)
+        limits["position_dependent"] = thresholds.max_predictable
         if chi_squares is not None:
             sizes["typical_window"] = chi_squares[1]
             limits["typical_window"] = max(thresholds.max_chi_square, share * chi_squares[0])

@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import chi2, norm
 
 from diagnosis.data.dataset import Dataset
+from diagnosis.estimation.consistency import drifts
 from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange
 from diagnosis.estimation.refusal import Reason, Refused
+from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
@@ -66,6 +67,23 @@ def accepted_fit(
     return own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
 
 
+def drifting_effects(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:
+    """Effects of a fit that have no one value: their form stands in for another one. rows: (m, 12) its residuals."""
+    limits, by_key = regression.thresholds.consistency, drifts(regression, fitted, rows)
+    return tuple(
+        refused_of(fitted, candidate, "drifts", share=drift.share, deviations=drift.deviations)
+        for candidate in fitted.candidates
+        if (drift := by_key[candidate.key]).matters(limits)
+    )
+
+
+def without(regression: Regression, accepted: Accepted, refused: Sequence[Refused], dataset: Dataset) -> Accepted:
+    """The same without effects that are refused afterwards, all others judged again."""
+    left_out = {(one.name, one.rotor) for one in refused}
+    rest = [c for c in accepted.fit.candidates if c.identity not in left_out]
+    return judged_fit(regression, rest, dataset, regression.vehicle, refused=(*accepted.refused, *refused))
+
+
 def judged_fit(
     regression: Regression,
     candidates: Sequence[Candidate],
@@ -81,14 +99,15 @@ def judged_fit(
     """
     lacking = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
     trial = _Trial(regression, dataset, lacking, resampled=resampled)
-    return trial.reduced([*candidates, *_own_effects(regression, candidates)], {c.key for c in candidates}, refused)
+    own = _own_effects(regression, candidates, refused)
+    return trial.reduced([*candidates, *own], {c.key for c in candidates}, refused)
 
 
-def _own_effects(regression: Regression, chosen: Sequence[Candidate]) -> list[Candidate]:
-    """Corrections of the vehicle file's own effects that improve the score of the chosen ones."""
+def _own_effects(regression: Regression, chosen: Sequence[Candidate], refused: Sequence[Refused]) -> list[Candidate]:
+    """Corrections of the vehicle file's own effects that improve the score of the chosen ones, none that is refused."""
     if not chosen:
         return []
-    names = {(use.name, use.rotor) for use in regression.vehicle.effects}
+    names = {(u.name, u.rotor) for u in regression.vehicle.effects} - {(one.name, one.rotor) for one in refused}
     taken, search = {c.key for c in chosen}, Search(regression)
     own = [c for c in regression.candidates if c.identity in names and not c.fixed_shape and c.key not in taken]
     alone = search.score(chosen).score
@@ -188,8 +207,7 @@ class _Trial:
         limits, kinds = self._limits, list(by_kind)
 
         def refused(reason: Reason, where: str = "", **detail: float) -> Refused:
-            values = {name: e.value for (key, name), e in best.estimates.items() if key == candidate.key}
-            return Refused(candidate.effect.name, candidate.rotor, reason, detail, where, values)
+            return refused_of(best, candidate, reason, where, **detail)
 
         if candidate.key in best.unsettled:
             return refused("not_converged")
@@ -253,6 +271,12 @@ class _Trial:
         return [(culprit, Refused(culprit.effect.name, culprit.rotor, "open_loop_worse", numbers, quantity))]
 
 
+def refused_of(fitted: Fit, candidate: Candidate, reason: Reason, where: str = "", **detail: float) -> Refused:
+    """The refusal of a fitted candidate, with its values."""
+    values = {name: e.value for (key, name), e in fitted.estimates.items() if key == candidate.key}
+    return Refused(candidate.effect.name, candidate.rotor, reason, detail, where, values)
+
+
 def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
     """A vehicle with the sensors' faults of a fit, which do not move it, so that both predict the same motion."""
     faults = [c for c in fitted.candidates if not c.effect.moves_vehicle]
@@ -285,11 +309,7 @@ def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -
     if not places:
         return 0.0
     distance = np.array([values[i].value - neutral[i] for i in places])
-    covariance = best.covariance[np.ix_(places, places)]
-    scale = np.sqrt(np.maximum(np.diag(covariance), 1e-300))
-    scaled = np.linalg.pinv(covariance / np.outer(scale, scale), rcond=1e-10)
-    squared = float((distance / scale) @ scaled @ (distance / scale))
-    return float(norm.isf(max(chi2.sf(squared, len(places)), 1e-300) / 2))
+    return deviations_of(distance, best.covariance[np.ix_(places, places)])
 
 
 def at_its_bounds(trial: Fit, candidate: Candidate, vehicle: Vehicle) -> str | None:

@@ -17,8 +17,10 @@ Reason = Literal[
     "worse_than_rival",
     "contradicted",
     "not_converged",
+    "drifts",
+    "predictable",
 ]
-HINTS = ("interval_holds_neutral", "few_resamples")
+HINTS = ("interval_holds_neutral", "few_resamples", "drifts")
 
 
 class Refused(msgspec.Struct, frozen=True):
@@ -76,6 +78,16 @@ def reason_of(refused: Refused) -> str:
             text = "its fit does not converge on these flights"
         case "few_resamples":
             text = f"only {number['share']} of the flight resamples agree"
+        case "drifts":
+            text = (
+                f"it has no one value: between strong and weak, or early and late in a flight, the fits differ by "
+                f"{number['share']} of it, {number['deviations']} standard deviations, while something else is missing"
+            )
+        case "predictable":
+            text = (
+                f"air in motion is no function of the {refused.where}, but that predicts {number['share']} of what it "
+                f"explains, on flights left out"
+            )
         case "worse_than_rival":
             text = "another effect fits better in its place"
     return text

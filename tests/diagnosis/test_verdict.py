@@ -11,7 +11,8 @@ from diagnosis.selection.gust import Gust
 from diagnosis.selection.residual_tests import TESTS, Finding, Rejection, ResidualTests
 from diagnosis.selection.search import Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT
-from diagnosis.verdict import channel_errors, considered, judge, not_excited, rejections
+from diagnosis.verdict import channel_errors, considered, gust_refusal, judge, not_excited, rejections
+from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 NO_GUST = Gust(0.0, 0.0, 0.0)
@@ -31,8 +32,8 @@ def results(agreement=1.0, state=0.0, line=2.0, place=0.0, *, over_floor=LARGE):
 CLEAN = results()
 
 
-def verdict(effects=(), after=CLEAN, before=CLEAN, chi_squares=(1.0, 1.0), gust_share=0.0, gusty=False):
-    return judge(effects, rejections(after, before, chi_squares, gust_share, gusty=gusty))
+def verdict(effects=(), after=CLEAN, before=CLEAN, chi_squares=(1.0, 1.0), gusty=False):
+    return judge(effects, rejections(after, before, chi_squares, gusty=gusty))
 
 
 def test_clean_residuals_leave_the_verdict_to_the_effects():
@@ -60,7 +61,7 @@ def test_what_is_too_small_to_matter_does_not_make_it_unknown():
 
 
 def test_a_rejection_says_by_how_much():
-    (rejection,) = rejections(results(state=0.02), CLEAN, (1.0, 1.0), 0.0, gusty=False)
+    (rejection,) = rejections(results(state=0.02), CLEAN, (1.0, 1.0), gusty=False)
     assert rejection == Rejection("predictable_from_state", 0.02, LIMITS.max_predictable)
 
 
@@ -80,11 +81,26 @@ def test_beside_a_swinging_load_only_a_strong_line_counts():
     assert verdict([ALONE], after=results(line=40.0), chi_squares=None) == "unknown"
 
 
-def test_a_gust_may_leave_residuals_unless_state_or_place_predict_them():
-    slow = results(20.0)
-    assert verdict([ALONE], after=slow, gust_share=1.0, gusty=True) == "effect"
-    assert verdict([ALONE], after=results(20.0, 0.5), gust_share=1.0, gusty=True) == "unknown"
-    assert verdict([ALONE], after=results(20.0, place=0.5), gust_share=1.0, gusty=True) == "unknown"
+def test_a_gust_may_leave_slow_residuals():
+    assert verdict([ALONE], after=results(20.0), gusty=True) == "effect"
+    assert verdict([ALONE], after=results(20.0, line=11.0), gusty=True) == "unknown"
+
+
+def test_what_state_or_place_predict_is_no_gust(arpl_250g):
+    of_all = planted(arpl_250g, [0.0], seed=0)
+    air = Gust(float(of_all.total), 100.0, 0.5, 0.01, 1.0, CATALOGUE["gust"])
+    selection = Selection(Scored((), 0.0, 0.0), (), air, air, True)
+    share = LIMITS.max_gust_predictable
+    assert gust_refusal(of_all, selection, results(state=0.9 * share, place=0.5 * share)) is None
+    assert gust_refusal(of_all, selection, results(state=2.0, over_floor=LIMITS.min_over_floor / 2)) is None
+    of_state, of_place = (
+        gust_refusal(of_all, selection, some) for some in (results(state=0.6), results(state=0.1, place=0.7))
+    )
+    assert (of_state.where, of_place.where) == ("state", "position")
+    assert of_place.detail["share"] == pytest.approx(0.7)
+    assert of_state.parameters == {"intensity": 0.5}
+    calm = Selection(Scored((), 0.0, 0.0), (), air, air, False)
+    assert gust_refusal(of_all, calm, results(state=2.0)) is None
 
 
 def test_an_effect_whose_signal_is_too_small_was_not_excited(arpl_250g):

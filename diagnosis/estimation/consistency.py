@@ -1,0 +1,138 @@
+"""Has an effect one value? One of the right form has the same where it acts strongly and weakly, early and late.
+
+A form that stands in for another one fits the stretches that dominate the fit and misses the rest: a drag that grows
+with the speed, in place of one that does not, has a smaller coefficient the faster the vehicle flies; a constant that
+stands in for what warms up has another value at the end of each flight.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from diagnosis.estimation.equation_error import Fit
+from diagnosis.estimation.significance import deviations_of
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression
+from diagnosis.thresholds import DEFAULT, ConsistencyThresholds
+from dynamics.arrays import Floats
+
+
+@dataclass(frozen=True)
+class Drift:
+    """Difference of an effect's values between two parts of the flights.
+
+    share: RMS of the whitened signal of the difference over that of the effect, both on all rows.
+    deviations: standard deviations of the difference from none.
+    """
+
+    share: float
+    deviations: float
+
+    def matters(self, limits: ConsistencyThresholds = DEFAULT.consistency) -> bool:
+        """Whether it is more than chance, and large."""
+        return self.share > limits.max_drift and self.deviations > limits.deviations
+
+
+def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[str, Drift]:
+    """By key, the largest difference of each fitted effect that is more than chance, or else the largest.
+
+    Compared are the blocks of time that carry half of its signal with the others, and the first half of each flight
+    with the second. All effects are free in both parts, those of commands with their prior. By the slopes of the
+    regression about the fit. rows: (m, 12) residuals of the fit on the regression's segments.
+    """
+    if not fitted.candidates:
+        return {}
+    shared, commands = regression.shared, list(regression.shared.columns)
+    where = [*(i for c in fitted.candidates for i in c.columns), *commands]
+    prior = np.diag([0.0] * (len(where) - len(commands)) + shared.information.tolist())
+    blocks = list(_blocks(regression, rows, where))
+    grams, products = np.array([b.gram for b in blocks]), np.array([b.product for b in blocks])
+    early, limits = np.array([b.early for b in blocks]), regression.thresholds.consistency
+    results, begin = {}, 0
+    for candidate in fitted.candidates:
+        own = list(range(begin, begin + len(candidate.columns)))
+        begin += len(own)
+        theta = _coefficients(fitted, candidate)
+        strong = _strongest_half(np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta))
+        both = [_drift(grams, products, prior, own, theta, part) for part in (strong, early)]
+        results[candidate.key] = max(both, key=lambda drift: (drift.matters(limits), drift.share))
+    return results
+
+
+@dataclass(frozen=True, eq=False)
+class _Block:
+    """Whitened normal equations (k, k) and (k,) of some columns in residuals; early: in its flight's first half."""
+
+    gram: Floats
+    product: Floats
+    early: bool
+
+
+def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]) -> Iterator[_Block]:
+    noise = regression.noise
+    length = max(noise.order, round(regression.thresholds.equation_error.block * regression.rate))
+    whole, flown = Counter[int](), Counter[int]()
+    for flight, y in zip(regression.flight_of, rows, strict=True):
+        whole[flight] += len(y)
+    for flight, y, columns in zip(regression.flight_of, rows, regression.columns, strict=True):
+        white_y, white_x = noise.whiten(y), noise.whiten(columns[:, :, list(where)])
+        for start in range(0, len(white_y), length):
+            x = white_x[start : start + length].reshape(-1, len(where))
+            early = flown[flight] + start + length / 2 < whole[flight] / 2
+            yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), early)
+        flown[flight] += len(y)
+
+
+def _coefficients(fitted: Fit, candidate: Candidate) -> Floats:
+    """(c,) of a candidate's columns at the fit."""
+    if candidate.fixed_shape:
+        return np.ones(1)
+    return np.array([fitted.estimates[candidate.key, name].value - candidate.at[name] for name in candidate.free])
+
+
+def _drift(
+    grams: Floats, products: Floats, prior: Floats, own: Sequence[int], theta: Floats, part: NDArray[np.bool_]
+) -> Drift:
+    """The difference of one effect between a part of the blocks and the rest.
+
+    grams, products: (b, k, k) and (b, k) of blocks. own: its columns, at theta. part: (b,).
+    """
+    if part.all() or not part.any():
+        return Drift(0.0, 0.0)
+    (one, one_spread), (other, other_spread) = (_solution(grams[some], products[some], prior) for some in (part, ~part))
+    difference = (one - other)[own]
+    signal = _beyond(grams.sum(axis=0) + prior, own)
+    size = float(theta @ signal @ theta)
+    share = np.sqrt(max(float(difference @ signal @ difference), 0.0) / max(size, 1e-300))
+    return Drift(float(share), deviations_of(difference, (one_spread + other_spread)[np.ix_(own, own)]))
+
+
+def _strongest_half(power: Floats) -> NDArray[np.bool_]:
+    """(b,) whether a block is among the strongest, which together have half of the power."""
+    order = np.argsort(-power)
+    before = np.cumsum(power[order]) - power[order]
+    strong = np.zeros(len(power), dtype=bool)
+    strong[order[before < power.sum() / 2]] = True
+    return strong
+
+
+def _solution(grams: Floats, products: Floats, prior: Floats) -> tuple[Floats, Floats]:
+    """The step (k,) from the fit on some blocks, and its covariance (k, k) by their own scores."""
+    gram = grams.sum(axis=0) + prior
+    scale = np.sqrt(np.maximum(np.diag(gram), 1e-300))
+    inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-8) / np.outer(scale, scale)
+    step = inverse @ products.sum(axis=0)
+    scores = products - grams @ step
+    return step, np.asarray(inverse @ (scores.T @ scores) @ inverse)
+
+
+def _beyond(gram: Floats, own: Sequence[int]) -> Floats:
+    """The normal equations of some columns beyond the others."""
+    rest = [i for i in range(len(gram)) if i not in own]
+    across = gram[np.ix_(rest, own)]
+    return np.asarray(gram[np.ix_(own, own)] - across.T @ np.linalg.lstsq(gram[np.ix_(rest, rest)], across)[0])

@@ -1,0 +1,67 @@
+"""An effect of the right form has one value; one that stands in for another form has several."""
+
+import numpy as np
+import pytest
+
+from diagnosis.estimation.consistency import drifts
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.significance import deviations_of
+from diagnosis.thresholds import DEFAULT
+from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression
+
+FLIGHTS, ROWS = 4, 500
+
+
+def fitted(vehicle, form, *, seed=0, others=()):
+    """A fit of a drag that grows with the speed to flights whose drag has another form, and its residuals."""
+    random = np.random.default_rng(seed)
+    columns, rows = [], []
+    for i in range(FLIGHTS):
+        speed = (i + 1) * np.sin(np.arange(ROWS) / 25)
+        x = np.zeros((ROWS, CHANNELS, 2))
+        x[:, 0, 0] = x[:, 3, 0] = speed
+        x[:, 1, 1] = np.cos(np.arange(ROWS) / 40)
+        columns.append(x)
+        rows.append(form(x[:, :, 0]) + random.standard_normal((ROWS, CHANNELS)))
+    drag, other = candidate(effect("drag"), 0), candidate(effect("other"), 1)
+    of_all = regression(vehicle, [drag, other], columns, rows)
+    theta, _ = of_all.solve([0, 1])
+    estimates = {("drag", "size"): ParameterEstimate(theta[0], 0.1, "1")}
+    estimates |= {("other", "size"): ParameterEstimate(theta[1], 0.1, "1")}
+    left = [y - x @ theta for x, y in zip(columns, rows, strict=True)]
+    return of_all, Fit(vehicle, estimates, (drag, other)), left
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_right_form_has_one_value(arpl_250g, seed):
+    drift = drifts(*fitted(arpl_250g, lambda speed: 2.0 * speed, seed=seed))["drag"]
+    assert drift.share < 0.1
+    assert not drift.matters()
+
+
+def test_a_form_that_stands_in_for_another_drifts(arpl_250g):
+    for form in (lambda speed: 3.0 * np.sign(speed), lambda speed: speed * np.abs(speed)):
+        drift = drifts(*fitted(arpl_250g, form))["drag"]
+        assert drift.share > DEFAULT.consistency.max_drift
+        assert drift.matters()
+
+
+def test_a_constant_that_stands_in_for_what_warms_up_drifts(arpl_250g):
+    warming = 1 - np.exp(-np.arange(ROWS) / 150)[:, None]
+    drift = drifts(*fitted(arpl_250g, lambda speed: warming * speed))["drag"]
+    assert drift.matters()
+
+
+def test_a_difference_by_chance_is_none(arpl_250g):
+    assert not drifts(*fitted(arpl_250g, lambda speed: 0.02 * speed))["drag"].matters()
+
+
+def test_nothing_fitted_drifts_nowhere(arpl_250g):
+    of_all, _, left = fitted(arpl_250g, np.zeros_like)
+    assert drifts(of_all, Fit(arpl_250g, {}, ()), left) == {}
+
+
+def test_deviations_of_several_estimates_are_those_of_one_as_rare():
+    assert deviations_of(np.array([2.0]), np.array([[1.0]])) == pytest.approx(2.0)
+    assert deviations_of(np.array([2.448, 0.0]), np.eye(2)) == pytest.approx(1.96, abs=0.01)
+    assert deviations_of(np.zeros(2), np.zeros((2, 2))) == 0.0
