@@ -189,7 +189,7 @@ class Wrench:
     moment: Expression
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Effect:
     """One physical effect: its formula, and how diagnosis, training, the mock and the controller treat it.
 

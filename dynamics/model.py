@@ -7,7 +7,7 @@ effects serves all vehicles with as many rotors.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -22,6 +22,7 @@ from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 ENVIRONMENT_DEFAULT = np.array([0.0, 1.0])  # ground_height m, battery_ratio
+MAX_KEPT = 256  # structures whose functions are kept
 
 
 @dataclass(frozen=True)
@@ -34,6 +35,7 @@ class Model:
     measure: (specific_force, rate_body, rotor_speed, p, angular_acceleration) -> the first three as the sensors read
         them, the rate still in the body's axes, pose_age s, attitude_age s, pose_arm (3,) m, gyro_axes (4,).
     constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, centre_of_mass (3,) m, as the effects change them.
+    structure: rotors and effects; models of the same structure have the same functions.
     """
 
     vehicle: Vehicle
@@ -46,6 +48,7 @@ class Model:
     respond: ca.Function
     measure: ca.Function
     constants: ca.Function
+    structure: Hashable
 
     @property
     def state_count(self) -> int:
@@ -108,28 +111,46 @@ def build_model(
     Raises RequestError when an effect is given twice.
     """
     active, hidden_initial = activate(vehicle, vehicle.effects if effects is None else effects, catalogue)
-    named = model_parameters(vehicle, active)
-    x = ca.SX.sym("x", RIGID_BODY_STATES + hidden_initial.size)
-    u = ca.SX.sym("u", vehicle.rotors.count)
-    p = ca.SX.sym("p", len(named))
-    e = ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
-    values = dict(zip(named, ca.vertsplit(p), strict=True))
-    environment = Environment(ground_height=e[0], battery_ratio=e[1])
-    physics = changed_physics(vehicle.rotors.count, active, values, environment)
-    conditions = _conditions(active, values, x, u, physics, environment)
-    derivative, observe = _motion_functions(active, values, conditions, (x, u, p, e))
+    named, count = model_parameters(vehicle, active), vehicle.rotors.count
+    structure = (count, *((item.effect, item.rotor, *item.values) for item in active))
+    if structure not in _functions:
+        if len(_functions) >= MAX_KEPT:
+            _functions.clear()
+        _functions[structure] = _make_functions(count, active, tuple(named), hidden_initial.size)
     return Model(
         vehicle=vehicle,
         effects=active,
         parameter_names=tuple(named),
         parameter_values=np.array(list(named.values())),
         hidden_initial=hidden_initial,
-        derivative=derivative,
-        observe=observe,
-        respond=_respond(active, values, conditions, (x, u, p, e)),
-        measure=_measure(active, values, p, vehicle.rotors.count),
-        constants=_constants(physics, p, e),
+        structure=structure,
+        **_functions[structure],
     )
+
+
+_functions: dict[Hashable, dict[str, ca.Function]] = {}
+
+
+def _make_functions(
+    count: int, active: Sequence[ActiveEffect], names: Sequence[str], hidden_count: int
+) -> dict[str, ca.Function]:
+    """The functions of a model by name, the same for all vehicles of `count` rotors with the same effects."""
+    x = ca.SX.sym("x", RIGID_BODY_STATES + hidden_count)
+    u = ca.SX.sym("u", count)
+    p = ca.SX.sym("p", len(names))
+    e = ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
+    values = dict(zip(names, ca.vertsplit(p), strict=True))
+    environment = Environment(ground_height=e[0], battery_ratio=e[1])
+    physics = changed_physics(count, active, values, environment)
+    conditions = _conditions(active, values, x, u, physics, environment)
+    derivative, observe = _motion_functions(active, values, conditions, (x, u, p, e))
+    return {
+        "derivative": derivative,
+        "observe": observe,
+        "respond": _respond(active, values, conditions, (x, u, p, e)),
+        "measure": _measure(active, values, p, count),
+        "constants": _constants(physics, p, e),
+    }
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from diagnosis.data.decimating_filter import filtered_rows
 from diagnosis.data.filters import decimated_rows, decimation, difference
 from diagnosis.data.pose import pose_source
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
@@ -94,6 +95,10 @@ class Segment:
         """The regression's low-pass over values (n, ...)."""
         return zero_phase(values, self.rate, self.filters.cutoff)
 
+    def filtered(self, values: Floats, *, products: bool = False) -> Floats:
+        """(m, ...) the same at the rows of the regression. products: with Simpson's weights first."""
+        return filtered_rows(values, self.rate, self.filters, products=products)
+
     @cached_property
     def to_world(self) -> Floats:
         """(n, 3, 3) rotation from body to world."""
@@ -116,7 +121,7 @@ class Segment:
     def smooth(self) -> Floats:
         """(n, 13) state; position, velocity and rate below the cutoff, to keep their noise out of products."""
         position, velocity, rate = map(self.low_pass, (self.position, self.velocity, self.body_rate))
-        return np.hstack([position, velocity, self.attitude, rate])
+        return np.vstack([position.T, velocity.T, self.attitude.T, rate.T]).T
 
     @cached_property
     def rotor_acceleration(self) -> Floats:

@@ -7,6 +7,9 @@ shared arguments alone is computed once. Results are the same to rounding.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
+from operator import itemgetter
+from threading import Lock, local
 from typing import Any
 
 import casadi as ca
@@ -20,7 +23,9 @@ BLOCK = 1024  # rows that are evaluated at once: intermediate results stay in th
 CHAINED_BLOCK = 256  # rows that follow each other in one call of CasADi's interpreter
 
 Operation = Callable[..., Any]
-_Step = tuple[Operation, tuple[int, ...], int]
+_Step = tuple[
+    Operation, Callable[[list[Floats]], tuple[Floats, ...]]
+]  # the operation, and what takes its inputs and result
 
 
 def _if_else_zero(condition: Floats, value: Floats, out: Floats) -> None:
@@ -91,7 +96,7 @@ class _Program:
 
     Slots hold the arguments' entries, the results' entries, the function's work vector, then what all rows share.
 
-    once, by_row: operation, slots of its inputs, slot of its result.
+    once, by_row: operations on slots, the result's slot last.
     fixed: slots of constants, and these.
     shared: places and slots of results that are the same for all rows.
     """
@@ -135,13 +140,13 @@ class _Program:
         operation, inputs = _operation(code, inputs)
         on_rows = any(self._of_rows[slot] for slot in inputs)
         slot = self.entries + self.width + place if on_rows else self._shared_slot()
-        (self.by_row if on_rows else self.once).append((operation, tuple(inputs), slot))
+        (self.by_row if on_rows else self.once).append((operation, itemgetter(*inputs, slot)))
         self._where[place] = slot
 
     def _output(self, place: int, entry: int) -> None:
         slot = self._where[place]
         if self._of_rows[slot]:
-            self.by_row.append((np.positive, (slot,), self.entries + entry))
+            self.by_row.append((np.positive, itemgetter(slot, self.entries + entry)))
         else:
             self.shared.append((entry, slot))
 
@@ -166,52 +171,59 @@ class RowFunction:
 
     def __init__(self, function: ca.Function, *, shared: tuple[int, ...] = ()) -> None:
         self._function, self._shared = function, shared
-        self._program: _Program | None = None
-        self._work = np.empty((0, BLOCK))
+        self._rows = [place for place in range(function.n_in()) if place not in shared]
+        self._common: tuple[list[Floats], list[Floats]] = ([], [])
+
+    @cached_property
+    def _program(self) -> _Program:
+        return _Program(self._function, self._shared)
 
     def __call__(self, *arguments: Floats) -> Floats:
-        """(n, k) of the first output. arguments: (n, width) each, (width,) for shared ones."""
-        if self._program is None:  # many functions are never evaluated
-            self._program = _Program(self._function, self._shared)
-            self._work = np.empty((self._program.rows - self._program.entries - self._program.width, BLOCK))
-        program = self._program
-        count = next(len(a) for i, a in enumerate(arguments) if i not in self._shared)
-        result, common = np.empty((program.width, count)), np.zeros((program.slots, 1))
+        """(n, k) of the first output, column by column in memory. arguments: (n, width), (width,) for shared ones."""
+        program, columns = self._program, {place: np.ascontiguousarray(arguments[place].T) for place in self._rows}
+        count, work = len(arguments[self._rows[0]]), _work(program.rows - program.entries - program.width)
+        result = np.empty((program.width, count))
         with np.errstate(all="ignore"):
-            self._compute_once(program, arguments, common)
+            slots = self._computed_once([np.asarray(arguments[place], dtype=float) for place in self._shared])
             for entry, slot in program.shared:
-                result[entry] = common[slot]
+                result[entry] = slots[slot]
             for start in range(0, count, BLOCK):
-                self._compute_rows(program, arguments, common, result[:, start : start + BLOCK], start)
+                block = slice(start, start + BLOCK)
+                for place, values in columns.items():
+                    slots[program.starts[place] : program.starts[place + 1]] = values[:, block]
+                slots[program.entries : program.rows] = [*result[:, block], *work[:, : count - start]]
+                _run(program.by_row, slots)
         return result.T
 
-    def _compute_once(self, program: _Program, arguments: Sequence[Floats], common: Floats) -> None:
-        """Fill the slots that all rows share. common: (slots, 1)."""
-        for place in self._shared:
-            common[program.starts[place] : program.starts[place + 1], 0] = arguments[place]
+    def _computed_once(self, shared: list[Floats]) -> list[Floats]:
+        """The slots with what all rows share, (1,) each; kept while the shared arguments are the same."""
+        before, slots = self._common
+        if slots and all(np.array_equal(a, b) for a, b in zip(before, shared, strict=True)):
+            return slots.copy()
+        program = self._program
+        slots = list(np.zeros((program.slots, 1)))
+        for place, values in zip(self._shared, shared, strict=True):
+            slots[program.starts[place] : program.starts[place + 1]] = values.reshape(-1, 1)
         for slot, value in program.fixed:
-            common[slot] = value
-        _run(program.once, list(common))
-
-    def _compute_rows(
-        self, program: _Program, arguments: Sequence[Floats], common: Floats, result: Floats, start: int
-    ) -> None:
-        """Fill the results (k, m) of m rows from `start`."""
-        slots, rows = list(common), result.shape[1]
-        for place, values in enumerate(arguments):
-            if place not in self._shared:
-                columns = np.ascontiguousarray(values[start : start + rows].T)
-                slots[program.starts[place] : program.starts[place + 1]] = columns
-        slots[program.entries : program.rows] = [*result, *self._work[:, :rows]]
-        _run(program.by_row, slots)
+            slots[slot][0] = value
+        _run(program.once, slots)
+        self._common = ([values.copy() for values in shared], slots)
+        return slots.copy()
 
 
-def _run(steps: Sequence[_Step], slots: Sequence[Floats]) -> None:
-    for operation, inputs, result in steps:
-        if len(inputs) == 2:
-            operation(slots[inputs[0]], slots[inputs[1]], slots[result])
-        else:
-            operation(slots[inputs[0]], slots[result])
+_local = local()
+
+
+def _work(count: int) -> Floats:
+    """(at least count, BLOCK) a thread's memory for intermediate results."""
+    if getattr(_local, "work", np.empty((0, 0))).shape[0] < count:
+        _local.work = np.empty((count, BLOCK))
+    return np.asarray(_local.work[:count])
+
+
+def _run(steps: Sequence[_Step], slots: list[Floats]) -> None:
+    for operation, places in steps:
+        operation(*places(slots))
 
 
 class Recurrence:
@@ -248,7 +260,7 @@ def _accumulated(initial: Floats, factors: Floats, offsets: Floats) -> Floats:
     if np.all(factors == factors[:1]):
         columns = zip(initial, factors[0], offsets.T, strict=True)
         return np.stack([lfilter([1.0], [1.0, -a], b, zi=[a * x])[0] for x, a, b in columns], axis=1)
-    states, now = np.empty_like(offsets), initial
+    states, now = np.empty(offsets.shape), initial
     for k, (factor, offset) in enumerate(zip(factors, offsets, strict=True)):
         now = factor * now + offset
         states[k] = now
@@ -269,6 +281,7 @@ class _Chained:
         buffer: Any
         buffer, self._evaluate = step.mapaccum("rows", CHAINED_BLOCK).buffer()
         self._buffer = buffer
+        self._lock = Lock()
 
     def __call__(self, initial: Floats, *arguments: Floats) -> Floats:
         common = np.array(self._once(np.concatenate([arguments[place] for place in self._shared]))).ravel()
@@ -279,10 +292,11 @@ class _Chained:
         for start in range(0, count, CHAINED_BLOCK):
             stop = start + CHAINED_BLOCK
             parts = [values[start:stop] if stop <= count else _filled_up(values[start:]) for values in rows]
-            self._buffer.set_res(0, result[start:stop].reshape(-1).data)
-            for place, values in enumerate((state, *parts, repeated)):
-                self._buffer.set_arg(place, values.reshape(-1).data)
-            self._evaluate()
+            with self._lock:
+                self._buffer.set_res(0, result[start:stop].reshape(-1).data)
+                for place, values in enumerate((state, *parts, repeated)):
+                    self._buffer.set_arg(place, values.reshape(-1).data)
+                self._evaluate()
             state = result[stop - 1].copy()
         return result[:count]
 

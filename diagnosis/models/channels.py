@@ -13,6 +13,7 @@ sides pass one filter, and what is not differentiated also Simpson's weights.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -39,14 +40,27 @@ def present(segment: Segment) -> tuple[bool, ...]:
 
 def measured(segment: Segment) -> Floats:
     """(m, 12) measurements after the filter; zero where a kind is missing."""
-    rate, low_pass, absent = segment.rate, segment.low_pass, np.zeros((len(segment), AXES))
-    _, has_pose, _, has_attitude_rate = present(segment)
-    force = absent if segment.specific_force is None else low_pass(simpson(segment.specific_force))
-    world = low_pass(difference(segment.velocity, rate)) + np.array([0.0, 0.0, GRAVITY])
-    pose_acceleration = _into_body(segment, world) if has_pose else absent
-    angular = low_pass(difference(segment.body_rate, rate))
-    attitude_rate = low_pass(segment.rate_from_attitude) if has_attitude_rate else absent
-    return np.hstack([force, pose_acceleration, angular, attitude_rate])[segment.decimated]
+    if segment not in _measured:
+        _measured[segment] = _filtered_measurements(segment)
+    return _measured[segment]
+
+
+_measured: WeakKeyDictionary[Segment, Floats] = WeakKeyDictionary()
+
+
+def _filtered_measurements(segment: Segment) -> Floats:
+    rate, rows = segment.rate, segment.decimated
+    has_force, has_pose, _, has_attitude_rate = present(segment)
+    result = np.zeros((len(range(*rows.indices(len(segment)))), CHANNELS))
+    if has_force and segment.specific_force is not None:
+        result[:, SPECIFIC_FORCE] = segment.filtered(segment.specific_force, products=True)
+    if has_pose:
+        world = segment.filtered(difference(segment.velocity, rate)) + np.array([0.0, 0.0, GRAVITY])
+        result[:, POSE_ACCELERATION] = _into_body(segment.to_world[rows], world)
+    result[:, ANGULAR_ACCELERATION] = segment.filtered(difference(segment.body_rate, rate))
+    if has_attitude_rate:
+        result[:, ATTITUDE_RATE] = segment.filtered(segment.rate_from_attitude)
+    return result
 
 
 def predicted(segment: Segment, predictions: Sequence[Prediction]) -> Floats:
@@ -61,12 +75,11 @@ def predicted(segment: Segment, predictions: Sequence[Prediction]) -> Floats:
         channel[ANGULAR_ACCELERATION] = prediction.angular_acceleration.T
         if here[3]:
             channel[ATTITUDE_RATE] = prediction.attitude_rate(segment).T
-    active = np.any(raw, axis=2)
-    rows = segment.decimated
-    filtered = segment.low_pass(simpson(raw[active].T))[rows]
+    active, to_body = np.any(raw, axis=2), segment.to_world[segment.decimated].transpose(0, 2, 1)
+    filtered = segment.filtered(raw[active].T, products=True)
     result = np.zeros((len(filtered), CHANNELS, len(predictions)))
     result.transpose(2, 1, 0)[active] = filtered.T
-    result[:, POSE_ACCELERATION] = np.einsum("nji,njk->nik", segment.to_world[rows], result[:, POSE_ACCELERATION])
+    result[:, POSE_ACCELERATION] = to_body @ result[:, POSE_ACCELERATION]
     return result
 
 
@@ -83,15 +96,17 @@ def unfiltered(segment: Segment, prediction: Prediction) -> Floats:
         rows[:, SPECIFIC_FORCE] = simpson(segment.specific_force - prediction.specific_force)
     if has_pose:
         world = difference(segment.velocity, rate) + np.array([0.0, 0.0, GRAVITY])
-        rows[:, POSE_ACCELERATION] = _into_body(segment, world - simpson(prediction.world_acceleration(segment)))
+        rows[:, POSE_ACCELERATION] = _into_body(
+            segment.to_world, world - simpson(prediction.world_acceleration(segment))
+        )
     rows[:, ANGULAR_ACCELERATION] = difference(segment.body_rate, rate) - simpson(prediction.angular_acceleration)
     if has_attitude_rate:
         rows[:, ATTITUDE_RATE] = segment.rate_from_attitude - simpson(prediction.attitude_rate(segment))
     return rows
 
 
-def _into_body(segment: Segment, world: Floats) -> Floats:
-    return np.asarray(np.einsum("nji,nj->ni", segment.to_world, world))
+def _into_body(to_world: Floats, world: Floats) -> Floats:
+    return np.asarray(np.einsum("nji,nj->ni", to_world, world))
 
 
 def norms(residuals: Sequence[Floats]) -> dict[str, float]:

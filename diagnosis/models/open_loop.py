@@ -73,9 +73,8 @@ def open_loop_windows(
     last, interval = round(max(thresholds.horizons) * rate), max(1, round(thresholds.start_interval * rate))
     errors: dict[float, list[Floats]] = {horizon: [] for horizon in thresholds.horizons}
     with_position = not any("position" in s.lacks for s in segments)
-    for segment in segments:
-        starts = np.arange(0, len(segment) - last, interval)
-        windows = simulator.run(segment, starts.tolist(), last, predictor.values())
+    starts = [(s, range(0, len(s) - last, interval)) for s in segments]
+    for segment, windows in zip(segments, simulator.run_together(starts, last, predictor.values()), strict=True):
         for horizon, parts in errors.items():
             step = round(horizon * rate)
             error = state_error(windows.states[:, step], segment.smooth[windows.rows[:, step]])

@@ -7,8 +7,9 @@ rotor speeds) and applied where the model predicts a reading (specific force).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
@@ -28,6 +29,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 
 POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
 PARAMETERS = 4  # place of the parameters among the functions' inputs
+MAX_KEPT = 256  # structures whose functions are kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,17 +90,7 @@ class Predictor:
         self.model: Model = build_model(vehicle, effects=acting, catalogue=catalogue)
         self.free = tuple(free)
         self._thresholds = thresholds
-        self._symbols = _symbols(self.model)
-        outputs = _outputs(self.model, self._symbols)
-        inputs = list(self._symbols.values())
-        self._evaluate = RowFunction(ca.Function("evaluate", inputs, [ca.densify(outputs)]), shared=(PARAMETERS,))
-        self._ages = ca.Function("ages", [self._symbols["p"]], [_ages(self.model, self._symbols["p"])])
-        places = [self.model.parameter_index(name) for name in free]
-        columns = ca.cse(ca.vec(ca.jacobian(outputs, self._symbols["p"])[:, places])) if free else ca.SX(0, 1)
-        stacked = ca.Function("slopes", inputs, [ca.densify(columns)]) if free else None
-        self._slopes = RowFunction(stacked, shared=(PARAMETERS,)) if stacked is not None else None
-        self._lags, self._step_bounds = _lags(self.model)
-        self._advances: dict[int, Recurrence] = {}
+        self._functions = _functions_of(self.model, self.free)
         self._followed: dict[int, tuple[Segment, bytes, Floats]] = {}  # last hidden states along a segment
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
@@ -111,8 +103,8 @@ class Predictor:
     def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
         """The model's prediction along a segment."""
         p = self.values(changed)
-        outputs = self._evaluate(*self._arguments(segment, p, None, None))
-        return Prediction.from_outputs(outputs, np.array(self._ages(p)).ravel())
+        outputs = self._functions.evaluate(*self._arguments(segment, p, None, None))
+        return Prediction.from_outputs(outputs, np.array(self._functions.ages(p)).ravel())
 
     def slopes(
         self,
@@ -123,12 +115,11 @@ class Predictor:
         rotor_acceleration: Floats | None = None,
     ) -> list[Prediction]:
         """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones."""
-        assert self._slopes is not None
         p = self.values(changed)
         arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
-        columns = self._slopes(*arguments)
+        columns = self._functions.slopes(*arguments)
         parts = columns.reshape(len(columns), len(self.free), 12)
-        ages = np.array(self._ages(p)).ravel()
+        ages = np.array(self._functions.ages(p)).ravel()
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
@@ -155,25 +146,71 @@ class Predictor:
 
     def substeps(self, period: float, p: Floats) -> int | None:
         """Integration steps over a period, s, that hidden states need; None if more than are taken."""
-        lag = min((p[place] for place in self._step_bounds), default=np.inf)
+        lag = min((p[place] for place in self._functions.step_bounds), default=np.inf)
         required = max(1, math.ceil(period / (MAX_STEP_IN_LAGS * lag)))
         return required if required <= self._thresholds.max_substeps else None
 
     def _hidden(self, segment: Segment, p: Floats) -> Floats:
         """(n, h) hidden states along the segment, from their values in hover."""
-        slowest = min((p[place] for place in self._lags), default=np.inf) * self._thresholds.hidden_rate
+        slowest = min((p[place] for place in self._functions.lags), default=np.inf) * self._thresholds.hidden_rate
         fast = bool(self.model.rotor_speed_places) or slowest < 1
         stride = 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
         count = self.substeps(stride / segment.rate, p)
         if count is None:
             return np.full((len(segment), self.model.hidden_count), np.nan)
-        if count not in self._advances:
-            self._advances[count] = Recurrence(_advance(self.model, self._symbols, count), shared=(3, 4))
         here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
         initial, period = _settled(self.model, segment), np.array([stride / segment.rate])
         with np.errstate(all="ignore"):
-            hidden = np.vstack([initial, self._advances[count](initial, here[:-1], here[1:], p, period)])
+            hidden = np.vstack([initial, self._functions.advance(count)(initial, here[:-1], here[1:], p, period)])
         return hidden if stride == 1 else _between(hidden, stride, len(segment))
+
+
+class _Functions:
+    """What predictors of one structure and one set of free parameters compute, each made when it is needed first."""
+
+    def __init__(self, model: Model, free: Sequence[str]) -> None:
+        self._model, self._symbols = model, _symbols(model)
+        self._places = [model.parameter_index(name) for name in free]
+        self.ages = ca.Function("ages", [self._symbols["p"]], [_ages(model, self._symbols["p"])])
+        self.lags, self.step_bounds = _lags(model)
+        self._advances: dict[int, Recurrence] = {}
+
+    @cached_property
+    def _outputs(self) -> Expression:
+        return _outputs(self._model, self._symbols)
+
+    def _by_row(self, outputs: Expression) -> RowFunction:
+        function = ca.Function("outputs", list(self._symbols.values()), [ca.densify(outputs)])
+        return RowFunction(function, shared=(PARAMETERS,))
+
+    @cached_property
+    def evaluate(self) -> RowFunction:
+        """The outputs (12,)."""
+        return self._by_row(self._outputs)
+
+    @cached_property
+    def slopes(self) -> RowFunction:
+        """Their derivatives in each free parameter, (12 k,)."""
+        slopes = ca.jacobian(self._outputs, self._symbols["p"])[:, self._places]
+        return self._by_row(ca.cse(ca.vec(slopes)))
+
+    def advance(self, count: int) -> Recurrence:
+        """The hidden states one row later, in `count` steps."""
+        if count not in self._advances:
+            self._advances[count] = Recurrence(_advance(self._model, self._symbols, count), shared=(3, 4))
+        return self._advances[count]
+
+
+_functions: dict[Hashable, _Functions] = {}
+
+
+def _functions_of(model: Model, free: tuple[str, ...]) -> _Functions:
+    """Those of a model, kept for models of the same structure."""
+    if (model.structure, free) not in _functions:
+        if len(_functions) >= MAX_KEPT:
+            _functions.clear()
+        _functions[model.structure, free] = _Functions(model, free)
+    return _functions[model.structure, free]
 
 
 def _lags(model: Model) -> tuple[list[int], list[int]]:

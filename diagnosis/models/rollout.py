@@ -6,8 +6,9 @@ as measured. Faults of sensors that the model holds are removed from the reading
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import msgspec
@@ -15,7 +16,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.prediction import MAX_KEPT, Predictor
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression
@@ -50,43 +51,50 @@ class Simulator:
         self.predictor = predictor
         self._period = np.array([1 / rate])
         self._speed_measured = speed_measured
-        self._places = [predictor.model.parameter_index(name) for name in free]
-        self._functions: dict[int, tuple[RowFunction, RowFunction]] = {}
+        self._places = tuple(predictor.model.parameter_index(name) for name in free)
 
     def run(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> SimulatedWindows:
         """Simulate from the measured states at rows `starts` of a segment without faults.
 
         States are not finite where the rate is too low for the model's hidden states.
         """
+        return self.run_together([(segment, starts)], steps, p)[0]
+
+    def run_together(
+        self, starts: Sequence[tuple[Segment, Sequence[int]]], steps: int, p: Floats
+    ) -> list[SimulatedWindows]:
+        """The same of several segments, with rows of each."""
+        parts = [self._at_start(segment, rows, steps, p) for segment, rows in starts]
+        states, inputs, environment = (
+            np.concatenate(values) for values in zip(*((w.states, w.inputs, w.environment) for w in parts), strict=True)
+        )
+        functions, half = self._compiled(p), inputs.shape[2] // 2
+        for step in range(steps):
+            u, a, e = inputs[:, step, :half], inputs[:, step, half:], environment[:, step]
+            if functions is None:
+                states[:, step + 1] = np.nan
+            else:
+                states[:, step + 1] = functions.step(states[:, step], u, a, p, e, self._period, a * self._period)
+        edges = np.cumsum([len(w.states) for w in parts[:-1]])
+        return [replace(w, states=part) for w, part in zip(parts, np.split(states, edges), strict=True)]
+
+    def _at_start(self, segment: Segment, starts: Sequence[int], steps: int, p: Floats) -> SimulatedWindows:
+        """Windows of which the first states alone are filled."""
         measured = self.predictor.states(segment, p)
-        rows = np.asarray(starts)[:, None] + np.arange(steps + 1)
+        rows = np.asarray(starts, dtype=np.int64)[:, None] + np.arange(steps + 1)
         here, there = rows[:, :-1], rows[:, 1:]
         speed = (segment.rotor_speed[here] + segment.rotor_speed[there]) / 2
         acceleration = (segment.rotor_speed[there] - segment.rotor_speed[here]) * segment.rate
-        inputs, environment = np.concatenate([speed, acceleration], axis=2), segment.environment[here]
         states = np.empty((len(rows), steps + 1, measured.shape[1]))
         states[:, 0] = measured[rows[:, 0]]
-        functions = self._compiled(p)
-        if functions is None:
-            states[:, 1:] = np.nan
-            return SimulatedWindows(states, inputs, environment, rows)
-        for step in range(steps):
-            u, a, e = speed[:, step], acceleration[:, step], environment[:, step]
-            states[:, step + 1] = functions[0](states[:, step], u, a, p, e, self._period, a * self._period)
-        return SimulatedWindows(states, inputs, environment, rows)
+        return SimulatedWindows(states, np.concatenate([speed, acceleration], axis=2), segment.environment[here], rows)
 
-    def _compiled(self, p: Floats) -> tuple[RowFunction, RowFunction] | None:
-        """The step and its slopes in state and free parameters, with as many substeps as the hidden states need."""
+    def _compiled(self, p: Floats) -> _StepFunctions | None:
+        """With as many substeps as the hidden states need; None if more than are taken."""
         count = self.predictor.substeps(float(self._period[0]), p)
         if count is None:
             return None
-        if count not in self._functions:
-            inputs, after = _step(self.predictor.model, self._speed_measured, count)
-            slopes = ca.horzcat(ca.jacobian(after, inputs[0]), ca.jacobian(after, inputs[PARAMETERS])[:, self._places])
-            flat = ca.reshape(ca.densify(slopes), -1, 1)
-            step, slope = ca.Function("step", inputs, [after]), ca.Function("slopes", inputs, [flat])
-            self._functions[count] = tuple(RowFunction(f, shared=(PARAMETERS, PERIOD)) for f in (step, slope))  # type: ignore[assignment]
-        return self._functions[count]
+        return _step_functions(self.predictor.model, self._places, count, speed_measured=self._speed_measured)
 
     def sensitivities(
         self,
@@ -111,7 +119,7 @@ class Simulator:
         functions = self._compiled(p)
         if functions is None:
             return np.full((count, steps + 1, nx, width), np.nan)
-        evaluated = functions[1](*flat, p, around, self._period, change)
+        evaluated = functions.slopes(*flat, p, around, self._period, change)
         slopes = evaluated.reshape(count, steps, -1, nx).transpose(0, 1, 3, 2)
         chained = np.empty((count, steps + 1, nx, width))
         chained[:, 0] = first
@@ -171,6 +179,41 @@ def _with_pose_of(segment: Segment, age: float, attitude_age: float) -> Segment:
     return replace(
         segment, position=moved(segment.position, age), velocity=moved(segment.velocity, age), attitude=attitude
     )
+
+
+class _StepFunctions:
+    """The step of a model at one rate, and its slopes in state and free parameters."""
+
+    def __init__(self, model: Model, places: Sequence[int], count: int, *, speed_measured: bool) -> None:
+        self._inputs, self._after = _step(model, speed_measured, count)
+        self._places = list(places)
+
+    def _by_row(self, outputs: Expression) -> RowFunction:
+        return RowFunction(ca.Function("step", self._inputs, [ca.cse(outputs)]), shared=(PARAMETERS, PERIOD))
+
+    @cached_property
+    def step(self) -> RowFunction:
+        """The state one row later, (nx,)."""
+        return self._by_row(self._after)
+
+    @cached_property
+    def slopes(self) -> RowFunction:
+        """(nx (nx + k),) its slopes, column by column."""
+        of_state, of_parameters = (ca.jacobian(self._after, self._inputs[i]) for i in (0, PARAMETERS))
+        return self._by_row(ca.vec(ca.densify(ca.horzcat(of_state, of_parameters[:, self._places]))))
+
+
+_functions: dict[Hashable, _StepFunctions] = {}
+
+
+def _step_functions(model: Model, places: tuple[int, ...], count: int, *, speed_measured: bool) -> _StepFunctions:
+    """Those of a model, kept for models of the same structure."""
+    key = (model.structure, places, count, speed_measured)
+    if key not in _functions:
+        if len(_functions) >= MAX_KEPT:
+            _functions.clear()
+        _functions[key] = _StepFunctions(model, places, count, speed_measured=speed_measured)
+    return _functions[key]
 
 
 def _step(model: Model, speed_measured: bool, count: int) -> tuple[list[Expression], Expression]:

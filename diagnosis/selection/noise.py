@@ -8,9 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import msgspec
 import numpy as np
+from numpy.lib.stride_tricks import as_strided
 from scipy.linalg import solve_toeplitz
 from scipy.optimize import nnls
 from scipy.signal import lfilter, welch
@@ -46,16 +48,19 @@ class NoiseModel:
         """Order of the AR models: rows at the start of a segment that whitening needs."""
         return int(self.filters.shape[1]) - 1
 
+    @cached_property
+    def _weights(self) -> Floats:
+        """(c, (order + 1) c) of the rows that whitening takes, the earliest first: mixing, AR model and level."""
+        scaled = self.filters[:, ::-1] / self.level[:, None]
+        return np.hstack([self.mixing * scaled[:, lag] for lag in range(self.order + 1)])
+
     def whiten(self, rows: Floats) -> Floats:
         """Rows (m, 12) or columns (m, 12, k) as (m - order, c) or (m - order, c, k) with unit white noise."""
-        order, count = self.order, len(rows) - self.order
-        here = rows[:, list(self.active)]
-        shape = (1, len(self.active)) + (1,) * (rows.ndim - 2)
-        white = np.zeros((count, *here.shape[1:]))
-        for lag in range(order + 1):
-            white += (self.filters[:, lag] / self.level).reshape(shape) * here[order - lag : order - lag + count]
-        mixed = self.mixing @ white if rows.ndim == 3 else white @ self.mixing.T
-        return np.asarray(mixed)
+        here = np.ascontiguousarray(rows[:, list(self.active)], dtype=float)
+        width = here[0, 0].size
+        shape = (len(here) - self.order, (self.order + 1) * len(self.active), width)
+        windows = as_strided(here, shape, (here.strides[0], width * here.itemsize, here.itemsize), writeable=False)
+        return np.asarray((self._weights @ windows).reshape(shape[0], *here.shape[1:]))
 
     def normal_equations(self, columns: Floats, rows: Floats) -> tuple[Floats, Floats]:
         """(k, k) and (k,) X'X and X'y of whitened columns (m, 12, k) and rows (m, 12)."""

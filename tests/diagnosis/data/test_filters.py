@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
+from diagnosis.data.decimating_filter import filtered_rows
 from diagnosis.data.filters import decimated_rows, delayed, difference, simpson
-from diagnosis.thresholds import DEFAULT
+from diagnosis.thresholds import DEFAULT, FilterThresholds
 from flights.filters import zero_phase
 
 RATE = 100.0
@@ -40,3 +41,14 @@ def test_decimation_leaves_about_25_rows_a_second():
     assert rows[0] == 30
     assert np.all(np.diff(rows) == 4)
     assert rows[-1] < 970
+
+
+@pytest.mark.parametrize(("rate", "count"), [(20.0, 700), (100.0, 130), (100.0, 1150), (250.0, 1800)])
+@pytest.mark.parametrize("products", [False, True])
+def test_the_rows_of_the_regression_are_those_of_the_filter_over_all_rows(rate, count, products):
+    values = np.cumsum(np.random.default_rng(3).standard_normal((count, 2, 3)), axis=0)
+    filters = FilterThresholds(cutoff=4.0, rate=10.0) if rate < 30 else FilterThresholds()
+    everywhere = zero_phase(simpson(values) if products else values, rate, filters.cutoff)
+    expected = everywhere[decimated_rows(count, rate, filters)]
+    filtered = filtered_rows(values, rate, filters, products=products)
+    np.testing.assert_allclose(filtered, expected, atol=1e-10 * np.abs(values).max())
