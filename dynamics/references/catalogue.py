@@ -71,7 +71,7 @@ def make_reference(name: str, shape: Shape, vehicle: Vehicle, *, duration: float
     height = manoeuvre.height if shape.height is None else shape.height
     curve = manoeuvre.curve(plane, shape.size, np.array([0.0, 0.0, height - lowest]))
     law = TimeLaw(rate, shape.ramp, 2 * np.pi * laps / rate + shape.ramp)
-    return Reference(name if shape == Shape() else f"{name}:{_describe(shape)}", curve, law, vehicle)
+    return Reference(name if shape == Shape() else f"{name}:{_describe(shape)}", curve, law, vehicle, shape.speed)
 
 
 def _laps(manoeuvre: Manoeuvre, shape: Shape, rate: float, duration: float | None) -> int:

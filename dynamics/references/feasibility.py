@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
@@ -44,11 +45,13 @@ class Feasibility:
 
     excesses: the worst instant of every limit that is exceeded.
     feasible_speed: the greatest factor of speed without one, None where slower does not help.
+    advice: what would be feasible, empty where all is.
     """
 
     reference: str
     excesses: tuple[Excess, ...]
     feasible_speed: float | None
+    advice: str = ""
 
     @property
     def is_feasible(self) -> bool:
@@ -60,25 +63,32 @@ class Feasibility:
         if self.is_feasible:
             return
         listed = "; ".join(map(str, self.excesses))
-        if self.feasible_speed is None:
-            advice = "slower does not help: change its place or shape"
-        else:
-            advice = f"at {self.feasible_speed:.2f} of its speed it would be feasible (speed={self.feasible_speed:.2f})"
-        raise RequestError(f"the vehicle cannot fly {self.reference}: {listed}; {advice}.")
+        raise RequestError(f"the vehicle cannot fly {self.reference}: {listed}; {self.advice}.")
 
 
 def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float = 0.0) -> Feasibility:
     """Check a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
     excesses = _excesses(_samples(reference), vehicle, ground)
     slower = _feasible_speed(reference, vehicle, ground) if excesses else None
-    return Feasibility(reference.name, excesses, slower)
+    return Feasibility(reference.name, excesses, slower, _advise(reference, slower) if excesses else "")
+
+
+def _advise(reference: Reference, slower: float | None) -> str:
+    """How to ask for the same at a factor of its speed."""
+    if slower is None:
+        return "slower does not help: change its place or shape"
+    advice = f"at {slower:.2f} of its speed it would be feasible"
+    if reference.speed is None:
+        return f"{advice}: stretch its times by {1 / slower:.2f}"
+    ramp = math.ceil(10 * reference.law.ramp / slower) / 10
+    return f"{advice} (speed={math.floor(100 * slower * reference.speed) / 100:.2f},ramp={ramp:.1f})"
 
 
 def slowed(reference: Reference, speed: float) -> Reference:
     """The same path at a factor of the speed, ramps stretched with it."""
     law = reference.law
     law = replace(law, rate=law.rate * speed, ramp=law.ramp / speed, duration=law.duration / speed)
-    return replace(reference, law=law)
+    return replace(reference, law=law, speed=None if reference.speed is None else reference.speed * speed)
 
 
 def _samples(reference: Reference) -> ReferenceSamples:

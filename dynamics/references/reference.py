@@ -25,12 +25,15 @@ class Reference:
 
     curve and law make position and yaw, four times continuously differentiable in time; flatness on the vehicle
     makes the rest. States and inputs are tabulated on creation, so that a control tick reads its window cheaply.
+
+    speed: factor on the speed that the manoeuvre of this name has, None for a motion that has no such factor.
     """
 
     name: str
     curve: Curve
     law: TimeLaw
     vehicle: Vehicle
+    speed: float | None = None
     _states: Floats = field(init=False, repr=False, compare=False)
     _inputs: Floats = field(init=False, repr=False, compare=False)
 

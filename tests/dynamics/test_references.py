@@ -1,5 +1,6 @@
 """References are smooth, consistent, as aggressive as the paper's, and refused when they cannot be flown."""
 
+import re
 from pathlib import Path
 
 import msgspec
@@ -181,6 +182,28 @@ def test_what_the_vehicle_cannot_fly_is_refused_with_reason_and_a_feasible_speed
     assert verdict.feasible_speed is not None
     assert check_feasibility(slowed(reference, verdict.feasible_speed), vehicle).is_feasible
     assert not check_feasibility(slowed(reference, 1.1 * verdict.feasible_speed), vehicle).is_feasible
+
+
+@pytest.mark.parametrize(
+    "text", ["lemniscate:speed=2", "circle:speed=4,size=2", "yaw_spin:speed=5", "WarpedEllipse_2:speed=5"]
+)
+def test_the_speed_that_is_advised_can_be_flown(text: str) -> None:
+    with pytest.raises(RequestError, match="speed=") as refusal:
+        check_feasibility(named_reference(text, VEHICLE), VEHICLE).require()
+    advised = re.search(r"\((speed=.*)\)", str(refusal.value))
+    assert advised is not None
+    kept = ",".join(pair for pair in text.partition(":")[2].split(",") if not pair.startswith("speed"))
+    again = f"{text.partition(':')[0]}:{advised[1]}{',' if kept else ''}{kept}"
+    check_feasibility(named_reference(again, VEHICLE), VEHICLE).require()
+
+
+def test_a_table_that_is_too_fast_is_to_be_stretched(tmp_path: Path) -> None:
+    times = np.arange(0.0, 4.0, 0.02)
+    rows = [f"{t:.3f},{np.sin(8 * t):.6f},0.0,1.5" for t in times]
+    reference = named_reference(str(write_table(tmp_path / "path.csv", rows)), VEHICLE)
+    with pytest.raises(RequestError, match=r"stretch its times by \d") as refusal:
+        check_feasibility(reference, VEHICLE).require()
+    assert "(speed=" not in str(refusal.value)
 
 
 def test_a_place_outside_the_box_or_under_the_ground_is_not_cured_by_flying_slower() -> None:
