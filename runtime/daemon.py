@@ -48,6 +48,7 @@ MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 send
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
+MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
@@ -102,7 +103,8 @@ class FlightReport(msgspec.Struct, frozen=True):
     recording: path, None when nothing was recorded.
     estimate_rate: Hz, at the end.
     events: how often each was raised, by name.
-    effectiveness: thrust per modelled thrust, at the end.
+    effectiveness: thrust per modelled thrust, at the end; of a flight that did not end with a landing, as it was before
+        the autopilot could have left OFFBOARD without a HEARTBEAT that shows it.
     start_up: s from constructing the daemon to the first setpoint, negative when none was sent.
     scheduling: SCHED_FIFO with its priority or ordinary, and what was refused, each with its remedy.
     """
@@ -408,7 +410,7 @@ class Daemon:
             timing=control.deadlines.report(),
             estimate_rate=self._telemetry.estimate_rate(time.monotonic()),
             events={event.value: count for event, count in flyer.events.counts.items() if count},
-            effectiveness=flyer.effectiveness.value,
+            effectiveness=flyer.effectiveness.value if flyer.landed else flyer.effectiveness.earlier(MODE_DELAY),
             start_up=-1.0 if isnan(start_up) else start_up,
             scheduling=self._scheduling.describe(),
         )

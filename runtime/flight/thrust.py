@@ -18,6 +18,7 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
+PAST_STEP = 0.05  # s between the values that are kept
 THRUST_CURVE = "THR_MDL_FAC"  # the autopilot's parameter f
 
 
@@ -113,6 +114,7 @@ class EffectivenessEstimator:
         self._mass = mass
         self._settings = settings or EffectivenessSettings()
         self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self._past: deque[tuple[float, float]] = deque(maxlen=64)
         self.start(1.0)
 
     def start(self, value: float) -> None:
@@ -125,6 +127,14 @@ class EffectivenessEstimator:
         self._target = 0.0
         self._force = 0.0
         self._commands.clear()
+        self._past.clear()
+
+    def earlier(self, duration: float) -> float:
+        """The value some time before the last measurement, at the earliest the one at the start. duration: s."""
+        if not self._past:
+            return self.value
+        end = self._past[-1][0] - duration
+        return next((value for time, value in reversed(self._past) if time <= end), self._past[0][1])
 
     def command(self, modelled_thrust: float, time: float) -> None:
         """Add a setpoint that was sent. modelled_thrust: its thrust at effectiveness 1, N. time: s."""
@@ -153,6 +163,8 @@ class EffectivenessEstimator:
         gain = self.variance * modelled / innovation_variance
         self.value = self._bounded(self.value + gain * innovation)
         self.variance *= 1 - gain * modelled
+        if not self._past or time - self._past[-1][0] >= PAST_STEP:
+            self._past.append((time, self.value))
         return True
 
     def _follow(self, time: float) -> None:

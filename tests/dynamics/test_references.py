@@ -192,8 +192,8 @@ def test_the_speed_that_is_advised_can_be_flown(text: str) -> None:
         check_feasibility(named_reference(text, VEHICLE), VEHICLE).require()
     advised = re.search(r"\((speed=.*)\)", str(refusal.value))
     assert advised is not None
-    kept = ",".join(pair for pair in text.partition(":")[2].split(",") if not pair.startswith("speed"))
-    again = f"{text.partition(':')[0]}:{advised[1]}{',' if kept else ''}{kept}"
+    others = ",".join(pair for pair in text.partition(":")[2].split(",") if not pair.startswith("speed"))
+    again = f"{text.partition(':')[0]}:{advised[1]}{',' if others else ''}{others}"
     check_feasibility(named_reference(again, VEHICLE), VEHICLE).require()
 
 

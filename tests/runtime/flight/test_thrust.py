@@ -109,6 +109,17 @@ def test_shocks_are_gated_and_change_nothing() -> None:
     assert estimator.rejected >= 20
 
 
+def test_what_was_estimated_before_the_setpoints_were_ignored_is_kept() -> None:
+    estimator, _ = estimate(lambda time: 0.9)
+    for tick in range(100):  # another mode holds the vehicle, and no HEARTBEAT shows it yet
+        time = 20.0 + tick * 0.01
+        estimator.command(0.6 * MASS * GRAVITY, time)
+        estimator.measure(GRAVITY, time)
+    assert estimator.value > 1.1
+    assert estimator.earlier(1.5) == pytest.approx(0.9, abs=0.03)
+    assert EffectivenessEstimator(MASS).earlier(1.5) == 1.0
+
+
 def test_a_lasting_contradiction_is_accepted_in_the_end() -> None:
     estimator, _ = estimate(lambda time: 1.0)
     for tick in range(600):
