@@ -5,7 +5,29 @@ Those listed in `docs/mock.md` change what the mock does; the others are there b
 
 from __future__ import annotations
 
+import math
+
+from sitl_mock.vehicle import land_detector, position_control
+
+# the modes that fly by themselves and the land detector have constants, which the parameters only report
+_PARAMETERS_OF_CONSTANTS = {
+    "LNDMC_ROT_MAX": math.degrees(land_detector.RATE_MAX),
+    "LNDMC_XY_VEL_MAX": land_detector.SPEED_MAX,
+    "LNDMC_Z_VEL_MAX": land_detector.CLIMB_MAX,
+    "MPC_LAND_ALT1": position_control.SLOW_FROM,
+    "MPC_LAND_ALT2": position_control.SLOW_AT,
+    "MPC_THR_MAX": position_control.THRUST_MAX,
+    "MPC_THR_MIN": position_control.THRUST_MIN,
+    "MPC_TILTMAX_AIR": math.degrees(position_control.TILT_MAX),
+    "MPC_XY_CRUISE": position_control.CRUISE_SPEED,
+    "MPC_XY_P": float(position_control.POSITION_GAIN[0]),
+    "MPC_Z_P": float(position_control.POSITION_GAIN[2]),
+    "MPC_Z_VEL_MAX_DN": position_control.DESCENT_SPEED,
+    "MPC_Z_VEL_MAX_UP": position_control.CLIMB_SPEED,
+}
+
 FLOAT_DEFAULTS: dict[str, float] = {
+    **_PARAMETERS_OF_CONSTANTS,
     "BAT1_CAPACITY": -1.0,
     "BAT1_V_CHARGED": 4.05,
     "BAT1_V_EMPTY": 3.6,
@@ -15,12 +37,11 @@ FLOAT_DEFAULTS: dict[str, float] = {
     "COM_DISARM_PRFLT": 10.0,
     "COM_OF_LOSS_T": 1.0,
     "COM_RC_LOSS_T": 0.5,
-    "EKF2_GPS_DELAY": 110.0,
+    "EKF2_GPS_DELAY": 0.0,
     "GF_MAX_HOR_DIST": 0.0,
     "GF_MAX_VER_DIST": 0.0,
     "IMU_DGYRO_CUTOFF": 30.0,
     "IMU_GYRO_CUTOFF": 40.0,
-    "LNDMC_Z_VEL_MAX": 0.5,
     "MC_PITCHRATE_D": 0.003,
     "MC_PITCHRATE_FF": 0.0,
     "MC_PITCHRATE_I": 0.2,
@@ -47,17 +68,9 @@ FLOAT_DEFAULTS: dict[str, float] = {
     "MIS_TAKEOFF_ALT": 2.5,
     "MPC_LAND_SPEED": 0.7,
     "MPC_THR_HOVER": 0.5,
-    "MPC_THR_MAX": 1.0,
-    "MPC_THR_MIN": 0.12,
-    "MPC_TILTMAX_AIR": 45.0,
-    "MPC_XY_CRUISE": 5.0,
-    "MPC_XY_P": 0.95,
     "MPC_XY_VEL_MAX": 12.0,
-    "MPC_Z_P": 1.0,
-    "MPC_Z_VEL_MAX_DN": 1.5,
-    "MPC_Z_VEL_MAX_UP": 3.0,
-    "NAV_ACC_RAD": 10.0,
-    "RTL_DESCEND_ALT": 30.0,
+    "NAV_ACC_RAD": 2.0,
+    "RTL_DESCEND_ALT": 10.0,
     "RTL_RETURN_ALT": 30.0,
     "SIH_MASS": 1.0,
     "THR_MDL_FAC": 0.0,
@@ -69,7 +82,7 @@ INTEGER_DEFAULTS: dict[str, int] = {
     "CAL_GYRO0_ID": 1310988,
     "CAL_MAG0_ID": 197388,
     "CA_ROTOR_COUNT": 4,
-    "CBRK_USB_CHK": 0,
+    "CBRK_USB_CHK": 197848,
     "COM_ARM_WO_GPS": 1,
     "COM_OBL_RC_ACT": 0,
     "COM_RCL_EXCEPT": 0,

@@ -9,11 +9,11 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+from sitl_mock.vehicle.position_control import THRUST_MIN
 from sitl_mock.vehicle.vehicle_interface import MotionState
 
 CLIMB_MAX, SPEED_MAX, RATE_MAX = 0.25, 1.5, math.radians(20.0)  # LNDMC_Z_VEL_MAX, LNDMC_XY_VEL_MAX, LNDMC_ROT_MAX
 CONTACT_TIME, MAYBE_TIME, LANDED_TIME = 0.35, 0.25, 0.30  # s
-THRUST_MIN = 0.12  # MPC_THR_MIN, as a share of full thrust
 LOW_THRUST, MIN_THRUST, TAKE_OFF_THRUST = 0.3, 0.05, 0.8  # of the way from THRUST_MIN to the hover thrust
 
 

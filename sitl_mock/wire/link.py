@@ -137,7 +137,8 @@ class Link:
         while self._queue and self._queue[0].time <= time:
             queued = heapq.heappop(self._queue)
             if queued.frame is not None:
-                frames.append(queued.frame)
+                if not self.fault.down:  # its loss was drawn when it was put back
+                    frames.append(queued.frame)
                 continue
             frame = self._pack(queued.message)
             if frame is None or not self._passes():
