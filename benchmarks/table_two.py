@@ -120,12 +120,13 @@ def _effects_file(keep: Path) -> Path:
 
 def _diagnose(keep: Path, campaign: Path) -> None:
     """Write the vehicle file with what training flights show to be missing."""
-    vehicle = read_vehicle(find_vehicle(VEHICLE))
+    file = find_vehicle(VEHICLE)
+    vehicle = read_vehicle(file)
     dataset = read_dataset([campaign / "train" / f"{name}.parquet" for name in DIAGNOSED], vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     results = complete(dataset, vehicle, CATALOGUE, date=today, command="python -m benchmarks.table_two")
     keep.mkdir(parents=True, exist_ok=True)
-    write_next_version(results.vehicle, keep / f"{VEHICLE}.toml")
+    write_next_version(results.vehicle, keep / f"{VEHICLE}.toml", source=file)
 
 
 def _key(path: Path) -> str:

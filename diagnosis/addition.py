@@ -31,7 +31,8 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import HistoryEntry, Vehicle
-from dynamics.vehicle_file import nearest, write_vehicle
+from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
+from dynamics.vehicle_file import nearest, vehicle_toml, write_vehicle_text
 
 ADVICE = "`alula diagnose` shows what is missing, if anything."
 _VERSION = re.compile(r"\.v(\d+)$")
@@ -105,7 +106,8 @@ def add_effect(
     sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
     errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
     action = _action(fitted, vehicle)
-    changed = with_history(without_command_effects(fitted.vehicle), action, dataset, errors, date=date, command=command)
+    changed = rounded_changes(vehicle, without_command_effects(fitted.vehicle))
+    changed = with_history(changed, action, dataset, errors, date=date, command=command)
     return Addition(
         vehicle=changed,
         estimates=fitted.estimates,
@@ -227,26 +229,40 @@ def with_history(
         date=date,
         action=action,
         flights=tuple(f"{Path(path).name} {digest[:16]}" for path, digest in dataset.hashes.items()),
-        before={kind: float(f"{error.before:.6g}") for kind, error in errors.items()},
-        after={kind: float(f"{error.after:.6g}") for kind, error in errors.items()},
+        before={kind: rounded(error.before) for kind, error in errors.items()},
+        after={kind: rounded(error.after) for kind, error in errors.items()},
         command=command,
     )
     return msgspec.structs.replace(vehicle, history=(*vehicle.history, entry))
 
 
-def write_next_version(vehicle: Vehicle, path: Path) -> Path:
+def write_next_version(
+    vehicle: Vehicle, path: Path, *, catalogue: Mapping[str, Effect] = CATALOGUE, source: Path | None = None
+) -> Path:
     """Write a vehicle next to its file under the next free version: vehicle.toml, vehicle.v2.toml, vehicle.v3.toml.
 
+    Comments and layout are those of the file, or of `source`, that the vehicle was read from.
     Raises RequestError when it cannot be written.
     """
+    text = text_after(vehicle, source or path, catalogue=catalogue)
     match = _VERSION.search(path.stem)
     stem, version = (path.stem[: match.start()], int(match.group(1))) if match else (path.stem, 1)
     while True:
         version += 1
         following = path.with_name(f"{stem}.v{version}{path.suffix}")
         if not following.exists():
-            write_vehicle(vehicle, following)
+            write_vehicle_text(text, following)
             return following
+
+
+def text_after(vehicle: Vehicle, source: Path | None, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+    """The text of the file that a vehicle was read from with what has changed; written anew where there is none."""
+    if source is None or not source.is_file():
+        return vehicle_toml(vehicle)
+    try:
+        return edited_toml(source.read_text(encoding="utf-8"), vehicle, catalogue=catalogue)
+    except (RequestError, UnicodeDecodeError):  # another file has its place by now
+        return vehicle_toml(vehicle)
 
 
 def _best_candidate(regression: Regression, name: str, rotor: int | None) -> Candidate:

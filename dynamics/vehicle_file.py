@@ -72,8 +72,11 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
 
 def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
     """Write a vehicle file. Raises RequestError when there is one already, or none can be written there."""
-    path = Path(path)
-    text = vehicle_toml(vehicle)
+    write_vehicle_text(vehicle_toml(vehicle), Path(path))
+
+
+def write_vehicle_text(text: str, path: Path) -> None:
+    """Write the text of a vehicle file. Raises RequestError as `write_vehicle`."""
     try:
         file = path.open("x", encoding="utf-8")
     except FileExistsError:
@@ -92,7 +95,7 @@ def write_vehicle(vehicle: Vehicle, path: str | Path) -> None:
 
 def vehicle_toml(vehicle: Vehicle) -> str:
     """A vehicle as the text of its file; `parse_vehicle` gives the same vehicle again."""
-    return tomli_w.dumps(_without_none(msgspec.to_builtins(vehicle)))
+    return tomli_w.dumps(without_empty(msgspec.to_builtins(vehicle)))
 
 
 def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> EffectUse:
@@ -224,10 +227,10 @@ def _struct_inside(hint: Any) -> type[msgspec.Struct] | None:
     return None
 
 
-def _without_none(value: Any) -> Any:
+def without_empty(value: Any) -> Any:
     """The same value without entries that are None, empty or unset, which TOML cannot or need not hold."""
     if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item not in (None, "", [], (), {})}
+        return {key: without_empty(item) for key, item in value.items() if item not in (None, "", [], (), {})}
     if isinstance(value, list | tuple):
-        return [_without_none(item) for item in value]
+        return [without_empty(item) for item in value]
     return value

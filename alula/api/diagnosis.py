@@ -149,9 +149,12 @@ def add_effect(
     with workbench("alula.add_effect"):
         from diagnosis.addition import add_effect as add_to_vehicle
         from diagnosis.addition_report import report
+    from dynamics.vehicle_file import find_vehicle
+
     catalogue = catalogue_with(effects)
     loaded = vehicle_of(vehicle, catalogue)
     dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)
-    return AdditionResult(details.vehicle, report(details), details)
+    source = find_vehicle(vehicle) if isinstance(vehicle, str | Path) else None
+    return AdditionResult(details.vehicle, report(details), details, source, catalogue)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
     from diagnosis.diagnose import DiagnosisDetails
     from diagnosis.report import Diagnosis
+    from dynamics.effect import Effect
     from dynamics.vehicle import Vehicle
     from export.parity import Parity
     from runtime.control.bundle import Manifest
@@ -103,17 +104,22 @@ class AdditionResult:
     vehicle: with the effects and one more line of history.
     report: the fitted values, errors before and after.
     details: the fit behind the report.
+    source: the vehicle's file; what is written keeps its comments and layout. None for a vehicle without one.
+    catalogue: the effects that its file may name.
     """
 
     vehicle: Vehicle
     report: AdditionReport
     details: Addition
+    source: Path | None
+    catalogue: Mapping[str, Effect]
 
     def write(self, path: str | Path) -> Path:
         """Write the vehicle to a new file. Raises RequestError when there is one already or it cannot be written."""
-        from dynamics.vehicle_file import write_vehicle
+        from diagnosis.addition import text_after
+        from dynamics.vehicle_file import write_vehicle_text
 
-        write_vehicle(self.vehicle, path)
+        write_vehicle_text(text_after(self.vehicle, self.source, catalogue=self.catalogue), Path(path))
         return Path(path)
 
     def write_next_version(self, vehicle: str | Path) -> Path:
@@ -124,7 +130,8 @@ class AdditionResult:
         from diagnosis.addition import write_next_version
         from dynamics.vehicle_file import find_vehicle
 
-        return write_next_version(self.vehicle, find_vehicle(vehicle))
+        path = find_vehicle(vehicle)
+        return write_next_version(self.vehicle, path, catalogue=self.catalogue, source=self.source or path)
 
 
 @dataclass(frozen=True, eq=False)

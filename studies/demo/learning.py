@@ -43,7 +43,9 @@ def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "")
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     completion = complete(dataset, vehicle, CATALOGUE, date=today, command=command)
     diagnosis, after = completion.first.diagnosis, completion.last.diagnosis.channels
-    written = write_next_version(completion.vehicle, options.folder / file.name) if completion.added else ""
+    written = (
+        write_next_version(completion.vehicle, options.folder / file.name, source=file) if completion.added else ""
+    )
     learned = Learned(
         verdict=diagnosis.verdict,
         sentence=sentence(diagnosis),

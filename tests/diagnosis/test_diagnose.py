@@ -105,9 +105,9 @@ def test_an_effect_that_helps_is_added_with_a_line_of_history(plain, heavier, tm
 def test_effects_of_the_file_are_fitted_again_with_the_added_one(plain, heavier):
     draggy = heavier.with_effects(EffectUse("rotor_drag", {"coefficient": 4e-6}))  # there is none
     added = add_effect("mass", plain, draggy, SOME, date="2026-01-02").vehicle
-    assert [use.name for use in added.effects] == ["mass", "rotor_drag"]
-    assert added.effects[0].parameters["ratio"] == pytest.approx(1 / 1.06, rel=0.01)
-    assert added.effects[1].parameters["coefficient"] < 4e-7
+    assert [use.name for use in added.effects] == ["rotor_drag", "mass"]  # the file's own first
+    assert added.effects[1].parameters["ratio"] == pytest.approx(1 / 1.06, rel=0.01)
+    assert added.effects[0].parameters["coefficient"] < 4e-7
 
 
 def test_diagnosis_too_fits_effects_of_the_file_beside_new_ones(plain, heavier):
