@@ -4,7 +4,9 @@ PX4's default gains suit its SIH quadrotor. On another vehicle they are scaled s
 times authority over inertia, in units of the lag of motors, gyro filter and actuation, stays that of the SIH quadrotor.
 The mock's autopilot is tuned by this rule, and the controller derives its lookaheads from it.
 
-Source: PX4-Autopilot, defaults of MC_*RATE_P, IMU_GYRO_CUTOFF and MC_YAW_TQ_CUTOFF; SIH's motors lag by 50 ms.
+Source: PX4-Autopilot, defaults of MC_*RATE_P, IMU_GYRO_CUTOFF and MC_YAW_TQ_CUTOFF; SIH's motors lag by 50 ms. A
+vehicle file without a lag gets the one of RotorS (Furrer et al. 2016) and of PX4's Gazebo models: 12.5 ms upwards and
+25 ms downwards (timeConstantUp, timeConstantDown), 19 ms in the mean.
 """
 
 from __future__ import annotations
@@ -20,7 +22,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 
-DEFAULT_MOTOR_LAG = 0.02  # s, of a vehicle whose file has no motor lag
+DEFAULT_MOTOR_LAG = 0.02  # s, of a vehicle whose file has no motor lag; see above
 ACTUATION_DELAY = 0.006  # s from a gyro sample to the motors: PX4's cycle of 4 ms and half of the next one
 GYRO_CUTOFF = 2.0  # Hz s: cutoff times motor time constant, 40 Hz at 50 ms
 

@@ -18,6 +18,7 @@ from runtime.flight.events import Event
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.link import Direction, LinkCallbacks
 from runtime.link.peer import Reaction
+from runtime.link.rates import arrival_rate
 from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -45,6 +46,7 @@ LINK_EVENTS: Mapping[str, Event] = {
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}
 NO_SHIFT = np.zeros(3)
 RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
+MIN_ARRIVALS = 5  # within that window
 LOW_CHARGE = 0.1  # remaining charge, 0..1, below which BATTERY_LOW is raised
 
 
@@ -112,8 +114,9 @@ class TelemetryBuffer:
             self._put(TextRecord(text.received, "vehicle", text.severity, text.text), text.received)
 
     def estimate_rate(self, now: float) -> float:
-        """Estimates per second over the last RATE_WINDOW seconds."""
-        return sum(arrival > now - RATE_WINDOW for arrival in tuple(self._arrivals)) / RATE_WINDOW
+        """Estimates per second over the last RATE_WINDOW seconds; 0 while there are too few to tell."""
+        times = [arrival for arrival in tuple(self._arrivals) if arrival > now - RATE_WINDOW]
+        return arrival_rate(times, now) if len(times) >= MIN_ARRIVALS else 0.0
 
     def take(self) -> LinkUpdate:
         """What was received since the last call."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from itertools import pairwise
 
 import msgspec
@@ -26,6 +27,17 @@ class StreamRate(msgspec.Struct, frozen=True):
     p1: float
     p99: float
     count: int
+
+
+def arrival_rate(times: Sequence[float], now: float) -> float:
+    """Arrivals per second, Hz, in a window that reaches up to now. times: in order, s.
+
+    Counted from the first one; the silence after a stream that stopped within the window counts.
+    """
+    if len(times) < 2:
+        return 0.0
+    longest = max(after - before for before, after in pairwise(times))
+    return (len(times) - 1) / max(times[-1] - times[0], now - times[0] - longest, 1e-6)
 
 
 SILENT = StreamRate(0.0, float("inf"), float("inf"), float("inf"), 0)
@@ -54,10 +66,8 @@ class RateMeter:
         if len(times) < 2:
             return msgspec.structs.replace(SILENT, count=len(times))
         intervals = sorted(after - before for before, after in pairwise(times))
-        # the silence after a stream that stopped within the window counts
-        span = max(times[-1] - times[0], now - times[0] - intervals[-1])
         return StreamRate(
-            (len(times) - 1) / max(span, 1e-6),
+            arrival_rate(times, now),
             intervals[len(intervals) // 2],
             intervals[len(intervals) // 100],
             intervals[-1 - len(intervals) // 100],

@@ -93,8 +93,8 @@ class SimulatedVehicle:
         self._drift = Drift(self.options.wander, drifting, self.options.start_height_error)
         self._loop = StepLoop(self.plant)
         self._records = self.plant.record.views(self._loop.records)
-        command = self.plant.command.views(self._loop.command)
-        self._armed, self._landed = command["armed"], command["landed"]
+        self._command_parts = self.plant.command.views(self._loop.command)
+        self._armed, self._landed = self._command_parts["armed"], self._command_parts["landed"]
         self._constants = self.plant.constants.views(self._loop.constants)
         self._noise = np.empty((NOISE_BLOCK, self.plant.noise.size))
         noise = self.plant.noise.views(self._noise)
@@ -340,11 +340,32 @@ class SimulatedVehicle:
             rate, yaw_rate = [0.0 if off else value for off, value in zip(free, rate, strict=True)], 0.0
         thrust = setpoint.thrust if setpoint.kind != "idle" and math.isfinite(setpoint.thrust) else 0.0
         direction = [value / length for value in attitude] if holds else LEVEL
-        self._command([armed, holds, *direction, *rate, *free, yaw_rate], thrust)
+        self._command(armed, direction, thrust, holds=holds, rate=rate, axis_free=free, yaw_rate=yaw_rate)
 
-    def _command(self, command: list[float], thrust: float) -> None:
-        """Write the inner loop's command, in the order of the plant's layout."""
-        self._loop.command[:] = [*command, thrust, self.land_detector.maybe_landed]
+    def _command(
+        self,
+        armed: bool,
+        attitude: Sequence[float],
+        thrust: float,
+        *,
+        holds: bool = True,
+        rate: Sequence[float] = NOTHING,
+        axis_free: Sequence[float] = NOTHING,
+        yaw_rate: float,
+    ) -> None:
+        """Write the inner loop's command. holds: whether the attitude is controlled, instead of the rates."""
+        parts: dict[str, float | Sequence[float]] = {
+            "armed": armed,
+            "holds_attitude": holds,
+            "attitude": attitude,
+            "rate": rate,
+            "axis_free": axis_free,
+            "yaw_rate": yaw_rate,
+            "thrust": thrust,
+            "landed": self.land_detector.maybe_landed,
+        }
+        for name, value in parts.items():
+            self._command_parts[name][:] = value
         self._thrust = thrust
 
     def _supervise(self, setpoint: ControlSetpoint, armed: bool) -> None:
@@ -360,4 +381,4 @@ class SimulatedVehicle:
             stays = detector.landed and not demand.climbs
             stays = stays or (detector.ground_contact and setpoint.kind != "hold")
             thrust = 0.0 if stays else demand.thrust
-            self._command([armed, True, *demand.attitude, *NOTHING, *NOTHING, demand.yaw_rate], thrust)
+            self._command(armed, demand.attitude, thrust, yaw_rate=demand.yaw_rate)
