@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 import time
 from dataclasses import dataclass, field
@@ -19,6 +20,7 @@ from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.scenario import Scenario, read_scenario
 from sitl_mock.server import Pace, Server, Wire
 from sitl_mock.vehicle.estimator import Estimator
+from sitl_mock.vehicle.ground import GroundKind
 from sitl_mock.vehicle.tuning import default_tuning, parameter_values
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.wire.link_spec import LinkSpec, default_links
@@ -35,6 +37,8 @@ class MockOptions:
     scenario: the scenario file.
     estimator: whose errors the estimate has; None for the scenario's or the one that suits the vehicle.
     start_height_error: of the estimate, m; None for the scenario's or one by chance.
+    ground: its kind; None for the scenario's or the one that suits the vehicle.
+    slope: of the ground, degrees; None for the scenario's.
     seed: of all randomness.
     double_ack, rule, body_velocity: see `Behaviour`.
     clock_drift: see `Behaviour`; None for the scenario's.
@@ -47,6 +51,8 @@ class MockOptions:
     scenario: Path | None = None
     estimator: Estimator | None = None
     start_height_error: float | None = None
+    ground: GroundKind | None = None
+    slope: float | None = None
     seed: int = 0
     double_ack: bool = False
     rule: Rule = "documented"
@@ -63,7 +69,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     """
     vehicle = read_vehicle(options.vehicle)
     scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
-    scenario = _with_overrides(scenario, options)
+    scenario = _with_overrides(scenario, options, vehicle)
     requested = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
     tuning = default_tuning(vehicle, hidden)
@@ -71,7 +77,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     simulated = SimulatedVehicle(
         vehicle,
         effects=hidden,
-        options=scenario.vehicle_options(usual_estimator(vehicle)),
+        options=scenario.vehicle_options(),
         tuning=tuning,
         seed=options.seed,
     )
@@ -92,10 +98,22 @@ def usual_estimator(vehicle: Vehicle) -> Estimator:
     return "px4" if vehicle.name in PX4_SIMULATED else "mocap"
 
 
-def _with_overrides(scenario: Scenario, options: MockOptions) -> Scenario:
-    """The scenario with what the options decide otherwise. Raises RequestError for a value that is not possible."""
-    fields = {"estimator": options.estimator, "start_height_error": options.start_height_error}
-    return msgspec.structs.replace(scenario, **{name: value for name, value in fields.items() if value is not None})
+def usual_ground(vehicle: Vehicle) -> GroundKind:
+    """The ground that suits a vehicle: that of PX4's own simulation for its quadrotor, else one under legs."""
+    return "sih" if vehicle.name in PX4_SIMULATED else "legs"
+
+
+def _with_overrides(scenario: Scenario, options: MockOptions, vehicle: Vehicle) -> Scenario:
+    """The scenario with what the options decide otherwise, and nothing open. Raises RequestError for bad values."""
+    slope = scenario.ground.slope if options.slope is None else math.radians(options.slope)
+    kind = options.ground or scenario.ground.kind or usual_ground(vehicle)
+    height_error = options.start_height_error
+    return msgspec.structs.replace(
+        scenario,
+        estimator=options.estimator or scenario.estimator or usual_estimator(vehicle),
+        start_height_error=scenario.start_height_error if height_error is None else height_error,
+        ground=msgspec.structs.replace(scenario.ground, kind=kind, slope=slope),
+    )
 
 
 def parse_parameter(text: str) -> tuple[str, float]:

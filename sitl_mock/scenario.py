@@ -16,6 +16,7 @@ from dynamics.vehicle_file import check_effect, refuse_unknown_keys
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.vehicle.battery import BatteryPack
 from sitl_mock.vehicle.estimator import ERRORS, Estimator
+from sitl_mock.vehicle.ground import Ground
 from sitl_mock.vehicle.sensors import SensorErrors
 from sitl_mock.vehicle.vehicle import VehicleOptions
 
@@ -53,7 +54,8 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     start_height_error: of the estimate, m; None for one by chance.
     sensors: fields of `SensorErrors` in place of the estimator's.
     clock: the vehicle's clock.
-    ground_height: m.
+    ground: its kind, slope and motion.
+    ground_height: m, at the origin.
     position: of the start, east and north, m.
     yaw: of the start, rad from east.
     rotor_noise: standard deviation of a rotor's speed over its speed.
@@ -68,6 +70,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     start_height_error: float | None = None
     sensors: dict[str, float] = {}
     clock: Clock = Clock()
+    ground: Ground = Ground()
     ground_height: float = 0.0
     position: tuple[float, float] = (0.0, 0.0)
     yaw: float = math.pi / 2  # north, as PX4's own simulators stand
@@ -95,6 +98,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             sensors=replace(sensors, **self.sensors),
             wander=wander,
             start_height_error=self.start_height_error,
+            ground=self.ground,
             ground_height=self.ground_height,
             position=self.position,
             yaw=self.yaw,

@@ -16,6 +16,7 @@ from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
 from sitl_mock.server import Pace
 from sitl_mock.vehicle.estimator import Estimator
+from sitl_mock.vehicle.ground import GroundKind
 from sitl_mock.wire.link_spec import LinkSpec, default_links, parse_link
 
 
@@ -44,6 +45,14 @@ def mock(
     start_height_error: Annotated[
         float | None, typer.Option(help="The estimate's error in height at the start, m; random by default.")
     ] = None,
+    ground: Annotated[
+        GroundKind | None,
+        typer.Option(
+            help="legs (under legs and hull, rough) or sih (as PX4's own simulation: no moment rights the vehicle); "
+            "sih by default for px4_sih, otherwise legs."
+        ),
+    ] = None,
+    slope: Annotated[float | None, typer.Option(help="Slope of the ground, degrees.")] = None,
     instance: Annotated[int, typer.Option(min=0, max=249, help="PX4's instance: added to ports and system id.")] = 0,
     seed: Annotated[int, typer.Option(help="Seed of all randomness.")] = 0,
     lockstep: Annotated[
@@ -72,6 +81,8 @@ def mock(
         scenario=scenario,
         estimator=estimator,
         start_height_error=start_height_error,
+        ground=ground,
+        slope=slope,
         seed=seed,
         double_ack=double_ack,
         rule=offboard_rule,

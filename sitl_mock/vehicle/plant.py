@@ -80,7 +80,7 @@ def _layouts(model: Model) -> dict[str, Layout]:
         "plant": model.state_count, "gyro_memory": 6, "rate": 3, "rate_acceleration": 3, "integral": 3,
         "rate_setpoint_queue": 3 * CASCADE_STEPS, "unallocated": 3, "yaw_torque": 1,
         "signal_queue": n * ACTUATION_STEPS, "charge": 1, "voltage": 1, "estimate_error": 9, "wander": 9,
-        "wander_rate": 9, "offset": 9, "force_integral": 3, "gyro_integral": 3,
+        "wander_rate": 9, "offset": 9, "force_integral": 3, "gyro_integral": 3, "ground_point": 3,
     }  # fmt: skip
     command = {
         "armed": 1, "holds_attitude": 1, "attitude": 4, "rate": 3, "axis_free": 3, "yaw_rate": 1, "thrust": 1,
@@ -88,7 +88,8 @@ def _layouts(model: Model) -> dict[str, Layout]:
     }  # fmt: skip
     constants = {
         "model": len(model.parameter_names), "mixer": 4 * n, "unmixer": 4 * n, "feet": 6 * n, "mass_over_inertia": 3,
-        "ground_height": 1, "speed_min": 1, "speed_max": 1, "thrust_curve": 1, "torque_constant": 1, "rotor_noise": 1,
+        "ground_normal": 3, "ground_velocity": 3, "ground_rights": 1, "leg_height": 1, "held": 1, "held_at": 3,
+        "speed_min": 1, "speed_max": 1, "thrust_curve": 1, "torque_constant": 1, "rotor_noise": 1,
         "cells": 1, "capacity": 1, "resistance": 1, "nominal_voltage": 1,
         "attitude_gain": 3, "rate_limit": 3, "yaw_weight": 1, "rate_gain_p": 3, "rate_gain_i": 3, "rate_gain_d": 3,
         "rate_gain_ff": 3, "integral_limit": 3, "thrust_model_factor": 1, "gyro_cutoff": 1, "acceleration_cutoff": 1,
@@ -116,9 +117,12 @@ def _step(
     speed = allocation.rotor_speed_command(applied, curve=constants["thrust_curve"], speed_max=constants["speed_max"])
     speed = ca.fmin(speed * (1 + constants["rotor_noise"] * noise["rotor"]), constants["speed_max"])
     speed = ca.if_else(command["armed"], ca.fmax(speed, constants["speed_min"]), 0)
-    environment = ca.vertcat(constants["ground_height"], state["voltage"] / constants["nominal_voltage"])
-    x = _fly(model, state["plant"], speed, environment, constants, noise["hidden"])
-    observed = _observe(model, x, speed, environment, constants)
+    point = state["ground_point"] + DT * constants["ground_velocity"]
+    surface = {**constants, "ground_point": point}
+    above = _ground_height(state["plant"], surface)
+    environment = ca.vertcat(above, state["voltage"] / constants["nominal_voltage"])
+    x = _fly(model, state["plant"], speed, environment, surface, noise["hidden"])
+    observed = _observe(model, x, speed, environment, surface)
     battery_state, current = _discharge(state, observed["rotor_speed"], constants)
     jitter = constants["rotor_speed_noise"] * noise["rotor_speed"]
     sensed = (observed["specific_force"], x[RATE], observed["rotor_speed"] + jitter)
@@ -131,7 +135,13 @@ def _step(
         "rotor_speed_measured": read[2], "motor_signal": signal,
         "ground_force": observed["ground_force"], "current": current, **battery_state,
     }  # fmt: skip
-    return {"plant": x, **control, **battery_state, **measured}, record
+    return {"plant": x, **control, **battery_state, **measured, "ground_point": point}, record
+
+
+def _ground_height(x: Expression, surface: Values) -> Expression:
+    """World z of the ground under the vehicle, m."""
+    normal, point = surface["ground_normal"], surface["ground_point"]
+    return point[2] - (normal[0] * (x[0] - point[0]) + normal[1] * (x[1] - point[1])) / normal[2]
 
 
 def _control(count: int, state: Values, command: Values, constants: Values) -> tuple[dict[str, Expression], Expression]:
@@ -179,7 +189,9 @@ def _fly(
 
 def _contact(x: Expression, constants: Values) -> tuple[Expression, Expression]:
     points = ca.reshape(constants["feet"], 3, constants["feet"].shape[0] // 3)
-    return ground.contact_acceleration(x, points, constants["mass_over_inertia"], constants["ground_height"])
+    linear, angular = ground.contact_acceleration(x, points, constants["mass_over_inertia"], constants)
+    hand, twist = ground.hand_acceleration(x, constants["held_at"])
+    return linear + constants["held"] * hand, angular + constants["held"] * twist
 
 
 def _observe(

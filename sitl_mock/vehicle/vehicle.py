@@ -24,6 +24,7 @@ from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
 from sitl_mock.vehicle.battery import BatteryPack, open_circuit_voltage, usual_battery
 from sitl_mock.vehicle.estimator import Drift, Wander, at_rest
+from sitl_mock.vehicle.ground import Ground
 from sitl_mock.vehicle.land_detector import LandDetector
 from sitl_mock.vehicle.plant import DT, Plant, build_plant
 from sitl_mock.vehicle.position_control import PositionControl
@@ -46,7 +47,8 @@ class VehicleOptions:
     sensors: their errors.
     wander: slower errors of the estimate.
     start_height_error: of the estimate, m; None for one by chance, of the size that `wander` has.
-    ground_height: m.
+    ground: its kind, slope and motion.
+    ground_height: m, at the origin.
     position: of the start, east and north, m.
     yaw: of the start, rad from east.
     rotor_noise: standard deviation of a rotor's speed over its speed, white.
@@ -57,6 +59,7 @@ class VehicleOptions:
     sensors: SensorErrors = dataclasses.field(default_factory=SensorErrors)
     wander: Wander = dataclasses.field(default_factory=Wander)
     start_height_error: float | None = None
+    ground: Ground = dataclasses.field(default_factory=Ground)
     ground_height: float = 0.0
     position: tuple[float, float] = (0.0, 0.0)
     yaw: float = 0.0
@@ -131,6 +134,7 @@ class SimulatedVehicle:
         while self._step < end:
             if self._step % SUPERVISION == 0:
                 self._supervise(setpoint, armed)
+                self._move_ground()
             if self._step % NOISE_BLOCK == 0:
                 self._draw()
             steps = min(end, *(self._step // n * n + n for n in (SUPERVISION, NOISE_BLOCK))) - self._step
@@ -147,6 +151,10 @@ class SimulatedVehicle:
         before = self._drift.offset
         self._drift.advance(NOISE_BLOCK * DT)
         self._constants["drift"][:] = (self._drift.offset - before) / (NOISE_BLOCK * DT)
+
+    def _move_ground(self) -> None:
+        if self.options.ground.moves:
+            self._constants["ground_velocity"][:] = self.options.ground.velocity(self.time)
 
     # measurements and state
 
@@ -250,6 +258,11 @@ class SimulatedVehicle:
         """Whether the land detector has detected a landing."""
         return self.land_detector.landed
 
+    def hold(self, held: bool) -> None:
+        """Let a hand hold the vehicle where it is, or let go of it."""
+        self._constants["held"][:] = held
+        self._constants["held_at"][:] = self.truth.position_world
+
     @property
     def ground_force(self) -> float:
         """Share of the weight that the ground carries now."""
@@ -278,7 +291,9 @@ class SimulatedVehicle:
             "unmixer": np.linalg.pinv(mix),
             "feet": ground.contact_points(vehicle) - self.plant.model.centre_of_mass[:, None],
             "mass_over_inertia": vehicle.body.mass / np.array(vehicle.body.inertia),
-            "ground_height": self.options.ground_height,
+            "ground_normal": self.options.ground.normal,
+            "ground_rights": self.options.ground.kind != "sih",
+            "leg_height": ground.leg_height(vehicle),
             "speed_min": rotors.speed_min,
             "speed_max": rotors.speed_max,
             "thrust_curve": rotors.thrust_curve,
@@ -296,23 +311,28 @@ class SimulatedVehicle:
     def _set_state(self, random: np.random.Generator) -> None:
         model = self.plant.model
         east, north = self.options.position
-        height = self.options.ground_height + ground.leg_height(self.vehicle) - ground.SINKAGE
-        attitude = quaternion.from_euler(0.0, 0.0, self.options.yaw)
+        surface = self.options.ground
+        attitude = surface.standing(self.options.yaw)
         centre = self.plant.model.centre_of_mass
-        position = np.array([east, north, height]) + quaternion.rotate(attitude, centre)
-        x = model.initial_state(np.concatenate([position, np.zeros(3), attitude, np.zeros(3)]))
+        foot = np.array(
+            [east, north, self.options.ground_height - (surface.normal[:2] @ [east, north]) / surface.normal[2]]
+        )
+        legs = surface.normal * (ground.leg_height(self.vehicle) - ground.SINKAGE)
+        position = foot + legs + quaternion.rotate(attitude, centre)
+        velocity = surface.velocity(0.0)
+        x = model.initial_state(np.concatenate([position, velocity, attitude, np.zeros(3)]))
         for place in model.rotor_speed_places:
             x[place] = 0.0
         voltage = self._battery.cells * float(open_circuit_voltage(self._battery.charge))
         wander, rate = at_rest(self.options.wander, random)
         errors = {"wander": wander, "wander_rate": rate, "offset": self._drift.offset}
-        state = {"plant": x, "charge": self._battery.charge, "voltage": voltage, **errors}
+        state = {"plant": x, "charge": self._battery.charge, "voltage": voltage, "ground_point": foot, **errors}
         self._loop.state[:] = self.plant.state.fill(state)
         error = wander + self._drift.offset
         turned = quaternion.multiply(quaternion.exponential(error[6:9]), attitude)
         record = {
             "truth": x[:RIGID_BODY_STATES],
-            "estimate": np.concatenate([position + error[0:3], error[3:6], turned, np.zeros(3)]),
+            "estimate": np.concatenate([position + error[0:3], velocity + error[3:6], turned, np.zeros(3)]),
             "charge": self._battery.charge,
             "voltage": voltage,
         }

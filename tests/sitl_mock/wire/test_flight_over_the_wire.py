@@ -81,3 +81,20 @@ def test_an_ignored_throttle_makes_the_real_vehicle_fall() -> None:
         bench.mock.advance(0.010)
     fallen = before - bench.vehicle.truth.velocity_world[2]
     assert 3.4 < fallen < 4.9  # PX4 fell by 3.4 m/s, braked by its simulator's drag, which this vehicle lacks
+
+
+def test_after_touch_down_disarming_is_refused_until_the_land_detector_agrees() -> None:
+    bench = bench_of("px4_sih", rule="measured", seed=2)
+    bench.stream(0.1)
+    bench.request(SET_MODE, 1, 6)
+    bench.setpoint()
+    bench.request(ARM, 1)
+    hold_height(bench, 1.5, 5.0)
+    while bench.vehicle.ground_force < 0.3:
+        hold_height(bench, bench.vehicle.estimate_now.position_world[2] - 0.3, 0.02)
+    answers = []
+    while not answers or answers[-1] == 1:
+        bench.stream(0.4, thrust=0.0)
+        answers.append(bench.request(ARM, 0))
+    assert answers[-1] == 0
+    assert 1 <= answers.count(1) <= 5
