@@ -37,21 +37,24 @@ class FilterThresholds(ThresholdGroup, frozen=True):
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
+    instrument_cutoff: the same for the values of a fit, which that response biases long before a search names it.
+    [benchmarks/interval_coverage.py; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [not derived yet]
     """
 
     cutoff: Positive = 8.0
     slow_cutoff: Positive = 1.5
+    instrument_cutoff: Positive = 0.75
     rate: Positive = 25.0
     edge: Positive = 0.3
 
     def __post_init__(self) -> None:
         """Check that decimation does not alias what the filters pass."""
-        if not self.slow_cutoff < self.cutoff < self.rate / 2:
+        if not max(self.slow_cutoff, self.instrument_cutoff) < self.cutoff < self.rate / 2:
             raise ValueError(
-                f"slow_cutoff {self.slow_cutoff:g}, cutoff {self.cutoff:g} and half the rate {self.rate / 2:g} Hz must "
-                "ascend"
+                f"slow_cutoff {self.slow_cutoff:g} and instrument_cutoff {self.instrument_cutoff:g} must be below "
+                f"cutoff {self.cutoff:g}, and that below half the rate {self.rate / 2:g} Hz"
             )
 
 

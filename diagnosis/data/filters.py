@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import solve_banded
 
 from diagnosis.thresholds import FilterThresholds
 from dynamics.arrays import Floats
 from flights.filters import zero_phase
 
 
-def slow(values: Floats, rate: float, filters: FilterThresholds) -> Floats:
-    """Low-pass of third order at the slow cutoff. values: (n, ...) at rate Hz."""
-    return zero_phase(values, rate, filters.slow_cutoff, 3)
+def slow(values: Floats, rate: float, cutoff: float) -> Floats:
+    """Low-pass of third order. values: (n, ...) at rate Hz."""
+    return zero_phase(values, rate, cutoff, 3)
 
 
 def difference(values: Floats, rate: float) -> Floats:
@@ -27,6 +28,24 @@ def simpson(values: Floats) -> Floats:
     result = values.copy()
     result[1:-1] = (values[:-2] + 4 * values[1:-1] + values[2:]) / 6
     return result
+
+
+def simpson_inverse(values: Floats) -> Floats:
+    """Values (n, k) whose Simpson average is `values`, the ends as they are."""
+    bands = np.zeros((3, len(values)))
+    bands[1, [0, -1]] = 1.0
+    bands[1, 1:-1], bands[0, 2:], bands[2, :-2] = 4 / 6, 1 / 6, 1 / 6
+    return np.asarray(solve_banded((1, 1), bands, values))
+
+
+def rate_of_change(values: Floats, rate: float) -> Floats:
+    """Derivative in time of what enters products: its Simpson average is the central difference. values: (n, k).
+
+    The compact scheme of fourth order (Lele, J. Comput. Phys. 103, 1992, eq. 2.1.6). A central difference that is
+    averaged besides is 1 % too small at 4 Hz in a log of 100 Hz and 4 % at 8 Hz, and what it multiplies comes out as
+    much too large.
+    """
+    return simpson_inverse(difference(values, rate))
 
 
 def delayed(values: Floats, rate: float, delay: float) -> Floats:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.decimating_filter import filtered_rows
-from diagnosis.data.filters import decimated_rows, decimation, difference
+from diagnosis.data.filters import decimated_rows, decimation, rate_of_change, simpson_inverse
 from diagnosis.data.pose import pose_source
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
@@ -115,7 +115,7 @@ class Segment:
     @cached_property
     def body_rate(self) -> Floats:
         """(n, 3) rad/s: the gyro's, or the attitude's where there is no gyro."""
-        return self.rate_from_attitude if self.gyro is None else self.gyro
+        return simpson_inverse(self.rate_from_attitude) if self.gyro is None else self.gyro
 
     @cached_property
     def smooth(self) -> Floats:
@@ -126,12 +126,12 @@ class Segment:
     @cached_property
     def rotor_acceleration(self) -> Floats:
         """(n, rotors) rad/s^2."""
-        return difference(self.rotor_speed, self.rate)
+        return rate_of_change(self.rotor_speed, self.rate)
 
     @cached_property
     def angular_acceleration(self) -> Floats:
         """(n, 3) of the body rate, rad/s^2."""
-        return difference(self.body_rate, self.rate)
+        return rate_of_change(self.body_rate, self.rate)
 
     @cached_property
     def environment(self) -> Floats:
@@ -229,7 +229,7 @@ def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:
     if "velocity" in usable:
         velocity = part["velocity"]
     elif "position" in usable:
-        velocity = difference(position, part.rate)
+        velocity = rate_of_change(position, part.rate)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(part), 1))
     attitude = quaternion.normalise(part["attitude"]) if "attitude" in usable else upright
     logged = {

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
-from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors
+from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
 from diagnosis.selection.design_matrix import with_slow_moments
 from diagnosis.selection.errors_in_variables import SEED, perturbed
 from diagnosis.selection.regression import Regression, marginal
@@ -216,12 +216,17 @@ class _Rows:
     flight: that it is of.
     y: (m, c) residuals.
     x, z: (m, c, k) slopes and instruments of the parameters, those of the biases behind them.
+    starts: (b,) first rows of its blocks.
+    error_gram, error_product: (b, k, k) and (b, k) what noise of the sensors' level adds to Z'X and Z'y of a block.
     """
 
     flight: int
     y: Floats
     x: Floats
     z: Floats
+    starts: NDArray[np.intp]
+    error_gram: Floats
+    error_product: Floats
 
     def flat(self) -> tuple[Floats, Floats, Floats]:
         """The same with time and channels in one: (m c,), (m c, k), (m c, k)."""
@@ -249,31 +254,33 @@ class _EquationErrorProblem:
     """The least-squares problem of some candidates on a regression's flights."""
 
     def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
-        self._regression = regression
+        self._regression, self._vehicle = regression, vehicle
         self._candidates = candidates
         self.thresholds = regression.thresholds.equation_error
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]
         self.bounds = [bounds(c.effect, name) for c, name in self.free]
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
-        self._predictor = Predictor(
-            vehicle,
-            with_candidates(vehicle, candidates, {}).effects,
-            regression.catalogue,
-            self.linear,
-            speed_measured=regression.segments[0].rotor_source == "measured",
-            thresholds=regression.thresholds.prediction,
-        )
+        uses = with_candidates(vehicle, candidates, {}).effects
+        self._predictor = self._model(uses, self.linear)
         self._lags = {f"{c.key}.{n}" for c, n in self.free if c.effect.rotor_speed is not None}
         self._information, self._expected = _priors(regression, self.free)
-        gains = {column: self.names.index(f"{c.key}.{c.free[0]}") for c in regression.nuisances for column in c.columns}
-        off = regression.biases.columns
-        self._own_gains = [(i, gains[column]) for i, column in enumerate(off) if column in gains]
+        self._own_slopes = _own_slopes(regression, self.names)
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
-        self._lagged = bool(self._predictor.model.rotor_speed_places)  # instruments for speeds that nothing replaces
+        self._instruments = self._predictor
+        if self._predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
+            self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)
         random = np.random.default_rng(SEED)
         self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
-        self._errors: dict[int, tuple[Floats, Floats, Floats]] = {}
+        self._errors: dict[int, tuple[Floats, Floats]] = {}
+        self._block = max(regression.noise.order, round(self.thresholds.block * regression.rate))  # rows
+
+    def _model(self, uses: Sequence[EffectUse], free: Sequence[str]) -> Predictor:
+        r = self._regression
+        measured = r.segments[0].rotor_source == "measured"
+        return Predictor(
+            self._vehicle, uses, r.catalogue, free, speed_measured=measured, thresholds=r.thresholds.prediction
+        )
 
     def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
         """Values at which the fit begins: the initial ones, else those of the linear regression."""
@@ -339,55 +346,66 @@ class _EquationErrorProblem:
         width = count + len(r.biases.columns)
         grams, instruments = ([np.zeros((width, width)) for _ in r.flights] for _ in range(2))
         products, cost, rows = [np.zeros(width) for _ in r.flights], 0.0, []
-        for part, (error_y, error_x, error_z) in self._rows(changed):
+        for part in self._rows(changed):
             y, x, z = part.flat()
             if not np.isfinite(y @ y) or not np.isfinite(x).all():
                 return None
             grams[part.flight] += z.T @ x
             products[part.flight] += z.T @ y
             instruments[part.flight] += z.T @ z
-            grams[part.flight][:count, :count] -= error_z.T @ error_x
-            products[part.flight][:count] -= error_z.T @ error_y
+            grams[part.flight][:count, :count] -= part.error_gram.sum(axis=0)
+            products[part.flight][:count] -= part.error_product.sum(axis=0)
             cost += float(y @ y)
             rows.append(part)
         biases = Biases(tuple(range(count, width)), r.biases.information)
         return _Equations(grams, products, instruments, rows, biases, cost)
 
-    def _rows(self, changed: Mapping[str, float]) -> Iterator[tuple[_Rows, tuple[Floats, Floats, Floats]]]:
-        """Each segment's whitened rows, and the changes of y, x and z by added noise of the sensors' level."""
-        r, off, count = self._regression, list(self._regression.biases.columns), len(self.free)
+    def _rows(self, changed: Mapping[str, float]) -> Iterator[_Rows]:
+        """Each segment's whitened rows."""
+        r, off = self._regression, list(self._regression.biases.columns)
         for place, (segment, columns, flight) in enumerate(zip(r.segments, r.columns, r.flight_of, strict=True)):
-            y, x, z = self._linear(segment, changed)
+            linear = self._linear(segment, changed)
+            y, x, z = (r.noise.whiten(part) for part in linear)
+            starts = np.arange(0, len(y), self._block)
             if place not in self._errors:  # they change by as little as the columns do from step to step
-                again_y, again_x, again_z = self._linear(self._noisier[place], changed)
-                errors = [r.noise.whiten(part).reshape(-1, count) for part in (again_x - x, again_z - z)]
-                self._errors[place] = (r.noise.whiten(again_y - y).ravel(), errors[0], errors[1])
+                self._errors[place] = self._added_by_noise(place, linear, changed, starts)
             fixed = r.noise.whiten(columns[:, :, off])
-            white = [self._with_biases(r.noise.whiten(part), fixed) for part in (x, z)]
-            yield _Rows(flight, r.noise.whiten(y), white[0], white[1]), self._errors[place]
+            white = [self._with_biases(part, fixed) for part in (x, z)]
+            yield _Rows(flight, y, white[0], white[1], starts, *self._errors[place])
+
+    def _added_by_noise(
+        self, place: int, linear: Sequence[Floats], changed: Mapping[str, float], starts: NDArray[np.intp]
+    ) -> tuple[Floats, Floats]:
+        """(b, k, k) and (b, k) what noise of the sensors' level adds to Z'X and Z'y of each block of a segment.
+
+        linear: y, x and z of the segment without it.
+        """
+        again = self._linear(self._noisier[place], changed)
+        y, x, z = (self._regression.noise.whiten(b - a) for a, b in zip(linear, again, strict=True))
+        products = np.einsum("mck,mc->mk", z, y)
+        return _by_block(z, x, starts), np.asarray(np.add.reduceat(products, starts, axis=0))
 
     def _with_biases(self, slopes: Floats, biases: Floats) -> Floats:
         """Whitened slopes (m, c, k) and biases (m, c, b) beside each other.
 
-        A flight's own gain of commands has the slope of the gain that all share: at other values of the parameters the
-        regression's column is not that slope, and the difference of the two would be a parameter of its own.
+        A flight's own gain of commands, or age of its pose, has the slope of the one that all share: at other values
+        of the parameters the regression's column is not that slope, and the difference of the two would show the shared
+        one as if no flight had its own.
         """
         together = np.concatenate([slopes, biases], axis=2)
-        for bias, place in self._own_gains:
-            together[:, :, slopes.shape[2] + bias] = slopes[:, :, place]
+        for bias, place, size in self._own_slopes:
+            together[:, :, slopes.shape[2] + bias] = size * slopes[:, :, place]
         return together
 
     def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> Floats:
         """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases.
 
         A block that carries much of an effect draws the fit to itself and leaves residuals that are too small; scores
-        are divided by the root of what it leaves, to first order (MacKinnon and White, 1985, HC2). inverse: (k, k) of
-        the normal equations.
+        are divided by the root of what it leaves, to first order (MacKinnon and White, 1985, HC2). What is taken off
+        for errors in variables is part of them. inverse: (k, k) of the normal equations.
         """
         count, biases = len(step), equations.biases
         places = list(biases.columns)
-        regression = self._regression
-        length = max(regression.noise.order, round(self.thresholds.block * regression.rate))
         meat = np.zeros((count, count))
         for part in equations.rows:
             product, gram, instruments = (
@@ -399,9 +417,8 @@ class _EquationErrorProblem:
             residual = part.y - part.x[:, :, :count] @ step - part.x[:, :, places] @ off
             free = part.z[:, :, :count] - part.z[:, :, places] @ mixed
             scores = np.einsum("mck,mc->mk", free, residual)
-            starts = np.arange(0, len(scores), length)
-            summed = np.add.reduceat(scores, starts, axis=0)
-            own = np.add.reduceat(np.einsum("mck,mcl->mkl", free, part.x[:, :, :count]), starts, axis=0)
+            summed = np.add.reduceat(scores, part.starts, axis=0) - part.error_product + part.error_gram @ step
+            own = _by_block(free, part.x[:, :, :count], part.starts) - part.error_gram
             apart = np.linalg.solve(np.eye(count) - own @ inverse / 2, summed[:, :, None])[:, :, 0]
             meat += apart.T @ apart
         return meat
@@ -414,16 +431,20 @@ class _EquationErrorProblem:
         if self.linear:
             plain = channels.predicted(segment, self._predictor.slopes(segment, changed))
             slopes = {name: plain[:, :, i] for i, name in enumerate(self.linear)}
-            if any(self._instrumented) and not self._lagged:
-                speed = make_instruments(segment, self._regression.vehicle).rotor_speed
-                slow = channels.predicted(segment, self._predictor.slopes(segment, changed, rotor_speed=speed))
+            if any(self._instrumented):
+                logged = self._predictor.rotor_speed(segment, self._predictor.values(changed))
+                cutoff = segment.filters.instrument_cutoff
+                speed = make_instruments(segment, self._regression.vehicle, logged, cutoff).rotor_speed
+                model = self._instruments.model
+                at = {name: value for name, value in changed.items() if name in model.parameter_names}
+                slow = channels.predicted(segment, self._instruments.slopes(segment, at, rotor_speed=speed))
                 instruments = {name: slow[:, :, i] for i, name in enumerate(self.linear)}
         x, z = [], []
         for name, instrumented in zip(self.names, self._instrumented, strict=True):
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
-            if name in self._lags or (instrumented and self._lagged):
+            if name in self._lags:
                 z[-1] = with_slow_moments(slope, segment)
         return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
 
@@ -437,6 +458,19 @@ def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.fixed_shape:
         return tuple(candidate.at)
     return (*candidate.free, *candidate.effect.refine)
+
+
+def _own_slopes(regression: Regression, names: Sequence[str]) -> list[tuple[int, int, float]]:
+    """(bias, parameter, size) of each flight's unknowns of which all flights' is fitted: places among the biases and
+    among the parameters' names, and what of the parameter the regression's column is of."""
+    own: list[tuple[int, int, float]] = []
+    for candidate in (*regression.candidates, *regression.nuisances):
+        sized = [(name, 1.0) for name in candidate.free] or list(candidate.sizes.items())[:1]
+        for column, (name, size) in zip(candidate.columns, sized, strict=True):
+            key = f"{candidate.key}.{name}"
+            if column in regression.biases.columns and key in names:
+                own.append((regression.biases.columns.index(column), names.index(key), size))
+    return own
 
 
 def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tuple[Floats, Floats]:
@@ -465,6 +499,11 @@ def clock_variance(effect: Effect, name: str, rate: float) -> float:
 def bounds(effect: Effect, name: str) -> tuple[float, float]:
     """Physical bounds of an effect's parameter."""
     return next((p.lower, p.upper) for p in effect.parameters if p.name == name)
+
+
+def _by_block(left: Floats, right: Floats, starts: NDArray[np.intp]) -> Floats:
+    """(b, k, l) products of (m, c, k) and (m, c, l) over the rows of each block."""
+    return np.asarray(np.add.reduceat(np.einsum("mck,mcl->mkl", left, right), starts, axis=0))
 
 
 def _explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:

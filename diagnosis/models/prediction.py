@@ -136,6 +136,13 @@ class Predictor:
             self._followed[id(segment)] = (segment, values.tobytes(), hidden)
         return np.hstack([segment.smooth, hidden])
 
+    def rotor_speed(self, segment: Segment, p: Floats | None = None) -> Floats:
+        """(n, rotors) speeds of the rotors, rad/s: those of the log, or behind these where the model has their lag."""
+        places = self.model.rotor_speed_places
+        if not places:
+            return segment.rotor_speed
+        return np.asarray(self.states(segment, p)[:, places[-1]])
+
     def _arguments(
         self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
     ) -> list[Floats]:

@@ -165,6 +165,11 @@ def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
     return tuple(u for u in vehicle.effects if (u.name, u.rotor) != (candidate.effect.name, candidate.rotor))
 
 
+def without_lag(uses: Sequence[EffectUse], catalogue: Mapping[str, Effect]) -> list[EffectUse]:
+    """Effects but a lag of the rotors, so that the rotors turn at the speeds that are given."""
+    return [use for use in uses if catalogue[use.name].rotor_speed is None]
+
+
 def make_predictor(
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
@@ -172,10 +177,16 @@ def make_predictor(
     segment: Segment,
     thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> Predictor:
-    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid."""
+    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid.
+
+    That of a candidate whose columns need instruments has no lag of the rotors.
+    """
+    others: Sequence[EffectUse] = without(vehicle, candidate)
+    if scales_rotors(candidate) and not candidate.fixed_shape:
+        others = without_lag(others, catalogue)
     return Predictor(
         vehicle,
-        [*without(vehicle, candidate), candidate.use()],
+        [*others, candidate.use()],
         catalogue,
         [f"{candidate.key}.{name}" for name in candidate.free],
         speed_measured=segment.rotor_source == "measured",
@@ -188,18 +199,28 @@ class Instruments:
     """Rotor speeds with the thrust of the logged ones and the moment of slow measured motion.
 
     rotor_speed: (n, rotors) rad/s.
+    logged: (n, rotors) those that give its thrust, rad/s.
     rotor_acceleration: (n, rotors) of the logged speeds, below the slow cutoff, rad/s^2.
     """
 
     rotor_speed: Floats
+    logged: Floats
     rotor_acceleration: Floats
 
 
-def make_instruments(segment: Segment, vehicle: Vehicle) -> Instruments:
-    """Instruments of a segment."""
+def make_instruments(
+    segment: Segment, vehicle: Vehicle, rotor_speed: Floats | None = None, cutoff: float | None = None
+) -> Instruments:
+    """Instruments of a segment.
+
+    rotor_speed: (n, rotors) that give its thrust, by default the logged ones, rad/s.
+    cutoff: below which motion is slow, by default that of detection, Hz.
+    """
+    turned = segment.rotor_speed if rotor_speed is None else rotor_speed
+    below = segment.filters.slow_cutoff if cutoff is None else cutoff
 
     def slow_part(values: Floats) -> Floats:
-        return slow(values, segment.rate, segment.filters)
+        return slow(values, segment.rate, below)
 
     inertia = np.array(vehicle.body.inertia)
     turning = segment.rate_from_attitude if segment.has_attitude else segment.body_rate
@@ -207,9 +228,9 @@ def make_instruments(segment: Segment, vehicle: Vehicle) -> Instruments:
     moment = inertia * slow_part(difference(turning, segment.rate))
     moment += np.cross(rate, inertia * rate)
     allocation = vehicle.rotors.allocation
-    wrench = np.column_stack([segment.rotor_speed**2 @ allocation[0], moment])
+    wrench = np.column_stack([turned**2 @ allocation[0], moment])
     speed = np.sqrt(np.maximum(wrench @ np.linalg.pinv(allocation).T, 0.0))
-    return Instruments(speed, slow_part(segment.rotor_acceleration))
+    return Instruments(speed, turned, slow_part(segment.rotor_acceleration))
 
 
 def _span(segments: Sequence[Segment]) -> Span:

@@ -24,6 +24,7 @@ from diagnosis.selection.candidates import (
     make_instruments,
     make_predictor,
     scales_rotors,
+    without_lag,
 )
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
@@ -103,16 +104,15 @@ class DesignMatrix:
         present = channels.predicted(segment, [self.present.predict(segment)])[:, :, 0]
         bases = {i: channels.predicted(segment, [p.predict(segment)])[:, :, 0] for i, p in self._without.items()}
         base = _Bases(present, bases)
-        instruments = make_instruments(segment, self._vehicle) if instrumented else None
-        lagged = bool(self.present.model.rotor_speed_places)  # rotor speeds are hidden states, which nothing replaces
+        instruments = make_instruments(segment, self._vehicle, self.present.rotor_speed(segment))
         columns = earlier.copy() if len(earlier) else np.empty((len(present), channels.CHANNELS, self._width))
         waiting: list[tuple[int, Prediction, Candidate]] = []
         for group in groups:
-            waiting += _predictions(group, segment, instruments)
+            waiting += _predictions(group, segment, instruments, instrumented=instrumented)
             if len(waiting) * len(segment) > MAX_BATCH:
-                _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
+                _fill(columns, segment, waiting, base, instrumented=instrumented)
                 waiting = []
-        _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
+        _fill(columns, segment, waiting, base, instrumented=instrumented)
         rows = channels.measured(segment) - present
         if np.any(self._coefficients):
             rows = rows + columns @ self._coefficients
@@ -218,6 +218,8 @@ class _ModelSource:
         """One model with all candidates in it."""
         own = {(c.effect.name, c.rotor) for c in candidates}
         others = [use for use in self.vehicle.effects if (use.name, use.rotor) not in own]
+        if scales_rotors(candidates[0]):
+            others = without_lag(others, self.catalogue)
         free = [f"{c.key}.{name}" for c in candidates for name in c.free]
         predictor = self.predictor([*others, *(c.use() for c in candidates)], free)
         return _Group(tuple(candidates), predictor, scales_rotors(candidates[0]))
@@ -241,14 +243,18 @@ def _vanishes_beside_others(candidate: Candidate, candidates: Sequence[Candidate
 
 
 def _predictions(
-    group: _Group, segment: Segment, instruments: Instruments | None
+    group: _Group, segment: Segment, instruments: Instruments, *, instrumented: bool
 ) -> list[tuple[int, Prediction, Candidate]]:
-    """(place of the column, slope or prediction of the fixed shape, candidate) of a group's columns."""
+    """(place of the column, slope or prediction of the fixed shape, candidate) of a group's columns.
+
+    instrumented: whether the rotors' forces are those of the instruments, or of the rotors' speeds.
+    """
     first = group.candidates[0]
     if first.fixed_shape:
         return [(first.columns[0], group.predictor.predict(segment, first.values), first)]
-    speed = instruments.rotor_speed if instruments is not None and group.scale_rotors else None
-    acceleration = instruments.rotor_acceleration if instruments is not None else None
+    scaled = instruments.rotor_speed if instrumented else instruments.logged
+    speed = scaled if group.scale_rotors else None
+    acceleration = instruments.rotor_acceleration if instrumented else None
     values = {name: value for c in group.candidates for name, value in c.values.items()}
     slopes = group.predictor.slopes(segment, values, rotor_speed=speed, rotor_acceleration=acceleration)
     owners = [(place, c) for c in group.candidates for place in c.columns]
@@ -262,9 +268,8 @@ def _fill(
     base: _Bases,
     *,
     instrumented: bool,
-    lagged: bool,
 ) -> None:
-    """Write filtered columns to their places in the matrix (m, 12, k). lagged: whether the rotors have a lag."""
+    """Write filtered columns to their places in the matrix (m, 12, k)."""
     if not waiting:
         return
     columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
@@ -272,8 +277,7 @@ def _fill(
         column = columns[:, :, i]
         if candidate.fixed_shape:
             column = column - base.of(candidate)
-        slow_only = candidate.effect.rotor_speed is not None or (lagged and scales_rotors(candidate))
-        if instrumented and slow_only:
+        if instrumented and candidate.effect.rotor_speed is not None:
             column = with_slow_moments(column, segment)
         matrix[:, :, place] = column
 
@@ -283,5 +287,5 @@ def with_slow_moments(column: Floats, segment: Segment) -> Floats:
     30 ms the controller's commands answer, which would look like lag."""
     result = column.copy()
     angular = column[:, ANGULAR_ACCELERATION]
-    result[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters)
+    result[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters.slow_cutoff)
     return result

@@ -71,7 +71,7 @@ def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
         ("[serach]\nmin_gain = 60", "unknown field `serach`"),
         ("[search]\nparsimony = 1.5", "<= 1.0 - at `\\$.search.parsimony`"),
         ("[filters]\ncutoff = 0", "> 0.0 - at `\\$.filters.cutoff`"),
-        ("[filters]\nrate = 12", "must ascend - at `\\$.filters`"),
+        ("[filters]\nrate = 12", "below half the rate 6 Hz - at `\\$.filters`"),
         ("[regimes]\nbins = 1", ">= 2 - at `\\$.regimes.bins`"),
         ("[search]\namplitude = [1.9, 0.4]", "the first must be below the second"),
         ("[search]\nmin_gain = 'high'", "Expected `float`"),

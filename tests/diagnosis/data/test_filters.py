@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.decimating_filter import filtered_rows
-from diagnosis.data.filters import decimated_rows, delayed, difference, simpson
+from diagnosis.data.filters import decimated_rows, delayed, difference, rate_of_change, simpson
 from diagnosis.thresholds import DEFAULT, FilterThresholds
 from flights.filters import zero_phase
 
@@ -21,6 +21,15 @@ def test_simpsons_weights_match_the_central_difference(frequency):
     without = np.abs(difference(position, RATE)[inner] - velocity[inner]).max() / w
     assert wrong < 0.001
     assert frequency < 5.0 or without > 10 * wrong
+
+
+def test_a_derivative_that_enters_products_is_not_averaged_twice():
+    w = 2 * np.pi * 5.0
+    position, velocity = np.sin(w * TIME)[:, None], w * np.cos(w * TIME)[:, None]
+    inner = slice(20, -20)
+    np.testing.assert_allclose(rate_of_change(position, RATE)[inner], velocity[inner], atol=2e-4 * w)
+    noise = np.random.default_rng(0).standard_normal((600, 3))
+    assert simpson(rate_of_change(noise, RATE))[1:-1] == pytest.approx(difference(noise, RATE)[1:-1])
 
 
 def test_the_filter_keeps_motion_where_it_is_and_takes_vibration_out():
