@@ -23,7 +23,7 @@ SWITCH_INTERVAL = 5e-4  # s; the interpreter's 5 ms would let a busy thread hold
 MAX_RUN, MAX_SHARE = 2.0, 0.9  # s, and share of one processor that the process may take over it
 MAX_RUN_WITHOUT_GUARD = 3.0  # s of processor time without a pause after which the kernel ends the process
 MAX_LOCKED = 0.5  # of the available memory
-_MCL_CURRENT, _MCL_FUTURE = 1, 2
+_MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
 _LIMITS = "/etc/security/limits.d/alula.conf"
 _FIFO_REMEDY = (
     f"allow it by a line `USER - rtprio 60` in {_LIMITS} and log in again, or give CAP_SYS_NICE; "
@@ -54,14 +54,15 @@ def _lock_memory() -> None:
     # under a limit, memory that is asked for later would fail instead of being swapped
     future = _MCL_FUTURE if os.geteuid() == 0 or limit == resource.RLIM_INFINITY else 0
     library = ctypes.CDLL(None, use_errno=True)
-    if library.mlockall(_MCL_CURRENT | future) != 0:
+    # pages are locked as they are used: to fill all that is mapped could exceed a container's memory
+    if library.mlockall(_MCL_CURRENT | future | _MCL_ONFAULT) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
 
 
 def _memory() -> tuple[int, int]:
-    """Size of this process, and the machine's available memory, bytes."""
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    """Resident memory of this process, and the machine's available memory, bytes."""
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
     lines = Path("/proc/meminfo").read_text().splitlines()
     available = next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable"))
     return pages * resource.getpagesize(), 1024 * available
