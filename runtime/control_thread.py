@@ -192,7 +192,8 @@ class ControlThread:
             reset=update.reset,
             reset_position=update.reset_position,
             reset_yaw=update.reset_yaw,
-            specific_force_z=update.specific_force_z,
+            specific_force_z=float(update.specific_force_body[2]),
+            specific_force_xy=update.specific_force_body[:2],
             engage=engage,
             leave=self._requests.leave,
         )

@@ -45,6 +45,7 @@ LINK_EVENTS: Mapping[str, Event] = {
 }
 SEVERITIES = {"info": 6, "warning": 4, "error": 3}
 NO_SHIFT = np.zeros(3)
+NO_FORCE = np.full(3, nan)
 RATE_WINDOW = 0.4  # s over which the rate of estimates is measured
 MIN_ARRIVALS = 5  # within that window
 LOW_CHARGE = 0.1  # remaining charge, 0..1, below which BATTERY_LOW is raised
@@ -57,14 +58,14 @@ class LinkUpdate(msgspec.Struct, frozen=True):
     reset: whether an estimator was reset, which moved its frame.
     reset_position: (3,) m, by which it moved.
     reset_yaw: rad, by which it turned.
-    specific_force_z: m/s^2, body z, the newest; NaN when there is no new one.
+    specific_force_body: (3,) m/s^2, the newest; NaN when there is no new one.
     """
 
     events: dict[Event, str]
     reset: bool
     reset_position: Floats
     reset_yaw: float
-    specific_force_z: float
+    specific_force_body: Floats
 
 
 class TelemetryBuffer:
@@ -79,7 +80,7 @@ class TelemetryBuffer:
         self._recorder = recorder
         self._events: deque[LinkEvent] = deque(maxlen=256)
         self._resets: deque[tuple[Floats, float]] = deque(maxlen=64)
-        self._force = nan
+        self._force = NO_FORCE
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
 
@@ -129,7 +130,7 @@ class TelemetryBuffer:
         while self._resets:
             shift, turn = self._resets.popleft()
             position, yaw = position + shift, yaw + turn
-        force, self._force = self._force, nan
+        force, self._force = self._force, NO_FORCE
         return LinkUpdate(events, reset, position, yaw, force)
 
     def _estimate(self, estimate: StateEstimate) -> None:
@@ -148,9 +149,9 @@ class TelemetryBuffer:
     def _telemetry(self, sample: Telemetry) -> None:
         match sample:
             case ImuSample():
-                if isfinite(sample.specific_force_body[2]):
-                    self._force = sample.specific_force_body[2]
                 force, rate = np.array(sample.specific_force_body), np.array(sample.rate_body)
+                if isfinite(force.sum()):
+                    self._force = force
                 self._put(ImuRecord(sample.time, force, rate), sample.received)
             case RotorSpeeds():
                 self._put(RotorRecord(sample.time, sample.first, np.array(sample.speed)), sample.received)

@@ -188,6 +188,7 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
         reset_position=np.zeros(3),
         reset_yaw=0.0,
         specific_force_z=float(plant.imu.specific_force_body[2]),
+        specific_force_xy=np.array(plant.imu.specific_force_body[:2]),
         engage=tick == 0,
         leave="",
     )

@@ -49,6 +49,15 @@ class Event(Enum):
     MODE_CHANGED = "mode_changed"
     THRUST_LIMIT = "thrust_limit"
     TAKEOFF_FAILED = "takeoff_failed"
+    NOT_UPRIGHT = "not_upright"
+    TIPPING = "tipping"
+    IMPACT = "impact"
+    GROUND_CONTACT = "ground_contact"
+    OVERTURNED = "overturned"
+    HELD = "held"
+    TRACKING_LOST = "tracking_lost"
+    CONTACT_LOST = "contact_lost"
+    CRASHED = "crashed"
     GEOFENCE = "geofence"
     GEOFENCE_LEFT = "geofence_left"
     MODEL_UNHEALTHY = "model_unhealthy"
@@ -73,6 +82,7 @@ class Policy:
     clear_after: s of absence before it clears; infinite: it clears only when control is taken again.
     refuses: whether engaging is refused while it is active.
     lands: whether the mission is cut short by a landing.
+    probes: whether thrust is reduced in flight to find out if the ground carries the vehicle already.
     """
 
     text: str
@@ -82,6 +92,7 @@ class Policy:
     clear_after: float = 1.0
     refuses: bool = False
     lands: bool = False
+    probes: bool = False
 
 
 NEVER = math.inf
@@ -113,8 +124,19 @@ POLICIES: Mapping[Event, Policy] = {
     Event.MODE_CHANGED: Policy("the vehicle left OFFBOARD", Severity.CRITICAL),
     Event.THRUST_LIMIT: Policy("thrust is at its limit", Severity.WARNING, onset=1.0),
     Event.TAKEOFF_FAILED: Policy(
-        "no lift-off at the greatest take-off thrust", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER
+        "no lift-off at the greatest take-off thrust", Severity.CRITICAL, clear_after=NEVER, lands=True
     ),
+    Event.NOT_UPRIGHT: Policy("the vehicle does not stand upright", Severity.ERROR, clear_after=0.5, refuses=True),
+    Event.TIPPING: Policy("the vehicle tips over at take-off", Severity.CRITICAL, clear_after=NEVER, lands=True),
+    Event.IMPACT: Policy("the vehicle hit something", Severity.CRITICAL, lands=True, probes=True),
+    Event.GROUND_CONTACT: Policy(
+        "the ground carries the vehicle in flight", Severity.CRITICAL, lands=True, probes=True
+    ),
+    Event.OVERTURNED: Policy("the vehicle is overturned", Severity.CRITICAL, lands=True, probes=True),
+    Event.HELD: Policy("thrust does not move the vehicle", Severity.CRITICAL, clear_after=NEVER, lands=True),
+    Event.TRACKING_LOST: Policy("the vehicle left its reference", Severity.CRITICAL, clear_after=NEVER, lands=True),
+    Event.CONTACT_LOST: Policy("the ground does not carry the vehicle, it is caught", Severity.NOTICE),
+    Event.CRASHED: Policy("the vehicle crashed, its motors are stopped", Severity.CRITICAL, clear_after=NEVER),
     Event.GEOFENCE: Policy("at the edge of the allowed box", Severity.ERROR, clear_after=NEVER, lands=True),
     Event.GEOFENCE_LEFT: Policy(
         "outside the allowed box", Severity.CRITICAL, Fallback.STOP_STREAMING, clear_after=NEVER, refuses=True

@@ -7,7 +7,7 @@ it from the link, the replay from a recording, and both get the same setpoints.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import inf, isnan, nan
+from math import degrees, inf, isnan, radians
 
 import msgspec
 import numpy as np
@@ -17,12 +17,15 @@ from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
+from runtime.flight.contact import ForceMeter, Ground, GroundProbe, LandingContact, uprightness
+from runtime.flight.crash import CrashDetector
 from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
-from runtime.flight.events import Event, EventChange, EventMonitor, Fallback
-from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold
+from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
+from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold, level_rate
 from runtime.flight.health import FlightHealth, HealthLimits
-from runtime.flight.mission import Mission, Phase
+from runtime.flight.mission import LANDING, Mission, Phase
 from runtime.flight.shifted import ShiftedSolution
+from runtime.flight.start_pose import StartPose
 from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
 from runtime.flight.thrust import EffectivenessEstimator, EffectivenessSettings, ThrustMap, specific_force_z
 from runtime.link.estimate import StateEstimate
@@ -30,10 +33,18 @@ from runtime.record.records import ObservationRecord
 
 ZERO_RATE = np.zeros(3)
 SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
-DISARM_PATIENCE = 5.0  # s until the autopilot is requested to land and disarm
+DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
+DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
 TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
-ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.SHUTDOWN)  # where disarming is expected
+ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.CONTACT, Phase.SHUTDOWN)  # where disarming is expected
+SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever happens
+MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
+SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
+LEVEL_GAIN, LEVEL_LIMIT = 3.0, 1.0  # 1/s and rad/s, of levelling after a contact
+SLOW_DESCENT = 0.4  # m/s
+SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
+CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
 
 
@@ -113,12 +124,18 @@ class Flyer:
         self._hold = LevelHold(vehicle.weight)
         self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
         self._landing = LandingDetector(vehicle.weight)
+        self._start_pose = StartPose()
+        self._meter, self._contact, self._crash = ForceMeter(), LandingContact(), CrashDetector()
+        self._probe: GroundProbe | None = None
+        self._probe_cause = ""
+        self._touch_down_since: float | None = None
+        self._crashed = ""
         self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
         self._estimate: StateEstimate | None = None
         self._previous: StateEstimate | None = None
-        self._force = nan
+        self._force = np.full(3, np.nan)
         self._solution: tuple[float, Command, Controller] | None = None
         self._failed: Controller | None = None
         self._state: Floats | None = None
@@ -135,7 +152,7 @@ class Flyer:
     @property
     def landed(self) -> bool:
         """Whether the flight ended on the ground, by its own landing."""
-        return self.over and self.mission.phase is Phase.SHUTDOWN
+        return self.over and self.mission.phase is Phase.SHUTDOWN and not self._crashed
 
     @property
     def model_ratio(self) -> float:
@@ -158,6 +175,7 @@ class Flyer:
             self.engagement.engage()
         self._take_estimate(observation, estimate, fresh)
         decision.event_changes += self.events.update(self._findings(observation, estimate), observation.time)
+        self._probe_ground(decision.event_changes, observation.time)
         decision.fallback = self._choose_fallback(observation.time)
         self._engage(observation, decision)
         if self.engagement.streaming:
@@ -169,6 +187,7 @@ class Flyer:
     def prepare(self, time: float) -> None:
         """Advance the mission and linearise for the next tick, after the setpoint has left. time: s, of this tick."""
         self._remember_sent()
+        self._measure_force(time)
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._prepared = False
             return
@@ -220,10 +239,12 @@ class Flyer:
     def _take_estimate(self, observation: ObservationRecord, estimate: StateEstimate | None, fresh: bool) -> None:
         if observation.reset:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
-        self._force = observation.specific_force_z
+        self._force = np.append(observation.specific_force_xy, observation.specific_force_z)
         self._previous, self._estimate = self._estimate, estimate
         if estimate is not None and fresh:
             self._state = estimate.state
+            if not self.engagement.flying:
+                self._start_pose.add(estimate.state, observation.time, moved=observation.reset)
             if self._health.is_current(estimate, observation.time):
                 self._hold.observe(estimate.attitude)
 
@@ -244,19 +265,42 @@ class Flyer:
         if now is None or now is previous:
             return
         self._pending |= self._health.flight(now.state, time, learned=self._controller.is_learned)
-        if self.mission.phase is Phase.TOUCHDOWN:
-            return  # the ground carries a part of the weight
-        force = self._force
+        if self.mission.phase in LANDING:
+            return  # the ground may carry a part of the weight
+        force = float(self._force[2])
         if isnan(force) and previous is not None and now.time - previous.time > 1e-3:
             elapsed = now.time - previous.time
             force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
+
+    def _measure_force(self, time: float) -> None:
+        """Update the external force, and in flight the events that it and the motion show."""
+        phase, estimate = self.mission.phase, self._estimate
+        if not self.engagement.flying or estimate is None or phase in (Phase.GROUND, Phase.RAMP):
+            self._meter.clear()
+            self._crash.reset()
+            return
+        thrust = self.effectiveness.thrust(time) / self._vehicle.body.mass
+        velocity = (estimate.time, estimate.velocity_world)
+        self._meter.update(self._force, thrust, estimate.attitude, velocity, time)
+        settled = phase is not Phase.CLIMB or time - self.mission.phase_started > SETTLED_START
+        reference = self.reference_now(time)
+        if phase in LANDING or reference is None or not settled:
+            self._crash.reset()
+            return
+        distance = 0.0
+        if phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
+            distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
+        self._pending |= self._crash.force(self._meter.force, thrust, estimate.velocity_world, time)
+        self._pending |= self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
 
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
         present, self._pending = self._pending, {}
         if observation.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(observation.findings).items()}
         present |= self._health.estimate_age(estimate, observation.time)
+        if not self.engagement.flying and not self.engagement.initially_armed:
+            present |= self._start_pose.findings()
         if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
             if not observation.armed:
                 present[Event.DISARMED] = f"in phase {self.mission.phase.value}"
@@ -267,6 +311,8 @@ class Flyer:
     def _choose_fallback(self, time: float) -> Fallback:
         if not self.engagement.flying:
             return self.events.fallback
+        if self.mission.phase in SETTLING:
+            return Fallback.NONE  # without thrust on the ground nothing is safer than to disarm
         active = self.events.active
         if Event.ESTIMATE_STALE in active and self._estimate and self._health.is_current(self._estimate, time):
             active = {event: detail for event, detail in active.items() if event is not Event.ESTIMATE_STALE}
@@ -289,7 +335,8 @@ class Flyer:
         was_flying = self.engagement.flying
         if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
             self.mission.shut_down(observation.time)  # the autopilot noticed the landing first and disarmed by itself
-            decision.transitions += self.engagement.release("landed and disarmed", observation.time)
+            reason = f"crashed and disarmed: {self._crashed}" if self._crashed else "landed and disarmed"
+            decision.transitions += self.engagement.release(reason, observation.time)
         facts = Facts(
             connected=observation.connected,
             armed=observation.armed,
@@ -301,6 +348,9 @@ class Flyer:
         )
         decision.transitions += self.engagement.update(facts, observation.time)
         decision.requests = self.engagement.requests
+        given_up = was_flying and not self.engagement.streaming and facts.armed and facts.offboard
+        if given_up and self.mission.phase in LANDING:
+            decision.requests = (AutopilotRequest.LAND,)  # its failsafe may return to launch, and climb
         if self.engagement.state is State.ENGAGED and not was_flying:
             self._begin(observation)
         if self.engagement.flying and self._state is not None:
@@ -315,7 +365,7 @@ class Flyer:
         if self._state is None:
             return
         if observation.landed or not self.engagement.initially_armed:
-            self.mission.ramp(self._state, observation.time)
+            self.mission.ramp(self._start_pose.median(self._state), observation.time)
         else:
             self.mission.take_over(self._state, observation.time)
             self._start_controller(observation.time)
@@ -334,12 +384,18 @@ class Flyer:
             self._stand_by(decision)
         elif decision.fallback is Fallback.LEVEL_HOLD and self.mission.airborne:
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
+            if self.mission.phase in LANDING:
+                decision.collective_thrust *= SINK_SHARE
         elif self.mission.phase is Phase.RAMP:
             self._take_off(observation, decision)
+        elif self.mission.phase is Phase.CONTACT:
+            self._settle(observation, decision)
         elif self.mission.phase is Phase.SHUTDOWN:
             self._shut_down(observation, decision)
         if self.engagement.flying and self.mission.airborne and decision.rate_body is None:
             self._fly(observation, decision)
+        if self.engagement.flying:
+            self._watch_ground(observation, decision.collective_thrust)
         self._finish(observation, decision)
 
     def _stand_by(self, decision: Decision) -> None:
@@ -358,7 +414,9 @@ class Flyer:
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
         if self._ramp.failed:
-            self._pending[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N"
+            self._pending[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N; is it held, or a propeller missing?"
+        if (leaning := self._start_pose.leaning(self._state)) > MAX_LEANING:
+            self._pending[Event.TIPPING] = f"by {degrees(leaning):.0f} degrees since the motors started"
         if not self._ramp.lifted:
             return
         settings = self._settings.thrust
@@ -375,10 +433,49 @@ class Flyer:
         decision.collective_thrust = share * min(self._last_setpoint[1], 0.5 * self._vehicle.weight)
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
-            decision.transitions += self.engagement.release("landed, left to the autopilot to disarm", observation.time)
-        elif since > SHUTDOWN_TIME and observation.time - self._last_disarm_request > 1.0:
+            outcome = f"crashed: {self._crashed}" if self._crashed else "landed"
+            decision.transitions += self.engagement.release(
+                f"{outcome}, left to the autopilot to disarm", observation.time
+            )
+        elif since > SHUTDOWN_TIME and observation.time - self._last_disarm_request > DISARM_PERIOD:
             self._last_disarm_request = observation.time
             decision.requests = (AutopilotRequest.DISARM,)
+
+    def _probe_ground(self, raised: list[EventChange], time: float) -> None:
+        """Reduce thrust in flight, after an event that may have been the ground, to find out whether it was."""
+        cause = next((change for change in raised if change.active and POLICIES[change.event].probes), None)
+        if cause is None or not self.engagement.flying or not self.mission.airborne or self._state is None:
+            return
+        self.mission.land(cause.text, self._state, time)
+        self._take_thrust_away(time, cause.text)
+
+    def _take_thrust_away(self, time: float, cause: str = "") -> None:
+        """cause: event after which the ground is probed in flight; empty in a landing."""
+        self._probe = GroundProbe(time, self._last_setpoint[1], self._vehicle.weight, landing=not cause)
+        self._probe_cause = cause
+        self.mission.settle(time)
+
+    def _settle(self, observation: ObservationRecord, decision: Decision) -> None:
+        """Level, with thrust going away, until the ground is known to carry the vehicle or not to be there."""
+        assert self._state is not None
+        assert self._probe is not None
+        time, attitude = observation.time, self._state[ATTITUDE]
+        current = self._estimate is not None and self._health.is_current(self._estimate, time)
+        limit = min(self._rate_limit[:2]) if self._probe_cause else LEVEL_LIMIT
+        decision.rate_body = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
+        decision.collective_thrust = self._probe.thrust(time)
+        match self._probe.update(self._meter.force, self._meter.thrust * uprightness(attitude), time):
+            case Ground.CARRIES:
+                if self._probe_cause:
+                    self._crashed = self._pending[Event.CRASHED] = self._probe_cause
+                self.mission.shut_down(time)
+            case Ground.ABSENT:
+                self._pending[Event.CONTACT_LOST] = ""
+                self._hand_over = HandOver(time, decision.collective_thrust, CATCH_TIME)
+                self.mission.catch(self._state, time)
+                self._start_controller(time)
+            case Ground.OPEN:
+                pass
 
     def _fly(self, observation: ObservationRecord, decision: Decision) -> None:
         command = self._solve(observation.time, decision)
@@ -393,7 +490,6 @@ class Flyer:
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
         if self._hand_over is not None:
             decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
-        self._watch_ground(observation, decision.collective_thrust)
 
     def _solve(self, time: float, decision: Decision) -> tuple[Floats, float] | None:
         """Rates and thrust of a fresh solution; None when there is none or it may not be flown."""
@@ -414,15 +510,25 @@ class Flyer:
         return command.rate_body, command.collective_thrust
 
     def _watch_ground(self, observation: ObservationRecord, collective_thrust: float) -> None:
-        assert self._state is not None
-        if self.mission.phase not in (Phase.DESCEND, Phase.TOUCHDOWN):
+        """Look for the ground while landing."""
+        phase, time = self.mission.phase, observation.time
+        if phase not in LANDING or self._state is None:
+            self._touch_down_since = None
             return
-        reported_landed = observation.landed and self.mission.phase is Phase.TOUCHDOWN
-        climb_rate = float(self._state[VELOCITY][2])
-        long = observation.time - self.mission.phase_started > TOUCHDOWN_PATIENCE
-        if self._landing.update(observation.time, climb_rate, collective_thrust, reported_landed=reported_landed):
-            self.mission.shut_down(observation.time)
-        elif long and self.mission.phase is Phase.TOUCHDOWN:
+        touching_down = phase is Phase.TOUCHDOWN
+        if touching_down and self._touch_down_since is None:
+            self._touch_down_since = time
+        still = self._landing.update(
+            time,
+            float(self._state[VELOCITY][2]),
+            collective_thrust,
+            reported_landed=observation.landed and touching_down,
+        )
+        reference = self.reference_now(time)
+        slow = touching_down or (reference is not None and reference[VELOCITY][2] > -SLOW_DESCENT)
+        if self._contact.update(self._meter.force, time, slow=slow) or still:
+            self._take_thrust_away(time)
+        elif self._touch_down_since is not None and time - self._touch_down_since > TOUCHDOWN_PATIENCE:
             self._pending[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
 
     def _finish(self, observation: ObservationRecord, decision: Decision) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from enum import Enum
+from typing import Literal
 
 import msgspec
 import numpy as np
@@ -14,7 +15,7 @@ from dynamics.arrays import Floats
 from dynamics.references.curve import REST_TO_REST_ACCELERATION, REST_TO_REST_SPEED
 from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.vehicle import Vehicle
-from runtime.flight.motion import Descent, Motion, Transfer
+from runtime.flight.motion import Descent, Motion, Moved, Transfer
 
 
 class Phase(Enum):
@@ -29,12 +30,16 @@ class Phase(Enum):
     RETURN = "return"
     DESCEND = "descend"
     TOUCHDOWN = "touchdown"
+    CONTACT = "contact"
     SHUTDOWN = "shutdown"
 
 
 STILL = 0.3  # m/s below which braking is over
 MAX_BRAKE = 4.0  # s of braking, however fast the vehicle still is
-AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.SHUTDOWN})
+MAX_LEAD = 0.3  # m by which the reference of a touch-down may be ahead of the estimate
+AIRBORNE = frozenset(set(Phase) - {Phase.GROUND, Phase.RAMP, Phase.CONTACT, Phase.SHUTDOWN})
+LANDING = (Phase.DESCEND, Phase.TOUCHDOWN)
+Origin = Literal["takeoff", "estimate"]
 
 
 class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -49,6 +54,8 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     descent: m/s, of landing.
     touchdown: m/s, of landing below the height `low`.
     low: height above the ground at which the touch-down begins, m.
+    origin: of the reference's coordinates: the place of take-off, or the estimator's own. A vehicle that is taken over
+        in the air flies in the estimator's. Recordings without the key were flown in the estimator's.
     """
 
     height: float = 1.5
@@ -60,6 +67,7 @@ class Plan(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     descent: float = 0.7
     touchdown: float = 0.3
     low: float = 0.3
+    origin: Origin = "estimate"
 
 
 class Mission:
@@ -67,11 +75,13 @@ class Mission:
 
     phase: the present one.
     landing_reason: why the flight was cut short, empty when it was not.
+    origin: of the reference's coordinates, (3,) m in the estimator's.
     """
 
     def __init__(self, vehicle: Vehicle, reference: Motion, plan: Plan) -> None:
         self.phase = Phase.GROUND
         self.landing_reason = ""
+        self.origin = np.zeros(3)
         self._vehicle = vehicle
         self._reference = reference
         self._plan = plan
@@ -83,6 +93,7 @@ class Mission:
         self._yaw_offset = 0.0
         self._home = np.zeros(4)
         self._ground: float | None = None
+        self._landing = False
 
     @property
     def airborne(self) -> bool:
@@ -98,6 +109,9 @@ class Mission:
         """Start the take-off. state: (13,), standing on the ground."""
         self._home = self._takeoff_frame_pose(state)
         self._ground = float(self._home[2])
+        if self._plan.origin == "takeoff":
+            self.origin = self._home[POSITION].copy()
+            self._reference = Moved(self._reference, self.origin)
         self._home[2] += self._plan.height
         self._enter(Phase.RAMP, None, time)
 
@@ -117,7 +131,18 @@ class Mission:
         self.landing_reason = reason
         if self.phase in (Phase.GROUND, Phase.RAMP):
             self._enter(Phase.SHUTDOWN, None, time)
-        elif self.phase not in (Phase.DESCEND, Phase.TOUCHDOWN, Phase.SHUTDOWN):
+        elif self.phase not in (*LANDING, Phase.CONTACT, Phase.SHUTDOWN):
+            self._brake(state, time)
+
+    def settle(self, time: float) -> None:
+        """Take thrust away level, after a contact."""
+        self._enter(Phase.CONTACT, None, time)
+
+    def catch(self, state: Floats, time: float) -> None:
+        """Fly on after a contact that was none: descend from here, or brake first where the flight was cut short."""
+        if self._landing:
+            self._touch_down(self._takeoff_frame_pose(state), time)
+        else:
             self._brake(state, time)
 
     def shut_down(self, time: float) -> None:
@@ -131,6 +156,8 @@ class Mission:
 
     def update(self, state: Floats, time: float) -> None:
         """Enter the next phase when the present motion is over. state: (13,)."""
+        if self.phase is Phase.TOUCHDOWN:
+            self._limit_lead(state, time)
         if self._motion is None or time - self._started < self._length(state):
             return
         here = self._target(time)
@@ -153,7 +180,7 @@ class Mission:
             case Phase.BRAKE:
                 self._approach(here, time)
             case Phase.DESCEND:
-                self._enter(Phase.TOUCHDOWN, Descent(self._vehicle, here, self._plan.touchdown), time)
+                self._touch_down(here, time)
             case _:
                 pass
 
@@ -207,6 +234,16 @@ class Mission:
             low[2] = min(low[2], self._ground + self._plan.low)
         self._transfer(Phase.DESCEND, here, low, time, speed=self._plan.descent)
 
+    def _touch_down(self, here: Floats, time: float) -> None:
+        self._enter(Phase.TOUCHDOWN, Descent(self._vehicle, here, self._plan.touchdown), time)
+
+    def _limit_lead(self, state: Floats, time: float) -> None:
+        """Start a touch-down again near the estimate, when its height has moved by more than a descent can."""
+        here, measured = self._target(time), self._takeoff_frame_pose(state)
+        if abs(here[2] - measured[2]) > MAX_LEAD:
+            here[2] = measured[2] + math.copysign(MAX_LEAD, here[2] - measured[2])
+            self._touch_down(here, time)
+
     def _brake(self, state: Floats, time: float) -> None:
         """Hold the point at which the vehicle can come to rest."""
         point = self._takeoff_frame_pose(state)
@@ -228,6 +265,7 @@ class Mission:
         self._enter(phase, Transfer(self._vehicle, start, end, duration), time)
 
     def _enter(self, phase: Phase, motion: Motion | None, time: float) -> None:
+        self._landing = phase in LANDING or (phase is Phase.CONTACT and self._landing)
         self.phase, self._motion, self._started = phase, motion, time
 
     def _target(self, time: float) -> Floats:

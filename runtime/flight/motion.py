@@ -36,6 +36,29 @@ class Motion(Protocol):
         ...
 
 
+class Moved:
+    """A motion at another place."""
+
+    def __init__(self, motion: Motion, by: Floats) -> None:
+        """by: (3,) m."""
+        self._motion, self._by = motion, by
+
+    @property
+    def duration(self) -> float:
+        """Time until it rests, s; infinite if it never does."""
+        return self._motion.duration
+
+    def states(self, times: Floats) -> Floats:
+        """(n, 13) position and velocity (world), attitude, body rates."""
+        result = self._motion.states(times)
+        result[:, POSITION] += self._by
+        return result
+
+    def inputs(self, times: Floats) -> Floats:
+        """(n, rotors) rotor speeds, rad/s."""
+        return self._motion.inputs(times)
+
+
 class Transfer:
     """A straight motion from rest to rest between two poses; tabulated on construction."""
 

@@ -102,6 +102,42 @@ class EffectivenessSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=T
     maximum: float = msgspec.field(default=1.8, name="greatest")
 
 
+class ThrustResponse:
+    """The modelled thrust that follows the setpoints sent: a pure delay, then a first-order lag. Pure."""
+
+    def __init__(self, settings: EffectivenessSettings | None = None) -> None:
+        self._settings = settings or EffectivenessSettings()
+        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all setpoints; thrust starts at the next one."""
+        self.target = self.thrust = 0.0
+        self._time: float | None = None
+        self._commands.clear()
+
+    def command(self, modelled_thrust: float, time: float) -> None:
+        """Add a setpoint that was sent. modelled_thrust: its thrust at effectiveness 1, N. time: s."""
+        if not self._commands and self._time is None:
+            self.target = self.thrust = modelled_thrust
+        self._commands.append((time + self._settings.delay, modelled_thrust))
+
+    def advance(self, time: float) -> float:
+        """The modelled thrust at a time, s, at effectiveness 1, N."""
+        now = self._time if self._time is not None else time
+        while self._commands and self._commands[0][0] <= time:
+            at, target = self._commands.popleft()
+            self._relax(max(at - now, 0.0))
+            now = max(now, at)
+            self.target = target
+        self._relax(max(time - now, 0.0))
+        self._time = max(now, time)
+        return self.thrust
+
+    def _relax(self, duration: float) -> None:
+        self.thrust += (self.target - self.thrust) * (1 - exp(-duration / self._settings.response_time))
+
+
 class EffectivenessEstimator:
     """Thrust per modelled thrust, a one-state Kalman filter on the specific force along body z.
 
@@ -113,7 +149,7 @@ class EffectivenessEstimator:
         """mass: kg, of the controller's model; an error of it is part of the effectiveness."""
         self._mass = mass
         self._settings = settings or EffectivenessSettings()
-        self._commands: deque[tuple[float, float]] = deque(maxlen=64)
+        self._response = ThrustResponse(self._settings)
         self._past: deque[tuple[float, float]] = deque(maxlen=64)
         self.start(1.0)
 
@@ -124,9 +160,7 @@ class EffectivenessEstimator:
         self.rejected = 0
         self._rejected_since: float | None = None
         self._time: float | None = None
-        self._target = 0.0
-        self._force = 0.0
-        self._commands.clear()
+        self._response.clear()
         self._past.clear()
 
     def earlier(self, duration: float) -> float:
@@ -138,21 +172,23 @@ class EffectivenessEstimator:
 
     def command(self, modelled_thrust: float, time: float) -> None:
         """Add a setpoint that was sent. modelled_thrust: its thrust at effectiveness 1, N. time: s."""
-        if not self._commands and self._time is None:
-            self._target = self._force = modelled_thrust
-        self._commands.append((time + self._settings.delay, modelled_thrust))
+        self._response.command(modelled_thrust, time)
+
+    def thrust(self, time: float) -> float:
+        """The collective thrust at a time, s, by the setpoints sent and the present effectiveness, N."""
+        return self.value * self._response.advance(time)
 
     def measure(self, specific_force: float, time: float, speed: float = 0.0) -> bool:
         """Take a specific force along body z, m/s^2, measured in flight. speed: m/s. Returns whether it was used."""
         settings = self._settings
         elapsed = 0.0 if self._time is None else min(max(time - self._time, 0.0), 0.5)
-        self._follow(time)
         self._time = time
         self.variance = min(self.variance + settings.process_noise**2 * elapsed, settings.initial_deviation**2)
-        modelled = self._force / self._mass  # specific force at effectiveness 1: the measurement's derivative
+        # specific force at effectiveness 1: the measurement's derivative
+        modelled = self._response.advance(time) / self._mass
         if not isfinite(specific_force) or modelled < 0.3 * GRAVITY:
             return False
-        uncertain_response = settings.timing * (self._target - self._force) / self._mass
+        uncertain_response = settings.timing * (self._response.target - self._response.thrust) / self._mass
         noise = settings.measurement_noise**2 * (1 + (speed / settings.speed) ** 2) ** 2 + uncertain_response**2
         innovation = specific_force - modelled * self.value
         innovation_variance = modelled**2 * self.variance + noise
@@ -166,19 +202,6 @@ class EffectivenessEstimator:
         if not self._past or time - self._past[-1][0] >= PAST_STEP:
             self._past.append((time, self.value))
         return True
-
-    def _follow(self, time: float) -> None:
-        """Advance the modelled force to a time through the delayed commands."""
-        now = self._time if self._time is not None else time
-        while self._commands and self._commands[0][0] <= time:
-            at, target = self._commands.popleft()
-            self._relax(max(at - now, 0.0))
-            now = max(now, at)
-            self._target = target
-        self._relax(max(time - now, 0.0))
-
-    def _relax(self, duration: float) -> None:
-        self._force += (self._target - self._force) * (1 - exp(-duration / self._settings.response_time))
 
     def _reject(self, time: float) -> None:
         self.rejected += 1

@@ -44,9 +44,9 @@ class FlightRecording:
         return {field: _column([row[field] for row in rows]) for field in (rows[0] if rows else {})}
 
     def records(self, kind: type[Record]) -> list[Any]:
-        """A topic's rows as the structs that were recorded."""
+        """A topic's rows as the structs that were recorded; a field that the recording lacks has its default."""
         return [
-            kind(**{field: _value(row[field]) for field in kind.__struct_fields__})
+            kind(**{field: _value(row[field]) for field in kind.__struct_fields__ if field in row})
             for row in self.messages.get(TOPICS[kind], [])
         ]
 

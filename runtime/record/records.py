@@ -87,6 +87,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     findings: events with their details as a JSON object, empty when there are none.
     reset: whether an estimator was reset, which moved its frame by reset_position and reset_yaw.
     specific_force_z: the newest, NaN when there is no new one.
+    specific_force_xy: of the same sample; NaN in recordings of older versions.
     engage: whether engaging is requested at this tick.
     leave: why landing is requested, empty when it is not.
     """
@@ -106,6 +107,9 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     specific_force_z: Annotated[float, Meta(description="m/s^2, body z, NaN when there is no new one")]
     engage: bool
     leave: str
+    specific_force_xy: Annotated[Floats, Meta(description="m/s^2, body x y, NaN when there is no new one")] = (
+        msgspec.field(default_factory=lambda: np.full(2, nan))
+    )
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):

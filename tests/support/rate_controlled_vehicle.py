@@ -6,6 +6,7 @@ changes mode on request, and the observations show its state without a HEARTBEAT
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import msgspec
@@ -30,19 +31,28 @@ AGE = 0.02
 
 
 class RateControlledVehicle:
-    """The plant. effectiveness: thrust per modelled thrust."""
+    """The plant.
+
+    effectiveness: thrust per modelled thrust.
+    specific_force: (3,) m/s^2, body, mean of the last step.
+    ground: height of the ground, m.
+    righting: whether the ground turns the vehicle upright, as it turns legs; else it stays as it touched down.
+    disturbance: (3,) m/s^2, world, of anything else that pushes.
+    """
 
     def __init__(self, vehicle: Vehicle, thrust_map: ThrustMap, effectiveness: float = 1.0) -> None:
         self.effectiveness = effectiveness
         self.state = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
         self.force = 0.0
+        self.specific_force = np.array([0.0, 0.0, GRAVITY])
+        self.ground, self.righting, self.disturbance = 0.0, True, np.zeros(3)
         self._mass = vehicle.body.mass
         self._map = thrust_map
 
     @property
     def on_ground(self) -> bool:
         """Whether it stands."""
-        return bool(self.state[2] <= 0.0)
+        return bool(self.state[2] <= self.ground)
 
     def step(self, rate_body: Floats, thrust: float, dt: float) -> None:
         """dt seconds under a setpoint."""
@@ -51,13 +61,18 @@ class RateControlledVehicle:
         x = self.state
         x[RATE] += (rate_body - x[RATE]) * min(dt / 0.04, 1.0)
         x[ATTITUDE] = quaternion.normalise(quaternion.multiply(x[ATTITUDE], quaternion.exponential(x[RATE] * dt)))
-        acceleration = quaternion.rotate(x[ATTITUDE], np.array([0.0, 0.0, self.force / self._mass]))
+        acceleration = quaternion.rotate(x[ATTITUDE], np.array([0.0, 0.0, self.force / self._mass])) + self.disturbance
         acceleration[2] -= GRAVITY
-        if self.on_ground and acceleration[2] <= 0.0:
-            x[2:6], x[ATTITUDE], x[RATE] = 0.0, quaternion.IDENTITY, 0.0
-            return
-        x[VELOCITY] += acceleration * dt
-        x[POSITION] += x[VELOCITY] * dt
+        before = x[VELOCITY].copy()
+        if self.on_ground and (acceleration[2] <= 0.0 or x[VELOCITY][2] < 0.0):
+            x[2], x[VELOCITY], x[RATE] = self.ground, 0.0, 0.0
+            if self.righting:
+                x[ATTITUDE] = quaternion.IDENTITY
+        else:
+            x[VELOCITY] += acceleration * dt
+            x[POSITION] += x[VELOCITY] * dt
+        felt = (x[VELOCITY] - before) / dt + np.array([0.0, 0.0, GRAVITY])
+        self.specific_force = quaternion.rotate_inverse(x[ATTITUDE], felt)
 
 
 @dataclass
@@ -109,8 +124,13 @@ class Flight:
         self.grants: set[AutopilotRequest] = set(AutopilotRequest)
         self.findings: dict[str, str] = {}
         self.frozen = False  # no estimates arrive
+        self.held_until_offboard = False  # whether the autopilot holds the vehicle where it is until then
+        self.imu = True  # whether inertial samples arrive
+        self.reports_landed = True  # whether the autopilot notices a landing at once
         self.slip = 0.0  # s by which estimates claim to be older than they are
         self.offset = np.zeros(3)  # of the estimator's frame
+        # (9,) errors of the estimated position, velocity and attitude (rotation vector, body) at a time
+        self.estimate_error: Callable[[float], Floats] = lambda time: np.zeros(9)
         self.reset = np.zeros(3)
         self.engage, self.leave = True, ""
         self._past: list[tuple[float, Floats]] = []
@@ -137,10 +157,14 @@ class Flight:
             return
         taken, state = self._past[max(0, len(self._past) - 1 - round(AGE / PERIOD))]
         state = state.copy()
-        state[POSITION] += self.offset
+        error = self.estimate_error(self.time)
+        state[POSITION] += self.offset + error[0:3]
+        state[VELOCITY] += error[3:6]
+        state[ATTITUDE] = quaternion.multiply(state[ATTITUDE], quaternion.exponential(error[6:9]))
         self._estimate = StateEstimate(taken - self.slip, self.time, state, 0, True, "ODOMETRY")
 
     def _tick(self) -> Decision:
+        force = self.plant.specific_force if self.imu else np.full(3, np.nan)
         observation = ObservationRecord(
             tick=self.tick,
             time=self.time,
@@ -149,14 +173,15 @@ class Flight:
             armed=self.armed,
             offboard=self.mode == "OFFBOARD",
             mode=self.mode,
-            landed=self.plant.on_ground,
+            landed=self.plant.on_ground and (self.reports_landed or not self.armed),
             findings=msgspec.json.encode(self.findings).decode() if self.findings else "",
             reset=bool(self.reset.any()),
             reset_position=self.reset,
             reset_yaw=0.0,
-            specific_force_z=self.plant.force / self.plant._mass,
+            specific_force_z=float(force[2]),
             engage=self.engage,
             leave=self.leave,
+            specific_force_xy=force[:2],
         )
         self.engage, self.reset = False, np.zeros(3)
         decision = self.flyer.step(observation, self._estimate)
@@ -194,7 +219,9 @@ class Flight:
             assert np.all(np.isfinite(decision.rate_body))
             assert 0.0 <= decision.thrust <= 1.0
             self._setpoint = (decision.rate_body, decision.thrust)
-        rate, thrust = self._setpoint if self.armed and self.mode == "OFFBOARD" else (np.zeros(3), 0.0)
-        self.plant.step(rate, thrust, PERIOD)
+        offboard = self.armed and self.mode == "OFFBOARD"
+        rate, thrust = self._setpoint if offboard else (np.zeros(3), 0.0)
+        if offboard or not self.held_until_offboard:
+            self.plant.step(rate, thrust, PERIOD)
         self.time += PERIOD
         self.tick += 1
