@@ -107,6 +107,7 @@ class FlightReport(msgspec.Struct, frozen=True):
         the autopilot could have left OFFBOARD without a HEARTBEAT that shows it.
     start_up: s from constructing the daemon to the first setpoint, negative when none was sent.
     scheduling: SCHED_FIFO with its priority or ordinary, and what was refused, each with its remedy.
+    origin: of the reference's coordinates in the estimator's, m: where the vehicle stood, or zero.
     """
 
     outcome: str
@@ -121,6 +122,7 @@ class FlightReport(msgspec.Struct, frozen=True):
     effectiveness: float
     start_up: float
     scheduling: str
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Daemon:
@@ -272,7 +274,14 @@ class Daemon:
         estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
         if estimate is None:
             return  # the check of rates refuses engagement instead
-        reason = start_refusal(self._reference, estimate.position_world, on_ground=not link.status.armed)
+        on_ground = not link.status.armed
+        reason = start_refusal(
+            self._reference,
+            estimate.position_world,
+            on_ground=on_ground,
+            from_here=on_ground and self._request.plan.origin == "takeoff",
+            box=self._vehicle.limits.box,
+        )
         if reason:
             self._report_event(Event.REFERENCE_INFEASIBLE, reason)
             raise RequestError(reason)
@@ -399,7 +408,7 @@ class Daemon:
             outcome = f"{outcome}; a defect of the daemon: {control.defect}"
         outcome += self._left_behind(status)
         landed, cut_short = flyer.landed and not status.armed, flyer.mission.landing_reason
-        start_up = control.first_setpoint - self._created
+        start_up, origin = control.first_setpoint - self._created, flyer.mission.origin
         return FlightReport(
             outcome=outcome,
             landed=landed,
@@ -413,4 +422,5 @@ class Daemon:
             effectiveness=flyer.effectiveness.value if flyer.landed else flyer.effectiveness.earlier(MODE_DELAY),
             start_up=-1.0 if isnan(start_up) else start_up,
             scheduling=self._scheduling.describe(),
+            origin=(float(origin[0]), float(origin[1]), float(origin[2])),
         )

@@ -24,7 +24,7 @@ from runtime.daemon import FlightRequest
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
-from runtime.flight.mission import Plan
+from runtime.flight.mission import Origin, Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
 
@@ -41,6 +41,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bundle: folder of an exported model, instead of the vehicle.
     duration: s of the reference; its own where left out.
     height: of take-off, m.
+    origin: of the reference's coordinates: the place of take-off, or the estimator's own zero.
     rate: control rate, Hz; that of the vehicle's [controller] where left out.
     settings: of the controller, in place of the vehicle file's, such as "controller.horizon=0.8".
     record: folder of the recording.
@@ -58,6 +59,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     bundle: Path | None = None
     duration: float | None = None
     height: float = 1.5
+    origin: Origin = "takeoff"
     rate: float | None = None
     settings: tuple[str, ...] = ()
     record: Path | None = None
@@ -95,7 +97,9 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
     trim = find_trim(build_model(vehicle)).vehicle
     reference = named_reference(setup.reference, trim, duration=setup.duration)
     if not flown_before:
-        check_feasibility(reference, trim).require()
+        # the box is checked from the place of take-off, which only the vehicle knows
+        anywhere = msgspec.structs.replace(trim, limits=msgspec.structs.replace(trim.limits, box=None))
+        check_feasibility(reference, anywhere if setup.origin == "takeoff" else trim).require()
     attachments = {VEHICLE_TEXT: text}
     if bundle is not None:
         attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
@@ -104,7 +108,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
     request = FlightRequest(
         endpoint=endpoint,
         rate=rate,
-        plan=Plan(height=setup.height, duration=setup.duration),
+        plan=Plan(height=setup.height, duration=setup.duration, origin=setup.origin),
         settings=FlyerSettings(
             engagement=EngagementSettings(arm=setup.arm, resume=setup.resume), health=HealthLimits.for_vehicle(vehicle)
         ),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from alula.api.signals import landing_on_signals
 from alula.workbench import workbench
@@ -75,6 +75,7 @@ def fly(
     link: str = "udpin:0.0.0.0:14540",
     duration: float | None = None,
     height: float = 1.5,
+    origin: Literal["takeoff", "estimate"] = "takeoff",
     rate: float | None = None,
     settings: Sequence[str] = (),
     record: str | Path | None = None,
@@ -96,6 +97,7 @@ def fly(
     link: where the vehicle is: "udpin:", "udpout:", "tcp:", "tcpin:" or "serial:".
     duration: length of the reference, s; by default its own.
     height: of take-off, m.
+    origin: of the reference's coordinates: "takeoff", where the vehicle stands, or "estimate", the estimator's zero.
     rate: of control, Hz; by default that of the vehicle's [controller].
     settings: of the controller, in place of the vehicle file's: "controller.horizon=0.8".
     record: folder for the recording (MCAP and tlog).
@@ -125,6 +127,7 @@ def fly(
         reference=reference,
         duration=duration,
         height=height,
+        origin=origin,
         rate=rate,
         settings=tuple(settings),
         record=None if record is None else Path(record),

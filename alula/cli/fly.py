@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 from rich.console import Console
@@ -32,6 +32,10 @@ def fly(
         float | None, typer.Option(min=1.0, help="Seconds of the reference; by default its own length.")
     ] = None,
     height: Annotated[float, typer.Option(min=0.3, help="Height of take-off, m.")] = 1.5,
+    origin: Annotated[
+        Literal["takeoff", "estimate"],
+        typer.Option(help="What the reference's coordinates count from: where it stands, or the estimate's zero."),
+    ] = "takeoff",
     rate: Annotated[
         float | None, typer.Option(min=20.0, max=500.0, help="Control rate, Hz; the vehicle file's, 100, if left out.")
     ] = None,
@@ -64,6 +68,7 @@ def fly(
         link=link,
         duration=duration,
         height=height,
+        origin=origin,
         rate=rate,
         settings=settings or (),
         record=record,

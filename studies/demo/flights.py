@@ -23,7 +23,8 @@ from studies.demo.result import FlownManoeuvre
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
 Announce = Callable[[str], None]
-BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0)  # on the way to and from a manoeuvre
+# on the way to and from a manoeuvre
+BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0, origin="takeoff")
 FINDING_PATIENCE = 30.0  # s for the vehicle's first heartbeat
 OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre by default
 NOMINAL, LEARNED = "nominal", "learned"  # the model of a flight, part of its file name

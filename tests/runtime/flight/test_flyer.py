@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -106,9 +107,7 @@ def test_with_resume_it_takes_over_in_the_air(vehicle: Vehicle, controller: Cont
     flight = prepare(vehicle, controller, settings=FlyerSettings(engagement=EngagementSettings(resume=True)))
     flight.armed, flight.plant.force = True, vehicle.weight
     flight.plant.state[0:6] = [0.0, 0.0, 3.0, 0.5, 0.0, 0.0]
-    real_step = flight.plant.step
-    # until OFFBOARD the autopilot holds the vehicle itself
-    flight.plant.step = lambda rate, thrust, dt: real_step(rate, thrust, dt) if flight.mode == "OFFBOARD" else None  # type: ignore[method-assign]
+    flight.held_until_offboard = True
     story = flight.run(40.0)
     assert story.phases == [
         Phase.GROUND,
@@ -246,7 +245,7 @@ def test_a_vehicle_that_cannot_lift_itself_is_not_forced(vehicle: Vehicle, contr
     story = flight.run(15.0)
     assert Event.TAKEOFF_FAILED in story.raised
     assert story.after[-1] is State.STANDBY
-    assert story.decisions[-1].rate_body is None
+    assert not flight.armed
 
 
 def test_leaving_the_box_a_little_lands_and_leaving_it_far_gives_up(vehicle: Vehicle, controller: Controller) -> None:
@@ -491,3 +490,48 @@ def test_whatever_happens_no_tick_raises_and_no_setpoint_is_out_of_bounds(
 def test_plans_of_zero_settling_fly_too(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller, plan=Plan(settle=0.0, height=0.8))
     assert flight.run(40.0).phases == FULL
+
+
+@pytest.mark.parametrize("height", [-0.7, 1.1])
+def test_a_reference_counts_from_where_the_vehicle_stands_whatever_the_estimate_says_of_it(
+    vehicle: Vehicle, controller: Controller, height: float
+) -> None:
+    flight = prepare(vehicle, controller, plan=msgspec.structs.replace(PLAN, origin="takeoff"))
+    flight.offset = np.array([3.0, -2.0, height])
+    flight.run(20.0, until=Phase.TRACK)
+    flight.run(0.5)
+    assert flight.plant.state[2] == pytest.approx(1.5, abs=0.05)
+    story = flight.run(40.0)
+    assert story.phases == FULL
+    np.testing.assert_allclose(flight.flyer.mission.origin, flight.offset, atol=1e-6)
+    assert np.linalg.norm(story.states[-1][0:2]) < 0.2
+
+
+def test_a_vehicle_that_lies_on_its_side_is_not_armed(vehicle: Vehicle, controller: Controller) -> None:
+    flight = prepare(vehicle, controller)
+    flight.plant.righting = False
+    flight.plant.state[ATTITUDE] = quaternion.from_euler(np.radians(61.0), 0.0, 0.0)
+    story = flight.run(3.0)
+    assert all(decision.rate_body is None and not decision.requests for decision in story.decisions)
+    assert "61 degrees" in flight.flyer.engagement.refusal
+
+
+def test_a_vehicle_that_is_held_is_disarmed_with_the_reason(vehicle: Vehicle, controller: Controller) -> None:
+    flight = prepare(vehicle, controller)
+    flight.plant.step = lambda rate_body, thrust, dt: None  # type: ignore[method-assign]
+    story = flight.run(15.0)
+    assert Event.TAKEOFF_FAILED in story.raised
+    assert story.transitions[-1].reason == "landed and disarmed"
+    assert "is it held" in flight.flyer.mission.landing_reason
+    assert not flight.armed
+
+
+def test_a_take_off_that_tips_over_ends_at_once(vehicle: Vehicle, controller: Controller) -> None:
+    flight = prepare(vehicle, controller)
+    flight.plant.righting = False
+    flight.run(10.0, until=Phase.RAMP)
+    flight.run(0.8)
+    flight.plant.state[ATTITUDE] = quaternion.from_euler(0.0, np.radians(20.0), 0.0)
+    flight.run(0.5)
+    assert Event.TIPPING in flight.story.raised
+    assert flight.story.decisions[-1].collective_thrust < 0.1 * vehicle.weight

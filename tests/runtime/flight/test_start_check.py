@@ -51,3 +51,17 @@ def test_an_endless_reference_is_checked_in_finite_time() -> None:
     assert "comes down to" in start_refusal(
         Line((0.0, 0.0, 1.0), (0.0, 0.0, -0.01), np.inf), np.zeros(3), on_ground=True
     )
+
+
+def test_a_reference_that_counts_from_the_vehicle_clears_the_ground_wherever_the_estimate_puts_it() -> None:
+    motion = Line((0.0, 0.0, 1.0), (0.0, 0.0, 0.0), 2.0)
+    for height in (-0.7, 1.09):
+        assert start_refusal(motion, np.array([0.0, 0.0, height]), on_ground=True, from_here=True) == ""
+    assert "--origin takeoff" in start_refusal(motion, np.array([0.0, 0.0, 1.09]), on_ground=True)
+
+
+def test_the_allowed_box_is_checked_from_where_the_vehicle_stands() -> None:
+    motion, box = Line((0.0, 0.0, 1.0), (0.5, 0.0, 0.0), 2.0), ((-2.0, -2.0, 0.0), (2.0, 2.0, 3.0))
+    assert start_refusal(motion, np.zeros(3), on_ground=True, from_here=True, box=box) == ""
+    refusal = start_refusal(motion, np.array([1.5, 0.0, 0.0]), on_ground=True, from_here=True, box=box)
+    assert "1.50 to 2.49 m in x" in refusal
