@@ -19,7 +19,7 @@ from alula.rooms import require_own_rooms
 
 if TYPE_CHECKING:
     from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose
-    from alula.api.flights import inspect, load_vehicle, read_flight, read_flights
+    from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate
     from alula.api.learning import evaluate, export, train
     from dynamics.effect import Effect
@@ -43,6 +43,7 @@ __all__ = [
     "add_effect",
     "compare",
     "compare_hover",
+    "describe_effects",
     "diagnose",
     "evaluate",
     "export",
@@ -60,7 +61,7 @@ __all__ = [
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
-    "alula.api.flights": ("inspect", "load_vehicle", "read_flight", "read_flights"),
+    "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate"),
     "alula.api.learning": ("evaluate", "export", "train"),
     "dynamics.effect": ("Effect",),

@@ -47,6 +47,11 @@ class Excitation:
     manoeuvre: str = "more aggressive flight"
     unlogged: str = ""
 
+    @property
+    def unit(self) -> str:
+        """Of the measure; 1 for a ratio or none."""
+        return MEASURES.get(self.measure, "1")
+
     def __post_init__(self) -> None:
         if bool(self.measure) == bool(self.unlogged):
             raise ValueError("Excitation: give either a measure that shows the effect or what is unlogged.")

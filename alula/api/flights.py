@@ -8,8 +8,10 @@ from typing import TYPE_CHECKING
 
 from alula.api.inputs import catalogue_with, log_paths, vehicle_of
 from alula.workbench import workbench
+from dynamics.errors import RequestError
 
 if TYPE_CHECKING:
+    from dynamics.effect_card import EffectCard
     from dynamics.vehicle import Vehicle
     from flights import Flight, Log
     from flights.quality import Inspection
@@ -29,6 +31,33 @@ def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> 
         print(vehicle.body.mass, vehicle.hover_speed)
     """
     return vehicle_of(vehicle, catalogue_with(effects))
+
+
+def describe_effects(
+    names: Sequence[str] = (), vehicle: Vehicle | str | Path | None = None, *, effects: Sequence[str | Path] = ()
+) -> tuple[EffectCard, ...]:
+    """The catalogue: formula, parameters and usual size of effects, what to fly to see them, and what looks alike.
+
+    names: of effects; by default all.
+    vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one: usual sizes are for it.
+    effects: Python files with effects of your own.
+
+    Returns an EffectCard for each effect. Raises RequestError for an unknown name or a file that cannot be used.
+
+    Example:
+        card, = alula.describe_effects(["rotor_drag"], "arpl_250g")
+        print(card.formula, card.parameters[0].usual, card.confounded_with)
+    """
+    from dynamics.effect_card import effect_cards
+    from dynamics.vehicle_file import nearest
+
+    catalogue = catalogue_with(effects)
+    for name in names:
+        if name not in catalogue:
+            known = ", ".join(catalogue)
+            raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {known}.")
+    cards = effect_cards(None if vehicle is None else vehicle_of(vehicle, catalogue), catalogue=catalogue)
+    return tuple(card for card in cards if not names or card.name in names)
 
 
 def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Flight:

@@ -34,6 +34,7 @@ COMMANDS = (
     "evaluate",
     "sweep",
     "export",
+    "effects",
 )
 
 

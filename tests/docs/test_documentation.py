@@ -99,10 +99,11 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
-def test_the_page_of_the_python_functions_is_the_one_of_their_docstrings() -> None:
-    command = [sys.executable, "docs/make_api.py", "--check"]
+@pytest.mark.parametrize("script", ["docs/make_api.py", "docs/make_catalogue.py"])
+def test_a_page_that_is_made_from_the_code_is_up_to_date(script: str) -> None:
+    command = [sys.executable, script, "--check"]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, f"run: python docs/make_api.py\n{done.stderr}"
+    assert done.returncode == 0, f"run: python {script}\n{done.stderr}"
 
 
 @pytest.fixture(scope="module")
