@@ -16,8 +16,8 @@ HEAD = """# The catalogue of effects
 
 Made from the effects' own modules (`dynamics/effects`) by `python docs/make_catalogue.py`; `alula effects NAME
 --vehicle V.toml` prints the same for your vehicle. [effects.md](effects.md) explains those whose meaning is not
-evident, and what real flights said of them. Usual values are what is expected of a vehicle before any flight, +- their standard
-deviation."""
+evident, and what real flights said of them. Usual values are what is expected of a vehicle before any flight, +- their
+standard deviation."""
 
 
 def page() -> str:
