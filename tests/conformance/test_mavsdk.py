@@ -181,6 +181,27 @@ def test_a_flight_from_arming_to_landing(vehicle: MockProcess) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("name", ["px4_sih", "arpl_250g"])
+def test_the_usual_script_sets_a_setpoint_and_starts_at_once(name: str) -> None:
+    async def fly(drone: SimpleNamespace) -> None:
+        offboard, telemetry = drone.offboard, drone.telemetry
+        await until(telemetry.subscribe_health_all_ok(), lambda well: well)
+        here = await until(telemetry.subscribe_position_velocity_ned())
+        await drone.action.arm()
+        await offboard.set_position_ned(PositionNedYaw(0.0, 0.0, here.position.down_m, 0.0))
+        await offboard.start()
+        goal = here.position.down_m - 2.0
+        await offboard.set_position_ned(PositionNedYaw(0.0, 0.0, goal, 0.0))
+        await until(telemetry.subscribe_position_velocity_ned(), lambda now: now.position.down_m < goal + 0.3)
+        await offboard.stop()
+        await drone.action.land()
+        await until(telemetry.subscribe_armed(), lambda armed: not armed)
+
+    with mock_process("--offboard-rule", "measured", "--speed", str(SPEED), vehicle=name) as process:
+        run(process, fly)
+
+
+@pytest.mark.slow
 def test_kill_stops_the_motors_in_the_air(vehicle: MockProcess) -> None:
     async def fall(drone: SimpleNamespace) -> None:
         await until(drone.telemetry.subscribe_health(), lambda health: health.is_armable)

