@@ -19,6 +19,8 @@ from typer.core import TyperCommand, TyperGroup
 from alula import __version__
 from dynamics.errors import AlulaError, RequestError
 
+INTERRUPTED = 130  # exit code after Ctrl-C
+
 COMMANDS = (
     "demo",
     "mock",
@@ -108,6 +110,10 @@ def main() -> None:
     except AlulaError as error:
         print(f"alula: {error}", file=sys.stderr)
         sys.exit(error.exit_code)
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            print("alula: interrupted. Files are written whole or not at all.", file=sys.stderr)
+        raise
     except ModuleNotFoundError as error:
         advice = "Commands of the workbench need it: pip install 'alula[workbench]'."
         print(f"alula: {error.name} is not installed. {advice}", file=sys.stderr)

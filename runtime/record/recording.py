@@ -16,7 +16,7 @@ from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from zstandard import ZstdError
 
-from dynamics.errors import DataError
+from dynamics.errors import DataError, RequestError
 from runtime.record.records import TOPICS, Record
 
 Columns = Mapping[str, NDArray[Any]]
@@ -77,7 +77,7 @@ def _parts(path: Path) -> Iterator[McapRecord]:
 def read_recording(path: Path) -> FlightRecording:
     """Read a recording by scanning it, which needs no index.
 
-    Raises DataError for a file that is no MCAP file or not from `alula fly`.
+    Raises RequestError for a path that cannot be read, DataError for a file that is no recording of `alula fly`.
     """
     topics: dict[int, str] = {}
     metadata: dict[str, str] = {}
@@ -101,7 +101,7 @@ def read_recording(path: Path) -> FlightRecording:
                 case _:
                     pass
     except OSError as error:
-        raise DataError(f"cannot read {path}: {error.strerror}. Give a .mcap file that `alula fly` wrote.") from None
+        raise RequestError(f"cannot read {path}: {error.strerror}. Give a .mcap file that `alula fly` wrote.") from None
     if not metadata:
         raise DataError(f"{path} is no recording of `alula fly`. Give a .mcap file that `alula fly --record` wrote.")
     return FlightRecording(path, metadata, attachments, messages, complete)

@@ -94,6 +94,12 @@ def test_each_kind_of_error_has_its_exit_code(run, error, code, monkeypatch):
     assert run() == (code, "", "alula: the reason\n")
 
 
+def test_a_recording_that_is_not_there_is_a_wrong_request(run):
+    code, _, message = run("replay", "nothere.mcap")
+    assert code == 2
+    assert "cannot read nothere.mcap" in message
+
+
 def test_a_workbench_command_on_a_flight_computer_names_what_to_install(run, monkeypatch):
     workbench = typer.Typer()
 
@@ -108,7 +114,7 @@ def test_a_workbench_command_on_a_flight_computer_names_what_to_install(run, mon
     assert "pip install 'alula[workbench]'" in message
 
 
-def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
+def test_an_interrupt_is_reported_without_a_traceback(run, monkeypatch):
     interrupted = typer.Typer()
 
     @interrupted.command()
@@ -116,7 +122,7 @@ def test_an_interrupt_ends_without_a_traceback(run, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(app, "app", interrupted)
-    assert run() == (130, "", "")
+    assert run() == (130, "", "alula: interrupted. Files are written whole or not at all.\n")
 
 
 def test_starting_imports_nothing_of_the_workbench():

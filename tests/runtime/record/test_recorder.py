@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from dynamics.errors import DataError
+from dynamics.errors import DataError, RequestError
 from runtime.record import records
 from runtime.record.recorder import Recorder
 from runtime.record.recording import read_recording
@@ -223,5 +223,5 @@ def test_a_file_that_is_no_recording_is_named(tmp_path: Path) -> None:
     other.write_text("hello")
     with pytest.raises(DataError, match=r"notes\.mcap is no recording"):
         read_recording(other)
-    with pytest.raises(DataError, match="cannot read"):
+    with pytest.raises(RequestError, match="cannot read"):
         read_recording(tmp_path / "absent.mcap")
