@@ -1,4 +1,4 @@
-"""The regression's low-pass at the rows that are kept, as a banded matrix: a third of the time of filtering all rows.
+"""The low-pass at the rows of the regression, as a banded matrix: a third of the time of filtering all rows.
 
 Its rows are the filter's own responses, which do not depend on the place further from the ends than they reach.
 """
@@ -26,27 +26,27 @@ def filtered_rows(values: Floats, rate: float, filters: FilterThresholds, *, pro
     count = len(values)
     rows = decimated_rows(count, rate, filters)
     signals = np.ascontiguousarray(np.moveaxis(values, 0, -1)).reshape(-1, count)
-    kept = np.arange(rows.start, rows.stop, rows.step)
-    result = np.empty((len(signals), len(kept)))
+    places = np.arange(rows.start, rows.stop, rows.step)
+    result = np.empty((len(signals), len(places)))
     reach = _reach(rate, filters.cutoff)
     if count <= 4 * reach:
-        result[:] = signals @ _responses(count, rate, filters.cutoff, products)[kept].T
+        result[:] = signals @ _responses(count, rate, filters.cutoff, products)[places].T
     else:
-        _apply(signals, kept, reach, _responses(4 * reach, rate, filters.cutoff, products), result)
-    return np.moveaxis(result.reshape(*values.shape[1:], len(kept)), -1, 0)
+        _apply(signals, places, reach, _responses(4 * reach, rate, filters.cutoff, products), result)
+    return np.moveaxis(result.reshape(*values.shape[1:], len(places)), -1, 0)
 
 
-def _apply(signals: Floats, kept: np.ndarray, reach: int, responses: Floats, result: Floats) -> None:
+def _apply(signals: Floats, places: np.ndarray, reach: int, responses: Floats, result: Floats) -> None:
     """Fill the results (k, m) of signals (k, n), which are longer than the responses (4 reach, 4 reach)."""
     count, size = signals.shape[1], len(responses)
-    first, last = np.searchsorted(kept, [reach, count - reach]).tolist()
-    result[:, :first] = signals[:, : 2 * reach] @ responses[kept[:first], : 2 * reach].T
-    result[:, last:] = signals[:, count - 2 * reach :] @ responses[kept[last:] - count, size - 2 * reach :].T
-    step = int(kept[1] - kept[0]) if len(kept) > 1 else 1
+    first, last = np.searchsorted(places, [reach, count - reach]).tolist()
+    result[:, :first] = signals[:, : 2 * reach] @ responses[places[:first], : 2 * reach].T
+    result[:, last:] = signals[:, count - 2 * reach :] @ responses[places[last:] - count, size - 2 * reach :].T
+    step = int(places[1] - places[0]) if len(places) > 1 else 1
     band = _band(responses[2 * reach, reach : 3 * reach + 1], step)
     for start in range(first, last, BLOCK):
         length = min(BLOCK, last - start)
-        begin, end = kept[start] - reach, kept[start + length - 1] + reach + 1
+        begin, end = places[start] - reach, places[start + length - 1] + reach + 1
         result[:, start : start + length] = signals[:, begin:end] @ band[:length, : end - begin].T
 
 

@@ -105,6 +105,11 @@ class Segment:
         return np.asarray(quaternion.rotation_matrix(self.attitude))
 
     @cached_property
+    def axes_in_world(self) -> Floats:
+        """(3, 3, n) the same, entry by entry."""
+        return np.ascontiguousarray(self.to_world.transpose(1, 2, 0))
+
+    @cached_property
     def rate_from_attitude(self) -> Floats:
         """(n, 3) body rate from the attitude, rad/s: half the rotation between neighbouring rows, times the rate."""
         turned = quaternion.multiply(quaternion.conjugate(self.attitude[:-2]), self.attitude[2:])

@@ -18,7 +18,6 @@ from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
 from diagnosis.selection.design_matrix import with_slow_moments
-from diagnosis.selection.errors_in_variables import SEED, perturbed
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
@@ -270,8 +269,6 @@ class _EquationErrorProblem:
         self._instruments = self._predictor
         if self._predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
             self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)
-        random = np.random.default_rng(SEED)
-        self._noisier = [perturbed(s, random, regression.thresholds.pose) for s in regression.segments]
         self._errors: dict[int, tuple[Floats, Floats]] = {}
         self._block = max(regression.noise.order, round(self.thresholds.block * regression.rate))  # rows
 
@@ -380,7 +377,7 @@ class _EquationErrorProblem:
 
         linear: y, x and z of the segment without it.
         """
-        again = self._linear(self._noisier[place], changed)
+        again = self._linear(self._regression.noisier[place], changed)
         y, x, z = (self._regression.noise.whiten(b - a) for a, b in zip(linear, again, strict=True))
         products = np.einsum("mck,mc->mk", z, y)
         return _by_block(z, x, starts), np.asarray(np.add.reduceat(products, starts, axis=0))
@@ -431,14 +428,15 @@ class _EquationErrorProblem:
         if self.linear:
             plain = channels.predicted(segment, self._predictor.slopes(segment, changed))
             slopes = {name: plain[:, :, i] for i, name in enumerate(self.linear)}
-            if any(self._instrumented):
+            scaling = [n for n, scales in zip(self.names, self._instrumented, strict=True) if scales and n in slopes]
+            if scaling:
                 logged = self._predictor.rotor_speed(segment, self._predictor.values(changed))
                 cutoff = segment.filters.instrument_cutoff
                 speed = make_instruments(segment, self._regression.vehicle, logged, cutoff).rotor_speed
                 model = self._instruments.model
                 at = {name: value for name, value in changed.items() if name in model.parameter_names}
-                slow = channels.predicted(segment, self._instruments.slopes(segment, at, rotor_speed=speed))
-                instruments = {name: slow[:, :, i] for i, name in enumerate(self.linear)}
+                slow = self._instruments.slopes(segment, at, rotor_speed=speed, free=scaling)
+                instruments = dict(zip(scaling, channels.predicted(segment, slow).transpose(2, 0, 1), strict=True))
         x, z = [], []
         for name, instrumented in zip(self.names, self._instrumented, strict=True):
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
@@ -503,7 +501,8 @@ def bounds(effect: Effect, name: str) -> tuple[float, float]:
 
 def _by_block(left: Floats, right: Floats, starts: NDArray[np.intp]) -> Floats:
     """(b, k, l) products of (m, c, k) and (m, c, l) over the rows of each block."""
-    return np.asarray(np.add.reduceat(np.einsum("mck,mcl->mkl", left, right), starts, axis=0))
+    parts = zip(np.split(left, starts[1:]), np.split(right, starts[1:]), strict=True)
+    return np.stack([x.reshape(-1, x.shape[2]).T @ y.reshape(-1, y.shape[2]) for x, y in parts])
 
 
 def _explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:

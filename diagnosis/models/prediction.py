@@ -54,8 +54,8 @@ class Prediction:
 
     def world_acceleration(self, segment: Segment) -> Floats:
         """(n, 3) acceleration less gravity that the pose shows, world, m/s^2."""
-        force = delayed(self.pose_force, segment.rate, self.pose_age)
-        return np.asarray(np.einsum("nij,nj->ni", segment.to_world, force))
+        force = delayed(self.pose_force, segment.rate, self.pose_age).T
+        return np.stack([x * force[0] + y * force[1] + z * force[2] for x, y, z in segment.axes_in_world]).T
 
     def attitude_rate(self, segment: Segment) -> Floats:
         """(n, 3) body rate that the attitude shows, rad/s."""
@@ -113,12 +113,17 @@ class Predictor:
         *,
         rotor_speed: Floats | None = None,
         rotor_acceleration: Floats | None = None,
+        free: Sequence[str] | None = None,
     ) -> list[Prediction]:
-        """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones."""
+        """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones.
+
+        free: those of these parameters alone.
+        """
+        names = self.free if free is None else tuple(free)
         p = self.values(changed)
         arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
-        columns = self._functions.slopes(*arguments)
-        parts = columns.reshape(len(columns), len(self.free), 12)
+        columns = _functions_of(self.model, names).slopes(*arguments)
+        parts = columns.reshape(len(columns), len(names), 12)
         ages = np.array(self._functions.ages(p)).ravel()
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
 

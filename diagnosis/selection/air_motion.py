@@ -53,23 +53,24 @@ class Waves:
     column_errors: Floats
     row_errors: Floats
 
-    def reduction(self, variance: float, places: Sequence[int], *, corrected: bool) -> tuple[Floats, Floats]:
-        """(p, p) and (p,) what a gust of this variance takes off the normal equations of the columns at some places.
+    def reduction(self, variance: Floats, places: Sequence[int], *, corrected: bool) -> tuple[Floats, Floats]:
+        """(.., p, p) and (.., p) what gusts of variances (..) take off the normal equations of the columns at places.
 
         corrected: whether errors in variables are taken off.
         """
-        weight = variance / (1 + variance * self.eigenvalues)
+        weight = variance[..., None] / (1 + variance[..., None] * self.eigenvalues)
         x = self.columns[places]
-        gram, product = (x * weight) @ x.T, (x * weight) @ self.rows
+        gram, product = (x * weight[..., None, :]) @ x.T, (weight * self.rows) @ x.T
         if corrected:
             e = self.column_errors[places]
-            gram, product = gram - (e * weight) @ e.T, product - (e * weight) @ self.row_errors
+            gram = gram - (e * weight[..., None, :]) @ e.T
+            product = product - (weight * self.row_errors) @ e.T
         return gram, product
 
-    def gain(self, variance: float) -> float:
-        """Twice the log-likelihood that a gust of this variance gains in the rows, without any column."""
-        grown = 1 + variance * self.eigenvalues
-        return float(np.sum(variance / grown * self.rows**2) - np.sum(np.log(grown)))
+    def gain(self, variance: Floats) -> Floats:
+        """(..) twice the log-likelihood that gusts of variances (..) gain in the rows, without any column."""
+        grown = 1 + variance[..., None] * self.eigenvalues
+        return np.asarray(np.sum(variance[..., None] / grown * self.rows**2, axis=-1) - np.sum(np.log(grown), axis=-1))
 
 
 def make_waves(

@@ -21,21 +21,22 @@ from dynamics.arrays import Floats
 SEED = 1  # of the added noise, so that the same flights have the same answer
 
 
+def noisier_segments(segments: Sequence[Segment], pose: PoseThresholds = DEFAULT.pose) -> list[Segment]:
+    """Each segment with noise added, the same whenever it is called."""
+    random = np.random.default_rng(SEED)
+    return [perturbed(segment, random, pose) for segment in segments]
+
+
 def design_errors(
-    segments: Sequence[Segment],
-    design: DesignMatrix,
-    rows: Sequence[Floats],
-    columns: Sequence[Floats],
-    pose: PoseThresholds = DEFAULT.pose,
+    noisier: Sequence[Segment], design: DesignMatrix, rows: Sequence[Floats], columns: Sequence[Floats]
 ) -> Iterator[tuple[Floats, Floats]]:
     """(m, 12) and (m, 12, k) changes of each segment's rows and columns by added noise.
 
     What they add to X'X and X'y is what the sensors' noise has added already.
-    rows, columns: (m, 12) and (m, 12, k) of each segment, as the design evaluates them.
+    noisier: segments with noise added. rows, columns: (m, 12) and (m, 12, k) without it, as the design evaluates them.
     """
-    random = np.random.default_rng(SEED)
-    for segment, y, x in zip(segments, rows, columns, strict=True):
-        noisier_y, noisier_x = design.evaluate(perturbed(segment, random, pose))
+    for segment, y, x in zip(noisier, rows, columns, strict=True):
+        noisier_y, noisier_x = design.evaluate(segment)
         yield noisier_y - y, noisier_x - x
 
 

@@ -84,10 +84,7 @@ def _peak(strengths: Floats, gains: Floats) -> tuple[float, float, float]:
 
 def _share(profile: GustProfile, penalty: float, resamples: int) -> float:
     """Share of flight resamples in which some gust gains more than its penalty."""
-    random, flights = np.random.default_rng(0), profile.gains.shape[1]
-    wins = 0
-    for _ in range(resamples):
-        counts = np.bincount(random.choice(flights, flights), minlength=flights).astype(float)
-        total = profile.total(counts)
-        wins += bool(total.max() - total[0] > penalty)
-    return wins / resamples
+    random, count = np.random.default_rng(0), profile.gains.shape[1]
+    drawn = [random.choice(count, count) for _ in range(resamples)]
+    total = profile.total(np.array([np.bincount(flights, minlength=count) for flights in drawn], dtype=float))
+    return float(np.mean(total.max(axis=1) - total[:, 0] > penalty))

@@ -25,7 +25,7 @@ from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
 from diagnosis.selection.air_motion import Waves, Whitened, make_waves
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
-from diagnosis.selection.errors_in_variables import design_errors
+from diagnosis.selection.errors_in_variables import design_errors, noisier_segments
 from diagnosis.selection.noise import NoiseModel, estimate_noise
 from diagnosis.selection.sensor_errors import NO_BIASES, Biases, SensorErrors, sensor_biases
 from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds, Thresholds
@@ -49,13 +49,19 @@ class FlightEquations:
     plain_product: Floats
     waves: Waves | None = None
 
-    def beside_gust(self, variance: float, places: Sequence[int], *, corrected: bool = True) -> tuple[Floats, Floats]:
-        """(p, p) and (p,) normal equations of the columns at some places beside a gust of this variance, (m/s)^2."""
+    def beside_gust(
+        self, variance: float | Floats, places: Sequence[int], *, corrected: bool = True
+    ) -> tuple[Floats, Floats]:
+        """(.., p, p) and (.., p) normal equations of the columns at some places beside a gust of this variance.
+
+        variance: (m/s)^2, or several, (..).
+        """
         gram, product = (self.gram, self.product) if corrected else (self.plain_gram, self.plain_product)
-        gram, product = gram[np.ix_(places, places)], product[places]
-        if self.waves is None or variance == 0:
-            return gram, product
-        less, less_product = self.waves.reduction(variance, places, corrected=corrected)
+        gram, product = gram[np.ix_(places, places)], product[list(places)]
+        if self.waves is None:
+            several = np.shape(variance)
+            return np.broadcast_to(gram, (*several, *gram.shape)), np.broadcast_to(product, (*several, *product.shape))
+        less, less_product = self.waves.reduction(np.asarray(variance), list(places), corrected=corrected)
         return gram - less, product - less_product
 
 
@@ -82,6 +88,7 @@ class Regression:
     equations: of each flight in still air.
     pose: errors of the segments' pose that are noise.
     errors: of rows (m, 12) and columns (m, 12, k) that noise added to a segment causes, a segment each.
+    noisier: the segments with noise added.
     thresholds: for all that is built on this regression.
     gust_variance: of the gust that is marginalised in all normal equations, (m/s)^2.
     not_followed: effects whose hidden states the logs' rate is too low for, which are no candidates.
@@ -109,6 +116,7 @@ class Regression:
     equations: Sequence[FlightEquations]
     pose: PoseErrors = NO_ERRORS
     errors: Sequence[tuple[Floats, NDArray[np.floating]]] = ()
+    noisier: Sequence[Segment] = ()
     thresholds: Thresholds = DEFAULT
     gust_variance: float = 0.0
     not_followed: tuple[str, ...] = ()
@@ -135,9 +143,7 @@ class Regression:
         """How many of them count as independent."""
         return self.thresholds.regression.independent_share * self.total
 
-    def solve(
-        self, chosen: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
-    ) -> tuple[Floats, float]:
+    def solve(self, chosen: Sequence[int], *, plain: bool = False) -> tuple[Floats, float]:
         """Coefficients of the chosen columns, and twice the log-likelihood that they gain.
 
         plain: without errors-in-variables correction.
@@ -145,16 +151,12 @@ class Regression:
         where = list(chosen)
         if not where:
             return np.zeros(0), 0.0
-        gram, product = self.summed(flights, plain=plain)
-        theta, gain = solved(gram[np.ix_(where, where)], product[where])
+        theta, gain = solved(*self._free_of_shared(where, plain=plain))
         return theta, float(gain)
 
-    def summed(self, flights: Sequence[int] | None = None, *, plain: bool = False) -> tuple[Floats, Floats]:
-        """(k, k) and (k,) normal equations of all columns, summed over flights, with what these share marginalised.
-
-        flights: by default all of them.
-        """
-        return marginal(*self._sums(range(len(self.product[0])), flights, plain=plain), self.shared)
+    def summed(self) -> tuple[Floats, Floats]:
+        """(k, k) and (k,) normal equations of all columns, summed over flights, with what these share marginalised."""
+        return marginal(*self._sums(range(len(self.product[0]))), self.shared)
 
     def nuisance_values(self, chosen: Sequence[int]) -> Floats:
         """Coefficients of what the flights share, beside the chosen columns."""
@@ -165,19 +167,33 @@ class Regression:
         inner = gram[:count, :count] + np.diag(self.shared.information)
         return np.asarray(np.linalg.solve(inner, product[:count] + self.shared.pull - gram[:count, count:] @ theta))
 
-    def _sums(
-        self, places: Sequence[int], flights: Sequence[int] | None = None, *, plain: bool = False
-    ) -> tuple[Floats, Floats]:
-        """(p, p) and (p,) normal equations of the columns at some places, summed over flights."""
-        flights = self.flights if flights is None else flights
-        grams, products = (self.plain_gram, self.plain_product) if plain else (self.gram, self.product)
-        gram: Floats = sum((grams[f][np.ix_(places, places)] for f in flights), np.zeros((len(places), len(places))))
-        product: Floats = sum((products[f][places] for f in flights), np.zeros(len(places)))
-        return gram, product
+    @cached_property
+    def _stacked(self) -> tuple[Floats, Floats, Floats, Floats]:
+        gram, product = np.stack(self.gram), np.stack(self.product)
+        return gram, product, np.stack(self.plain_gram), np.stack(self.plain_product)
 
-    def gain(self, chosen: Sequence[int], flights: Sequence[int] | None = None) -> float:
+    def _sums(
+        self, places: Sequence[int], weights: Floats | None = None, *, plain: bool = False
+    ) -> tuple[Floats, Floats]:
+        """(.., p, p) and (.., p) normal equations of the columns at some places, summed over flights.
+
+        weights: (.., f) how often each flight counts; by default once.
+        """
+        grams, products = self._stacked[2:] if plain else self._stacked[:2]
+        grams, products = grams[np.ix_(self.flights, places, places)], products[:, places]
+        if weights is None:
+            return grams.sum(axis=0), products.sum(axis=0)
+        return np.tensordot(weights, grams, axes=1), weights @ products
+
+    def gain(self, chosen: Sequence[int]) -> float:
         """Twice the log-likelihood that the chosen columns gain beyond the biases."""
-        return self.solve(chosen, flights)[1]
+        return self.solve(chosen)[1]
+
+    def gains(self, chosen: Sequence[int], weights: Floats) -> Floats:
+        """(r,) the same with flights that count as often as (r, f) weights say."""
+        if not len(chosen):
+            return np.zeros(len(weights))
+        return solved(*self._free_of_shared(list(chosen), weights))[1]
 
     def cross_validated_gain(self, chosen: Sequence[int]) -> float:
         """The same on each flight with coefficients from the others, without errors-in-variables correction.
@@ -187,19 +203,20 @@ class Regression:
         where = list(chosen)
         if not where:
             return 0.0
-        flights = self.flights
-        others = [self._plain(where, [f for f in flights if f != flight]) for flight in flights]
-        theta, _ = solved(*map(np.array, _unzipped(others)))
-        grams, products = map(np.array, _unzipped(self._plain(where, [flight]) for flight in flights))
+        own = np.eye(len(self.flights))
+        theta, _ = solved(*self._free_of_shared(where, 1 - own, plain=True))
+        grams, products = self._free_of_shared(where, own, plain=True)
         quadratic = np.einsum("fi,fij,fj->", theta, grams, theta)
         return float(2 * np.sum(theta * products) - quadratic)
 
-    def _plain(self, where: Sequence[int], flights: Sequence[int]) -> tuple[Floats, Floats]:
-        """The same sums for some columns, without errors-in-variables correction."""
+    def _free_of_shared(
+        self, where: Sequence[int], weights: Floats | None = None, *, plain: bool = False
+    ) -> tuple[Floats, Floats]:
+        """The sums of some columns, with what the flights share marginalised."""
         count, every = len(where), [*where, *self.shared.columns]
         shared = replace(self.shared, columns=tuple(range(count, len(every))))
-        gram, product = marginal(*self._sums(every, flights, plain=True), shared)
-        return gram[:count, :count], product[:count]
+        gram, product = marginal(*self._sums(every, weights, plain=plain), shared)
+        return gram[..., :count, :count], product[..., :count]
 
     @property
     def feels_air(self) -> bool:
@@ -234,18 +251,18 @@ class Regression:
         chosen, off = [*chosen, *self.shared.columns], list(self.biases.columns)
         own = [i for i in chosen if i not in off]
         alike = [own.index(i) if i in own else len(own) + off.index(i) for i in chosen]
-        gains = np.zeros((len(variances), len(self.equations)))
-        grams = np.zeros((*gains.shape, len(chosen), len(chosen)))
-        products = np.zeros((*gains.shape, len(chosen)))
         biases = Biases(tuple(range(len(own), len(own) + len(off))), self.biases.information)
-        for v, variance in enumerate(variances):
-            for f, one in enumerate(self.equations):
-                gram, product = one.beside_gust(variance, [*own, *off])
-                free, free_product = marginal(gram, product, biases)
-                grams[v, f], products[v, f] = free[np.ix_(alike, alike)], free_product[alike]
-                gains[v, f] = explained_by_biases(gram, product, biases)
-                gains[v, f] += 0.0 if one.waves is None else one.waves.gain(variance)
-        return GustProfile(tuple(variances), gains, grams, products, shared)
+        gains, grams, products = [], [], []
+        for one in self.equations:
+            gram, product = one.beside_gust(np.array(variances), [*own, *off])
+            free, free_product = marginal(gram, product, biases)
+            grams.append(free[np.ix_(range(len(variances)), alike, alike)])
+            products.append(free_product[:, alike])
+            gains.append(explained_by_biases(gram, product, biases))
+            if one.waves is not None:
+                gains[-1] = gains[-1] + one.waves.gain(np.array(variances))
+        by_flight = np.stack(gains, axis=1), np.stack(grams, axis=1), np.stack(products, axis=1)
+        return GustProfile(tuple(variances), by_flight[0], by_flight[1], by_flight[2], shared)
 
     def residuals_after(self, chosen: Sequence[int]) -> list[Floats]:
         """(m, 12) residual of each segment without the chosen columns, its flight's biases and what flights share."""
@@ -280,17 +297,18 @@ class GustProfile:
     shared: Biases = NO_BIASES
 
     def total(self, weights: Floats | None = None) -> Floats:
-        """(v,) twice the log-likelihood, columns included. weights: (f,) how often each flight counts."""
+        """(.., v) twice the log-likelihood, columns included. weights: (.., f) how often each flight counts."""
         counts = np.ones(self.gains.shape[1]) if weights is None else weights
-        total = self.gains @ counts
+        total = np.tensordot(counts, self.gains, axes=(-1, 1))
         if self.products.shape[2]:
             prior, pull = np.zeros(self.products.shape[2]), np.zeros(self.products.shape[2])
             prior[list(self.shared.columns)], pull[list(self.shared.columns)] = (
                 self.shared.information,
                 self.shared.pull,
             )
-            gram = np.einsum("vfij,f->vij", self.grams, counts) + np.diag(prior)
-            total = total + solved(gram, counts @ self.products + pull)[1]
+            gram = np.tensordot(counts, self.grams, axes=(-1, 1)) + np.diag(prior)
+            product = np.tensordot(counts, self.products, axes=(-1, 1)) + pull
+            total = total + solved(gram, product)[1]
         return np.asarray(total)
 
 
@@ -315,8 +333,8 @@ def make_regression(
     design, rows, columns = evaluated.matrix, evaluated.rows, evaluated.columns
     candidates = tuple(c for c in evaluated.candidates if c.effect.name not in COMMAND_EFFECTS)
     nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
-    noisier = design_errors(segments, design, rows, columns, thresholds.pose)
-    errors = [(y, x.astype(np.float32)) for y, x in noisier]
+    noisier = noisier_segments(segments, thresholds.pose)
+    errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)
     equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
@@ -342,6 +360,7 @@ def make_regression(
         equations=equations,
         pose=pose,
         errors=errors,
+        noisier=noisier,
         thresholds=thresholds,
         not_followed=evaluated.not_followed,
         nuisances=nuisances,
@@ -468,20 +487,25 @@ def _unzipped(pairs: Iterable[tuple[Floats, Floats]]) -> tuple[list[Floats], lis
 
 
 def marginal(gram: Floats, product: Floats, biases: Biases) -> tuple[Floats, Floats]:
-    """One flight's normal equations with its biases integrated out under their prior. gram: (k, k), product: (k,)."""
-    places = list(biases.columns)
-    inner = gram[np.ix_(places, places)] + np.diag(biases.information)
-    solved = np.linalg.solve(inner, np.column_stack([gram[places], product[places] + biases.pull]))
-    return gram - gram[:, places] @ solved[:, :-1], product - gram[:, places] @ solved[:, -1]
-
-
-def explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float:
-    """Twice the log-likelihood that one flight's biases gain, less what a gust takes off their certainty."""
+    """Normal equations (.., k, k) and (.., k) with biases integrated out under their prior."""
     places = list(biases.columns)
     if not places:
-        return 0.0
-    inner = gram[np.ix_(places, places)] + np.diag(biases.information)
-    return float(product[places] @ np.linalg.solve(inner, product[places]) - np.linalg.slogdet(inner)[1])
+        return gram, product
+    across = gram[..., places, :]
+    inner = across[..., places] + np.diag(biases.information)
+    solved = np.linalg.solve(inner, np.concatenate([across, (product[..., places] + biases.pull)[..., None]], axis=-1))
+    less = gram[..., places] @ solved
+    return gram - less[..., :-1], product - less[..., -1]
+
+
+def explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> Floats:
+    """(..) twice the log-likelihood that one flight's biases gain, less what a gust takes off their certainty."""
+    places = list(biases.columns)
+    if not places:
+        return np.zeros(product.shape[:-1])
+    inner = gram[..., places, :][..., places] + np.diag(biases.information)
+    estimates = np.linalg.solve(inner, product[..., places, None])[..., 0]
+    return np.asarray(np.sum(product[..., places] * estimates, axis=-1) - np.linalg.slogdet(inner)[1])
 
 
 def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve
 from scipy.ndimage import median_filter
 
 from diagnosis.data.segment import Segment
@@ -298,9 +299,9 @@ def _per_group(
 
 def coefficients_without(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> list[Floats]:
     """Ridge coefficients (k,) from all groups but each. grams: (k, k), products: (k,), a group each."""
-    all_gram, all_product = sum(grams), sum(products)
+    all_gram, all_product = np.sum(grams, axis=0) + ridge * np.eye(len(grams[0])), np.sum(products, axis=0)
     return [
-        np.asarray(np.linalg.solve(all_gram - gram + ridge * np.eye(len(gram)), all_product - product))
+        np.asarray(solve(all_gram - gram, all_product - product, assume_a="pos", check_finite=False))
         for gram, product in zip(grams, products, strict=True)
     ]
 

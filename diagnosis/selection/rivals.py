@@ -45,13 +45,11 @@ def resample_share(
 
     To win is to score higher than each rival in its place, and than the others without any.
     """
-    regression, random, wins = search.regression, np.random.default_rng(SEED), 0
+    regression, random = search.regression, np.random.default_rng(SEED)
     alike, alone = [rivals[0], *near], search.score(others)
     entries = [*alike, *(s for s in rivals if all(s is not one for one in alike)), alone]
-    penalties = [sum(search.penalty(c) for c in s.candidates) for s in entries]
-    resamples = regression.thresholds.verdict.resamples
-    for _ in range(resamples):
-        flights = random.choice(len(regression.flights), len(regression.flights)).tolist()
-        scores = [regression.gain(s.columns, flights) - p for s, p in zip(entries, penalties, strict=True)]
-        wins += int(np.argmax(scores)) < len(alike)
-    return wins / resamples
+    count = len(regression.flights)
+    drawn = [random.choice(count, count) for _ in range(regression.thresholds.verdict.resamples)]
+    weights = np.array([np.bincount(flights, minlength=count) for flights in drawn], dtype=float)
+    scores = [regression.gains(s.columns, weights) - sum(search.penalty(c) for c in s.candidates) for s in entries]
+    return float(np.mean(np.argmax(scores, axis=0) < len(alike)))

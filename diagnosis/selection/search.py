@@ -83,7 +83,9 @@ class Search:
         self.thresholds = regression.thresholds.search
         self.required = self.thresholds.min_gain if required is None else required
         self._gram, self._product = regression.summed()
-        self._grid_sizes = Counter(c.effect.name for c in regression.candidates)
+        grid_sizes = Counter(c.effect.name for c in regression.candidates)
+        of_catalogue = 2 * math.log(len(grid_sizes) + 1)
+        self._tried = {name: 2 * math.log(size) + of_catalogue for name, size in grid_sizes.items()}
         self._size = math.log(regression.independent)
         self._low, self._high = self._bounds()
 
@@ -97,8 +99,7 @@ class Search:
 
     def penalty(self, candidate: Candidate) -> float:
         """The criterion's penalty of a candidate."""
-        tried = 2 * math.log(self._grid_sizes[candidate.effect.name]) + 2 * math.log(len(self._grid_sizes) + 1)
-        return len(candidate.columns) * self._size + tried
+        return len(candidate.columns) * self._size + self._tried[candidate.effect.name]
 
     def score(self, candidates: Sequence[Candidate]) -> Scored:
         """The score of a set of effects, -inf where a coefficient is physically impossible."""
@@ -119,13 +120,16 @@ class Search:
             where = np.array([places[n] for n in numbers], dtype=int).reshape(len(numbers), width)
             theta, gain = solved(self._gram[where[:, :, None], where[:, None, :]], self._product[where])
             inside = (theta >= self._low[where]) & (theta <= self._high[where])
-            for number, gained, fits in zip(numbers, gain.tolist(), inside, strict=True):
-                results[number] = self._judged(sets[number], gained, fits)
+            everywhere = inside.all(axis=1).tolist()
+            for number, gained, fits, possible in zip(numbers, gain.tolist(), inside, everywhere, strict=True):
+                one = sets[number]
+                results[number] = self._possible(one, gained) if possible else self._impossible(one, fits)
         return [results[number] for number in range(len(sets))]
 
-    def _judged(self, one: Set, gain: float, fits: NDArray[np.bool_]) -> tuple[Scored, Set]:
-        if fits.all():
-            return Scored(one, gain - sum(self.penalty(c) for c in one), gain), one
+    def _possible(self, one: Set, gain: float) -> tuple[Scored, Set]:
+        return Scored(one, gain - sum(map(self.penalty, one)), gain), one
+
+    def _impossible(self, one: Set, fits: NDArray[np.bool_]) -> tuple[Scored, Set]:
         ends = np.cumsum([len(c.columns) for c in one]).tolist()
         starts = [0, *ends[:-1]]
         fitting = tuple(c for c, start, end in zip(one, starts, ends, strict=True) if fits[start:end].all())

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from diagnosis.selection.errors_in_variables import design_errors, perturbed, white_level
+from diagnosis.selection.errors_in_variables import design_errors, noisier_segments, perturbed, white_level
 from diagnosis.thresholds import DEFAULT
 from tests.diagnosis.synthetic import CHANNELS, hovering, white
 
@@ -41,7 +41,7 @@ def test_the_bias_of_a_noisy_column_is_estimated_and_removed(arpl_250g):
     rows, columns = design.evaluate(noisy)
     noise = white()
     gram, product = noise.normal_equations(columns, rows)
-    ((row_errors, column_errors),) = design_errors([noisy], design, [rows], [columns])
+    ((row_errors, column_errors),) = design_errors(noisier_segments([noisy]), design, [rows], [columns])
     gram_bias, product_bias = noise.normal_equations(column_errors, row_errors)
     plain, corrected = product[0] / gram[0, 0], (product - product_bias)[0] / (gram - gram_bias)[0, 0]
     assert plain < 0.37
