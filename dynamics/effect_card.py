@@ -99,11 +99,11 @@ def _card(effect: Effect, vehicle: Vehicle | None, others: Iterable[Effect]) -> 
 
 
 def _parameter(parameter: Parameter, vehicle: Vehicle | None) -> ParameterCard:
-    known = {f.name: getattr(parameter, f.name) for f in fields(parameter) if f.name != "prior"}
+    common = {f.name: getattr(parameter, f.name) for f in fields(parameter) if f.name != "prior"}
     if vehicle is None:
-        return ParameterCard(**known)
+        return ParameterCard(**common)
     prior = parameter.prior(vehicle)
-    return ParameterCard(**known, usual=float(prior.mean), usual_deviation=float(prior.std))
+    return ParameterCard(**common, usual=float(prior.mean), usual_deviation=float(prior.std))
 
 
 def _formulas(effect: Effect) -> Iterable[str]:

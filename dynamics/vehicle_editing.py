@@ -56,11 +56,11 @@ def _only_changes_rounded(before: Any, after: Any) -> Any:
     if before == after:
         return after
     if isinstance(after, dict):
-        known = before if isinstance(before, dict) else {}
-        return {key: _only_changes_rounded(known.get(key), value) for key, value in after.items()}
+        past = before if isinstance(before, dict) else {}
+        return {key: _only_changes_rounded(past.get(key), value) for key, value in after.items()}
     if isinstance(after, list):
-        past = [*before, *[None] * len(after)] if isinstance(before, list) else [None] * len(after)
-        return [_only_changes_rounded(old, value) for old, value in zip(past, after, strict=False)]
+        entries = [*before, *[None] * len(after)] if isinstance(before, list) else [None] * len(after)
+        return [_only_changes_rounded(old, value) for old, value in zip(entries, after, strict=False)]
     return rounded(after) if isinstance(after, float) else after
 
 
@@ -121,9 +121,9 @@ def _item(value: Any, old: Any) -> Any:
         for entry in value:
             tables.append(_item(entry, None))
         return tables
-    known = old if isinstance(old, list) and len(old) == len(value) else [None] * len(value)
+    past_entries = old if isinstance(old, list) and len(old) == len(value) else [None] * len(value)
     array: Array = tomlkit.array()
-    array.extend(_item(entry, past) for entry, past in zip(value, known, strict=True))
+    array.extend(_item(entry, past) for entry, past in zip(value, past_entries, strict=True))
     return array.multiline(len(array.as_string()) > WIDTH)
 
 

@@ -54,8 +54,8 @@ def describe_effects(
     catalogue = catalogue_with(effects)
     for name in names:
         if name not in catalogue:
-            known = ", ".join(catalogue)
-            raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {known}.")
+            names_of_all = ", ".join(catalogue)
+            raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {names_of_all}.")
     cards = effect_cards(None if vehicle is None else vehicle_of(vehicle, catalogue), catalogue=catalogue)
     return tuple(card for card in cards if not names or card.name in names)
 
