@@ -47,6 +47,7 @@ MIN_RATE = 0.9  # of the rate of estimates that the flight requires
 MAX_ESTIMATE_RATE = 100.0  # Hz, required at most, at any control rate: PX4 sends 124 Hz on a request for 200
 BACKGROUND_PRIORITY = 1  # of SCHED_FIFO, for recorder and supervisor
 SUPERVISION_PERIOD = 0.1  # s
+SETTLING_TIME = 1.5  # s, at most, in which clock and streams settle before their state is reported
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
@@ -240,7 +241,7 @@ class Daemon:
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
         self._check_start(link)
-        self._requests.slow_findings = self._slow_findings(link, time.monotonic())
+        self._requests.slow_findings = self._settle(link)
         control = ControlThread(
             link,
             self._telemetry,
@@ -285,6 +286,13 @@ class Daemon:
         if reason:
             self._report_event(Event.REFERENCE_INFEASIBLE, reason)
             raise RequestError(reason)
+
+    def _settle(self, link: Link) -> dict[Event, str]:
+        """Wait a moment for the clock and the requested streams. Returns what is still missing."""
+        deadline = time.monotonic() + SETTLING_TIME
+        while (present := self._slow_findings(link, time.monotonic())) and time.monotonic() < deadline:
+            time.sleep(0.02)
+        return present
 
     def _report_refusals(self) -> None:
         """Announce and record what was refused of real-time scheduling since the last call."""

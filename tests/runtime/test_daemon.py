@@ -98,6 +98,7 @@ def test_it_flies_and_its_recording_replays_bit_for_bit(vehicle: Vehicle, tmp_pa
     assert report.tracking.position_rmse < 0.2
     assert report.timing.ticks > 500
     assert 0 < report.start_up < 20
+    assert not {"clock_uncertain", "rates_low"} & set(report.events), announcements
     recording = read_recording(tmp_path / "flight.mcap")
     assert recording.complete
     assert {"/imu", "/battery", "/rotors", "/horizon", "/phase", "/parameter", "/pose"} <= set(recording.messages)
