@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from runtime.link.clock import VehicleClock, Verdict
+from fixtures.vehicle_clock import PERIOD, Exchange, simulator_clock
+from runtime.link.clock import VehicleClock
 
-PERIOD = 0.1
 FOLDER = Path(__file__).parents[2] / "data" / "px4_sih_flights"
 RECORDED = ("nothing_1_circle", "drag2_4_lemniscate", "tipped_44deg", "crash_circle")
 QUIET = {"accepted", "slow", "outlier", "stepped"}
@@ -20,25 +20,6 @@ QUIET = {"accepted", "slow", "outlier", "stepped"}
 
 def linear(offset: float, drift: float) -> Callable[[float], float]:
     return lambda ours: ours + offset + drift * (ours - 100.0)
-
-
-class Exchange:
-    """TIMESYNC at 10 Hz from ours = 100 s on, over a path with random delays both ways."""
-
-    def __init__(self, round_trip: float, seed: int = 0) -> None:
-        self.clock, self.now = VehicleClock(), 100.0
-        self.verdicts: list[Verdict] = []
-        self._random, self._round_trip = np.random.default_rng(seed), round_trip
-
-    def run(self, seconds: float, vehicle: Callable[[float], float], *, delay: float = 0.0) -> None:
-        for _ in range(round(seconds / PERIOD)):
-            there, back = self._random.exponential(self._round_trip / 4, 2) + self._round_trip / 4
-            answered = self.now + there + delay
-            self.verdicts.append(self.clock.handle(self.now, answered + back, vehicle(answered)))
-            self.now += PERIOD
-
-    def error(self, vehicle: Callable[[float], float]) -> float:
-        return abs(self.clock.to_ours(vehicle(self.now)) - self.now)
 
 
 @settings(max_examples=60)
@@ -166,17 +147,6 @@ def test_the_first_answer_replaces_stamps_that_came_late() -> None:
     exchange.run(2.0, vehicle)
     assert set(exchange.verdicts) == {"accepted"}
     assert exchange.error(vehicle) < 1e-3
-
-
-def simulator_clock(seed: int, drift: float, quantum: float, seconds: float = 60.0) -> Callable[[float], float]:
-    """A clock that drifts, pauses for seconds, steps by 5 to 18 ms every ten seconds and counts in `quantum`, s."""
-    random, times = np.random.default_rng(seed), np.arange(0.0, seconds, 1e-3)
-    pauses = np.repeat(random.random(round(seconds)) < 0.15, 1000)
-    offset = 1e-3 * np.cumsum(np.where(pauses, 0.0, drift))
-    for at in random.uniform(0.0, seconds, round(seconds / 10)):
-        offset[times > at] += random.choice([-1.0, 1.0]) * random.uniform(5e-3, 18e-3)
-    vehicle = np.maximum.accumulate(times + offset)
-    return lambda ours: 500.0 + float(np.interp(ours - 100.0, times, vehicle)) // quantum * quantum
 
 
 @pytest.mark.parametrize("drift", [-0.012, 0.0, 0.012])
