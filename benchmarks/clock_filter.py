@@ -76,8 +76,8 @@ def noticed(jump: float, seeds: int) -> str:
         before = len(exchange.verdicts)
         jumped: Clock = lambda ours, clock=vehicle: clock(ours) + jump  # type: ignore[misc]  # noqa: E731
         exchange.run(2.0, jumped)
-        found = [n for n, verdict in enumerate(exchange.verdicts[before:]) if verdict in ("jumped", "ran_backwards")]
-        times += found[:1]
+        reports = [n for n, verdict in enumerate(exchange.verdicts[before:]) if verdict in ("jumped", "ran_backwards")]
+        times += reports[:1]
     slowest = f"{PERIOD * (max(times) + 1):.1f} s" if times else "-"
     return f"| {jump:+g} s | {len(times)} of {seeds} | {slowest} |"
 

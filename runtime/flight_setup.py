@@ -22,12 +22,14 @@ from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, read_bundle
 from runtime.daemon import FlightRequest
 from runtime.flight.engagement import EngagementSettings
+from runtime.flight.failsafe import FallbackBounds
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Origin, Plan
 from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
 
+SHIFTED_TIME = 0.1  # s of the shifted solution
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
 
@@ -110,7 +112,9 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         rate=rate,
         plan=Plan(height=setup.height, duration=setup.duration, origin=setup.origin),
         settings=FlyerSettings(
-            engagement=EngagementSettings(arm=setup.arm, resume=setup.resume), health=HealthLimits.for_vehicle(vehicle)
+            engagement=EngagementSettings(arm=setup.arm, resume=setup.resume),
+            bounds=FallbackBounds(shifted_ticks=max(round(SHIFTED_TIME * rate), 1)),
+            health=HealthLimits.for_vehicle(vehicle),
         ),
         record=setup.record,
         system=setup.system,

@@ -97,6 +97,7 @@ class EstimateLimits(msgspec.Struct, frozen=True):
     max_rate: rad/s.
     attitude_length: deviation of the quaternion's length from 1.
     moved_samples: consecutive jumps that agree with each other, after which they are accepted.
+    overtaken: s by which a sample may be older than the one before, on a path that reorders; it is dropped.
     forgotten_after: s of silence after which nothing is compared.
     odometry_silence: s without ODOMETRY after which LOCAL_POSITION_NED and ATTITUDE_QUATERNION replace it.
     """
@@ -108,6 +109,7 @@ class EstimateLimits(msgspec.Struct, frozen=True):
     max_rate: float = 35.0
     attitude_length: float = 0.05
     moved_samples: int = 10
+    overtaken: float = 0.1
     forgotten_after: float = 1.0
     odometry_silence: float = 0.5
 
@@ -125,6 +127,7 @@ class EstimateMonitor:
     def reset(self) -> None:
         """Forget all estimates, as after a reboot of the vehicle."""
         self.latest: StateEstimate | None = None
+        self._stamp = float("-inf")
         self._jumps: list[StateEstimate] = []
         self._odometry_received = float("-inf")
         self._local_position: tuple[float, Message] | None = None
@@ -140,7 +143,7 @@ class EstimateMonitor:
             state[VELOCITY] = quaternion.rotate(np.array(state[ATTITUDE]), velocity_body).tolist()
         elif odometry.child_frame_id != mavlink.MAV_FRAME_LOCAL_NED:
             return _refused_frame("child_frame_id", odometry.child_frame_id, "1 (LOCAL_NED) or 12 (BODY_FRD)")
-        return self._check(state, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
+        return self._check(state, odometry.time, time, received, odometry.reset_counter, is_synchronised, "ODOMETRY")
 
     def handle_local_position(self, message: Message, time: float) -> None:
         """Store a LOCAL_POSITION_NED message for the attitude that follows it."""
@@ -160,11 +163,13 @@ class EstimateMonitor:
         place = (position.x + step * position.vx, position.y + step * position.vy, position.z + step * position.vz)
         attitude = (message.q1, message.q2, message.q3, message.q4)
         wire = (*place, *attitude, *velocity, message.rollspeed, message.pitchspeed, message.yawspeed)
-        return self._check(state_from_wire(wire), time, received, 0, is_synchronised, "LOCAL_POSITION_NED")
+        stamp, state = message.time_boot_ms * 1e-3, state_from_wire(wire)
+        return self._check(state, stamp, time, received, 0, is_synchronised, "LOCAL_POSITION_NED")
 
     def _check(
         self,
         values: list[float],
+        stamp: float,
         time: float,
         received: float,
         reset_counter: int,
@@ -181,11 +186,18 @@ class EstimateMonitor:
             factor = -factor
         values[ATTITUDE] = [factor * value for value in values[ATTITUDE]]
         state = np.array(values)
+        new = latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source
+        stamp = stamp if is_synchronised else time  # of no clock that is followed, it may be anything, 0 as well
+        if latest is not None and not new and is_synchronised == latest.is_synchronised:
+            age = self._stamp - stamp
+            if age >= 0:
+                return self._check_age(age)
+            if time <= latest.time:  # the clock's filter has moved: the vehicle's own stamps order its samples
+                time = min(latest.time - age, max(received, latest.time))
+        self._stamp = stamp
         estimate = StateEstimate(time, received, state, reset_counter, is_synchronised, source)
-        if latest is None or received - latest.received > self._limits.forgotten_after or source != latest.source:
+        if latest is None or new:
             return self._accept(estimate)
-        if time <= latest.time:
-            return self._check_time(estimate, latest)
         if reset_counter != latest.reset_counter:
             return self._check_reset(estimate, latest)
         if (jump := self._jump(latest, estimate)) is None:
@@ -197,13 +209,11 @@ class EstimateMonitor:
         self._jumps.clear()
         return EstimateCheck(estimate)
 
-    def _check_time(self, estimate: StateEstimate, latest: StateEstimate) -> EstimateCheck:
-        if latest.is_synchronised != estimate.is_synchronised:
-            return self._accept(estimate)  # the vehicle's clock has just become valid, or invalid
-        if latest.time - estimate.time < 1e-3:
-            return EstimateCheck(None)  # the same sample sent twice
-        text = f"The estimate's time went back by {latest.time - estimate.time:.3f} s."
-        return EstimateCheck(None, "estimate_time_backwards", text)
+    def _check_age(self, age: float) -> EstimateCheck:
+        """The outcome of a sample that is older than the one before. age: by how much, s; 0 of one sent twice."""
+        if age < self._limits.overtaken:
+            return EstimateCheck(None)
+        return EstimateCheck(None, "estimate_time_backwards", f"The estimate's time went back by {age:.3f} s.")
 
     def _check_reset(self, estimate: StateEstimate, latest: StateEstimate) -> EstimateCheck:
         step = _step(latest, estimate)

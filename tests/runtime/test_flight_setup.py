@@ -24,6 +24,7 @@ def test_without_settings_the_file_is_recorded_as_it_is() -> None:
 def test_the_rate_is_the_vehicles_unless_the_user_gives_one() -> None:
     setup = FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g", settings=("controller.rate=200",))
     assert prepare_flight(setup).request.rate == 200.0
+    assert prepare_flight(setup).request.settings.bounds.shifted_ticks == 20  # the same 0.1 s as at 100 Hz
     assert prepare_flight(FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g")).request.rate == 100.0
     with pytest.raises(RequestError, match="longer than a node"):
         prepare_flight(

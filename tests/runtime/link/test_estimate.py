@@ -34,7 +34,9 @@ def read(**fields: Any) -> Odometry:
     return read_odometry(data[10:-2])
 
 
-def feed(monitor: EstimateMonitor, time: float, **fields: Any) -> EstimateCheck:
+def feed(monitor: EstimateMonitor, time: float, *, offset: float = 0.0, **fields: Any) -> EstimateCheck:
+    """A sample that is received 5 ms after its time. offset: s, of the vehicle's clock."""
+    fields.setdefault("time_usec", round(1e6 * (time + offset)))
     return monitor.handle_odometry(read(**fields), time, time + 0.005, True)
 
 
@@ -175,6 +177,26 @@ def test_time_running_backwards_is_reported_and_survived(monitor: EstimateMonito
     check = feed(monitor, 4.0)
     assert (check.estimate, check.event) == (None, "estimate_time_backwards")
     assert accepted(feed(monitor, 5.01)).time == 5.01
+
+
+def test_a_sample_that_another_overtook_is_dropped_silently(monitor: EstimateMonitor) -> None:
+    feed(monitor, 5.0)
+    assert feed(monitor, 4.98) == EstimateCheck(None)
+    assert accepted(feed(monitor, 5.01)).time == 5.01
+
+
+def test_a_clock_filter_that_moves_back_is_no_clock_that_runs_backwards(monitor: EstimateMonitor) -> None:
+    feed(monitor, 5.0)
+    estimate = accepted(feed(monitor, 4.998, offset=0.012))  # 10 ms later by the vehicle's clock
+    assert estimate.time == pytest.approx(5.003)  # not after its arrival
+    assert accepted(feed(monitor, 5.012, offset=0.012)).time == 5.012
+
+
+def test_samples_without_a_clock_are_ordered_by_their_arrival(monitor: EstimateMonitor) -> None:
+    for time in (5.0, 5.01, 5.02):
+        check = monitor.handle_odometry(read(time_usec=0), time, time, False)
+        assert accepted(check).time == time
+    assert accepted(feed(monitor, 5.0249)).is_synchronised  # from here on the vehicle's clock is followed
 
 
 def test_the_same_sample_twice_is_dropped_silently(monitor: EstimateMonitor) -> None:
