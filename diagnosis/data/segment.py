@@ -129,6 +129,11 @@ class Segment:
         return np.vstack([position.T, velocity.T, self.attitude.T, rate.T]).T
 
     @cached_property
+    def driving(self) -> Floats:
+        """(n, 13 + rotors + 2) what drives hidden states: smooth state, rotor speeds and environment."""
+        return np.vstack([self.smooth.T, self.rotor_speed.T, self.environment.T]).T
+
+    @cached_property
     def rotor_acceleration(self) -> Floats:
         """(n, rotors) rad/s^2."""
         return rate_of_change(self.rotor_speed, self.rate)

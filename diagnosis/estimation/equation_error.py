@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from weakref import WeakKeyDictionary
 
 import msgspec
 import numpy as np
@@ -99,9 +100,29 @@ def fit(
     key, parameter); by default the linear solution.
     """
     base = regression.vehicle if vehicle is None else vehicle
-    together = (*candidates, *regression.nuisances)
-    if not together:
+    if not (*candidates, *regression.nuisances):
         return Fit(base, {}, ())
+    lacking = with_candidates(base, (*candidates, *regression.nuisances), {})
+    fits = _fits.setdefault(regression, [])
+    for of, at, before, fitted in fits:  # rivals, trials and the last report ask for the same fits
+        if of == tuple(candidates) and at == start and before == lacking:
+            return fitted
+    fits.append((tuple(candidates), start, lacking, _fitted(regression, candidates, base, start)))
+    return fits[-1][-1]
+
+
+_fits: WeakKeyDictionary[
+    Regression, list[tuple[tuple[Candidate, ...], Mapping[tuple[str, str], float] | None, Vehicle, Fit]]
+] = WeakKeyDictionary()
+
+
+def _fitted(
+    regression: Regression,
+    candidates: Sequence[Candidate],
+    base: Vehicle,
+    start: Mapping[tuple[str, str], float] | None,
+) -> Fit:
+    together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base)
     values, last, left = _settle(problem, problem.start(start))
     covariance = last.covariance + np.outer(left, left)

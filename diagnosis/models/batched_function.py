@@ -180,7 +180,7 @@ class RowFunction:
 
     def __call__(self, *arguments: Floats) -> Floats:
         """(n, k) of the first output, column by column in memory. arguments: (n, width), (width,) for shared ones."""
-        program, columns = self._program, {place: np.ascontiguousarray(arguments[place].T) for place in self._rows}
+        program, columns = self._program, {place: _by_column(arguments[place]) for place in self._rows}
         count, work = len(arguments[self._rows[0]]), _work(program.rows - program.entries - program.width)
         result = np.empty((program.width, count))
         with np.errstate(all="ignore"):
@@ -209,6 +209,12 @@ class RowFunction:
         _run(program.once, slots)
         self._common = ([values.copy() for values in shared], slots)
         return slots.copy()
+
+
+def _by_column(values: Floats) -> Floats:
+    """(k, n) values (n, k), each column contiguous."""
+    columns = values.T
+    return columns if columns.strides[-1] == values.itemsize else np.ascontiguousarray(columns)
 
 
 _local = local()

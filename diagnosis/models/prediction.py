@@ -10,6 +10,7 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import casadi as ca
 import numpy as np
@@ -30,6 +31,7 @@ from dynamics.vehicle import EffectUse, Vehicle
 POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 MAX_KEPT = 256  # structures whose functions are kept
+MAX_FOLLOWED = 24  # sets of hidden states that are kept of a segment
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +93,6 @@ class Predictor:
         self.free = tuple(free)
         self._thresholds = thresholds
         self._functions = _functions_of(self.model, self.free)
-        self._followed: dict[int, tuple[Segment, bytes, Floats]] = {}  # last hidden states along a segment
 
     def values(self, changed: Mapping[str, float] | None = None) -> Floats:
         """The model's parameter vector with some of them changed."""
@@ -135,11 +136,18 @@ class Predictor:
         values = self.values() if p is None else p
         if not self.model.hidden_count:
             return segment.smooth
-        segment_before, values_before, hidden = self._followed.get(id(segment), (None, b"", np.zeros(0)))
-        if segment_before is not segment or values_before != values.tobytes():
-            hidden = self._hidden(segment, values)
-            self._followed[id(segment)] = (segment, values.tobytes(), hidden)
-        return np.hstack([segment.smooth, hidden])
+        followed, key = _followed.setdefault(segment, {}), self._hidden_key(segment, values)
+        if key not in followed:
+            if len(followed) >= MAX_FOLLOWED:
+                del followed[next(iter(followed))]
+            followed[key] = self._hidden(segment, values)
+        return np.vstack([segment.smooth.T, followed[key].T]).T
+
+    def _hidden_key(self, segment: Segment, p: Floats) -> Hashable:
+        """What hidden states along a segment depend on: the same in all models where these are the same."""
+        stride = self._stride(segment, p)
+        own = p[self._functions.hidden_parameters].tobytes(), self.model.hidden_initial.tobytes()
+        return (self._functions.hidden_slope, *own, stride, self.substeps(stride / segment.rate, p))
 
     def rotor_speed(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, rotors) speeds of the rotors, rad/s: those of the log, or behind these where the model has their lag."""
@@ -162,19 +170,26 @@ class Predictor:
         required = max(1, math.ceil(period / (MAX_STEP_IN_LAGS * lag)))
         return required if required <= self._thresholds.max_substeps else None
 
-    def _hidden(self, segment: Segment, p: Floats) -> Floats:
-        """(n, h) hidden states along the segment, from their values in hover."""
+    def _stride(self, segment: Segment, p: Floats) -> int:
+        """Rows from one step of the hidden states to the next: all where they are fast."""
         slowest = min((p[place] for place in self._functions.lags), default=np.inf) * self._thresholds.hidden_rate
         fast = bool(self.model.rotor_speed_places) or slowest < 1
-        stride = 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
+        return 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
+
+    def _hidden(self, segment: Segment, p: Floats) -> Floats:
+        """(n, h) hidden states along the segment, from their values in hover."""
+        stride = self._stride(segment, p)
         count = self.substeps(stride / segment.rate, p)
         if count is None:
             return np.full((len(segment), self.model.hidden_count), np.nan)
-        here = np.hstack([segment.smooth, segment.rotor_speed, segment.environment])[::stride]
+        here = segment.driving[::stride]
         initial, period = _settled(self.model, segment), np.array([stride / segment.rate])
         with np.errstate(all="ignore"):
             hidden = np.vstack([initial, self._functions.advance(count)(initial, here[:-1], here[1:], p, period)])
         return hidden if stride == 1 else _between(hidden, stride, len(segment))
+
+
+_followed: WeakKeyDictionary[Segment, dict[Hashable, Floats]] = WeakKeyDictionary()  # hidden states along segments
 
 
 class _Functions:
@@ -185,6 +200,7 @@ class _Functions:
         self._places = [model.parameter_index(name) for name in free]
         self.ages = ca.Function("ages", [self._symbols["p"]], [_ages(model, self._symbols["p"])])
         self.lags, self.step_bounds = _lags(model)
+        self.hidden_slope, self.hidden_parameters = _hidden_slope_text(model)
         self._advances: dict[int, Recurrence] = {}
 
     @cached_property
@@ -243,6 +259,25 @@ def _lags(model: Model) -> tuple[list[int], list[int]]:
         if not all(relaxes_alone(derivative, hidden, entries) for entries in states):
             bounding += places
     return everything, bounding
+
+
+def _hidden_slope_text(model: Model) -> tuple[str, list[int]]:
+    """The hidden states' derivative, the same text in all models where it is the same, and its parameters' places."""
+    if not model.hidden_count:
+        return "", []
+    row, h = ca.SX.sym("row", RIGID_BODY_STATES + model.input_count + 2), ca.SX.sym("h", model.hidden_count)
+    p = ca.vertcat(*map(ca.SX.sym, model.parameter_names))
+    slope = _hidden_slope(model, row, h, p)
+    places = [place for place, is_in in enumerate(ca.which_depends(slope, p, 1, False)) if is_in]
+    return ca.Function("slope", [row, h, p[places]], [slope]).serialize(), places
+
+
+def _hidden_slope(model: Model, row: Expression, hidden: Expression, p: Expression) -> Expression:
+    """(h,) derivative of the hidden states. row: measured state, rotors' speeds or commands, environment."""
+    n = model.input_count
+    rate, speed = _true(model, row[RATE], row[RIGID_BODY_STATES : RIGID_BODY_STATES + n], p)
+    state = ca.vertcat(row[POSE_AND_VELOCITY], rate, hidden)
+    return model.derivative(state, speed, p, row[RIGID_BODY_STATES + n :], ca.SX.zeros(model.hidden_count))[HIDDEN]
 
 
 def _settled(model: Model, segment: Segment) -> Floats:
@@ -321,16 +356,12 @@ def _advance(model: Model, s: Mapping[str, Expression], count: int) -> ca.Functi
 
     Between two rows motion and rotors' speeds or commands change linearly.
     """
-    n = model.input_count
-    width = RIGID_BODY_STATES + n + 2
+    width = RIGID_BODY_STATES + model.input_count + 2
     before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
     h, p = ca.SX.sym("h", model.hidden_count), s["p"]
 
     def slope(hidden: Expression, share: float) -> Expression:
-        row = (1 - share) * before + share * after
-        rate, speed = _true(model, row[RATE], row[RIGID_BODY_STATES : RIGID_BODY_STATES + n], p)
-        state = ca.vertcat(row[POSE_AND_VELOCITY], rate, hidden)
-        return model.derivative(state, speed, p, row[RIGID_BODY_STATES + n :], ca.SX.zeros(model.hidden_count))[HIDDEN]
+        return _hidden_slope(model, (1 - share) * before + share * after, hidden, p)
 
     following = exponential_steps(slope, h, relaxation_of(slope(h, 0.0), h), dt, steps=count)
     return ca.Function("advance", [h, before, after, p, dt], [following])
