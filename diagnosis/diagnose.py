@@ -40,6 +40,7 @@ from diagnosis.verdict import (
 )
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 
 
@@ -104,6 +105,7 @@ def diagnose_dataset(
         refused=refused,
         candidates=considered(selection, effects, refused),
         leftover=left,
+        rotors=rotor_names(vehicle),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,

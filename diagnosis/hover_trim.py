@@ -25,6 +25,7 @@ from dynamics.arrays import Floats
 from dynamics.effects import CATALOGUE
 from dynamics.effects.weak_rotor import EFFECT as WEAK_ROTOR
 from dynamics.errors import DataError, RequestError
+from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights import Flight
 from flights.exclusion import excluded_rows, find_exclusions
@@ -35,11 +36,13 @@ from flights.rotors import QUANTITIES
 class RotorShare(msgspec.Struct, frozen=True):
     """A rotor's share of the commands in hover, 1 for the mean rotor.
 
+    name: with its place and the autopilots' numbers, for people.
     normal, now: mean over the normal flights and over the others.
     limit: share above which the rotor is flagged.
     """
 
     rotor: int
+    name: str
     normal: float
     now: float
     limit: float
@@ -163,15 +166,15 @@ def judge_shares(
         chance = min(1.0, count * float(stats.t.sf(change[rotor] / error, freedom)))
         effects = (_weak(rotor, before, after, error, 1.0 - chance, measured=measured),)
     moved = np.array(vehicle.rotors.position)[:, :2].T @ change / count
-    table = np.round(np.column_stack([before, after, limit]), 4).tolist()
+    table, names = np.round(np.column_stack([before, after, limit]), 4).tolist(), rotor_names(vehicle)
     return TrimComparison(
         verdict="ambiguous" if effects else "explained",
         effects=effects,
-        rotors=tuple(RotorShare(i, normal, shown, limit) for i, (normal, shown, limit) in enumerate(table)),
+        rotors=tuple(RotorShare(i, name, *row) for i, (name, row) in enumerate(zip(names, table, strict=True))),
         normal_flights=len(usual),
         spread=round(spread, 4),
         centre_of_mass_moved=(float(moved[0]), float(moved[1])),
-        next_flight=_next_flight(effects, len(usual), thresholds),
+        next_flight=_next_flight(effects, names, len(usual), thresholds),
         notes=_notes(len(usual), thresholds),
     )
 
@@ -183,9 +186,11 @@ def trim_sentence(comparison: TrimComparison) -> str:
     if not comparison.effects:
         return f"No rotor works harder in hover than the spread between flights allows, against {against}."
     effect = comparison.effects[0]
+    assert effect.rotor is not None
+    rotor = comparison.rotors[effect.rotor].name
     loss, (x, y) = effect.parameters["loss"], comparison.centre_of_mass_moved
     return (
-        f"Rotor {effect.rotor} works harder in hover than in {against}: weak_rotor of rotor {effect.rotor} (loss = "
+        f"{rotor[0].upper()}{rotor[1:]} works harder in hover than in {against}: weak_rotor of it (loss = "
         f"{loss.value:.2f} ± {1.96 * loss.std:.2f}), or centre_of_mass (moved by {1e3 * x:.1f} mm forward and "
         f"{1e3 * y:.1f} mm to the left); mean commands cannot tell them apart."
     )
@@ -252,12 +257,15 @@ def _weak(
     return MissingEffect(WEAK_ROTOR.name, rotor, parameters, round(confidence, 4), tuple(alike))
 
 
-def _next_flight(effects: Sequence[MissingEffect], normal: int, thresholds: HoverTrimThresholds) -> str:
+def _next_flight(
+    effects: Sequence[MissingEffect], rotors: Sequence[str], normal: int, thresholds: HoverTrimThresholds
+) -> str:
     if effects:
         rotor = effects[0].rotor
+        assert rotor is not None
         return (
-            f"to tell weak_rotor from centre_of_mass: exchange rotor {rotor}'s propeller for that of another rotor of "
-            "the same turning direction and hover again: the change follows a weak propeller, but not a load"
+            f"to tell weak_rotor from centre_of_mass: exchange the propeller of {rotors[rotor]} for that of another "
+            "rotor of the same turning direction and hover again: the change follows a weak propeller, but not a load"
         )
     more = " and more normal flights, which make smaller changes visible" if normal < thresholds.enough_flights else ""
     return f"half a minute of hover after the next repair{more}"

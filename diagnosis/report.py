@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -121,6 +121,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     refused: effects that were selected and are not named, each with its reason.
     candidates: what was tried, the best first.
     leftover: what no effect of the catalogue explains, the largest first.
+    rotors: each rotor's name with its place and the autopilots' numbers, for people.
     """
 
     verdict: Verdict
@@ -132,6 +133,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     refused: tuple[Refused, ...] = ()
     candidates: tuple[Considered, ...] = ()
     leftover: tuple[Leftover, ...] = ()
+    rotors: tuple[str, ...] = ()
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -146,7 +148,7 @@ def sentence(diagnosis: Diagnosis) -> str:
     """The verdict in one sentence."""
     if diagnosis.verdict == "explained":
         return f"The model explains these flights down to {_ground(diagnosis.channels)}."
-    named = [_described(effect) + _look_alikes(effect) for effect in diagnosis.effects]
+    named = [_described(effect, diagnosis.rotors) + _look_alikes(effect) for effect in diagnosis.effects]
     missing = ("; and " if any(effect.ambiguous_with for effect in diagnosis.effects) else " and ").join(named)
     if diagnosis.verdict == "unknown":
         partly = f" Part of it looks like {missing}." if missing else ""
@@ -155,10 +157,10 @@ def sentence(diagnosis: Diagnosis) -> str:
     return f"The model misses {missing}."
 
 
-def refusal_sentence(refused: Refused) -> str:
-    """An effect that is not named, with its fitted values, and why."""
+def refusal_sentence(refused: Refused, rotors: Sequence[str] = ()) -> str:
+    """An effect that is not named, with its fitted values, and why. rotors: their names, as in the report."""
     values = ", ".join(f"{name} = {value:.4g}" for name, value in refused.parameters.items())
-    where = "" if refused.rotor is None else f" of rotor {refused.rotor}"
+    where = _of_rotor(refused.rotor, rotors)
     return f"{refused.name}{where}{f' ({values})' if values else ''}: {reason_of(refused)}"
 
 
@@ -200,8 +202,15 @@ def _look_alikes(effect: MissingEffect) -> str:
     return f" or else {' or '.join(effect.ambiguous_with)}, which these flights cannot tell from it"
 
 
-def _described(effect: MissingEffect) -> str:
-    where = "" if effect.rotor is None else f" of rotor {effect.rotor}"
+def _of_rotor(rotor: int | None, rotors: Sequence[str]) -> str:
+    """The rotor on which an effect acts, by its name where there is one."""
+    if rotor is None:
+        return ""
+    return f" of {rotors[rotor]}" if rotor < len(rotors) else f" of rotor {rotor}"
+
+
+def _described(effect: MissingEffect, rotors: Sequence[str]) -> str:
+    where = _of_rotor(effect.rotor, rotors)
     values = ", ".join(
         f"{name} = {p.value:.4g}"
         + (f" ± {1.96 * p.std:.2g}" if p.std else "")

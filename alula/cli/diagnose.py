@@ -74,7 +74,9 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
     for heading in ("normal", "now", "normal up to"):
         table.add_column(heading, justify="right")
     for rotor in comparison.rotors:
-        table.add_row(str(rotor.rotor), *(f"{value:.3f}" for value in (rotor.normal, rotor.now, rotor.limit)))
+        table.add_row(
+            rotor.name.removeprefix("rotor "), *(f"{value:.3f}" for value in (rotor.normal, rotor.now, rotor.limit))
+        )
     console.print(table)
     console.print(f"next flight: {comparison.next_flight}", highlight=False)
 
@@ -102,7 +104,9 @@ def _print(result: DiagnosisResult, console: Console) -> None:
     for left in diagnosis.leftover:
         console.print(f"left: {leftover_sentence(left)}. {evidence_sentence(left)}", highlight=False)
     for one in diagnosis.refused:
-        console.print(f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one)}", highlight=False)
+        console.print(
+            f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one, diagnosis.rotors)}", highlight=False
+        )
     if diagnosis.not_excited:
         console.print(
             f"not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}", highlight=False

@@ -13,6 +13,7 @@ from diagnosis.data.sensor_checks import require_range, require_velocity
 from diagnosis.thresholds import DEFAULT, DataChecks, Thresholds
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from dynamics.rotor_places import rotor_names
 from dynamics.units import RPM
 from dynamics.vehicle import GRAVITY, Vehicle
 from flights.quality.findings import Finding
@@ -81,13 +82,13 @@ def _require_metres(segments: Sequence[Segment], limits: DataChecks) -> None:
 
 
 def _require_live_rotors(segments: Sequence[Segment], vehicle: Vehicle, limits: DataChecks) -> None:
-    min_speed = limits.min_rotor_speed * vehicle.hover_speed
+    min_speed, names = limits.min_rotor_speed * vehicle.hover_speed, rotor_names(vehicle)
     for flight in dict.fromkeys(s.flight for s in segments):
         speeds = np.vstack([s.rotor_speed for s in segments if s.flight == flight])
-        dead = [i for i, speed in enumerate(np.median(speeds, axis=0)) if speed < min_speed]
+        dead = [names[i] for i, speed in enumerate(np.median(speeds, axis=0)) if speed < min_speed]
         if dead:
             raise DataError(
-                f"{flight}: rotor {', '.join(map(str, dead))} reads nearly zero speed while the vehicle flies: its "
+                f"{flight}: {', '.join(dead)} reads nearly zero speed while the vehicle flies: its "
                 "speed sensor is dead (rotor_speed_fault), not the rotor. Repair it, or give a log with the motor "
                 "commands instead."
             )

@@ -13,6 +13,7 @@ from diagnosis.data.segment import battery_is_measured, segments
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.errors import DataError
 from dynamics.excitation import COMMAND
+from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 from flights import Flight, plausibility
 from flights.exclusion import free_flight
@@ -51,12 +52,12 @@ def inspected(
     if all(_commanded(flight) for flight in flights):
         return [_without_speeds(flight) for flight in flights], tuple(findings)
     name, wrong = next(iter(doubted.items()))
-    raise DataError(f"{name}: {_doubt(wrong)}")
+    raise DataError(f"{name}: {_doubt(wrong, vehicle)}")
 
 
-def _doubt(wrong: UnevenRotor) -> str:
+def _doubt(wrong: UnevenRotor, vehicle: Vehicle) -> str:
     """Why the flights are refused. What reads too fast may also be a propeller that gives too little."""
-    reads = f"rotor {wrong.rotor} reads {wrong.share:.2f} times the speed of its peers"
+    reads = f"{rotor_names(vehicle)[wrong.rotor]} reads {wrong.share:.2f} times the speed of its peers"
     cause = "neither a command nor its moments explain it: its speed sensor is wrong (rotor_speed_fault), not the rotor"
     if wrong.share > 1.0 and wrong.as_commanded is None:
         cause = "its moments do not: its speed sensor is wrong (rotor_speed_fault) or its propeller is damaged or lost"

@@ -80,7 +80,10 @@ def dead_without_commands(flight: Flight) -> Flight:
         (scaled(1 / 9.81, *(f"specific_force_{a}" for a in "xyz")), ["in g"]),
         (scaled(1000.0, *(f"{q}_{a}" for q in POSE[:2] for a in "xyz")), ["millimetres for metres"]),
         (scaled(-1.0, "rate_y", "rate_z"), ["not in the same axes"]),
-        (dead_without_commands, ["rotor 2 reads 0.00 times the speed of its peers", "rotor_speed_fault"]),
+        (
+            dead_without_commands,
+            ["rotor 2 (back right; ", "reads 0.00 times the speed", "rotor_speed_fault"],
+        ),
     ],
     ids=["short", "slow", "motors", "lacking", "rpm", "degrees", "g", "millimetres", "frames", "dead"],
 )

@@ -58,7 +58,7 @@ def test_a_weak_rotor_is_flagged_with_its_loss(arpl_250g: Vehicle) -> None:
     x, y = comparison.centre_of_mass_moved
     assert x < 0  # the rotor behind on the right carries more
     assert y < 0
-    assert "Rotor 2 works harder" in trim_sentence(comparison)
+    assert "Rotor 2 (back right; PX4 and ArduPilot motor 4, Crazyflie M2) works harder" in trim_sentence(comparison)
 
 
 @pytest.mark.parametrize("normal", [1, 2, 5, 8])

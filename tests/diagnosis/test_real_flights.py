@@ -174,7 +174,7 @@ def test_a_rotor_that_works_harder_than_in_normal_flights_is_flagged(
     assert effect["parameters"]["loss"]["value"] > min_loss
     x, y = answer["centre_of_mass_moved"]
     assert x < 0 < y  # motor 3 is behind on the left
-    assert "exchange rotor 1's propeller" in answer["next_flight"]
+    assert "exchange the propeller of rotor 1 (back left;" in answer["next_flight"]
 
 
 def test_tape_and_normal_flights_are_not_claimed_to_be_anything(run: Run) -> None:

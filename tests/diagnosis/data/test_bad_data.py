@@ -82,7 +82,7 @@ def test_a_wrong_order_of_many_rotors_is_noticed_without_trying_all(plain_flight
 
 def test_a_dead_speed_sensor_is_no_dead_rotor(changed, arpl_250g):
     bare = {f"rotor_command_{i}": None for i in range(4)}
-    with pytest.raises(DataError, match=r"rotor 1 reads 0.00 times.*rotor_speed_fault"):
+    with pytest.raises(DataError, match=r"rotor 1 \(back left; .*\) reads 0.00 times.*rotor_speed_fault"):
         judge([with_columns(f, bare) for f in changed(rotor_speed_1=lambda old: 0 * old)], arpl_250g)
 
 
