@@ -414,17 +414,19 @@ class Flyer:
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
         if self._ramp.failed:
-            self._pending[Event.TAKEOFF_FAILED] = f"at {self._ramp.thrust:.2f} N; is it held, or a propeller missing?"
+            self._pending[Event.TAKEOFF_FAILED] = (
+                f"at {self._ramp.collective_thrust:.2f} N; is it held, or a propeller missing?"
+            )
         if (leaning := self._start_pose.leaning(self._state)) > MAX_LEANING:
             self._pending[Event.TIPPING] = f"by {degrees(leaning):.0f} degrees since the motors started"
         if not self._ramp.lifted:
             return
         settings = self._settings.thrust
         self.effectiveness.start(self._ramp.effectiveness(settings.delay + settings.response_time))
-        self._hand_over = HandOver(observation.time, self._ramp.thrust * self.effectiveness.value)
+        self._hand_over = HandOver(observation.time, self._ramp.collective_thrust * self.effectiveness.value)
         self.mission.climb(self._state, observation.time)
         self._start_controller(observation.time)
-        decision.collective_thrust = self._hand_over.thrust
+        decision.collective_thrust = self._hand_over.collective_thrust
 
     def _shut_down(self, observation: ObservationRecord, decision: Decision) -> None:
         since = observation.time - self.mission.phase_started
@@ -484,7 +486,7 @@ class Flyer:
         elif decision.fallback is Fallback.SHIFTED_SOLUTION and self._shifted.reaches(observation.time):
             decision.rate_body, decision.collective_thrust = self._shifted.at(observation.time)
         elif not self._prepared and self._hand_over is not None:
-            decision.rate_body, decision.collective_thrust = ZERO_RATE, self._hand_over.thrust
+            decision.rate_body, decision.collective_thrust = ZERO_RATE, self._hand_over.collective_thrust
         else:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)

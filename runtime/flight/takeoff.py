@@ -34,7 +34,7 @@ class TakeoffRamp:
 
     lifted: whether it has lifted off.
     failed: whether it has not, for longer than the patience at the maximum thrust.
-    thrust: the present setpoint, N.
+    collective_thrust: the present setpoint, N.
     """
 
     def __init__(self, weight: float, thrust_max: float, settings: RampSettings | None = None) -> None:
@@ -49,7 +49,7 @@ class TakeoffRamp:
         self._lift_rate = 0.0
         self.lifted = False
         self.failed = False
-        self.thrust = 0.0
+        self.collective_thrust = 0.0
 
     def update(self, time: float, height: float, climb_rate: float) -> float:
         """Thrust setpoint at this time, N. height: m, climb_rate: m/s, both world up."""
@@ -57,18 +57,18 @@ class TakeoffRamp:
         if self._started is None:
             self._started, self._ground = time, height
         if self.lifted:
-            return self.thrust
+            return self.collective_thrust
         elapsed = time - self._started
         ramp = (settings.spool + (1 - settings.spool) * elapsed / settings.rise) * self._weight
-        self.thrust = min(ramp, self._max_thrust)
+        self.collective_thrust = min(ramp, self._max_thrust)
         rising = height - self._ground > settings.height and climb_rate > settings.climb_rate
         self._rising = self._rising + 1 if rising else 0
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
         # one estimate may be noise; below half the weight nothing lifts off
-        self.lifted = self._rising >= 3 and self.thrust > 0.5 * self._weight
+        self.lifted = self._rising >= 3 and self.collective_thrust > 0.5 * self._weight
         time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
         self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience
-        return self.thrust
+        return self.collective_thrust
 
     def effectiveness(self, response_time: float) -> float:
         """Thrust per modelled thrust, from the thrust setpoint at which the vehicle left the ground.
@@ -78,23 +78,28 @@ class TakeoffRamp:
         """
         settings = self._settings
         since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + response_time
-        slope = (1 - settings.spool) * self._weight / settings.rise if self.thrust < self._max_thrust else 0.0
-        return self._weight / max(self.thrust - slope * since, 0.3 * self._weight)
+        slope = (
+            (1 - settings.spool) * self._weight / settings.rise if self.collective_thrust < self._max_thrust else 0.0
+        )
+        return self._weight / max(self.collective_thrust - slope * since, 0.3 * self._weight)
 
 
 @dataclass(frozen=True)
 class HandOver:
-    """A transition from one thrust to the controller's without a step. started: s. thrust: N, then. duration: s."""
+    """A transition from one thrust to the controller's without a step.
+
+    started: s. collective_thrust: N, then. duration: s.
+    """
 
     started: float
-    thrust: float
+    collective_thrust: float
     duration: float = 0.4
 
     def blend(self, controller_thrust: float, time: float) -> float:
         """Thrust to send, N."""
         part = min(max((time - self.started) / self.duration, 0.0), 1.0)
         share = part * part * (3 - 2 * part)
-        return self.thrust + share * (controller_thrust - self.thrust)
+        return self.collective_thrust + share * (controller_thrust - self.collective_thrust)
 
 
 class LandingDetector:
@@ -108,11 +113,11 @@ class LandingDetector:
         self._hold = hold
         self._since: float | None = None
 
-    def update(self, time: float, climb_rate: float, thrust: float, *, reported_landed: bool) -> bool:
-        """Take one tick. climb_rate: m/s. thrust: setpoint, N. reported_landed: the autopilot's landed state."""
+    def update(self, time: float, climb_rate: float, collective_thrust: float, *, reported_landed: bool) -> bool:
+        """Take one tick. climb_rate: m/s. collective_thrust: setpoint, N. reported_landed: by the autopilot."""
         if reported_landed:
             return True
-        standing = abs(climb_rate) < self._climb_rate and thrust < self._thrust * self._weight
+        standing = abs(climb_rate) < self._climb_rate and collective_thrust < self._thrust * self._weight
         if not standing:
             self._since = None
         elif self._since is None:

@@ -58,7 +58,7 @@ def test_a_noisy_height_alone_is_no_lift_off() -> None:
 
 
 def test_the_controller_takes_over_without_a_step() -> None:
-    hand_over = HandOver(started=1.0, thrust=2.0)
+    hand_over = HandOver(started=1.0, collective_thrust=2.0)
     thrusts = [hand_over.blend(3.0, 1.0 + 0.01 * tick) for tick in range(60)]
     assert thrusts[0] == 2.0
     assert thrusts[-1] == 3.0
