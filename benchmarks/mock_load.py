@@ -42,7 +42,7 @@ def processor_time(process: int) -> float:
 
 def share_of_a_core(seconds: float, flown: bool) -> float:
     """Processor time of the mock's process over wall time."""
-    with mock_process("--offboard-rule", "measured") as mock, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+    with mock_process() as mock, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
         end.bind(("127.0.0.1", mock.port))
         end.settimeout(5.0)
         _, address = end.recvfrom(4096)
@@ -61,7 +61,7 @@ def share_of_a_core(seconds: float, flown: bool) -> float:
 
 def lockstep_factor(name: str, seconds: float) -> tuple[float, float]:
     """Simulated time over wall time and over processor time."""
-    mock = build_autopilot(MockOptions(FOLDER / f"{name}.toml", rule="measured"))
+    mock = build_autopilot(MockOptions(FOLDER / f"{name}.toml"))
     link = mock.add_link("bench", "onboard")
     link.punctual = True
     for frame in (command(511, ODOMETRY, 1e4), setpoint(0.0), command(176, 1, 6), command(400, 1)):

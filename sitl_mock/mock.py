@@ -8,6 +8,7 @@ import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
+from typing import TypeVar
 
 import msgspec
 
@@ -19,13 +20,28 @@ from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.autopilot.parameters import Parameters
 from sitl_mock.scenario import Scenario, read_scenario
 from sitl_mock.server import Pace, Server, Wire
+from sitl_mock.vehicle.clock import SITL_TICK, ClockKind, UnevenTime
 from sitl_mock.vehicle.estimator import Estimator
 from sitl_mock.vehicle.ground import GroundKind
 from sitl_mock.vehicle.tuning import default_tuning, parameter_values
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.wire.link_spec import LinkSpec, default_links
 
-PX4_SIMULATED = ("px4_sih",)  # vehicle files of quadrotors that fly in PX4's own simulation
+AnyStruct = TypeVar("AnyStruct", bound=msgspec.Struct)
+PX4_SIMULATED = ("px4_sih",)  # names of vehicles that fly in PX4's own simulation
+
+
+@dataclass(frozen=True, slots=True)
+class Surroundings:
+    """What a vehicle flies with where neither options nor scenario say so."""
+
+    estimator: Estimator
+    ground: GroundKind
+    clock: ClockKind
+
+
+IN_PX4S_SIMULATION = Surroundings("px4", "sih", "sitl")
+IN_MOTION_CAPTURE = Surroundings("mocap", "legs", "steady")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +57,7 @@ class MockOptions:
     slope: of the ground, degrees; None for the scenario's.
     seed: of all randomness.
     double_ack, rule, body_velocity: see `Behaviour`.
+    clock: how time runs; None for the scenario's or the one that suits the vehicle.
     clock_drift: see `Behaviour`; None for the scenario's.
     parameters: PX4 parameters by name.
     instance: PX4's, added to ports and to the system id.
@@ -55,8 +72,9 @@ class MockOptions:
     slope: float | None = None
     seed: int = 0
     double_ack: bool = False
-    rule: Rule = "documented"
+    rule: Rule = "measured"
     body_velocity: bool = False
+    clock: ClockKind | None = None
     clock_drift: float | None = None
     parameters: dict[str, float] = field(default_factory=dict)
     instance: int = 0
@@ -67,9 +85,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
 
     Raises RequestError for a vehicle, effect, scenario or parameter that is not valid.
     """
-    vehicle = read_vehicle(options.vehicle)
-    scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
-    scenario = _with_overrides(scenario, options, vehicle)
+    vehicle, scenario = _plan(options)
     requested = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
     tuning = default_tuning(vehicle, hidden)
@@ -85,7 +101,8 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         rule=options.rule,
         double_ack=options.double_ack,
         body_velocity=options.body_velocity,
-        clock_drift=scenario.clock.drift if options.clock_drift is None else options.clock_drift,
+        clock_drift=scenario.clock.drift,
+        clock_tick=SITL_TICK if scenario.clock.kind == "sitl" else 0.0,
         epoch=time.time(),
         faults=scenario.faults,
         seed=options.seed,
@@ -93,27 +110,31 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     return Autopilot(simulated, Parameters({**defaults, **scenario.parameters, **options.parameters}), behaviour)
 
 
-def usual_estimator(vehicle: Vehicle) -> Estimator:
-    """The estimator that suits a vehicle: PX4's own for the quadrotor of its simulation, else motion capture."""
-    return "px4" if vehicle.name in PX4_SIMULATED else "mocap"
+def usual_surroundings(vehicle: Vehicle) -> Surroundings:
+    """What suits a vehicle: PX4's own simulation for its quadrotor, a real vehicle in motion capture for all others."""
+    return IN_PX4S_SIMULATION if vehicle.name in PX4_SIMULATED else IN_MOTION_CAPTURE
 
 
-def usual_ground(vehicle: Vehicle) -> GroundKind:
-    """The ground that suits a vehicle: that of PX4's own simulation for its quadrotor, else one under legs."""
-    return "sih" if vehicle.name in PX4_SIMULATED else "legs"
-
-
-def _with_overrides(scenario: Scenario, options: MockOptions, vehicle: Vehicle) -> Scenario:
-    """The scenario with what the options decide otherwise, and nothing open. Raises RequestError for bad values."""
-    slope = scenario.ground.slope if options.slope is None else math.radians(options.slope)
-    kind = options.ground or scenario.ground.kind or usual_ground(vehicle)
-    height_error = options.start_height_error
-    return msgspec.structs.replace(
+def _plan(options: MockOptions) -> tuple[Vehicle, Scenario]:
+    """The vehicle, and the scenario with what the options decide otherwise and nothing left open."""
+    vehicle = read_vehicle(options.vehicle)
+    scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
+    usual = usual_surroundings(vehicle)
+    ground = {"kind": options.ground or scenario.ground.kind or usual.ground}
+    clock = {"kind": options.clock or scenario.clock.kind or usual.clock}
+    slope = None if options.slope is None else math.radians(options.slope)
+    return vehicle, _replaced(
         scenario,
-        estimator=options.estimator or scenario.estimator or usual_estimator(vehicle),
-        start_height_error=scenario.start_height_error if height_error is None else height_error,
-        ground=msgspec.structs.replace(scenario.ground, kind=kind, slope=slope),
+        estimator=options.estimator or scenario.estimator or usual.estimator,
+        start_height_error=options.start_height_error,
+        ground=_replaced(scenario.ground, **ground, slope=slope),
+        clock=_replaced(scenario.clock, **clock, drift=options.clock_drift),
     )
+
+
+def _replaced(struct: AnyStruct, **fields: object) -> AnyStruct:
+    """A struct with the fields that are not None in place of its own. Raises RequestError as the struct does."""
+    return msgspec.structs.replace(struct, **{name: value for name, value in fields.items() if value is not None})
 
 
 def parse_parameter(text: str) -> tuple[str, float]:
@@ -136,6 +157,7 @@ def serve(
         raise RequestError(f"speed {speed}: wanted 0.01 to 100 times real time.")
     specs = default_links(options.instance) if links is None else links
     autopilot = build_autopilot(options)
+    uneven = UnevenTime(options.seed) if _plan(options)[1].clock.kind == "sitl" else None
     wires: list[Wire] = []
     try:
         wires.extend(Wire(autopilot.add_link(spec.name, spec.role), spec.open()) for spec in specs)
@@ -143,7 +165,7 @@ def serve(
         for wire in wires:
             wire.transport.close()
         raise
-    server = Server(autopilot, wires, pace=pace, speed=speed)
+    server = Server(autopilot, wires, pace=pace, speed=speed, uneven=uneven)
     stop = _stop_on_signals()
     server.run(stop)
     return server

@@ -15,6 +15,7 @@ from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import check_effect, refuse_unknown_keys
 from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.vehicle.battery import BatteryPack
+from sitl_mock.vehicle.clock import ClockKind
 from sitl_mock.vehicle.estimator import ERRORS, Estimator
 from sitl_mock.vehicle.ground import Ground
 from sitl_mock.vehicle.sensors import SensorErrors
@@ -34,9 +35,12 @@ class Wind(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 class Clock(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The vehicle's clock.
 
-    drift: time that it gains, s per second; PX4's simulation has drifted by 0.01.
+    kind: steady, or sitl: counting in steps of 4 ms of a simulation that runs 11 ms per second slow and in steps of 5
+        to 18 ms, as PX4's own; None for the one that suits the vehicle.
+    drift: time that it gains against the simulation, s per second.
     """
 
+    kind: ClockKind | None = None
     drift: float = 2e-5
 
     def __post_init__(self) -> None:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from sitl_mock.autopilot.autopilot import Autopilot
+from sitl_mock.vehicle.clock import UnevenTime
 from sitl_mock.wire.link import Link
 from sitl_mock.wire.transport import Transport
 
@@ -33,15 +34,26 @@ class Server:
     pace: realtime follows the clock times `speed`; lockstep advances to the next estimate whenever a setpoint
         arrives and follows the clock only while none does.
     speed: simulated seconds per second.
+    uneven: how simulated time deviates from that in real time; None for not at all.
     slipped: simulated time that a starved process gave up, s.
     """
 
-    def __init__(self, autopilot: Autopilot, wires: list[Wire], *, pace: Pace = "realtime", speed: float = 1.0):
+    def __init__(
+        self,
+        autopilot: Autopilot,
+        wires: list[Wire],
+        *,
+        pace: Pace = "realtime",
+        speed: float = 1.0,
+        uneven: UnevenTime | None = None,
+    ):
         self.autopilot = autopilot
         self.wires = wires
         self.slipped = 0.0
         self._pace = pace
-        self._speed = speed
+        self._uneven = uneven if pace == "realtime" else None
+        self._speed = speed * (1.0 + (self._uneven.drift if self._uneven else 0.0))
+        self._began = time.monotonic()
         self._start = time.monotonic()
         self._origin = autopilot.time
         self._setpoints = 0
@@ -67,6 +79,8 @@ class Server:
         if self._pace == "lockstep" and self._follow_setpoints():
             self._send(self.autopilot.time)
             return
+        if self._uneven is not None:
+            self._origin += self._uneven.step(time.monotonic() - self._began)
         now = self._now()
         if now - self.autopilot.time > CATCH_UP:
             self._slip(now - self.autopilot.time)

@@ -15,6 +15,7 @@ from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
 from sitl_mock.server import Pace
+from sitl_mock.vehicle.clock import ClockKind
 from sitl_mock.vehicle.estimator import Estimator
 from sitl_mock.vehicle.ground import GroundKind
 from sitl_mock.wire.link_spec import LinkSpec, default_links, parse_link
@@ -63,11 +64,22 @@ def mock(
         bool, typer.Option(help="Answer DO_SET_MODE twice, as PX4 of July 2025 to May 2026.")
     ] = False,
     offboard_rule: Annotated[
-        Rule, typer.Option(help="When OFFBOARD may begin: documented (2 Hz for 1 s) or measured (one setpoint).")
-    ] = "documented",
+        Rule,
+        typer.Option(
+            help="When OFFBOARD may begin: measured (after one setpoint, as PX4 does) or documented (2 Hz for 1 s)."
+        ),
+    ] = "measured",
     body_velocity: Annotated[bool, typer.Option(help="ODOMETRY's velocity in BODY_FRD instead of NED.")] = False,
+    clock: Annotated[
+        ClockKind | None,
+        typer.Option(
+            help="steady, or sitl: as PX4's own simulation runs against the clock, 11 ms per second slow and in steps "
+            "of 5 to 18 ms, with stamps in steps of 4 ms; sitl by default for px4_sih, otherwise steady."
+        ),
+    ] = None,
     clock_drift: Annotated[
-        float | None, typer.Option(help="Seconds that the vehicle's clock gains per second; 0.00002 by default.")
+        float | None,
+        typer.Option(help="Seconds that the vehicle's clock gains per second of flight; 0.00002 by default."),
     ] = None,
     param: Annotated[list[str] | None, typer.Option(help="PX4 parameter NAME=VALUE. Repeatable.")] = None,
     end_with_input: Annotated[
@@ -87,6 +99,7 @@ def mock(
         double_ack=double_ack,
         rule=offboard_rule,
         body_velocity=body_velocity,
+        clock=clock,
         clock_drift=clock_drift,
         parameters=dict(parse_parameter(text) for text in param or ()),
         instance=instance,

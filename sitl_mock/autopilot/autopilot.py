@@ -36,15 +36,17 @@ class Behaviour:
     double_ack: DO_SET_MODE is answered twice.
     body_velocity: ODOMETRY's velocity in BODY_FRD.
     clock_drift: time that the vehicle's clock gains, s per second.
+    clock_tick: s in which it counts; 0 for a clock that runs on.
     epoch: unix time at boot, s.
     faults: what goes wrong when.
     seed: of all randomness.
     """
 
-    rule: Rule = "documented"
+    rule: Rule = "measured"
     double_ack: bool = False
     body_velocity: bool = False
     clock_drift: float = 2e-5
+    clock_tick: float = 0.0
     epoch: float = 1.8e9
     faults: tuple[Fault, ...] = ()
     seed: int = 0
@@ -66,7 +68,7 @@ class Autopilot:
         self.estimates_sent = 0
         self._random = random.Random(behaviour.seed)
         self.commander = Commander(parameters, rule=behaviour.rule, seed=behaviour.seed + 1)
-        self.clock = VehicleClock(drift=behaviour.clock_drift)
+        self.clock = VehicleClock(drift=behaviour.clock_drift, tick=behaviour.clock_tick)
         self.estimate_fault = EstimateFault(reset_counter=self._random.randint(9, 11))
         self._navigator = Navigator(vehicle, self.commander, parameters, self._random)
         self._reporter = Reporter(

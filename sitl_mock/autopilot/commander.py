@@ -62,7 +62,7 @@ class ForcedRejections:
 class Commander:
     """Arming and mode state with PX4's transition rules."""
 
-    def __init__(self, parameters: Parameters, *, rule: Rule = "documented", seed: int = 0):
+    def __init__(self, parameters: Parameters, *, rule: Rule = "measured", seed: int = 0):
         self.offboard = OffboardStream(rule)
         self.armed = False
         self.intended = Mode.HOLD

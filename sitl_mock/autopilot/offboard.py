@@ -27,7 +27,7 @@ ABOVE_SEA = (0, 5)  # MAV_FRAME_GLOBAL and _GLOBAL_INT; the others count height 
 GLOBAL_FRAMES = (*ABOVE_SEA, 3, 6, 10, 11)
 FORCE_SET = 512
 
-Rule = Literal["documented", "measured"]
+Rule = Literal["measured", "documented"]
 
 
 def attitude_target(message: Message) -> ControlSetpoint | None:
@@ -124,14 +124,14 @@ def _masked(values: tuple[float, float, float], mask: int, shift: int) -> Floats
 class OffboardStream:
     """The stream of offboard setpoints. All times are simulated seconds.
 
-    rule: condition for entering OFFBOARD. documented: more than 2 Hz for more than 1 s; measured: one setpoint (30 ms
-        earlier was enough).
+    rule: condition for entering OFFBOARD. measured: one setpoint (30 ms earlier was enough); documented: more than 2 Hz
+        for more than 1 s.
     last: when the newest setpoint arrived.
     began: when the stream began without a gap since.
     count: setpoints so far.
     """
 
-    rule: Rule = "documented"
+    rule: Rule = "measured"
     last: float = -math.inf
     began: float = math.inf
     count: int = 0

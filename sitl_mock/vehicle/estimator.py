@@ -124,7 +124,8 @@ PX4_SENSORS = SensorErrors(
     tilt=math.radians(0.15),
     yaw=math.radians(0.2),
     attitude_time=0.5,
-    delay=0.004,
+    delay=0.0,
+    estimate_period=0.008,
 )
 PX4_WANDER = Wander(
     position=(0.11, 0.15, 0.24),

@@ -30,6 +30,7 @@ class SensorErrors:
     rotor_speed: white, rad/s.
     rotor_speed_step: resolution of the measured rotor speed, rad/s.
     delay: age of the estimate when it is read, s.
+    estimate_period: time from one estimate to the next, s.
     imu_average: time over which an inertial sample is averaged, s: by trapezoids where samples are as far apart.
     """
 
@@ -50,6 +51,7 @@ class SensorErrors:
     rotor_speed: float = 1.0
     rotor_speed_step: float = 1.5
     delay: float = 0.010
+    estimate_period: float = 0.001
     imu_average: float = 0.004
 
     def without_noise(self) -> SensorErrors:
@@ -66,6 +68,7 @@ class SensorErrors:
             rotor_speed=0.0,
             rotor_speed_step=0.0,
             delay=self.delay,
+            estimate_period=self.estimate_period,
             imu_average=self.imu_average,
         )
 

@@ -177,7 +177,10 @@ class SimulatedVehicle:
     def estimate(self) -> MotionState:
         """The estimator's output: as old as its delay, with its errors, rates from the filtered gyro."""
         oldest = min(self._step, len(self._loop.records) - 1)
-        age = min(round(self.options.sensors.delay / DT), oldest)
+        delay, period = (
+            round(value / DT) for value in (self.options.sensors.delay, self.options.sensors.estimate_period)
+        )
+        age = min(delay + (self._step - delay) % max(period, 1), oldest)
 
         def aged(more: int) -> MotionState:
             return self._motion("estimate", min(age + more, oldest))

@@ -35,7 +35,6 @@ pytestmark = pytest.mark.realtime
 
 PATIENCE = 20.0  # s for anything to happen
 SPEED = 2.0  # simulated seconds per second
-DOCUMENTED = 1.4  # s of setpoints before OFFBOARD; MAVSDK sends them from the first set_... on
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,6 @@ async def mode(drone: SimpleNamespace, expected: FlightMode) -> None:
 async def steer(drone: SimpleNamespace, set_it: Callable[[], Awaitable[None]], seconds: float) -> Any:
     """Fly a setpoint in OFFBOARD for simulated seconds, then hold; returns where that led."""
     await set_it()
-    await asyncio.sleep(DOCUMENTED / SPEED)
     await drone.offboard.start()
     assert await drone.offboard.is_active()
     await asyncio.sleep(seconds / SPEED)

@@ -158,7 +158,7 @@ def test_a_port_in_use_is_named_with_what_to_do() -> None:
         (["--link", "udpout:no.such.host.invalid:15000"], "no.such.host.invalid"),
         (["--param", "COM_OF_LOS_T=1"], "COM_OF_LOSS_T"),
         (["--effect", "rotor_darg"], "rotor_drag"),
-        (["--offboard-rule", "none"], "'documented', 'measured'"),
+        (["--offboard-rule", "none"], "'measured', 'documented'"),
         (["--speed", "0"], "speed"),
         (["--scenario", "/does/not/exist.toml"], "scenario"),
     ],
@@ -247,7 +247,7 @@ def test_several_clients_share_a_udp_link(everywhere: Everywhere) -> None:
 
 
 def test_lockstep_runs_as_fast_as_the_setpoints_come() -> None:
-    with mock_process("--lockstep", "--offboard-rule", "measured") as process:
+    with mock_process("--lockstep") as process:
         client, handle = udp_client(process.port)
         with handle:
             client.wait_for("HEARTBEAT")

@@ -26,8 +26,8 @@ def test_offboard_is_refused_without_a_setpoint_stream_while_armed_in_hold() -> 
     assert bench.heartbeat.custom_mode == HOLD
 
 
-def test_offboard_is_taken_up_after_a_second_of_setpoints() -> None:
-    bench = Bench()
+def test_offboard_is_taken_up_after_a_second_of_setpoints_by_the_documented_rule() -> None:
+    bench = Bench(rule="documented")
     bench.request(ARM, 1)
     bench.stream(0.8)
     assert bench.request(SET_MODE, 1, 6) == TEMPORARILY_REJECTED
@@ -36,8 +36,8 @@ def test_offboard_is_taken_up_after_a_second_of_setpoints() -> None:
     assert bench.heartbeat.custom_mode == OFFBOARD
 
 
-def test_one_setpoint_30_ms_earlier_is_enough_by_the_measured_rule() -> None:
-    bench = Bench(rule="measured")
+def test_one_setpoint_30_ms_earlier_is_enough() -> None:
+    bench = Bench()
     bench.request(ARM, 1)
     bench.setpoint()
     bench.run(0.032)

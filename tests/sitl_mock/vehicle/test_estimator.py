@@ -5,7 +5,7 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
-from sitl_mock.mock import MockOptions, build_autopilot, usual_estimator
+from sitl_mock.mock import MockOptions, Surroundings, build_autopilot, usual_surroundings
 from sitl_mock.vehicle.estimator import ERRORS, PX4_SENSORS, PX4_WANDER, Drift
 from sitl_mock.vehicle.sensors import next_wander
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
@@ -127,7 +127,8 @@ def test_body_rates_carry_the_filtered_noise(px4_sih: Vehicle) -> None:
 
 
 def test_the_quadrotor_of_px4s_simulation_has_px4s_estimate(px4_sih: Vehicle, arpl_250g: Vehicle) -> None:
-    assert (usual_estimator(px4_sih), usual_estimator(arpl_250g)) == ("px4", "mocap")
+    assert usual_surroundings(px4_sih) == Surroundings("px4", "sih", "sitl")
+    assert usual_surroundings(arpl_250g) == Surroundings("mocap", "legs", "steady")
     mocks = {kind: build_autopilot(MockOptions(FOLDER / "px4_sih.toml", estimator=kind)) for kind in (None, *ERRORS)}
     sensors = {kind: mock.vehicle.options.sensors for kind, mock in mocks.items()}  # type: ignore[attr-defined]
     assert sensors[None] == sensors["px4"] == PX4_SENSORS

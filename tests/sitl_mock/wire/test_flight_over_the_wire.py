@@ -69,7 +69,7 @@ def test_a_flight_like_the_recorded_one(name: str) -> None:
 
 
 def test_an_ignored_throttle_makes_the_real_vehicle_fall() -> None:
-    bench = bench_of("px4_sih", rule="measured")
+    bench = bench_of("px4_sih")
     bench.stream(0.1)
     bench.request(SET_MODE, 1, 6)
     bench.setpoint()
@@ -84,7 +84,7 @@ def test_an_ignored_throttle_makes_the_real_vehicle_fall() -> None:
 
 
 def test_after_touch_down_disarming_is_refused_until_the_land_detector_agrees() -> None:
-    bench = bench_of("px4_sih", rule="measured", seed=2)
+    bench = bench_of("px4_sih", seed=2)
     bench.stream(0.1)
     bench.request(SET_MODE, 1, 6)
     bench.setpoint()

@@ -124,7 +124,7 @@ def test_any_numbers_in_a_command_are_survived(number: int, parameters: list[flo
 @given(st.integers(0, 255), st.lists(st.floats(width=32), min_size=8, max_size=8))
 @example(236, [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, math.inf, 0.0])
 def test_any_numbers_in_a_setpoint_are_survived_in_flight(mask: int, numbers: list[float]) -> None:
-    bench = Bench(rule="measured")
+    bench = Bench()
     bench.fly(height=0.1)
     bench.setpoint(numbers[0], mask, q=numbers[1:5], rates=tuple(numbers[5:8]))
     bench.run(0.05)
