@@ -9,10 +9,12 @@ from __future__ import annotations
 import random
 from collections.abc import Hashable
 from dataclasses import dataclass
+from typing import Literal
 
-from sitl_mock.autopilot.commander import SEVERITY_NUMBER, Commander
+from sitl_mock.autopilot.commander import SEVERITY_NUMBER, Commander, Result
 from sitl_mock.autopilot.commands import CommandHandler
 from sitl_mock.autopilot.fault_schedule import Fault, FaultSchedule, FaultTargets
+from sitl_mock.autopilot.modes import Mode
 from sitl_mock.autopilot.navigator import Navigator
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.autopilot.parameters import Parameters
@@ -114,6 +116,17 @@ class Autopilot:
         arrival = self.time if time is None else time
         for message in link.parse(peer, data):
             self._reception.receive(link, arrival, message)
+
+    def request(self, action: Literal["offboard", "land", "arm", "disarm"]) -> bool:
+        """Arm, disarm or change the mode as a command would; returns whether that was accepted."""
+        match action:
+            case "arm":
+                result = self._navigator.arm(self.time)
+            case "disarm":
+                result = self.commander.disarm(self.time)
+            case "offboard" | "land":
+                result = self.commander.set_mode(self.time, Mode[action.upper()])
+        return result is Result.ACCEPTED
 
     def advance(self, duration: float) -> None:
         """Simulate a duration, s, in passes of 4 ms; what is to be sent waits in the links.

@@ -261,6 +261,13 @@ class SimulatedVehicle:
         """Whether the land detector has detected a landing."""
         return self.land_detector.landed
 
+    @property
+    def clearance(self) -> float:
+        """Distance of the feet from the ground in a level vehicle that stands on it: 0, in the air more, m."""
+        point = self._loop.state[self.plant.state.places["ground_point"]]
+        height = float(self.options.ground.normal @ (self.truth.position_world - point))
+        return height - ground.leg_height(self.vehicle) + ground.SINKAGE
+
     def hold(self, held: bool) -> None:
         """Let a hand hold the vehicle where it is, or let go of it."""
         self._constants["held"][:] = held

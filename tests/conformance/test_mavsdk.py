@@ -39,7 +39,8 @@ SPEED = 2.0  # simulated seconds per second
 
 @pytest.fixture(scope="module")
 def vehicle() -> Iterator[MockProcess]:
-    with mock_process("--speed", str(SPEED)) as process:
+    # what a setpoint does shows within a second only where the estimate does not err by a quarter of it
+    with mock_process("--speed", str(SPEED), "--estimator", "mocap") as process:
         yield process
 
 
@@ -195,7 +196,7 @@ def test_the_usual_script_sets_a_setpoint_and_starts_at_once(name: str) -> None:
         await drone.action.land()
         await until(telemetry.subscribe_armed(), lambda armed: not armed)
 
-    with mock_process("--offboard-rule", "measured", "--speed", str(SPEED), vehicle=name) as process:
+    with mock_process("--speed", str(SPEED), vehicle=name) as process:
         run(process, fly)
 
 
