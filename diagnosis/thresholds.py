@@ -427,6 +427,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_unsettled: the same beyond which a fit that has ended has no interval. [not derived yet]
     difference_step: of finite differences, relative. [not derived yet]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
+    prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
     """
 
     max_steps: Count = 8
@@ -435,6 +436,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     max_unsettled: Positive = 1.0
     difference_step: Positive = 0.02
     block: Positive = 2.0
+    prior_blocks: Positive = 4.0
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):

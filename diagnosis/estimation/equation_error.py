@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtri, stdtrit
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
@@ -334,7 +335,7 @@ class _EquationErrorProblem:
     def step(self, values: Floats) -> _Step:
         """The step from some values; every flight's biases are integrated out.
 
-        The covariance is the noise model's, widened to that of blocks of residuals (White, 1980) where that is greater.
+        The covariance is that of blocks of residuals (White, 1980), of few blocks also the noise model's.
         """
         count = len(self.free)
         equations = self._equations(dict(zip(self.names, values.tolist(), strict=True)))
@@ -354,8 +355,9 @@ class _EquationErrorProblem:
         scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
         step = inverse @ product
-        blocks = self._blocks(equations, step, inverse)
-        covariance = _greater(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T)
+        blocks, number = self._blocks(equations, step, inverse)
+        blocks += np.diag(self._information)
+        covariance = self._pooled(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T, number)
         return _Step(step, covariance, gram, cost)
 
     def _equations(self, changed: Mapping[str, float]) -> _Equations | None:
@@ -415,8 +417,25 @@ class _EquationErrorProblem:
             together[:, :, slopes.shape[2] + bias] = size * slopes[:, :, place]
         return together
 
-    def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> Floats:
-        """(k, k) sum over blocks of time of the squared scores of the parameters, without the biases.
+    def _pooled(self, model: Floats, blocks: Floats, number: Floats) -> Floats:
+        """The covariance (k, k) by the noise model, scaled to variances that blocks of residuals confirm.
+
+        Where blocks vary more, the noise model is wrong, and theirs are the variances. Where they vary less, the model
+        counts as `prior_blocks` of them. Intervals of 95 % are 1.96 deviations for normal errors, whose variance is
+        known; that of few blocks is not, for which deviations grow by Student's quantile over that.
+        number: (k,) of blocks that inform of each parameter.
+        """
+        prior = self.thresholds.prior_blocks
+        ratio = np.diag(blocks) / np.maximum(np.diag(model), 1e-300)
+        lower = (prior + number * ratio) / (prior + number)
+        freedom = np.maximum(number + np.where(ratio < 1, prior, 0.0) - 1, 2.0)
+        wider = np.sqrt(np.maximum(ratio, lower)) * stdtrit(freedom, 0.975) / ndtri(0.975)
+        return np.asarray(model * np.outer(wider, wider))
+
+    def _blocks(self, equations: _Equations, step: Floats, inverse: Floats) -> tuple[Floats, Floats]:
+        """(k, k) covariance of the parameters' scores, summed over blocks of time, and (k,) how many these amount to.
+
+        Biases are taken off the residuals, and what their priors leave unknown is added again.
 
         A block that carries much of an effect draws the fit to itself and leaves residuals that are too small; scores
         are divided by the root of what it leaves, to first order (MacKinnon and White, 1985, HC2). What is taken off
@@ -424,14 +443,15 @@ class _EquationErrorProblem:
         """
         count, biases = len(step), equations.biases
         places = list(biases.columns)
-        meat = np.zeros((count, count))
-        for part in equations.rows:
-            product, gram, instruments = (
-                of[part.flight] for of in (equations.products, equations.grams, equations.instruments)
-            )
+        meat, shares, own_unknowns = np.zeros((count, count)), [], []
+        for product, gram, instruments in zip(equations.products, equations.grams, equations.instruments, strict=True):
             inner = instruments[np.ix_(places, places)] + np.diag(biases.information)
             off = np.linalg.solve(inner, product[places] - gram[np.ix_(places, range(count))] @ step)
             mixed = np.linalg.solve(inner, instruments[np.ix_(places, range(count))])
+            own_unknowns.append((off, mixed))
+            meat += mixed.T @ (biases.information[:, None] * mixed)
+        for part in equations.rows:
+            off, mixed = own_unknowns[part.flight]
             residual = part.y - part.x[:, :, :count] @ step - part.x[:, :, places] @ off
             free = part.z[:, :, :count] - part.z[:, :, places] @ mixed
             scores = np.einsum("mck,mc->mk", free, residual)
@@ -439,7 +459,9 @@ class _EquationErrorProblem:
             own = _by_block(free, part.x[:, :, :count], part.starts) - part.error_gram
             apart = np.linalg.solve(np.eye(count) - own @ inverse / 2, summed[:, :, None])[:, :, 0]
             meat += apart.T @ apart
-        return meat
+            shares.append(np.einsum("jk,bkl,jl->bj", inverse, own, inverse))
+        informed = np.maximum(np.concatenate(shares), 0.0)
+        return meat, informed.sum(axis=0) ** 2 / np.maximum((informed**2).sum(axis=0), 1e-300)
 
     def _linear(self, segment: Segment, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
         """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at changed parameters."""
@@ -530,10 +552,3 @@ def _explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> float
     places = list(biases.columns)
     inner = gram[np.ix_(places, places)] + np.diag(biases.information)
     return float(product[places] @ np.linalg.solve(inner, product[places]))
-
-
-def _greater(one: Floats, other: Floats) -> Floats:
-    """The first covariance, widened along each parameter to the other's standard deviation where that is greater."""
-    variances = np.maximum(np.diag(one), 1e-300)
-    wider = np.sqrt(np.maximum(np.diag(other) / variances, 1.0))
-    return np.asarray(one * np.outer(wider, wider))
