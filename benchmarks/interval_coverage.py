@@ -25,9 +25,10 @@ from benchmarks.provenance import write_result
 from diagnosis.data.dataset import make_dataset, read_dataset
 from diagnosis.data.segment import Segment, segments
 from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.joint_search import about_values
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression, about_fit, make_regression
 from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
@@ -136,6 +137,9 @@ def fitted_rows(case: Case, campaign: Campaign, truths: Sequence[Truth]) -> list
             true = truth[effect].get(name, _neutral(effect, name))
             rows.append(_row(case, campaign, effect, name, true, e.value, e.std))
     if "gust" in truth:
+        if chosen:
+            held = about_values(regression.candidates, chosen, estimate.values)
+            regression = about_fit(regression, held, regression.nuisances) or regression
         rows.append(_gust_row(case, campaign, regression, chosen, truth["gust"]["intensity"]))
     return rows
 
@@ -160,7 +164,7 @@ def known_set(regression: Regression, truth: Mapping[str, Mapping[str, float]]) 
 def _gust_row(
     case: Case, campaign: Campaign, regression: Regression, chosen: Sequence[Candidate], intensity: float
 ) -> Row:
-    gust = gust_beside(regression, [i for c in chosen for i in c.columns], measured=False)
+    gust = gust_beside(regression, [i for c in chosen for i in c.columns])
     return _row(case, campaign, "gust", "intensity", intensity, gust.intensity, gust.std)
 
 
@@ -243,13 +247,13 @@ def main() -> None:
     options.kept.parent.mkdir(parents=True, exist_ok=True)
     rows = [json.loads(line) for line in options.kept.read_text().splitlines()] if options.kept.exists() else []
     done, began = {row["key"] for row in rows}, time.monotonic()
-    wanted = [
+    cases = [
         Case(logged, name, seed)
         for seed in range(options.first, options.first + options.count)
         for logged, name in CASES
         if (not options.names or name in options.names) and (not options.logged or logged in options.logged)
     ]
-    todo = [case for case in wanted if case.key not in done]
+    todo = [case for case in cases if case.key not in done]
     for start in range(0, len(todo), TOGETHER):
         for case, made in measured(todo[start : start + TOGETHER]):
             rows += made
@@ -258,7 +262,7 @@ def main() -> None:
             print(f"{time.monotonic() - began:5.0f} s  {case.key}", flush=True)
         if time.monotonic() - began > options.budget:
             break
-    keys = {case.key for case in wanted}
+    keys = {case.key for case in cases}
     text = table([row for row in rows if row["key"] in keys])
     if options.table:
         write_result("interval_coverage", "Do intervals hold?", f"{__doc__.split(chr(10) * 2)[1]}\n\n{text}")

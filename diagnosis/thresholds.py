@@ -37,7 +37,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
     slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
-    instrument_cutoff: the same for the values of a fit, which that response biases long before a search names it.
+    command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
     [benchmarks/interval_coverage.py; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
     edge: that the filters spoil at both ends of a segment, s. [not derived yet]
@@ -45,15 +45,15 @@ class FilterThresholds(ThresholdGroup, frozen=True):
 
     cutoff: Positive = 8.0
     slow_cutoff: Positive = 1.5
-    instrument_cutoff: Positive = 0.75
+    command_cutoff: Positive = 0.75
     rate: Positive = 25.0
     edge: Positive = 0.3
 
     def __post_init__(self) -> None:
         """Check that decimation does not alias what the filters pass."""
-        if not max(self.slow_cutoff, self.instrument_cutoff) < self.cutoff < self.rate / 2:
+        if not max(self.slow_cutoff, self.command_cutoff) < self.cutoff < self.rate / 2:
             raise ValueError(
-                f"slow_cutoff {self.slow_cutoff:g} and instrument_cutoff {self.instrument_cutoff:g} must be below "
+                f"slow_cutoff {self.slow_cutoff:g} and command_cutoff {self.command_cutoff:g} must be below "
                 f"cutoff {self.cutoff:g}, and that below half the rate {self.rate / 2:g} Hz"
             )
 
@@ -376,14 +376,15 @@ class GustThresholds(ThresholdGroup, frozen=True):
     """Random air motion.
 
     max_frequency: of the cosines that make it up, Hz. [not derived yet]
-    corner: of its spectrum, Hz. [not derived yet]
+    corners: of its spectrum, the one that is marginalised first; its strength is that of the likeliest, Hz.
+    [definition: correlation times of 1, 2 and 0.5 s]
     intensity: range of its strength that is tried, m/s. [definition: from nothing to a storm]
     strengths: that are tried in it. [formula: neighbours differ by a third]
     part: of a segment whose air is independent of that of the others, s. [formula: many correlation times]
     """
 
     max_frequency: Positive = 0.7
-    corner: Positive = 0.15
+    corners: tuple[Positive, ...] = (0.15, 0.08, 0.3)
     intensity: tuple[Positive, Positive] = (0.01, 15.0)
     strengths: Annotated[int, Meta(ge=3)] = 26
     part: Positive = 30.0

@@ -201,7 +201,7 @@ class Effect:
     physics, rotor_speed, wind, wrench, derivative, measurement: its hooks, see above.
     grid: values of the parameters in which it is not linear, tried one by one; linear regression gives
         the others, or the size of the effect where all are on the grid.
-    refine: parameters of the grid that the final fit frees.
+    refine: parameters of the grid that the final fit frees, with their prior.
     min_detectable: size below which it is not claimed where all parameters are on the grid, in their unit.
     caveat: what a fit of it cannot settle; {parameter} stands for a fitted value.
     time_constants: parameters, s, that bound the step with which its hidden states can be integrated.

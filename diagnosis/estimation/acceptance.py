@@ -302,14 +302,20 @@ def _is_force(candidate: Candidate) -> bool:
 def deviations_from_neutral(best: Fit, candidate: Candidate, vehicle: Vehicle) -> float:
     """Standard deviations by which an effect's size differs from none, or from the vehicle file's own value.
 
-    Over all parameters in which the effect is linear together; 2 is a probability of 95 %.
+    Over all parameters in which the effect is linear together; 2 is a probability of 95 %. The others, such as the
+    length of a line, are as fitted: how large they are is no doubt that there is an effect.
     """
     values, neutral = list(best.estimates.values()), neutral_values(best, candidate, vehicle)
     places = list(neutral)
     if not places:
         return 0.0
     distance = np.array([values[i].value - neutral[i] for i in places])
-    return deviations_of(distance, best.covariance[np.ix_(places, places)])
+    others = [i for i in best.of(candidate) if i not in places]
+    covariance = best.covariance[np.ix_(places, places)]
+    if others:
+        across = best.covariance[np.ix_(places, others)]
+        covariance = covariance - across @ np.linalg.pinv(best.covariance[np.ix_(others, others)]) @ across.T
+    return deviations_of(distance, covariance)
 
 
 def at_its_bounds(trial: Fit, candidate: Candidate, vehicle: Vehicle) -> str | None:

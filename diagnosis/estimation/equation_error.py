@@ -288,6 +288,9 @@ class _EquationErrorProblem:
         self._information, self._expected = _priors(regression, self.free)
         self._own_slopes = _own_slopes(regression, self.names)
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
+        example = regression.segments[0]
+        of_commands = example.rotor_source != "measured"
+        self._cutoff = example.filters.command_cutoff if of_commands else example.filters.slow_cutoff
         self._instruments = self._predictor
         if self._predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
             self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)
@@ -428,7 +431,7 @@ class _EquationErrorProblem:
         prior = self.thresholds.prior_blocks
         ratio = np.diag(blocks) / np.maximum(np.diag(model), 1e-300)
         lower = (prior + number * ratio) / (prior + number)
-        freedom = np.maximum(number + np.where(ratio < 1, prior, 0.0) - 1, 2.0)
+        freedom = np.maximum(prior + number - 1, 2.0)
         wider = np.sqrt(np.maximum(ratio, lower)) * stdtrit(freedom, 0.975) / ndtri(0.975)
         return np.asarray(model * np.outer(wider, wider))
 
@@ -474,8 +477,7 @@ class _EquationErrorProblem:
             scaling = [n for n, scales in zip(self.names, self._instrumented, strict=True) if scales and n in slopes]
             if scaling:
                 logged = self._predictor.rotor_speed(segment, self._predictor.values(changed))
-                cutoff = segment.filters.instrument_cutoff
-                speed = make_instruments(segment, self._regression.vehicle, logged, cutoff).rotor_speed
+                speed = make_instruments(segment, self._regression.vehicle, logged, self._cutoff).rotor_speed
                 model = self._instruments.model
                 at = {name: value for name, value in changed.items() if name in model.parameter_names}
                 slow = self._instruments.slopes(segment, at, rotor_speed=speed, free=scaling)
@@ -515,14 +517,21 @@ def _own_slopes(regression: Regression, names: Sequence[str]) -> list[tuple[int,
 
 
 def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tuple[Floats, Floats]:
-    """Inverse prior variances and prior means of the free parameters; those of effects have none."""
+    """Inverse prior variances and prior means of the free parameters.
+
+    Of effects those have one which the fit frees beside the parameters in which they are linear: of some flights, such
+    as those high above the ground, hardly more is known of them.
+    """
     shared = regression.shared
     places = {id(c): i for c in regression.nuisances for i in [shared.columns.index(c.columns[0])]}
     information, expected = np.zeros(len(free)), np.zeros(len(free))
     for i, (candidate, name) in enumerate(free):
+        parameter = next(p for p in candidate.effect.parameters if p.name == name)
         if id(candidate) in places:
-            information[i] = shared.information[places[id(candidate)]]
-            expected[i] = next(p.neutral for p in candidate.effect.parameters if p.name == name)
+            information[i], expected[i] = shared.information[places[id(candidate)]], parameter.neutral
+        elif name in candidate.effect.refine:
+            prior = parameter.prior(regression.vehicle)
+            information[i], expected[i] = prior.std**-2, prior.mean
     return information, expected
 
 

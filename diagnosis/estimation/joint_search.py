@@ -27,8 +27,8 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
         if fitted.unsettled or fitted.chi_square < thresholds.explained:
             break
         values = fitted.values
-        held = _held(own, fitted.candidates, values)
-        again = about_fit(regression, held, _held(nuisances, nuisances, values))
+        held = about_values(own, fitted.candidates, values)
+        again = about_fit(regression, held, about_values(nuisances, nuisances, values))
         if again is None:
             break
         regression = again
@@ -38,7 +38,7 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
     return regression.in_gust(selection.gust_variance), selection
 
 
-def _held(
+def about_values(
     own: Sequence[Candidate], fitted: Sequence[Candidate], values: Mapping[tuple[str, str], float]
 ) -> tuple[Candidate, ...]:
     """Candidates, those that were fitted about their values by (key, parameter). own: about the vehicle's own model."""

@@ -213,8 +213,7 @@ class _OutputErrorProblem:
         slopes = self._simulator.sensitivities(windows, p, first)
         theta = instruments = self._outputs(slopes, windows)[..., START:]
         if self._instrumented.any():
-            cutoff = segment.filters.instrument_cutoff
-            speed = make_instruments(segment, self._vehicle, cutoff=cutoff).rotor_speed
+            speed = make_instruments(segment, self._vehicle).rotor_speed
             slow = (speed[windows.rows[:, :-1]] + speed[windows.rows[:, 1:]]) / 2
             other = self._outputs(self._simulator.sensitivities(windows, p, first, rotor_speed=slow), windows)
             instruments = np.where(self._instrumented, other[..., START:], theta)

@@ -16,6 +16,7 @@ import numpy as np
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.thresholds import GustThresholds
 from dynamics.arrays import Floats
+from dynamics.effects.gust import VERTICAL_SHARE
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +80,18 @@ def make_waves(
     noise: NoiseModel,
     rate: float,
     thresholds: GustThresholds,
-) -> Waves:
-    """The waves of one flight. wind: (m + order, 12, a) regressors of a steady wind, a segment each, per m/s."""
+) -> tuple[Waves, ...]:
+    """The waves of one flight, with the usual corner of a gust's spectrum and with each other one.
+
+    wind: (m + order, 12, a) regressors of a steady wind along world x, y and perhaps z, a segment each, per m/s.
+    """
     parts = [
         part for one, air in zip(segments, wind, strict=True) for part in _parts(one, air, noise, rate, thresholds)
     ]
+    return tuple(_joined(of_corner) for of_corner in zip(*parts, strict=True))
+
+
+def _joined(parts: Sequence[Waves]) -> Waves:
     return Waves(
         np.concatenate([part.eigenvalues for part in parts]),
         np.concatenate([part.columns for part in parts], axis=1),
@@ -95,32 +103,47 @@ def make_waves(
 
 def _parts(
     segment: Whitened, wind: Floats, noise: NoiseModel, rate: float, thresholds: GustThresholds
-) -> Iterator[Waves]:
-    """The waves of each part of a segment."""
+) -> Iterator[tuple[Waves, ...]]:
+    """The waves of each part of a segment, a set for each corner."""
     count = len(segment.rows)
     edges = np.linspace(0, count, max(1, round(count / (thresholds.part * rate))) + 1).astype(int).tolist()
     for start, stop in itertools.pairwise(edges):
-        air = wind[start : stop + noise.order]
-        basis, weight = cosines(len(air), rate, thresholds)
-        waves = air[:, :, :, None] * (basis * np.sqrt(weight))[:, None, None, :]
-        flat = noise.whiten(waves.reshape(*air.shape[:2], -1)).reshape(-1, air.shape[2] * len(weight))
-        values, vectors = np.linalg.eigh(flat.T @ flat)
+        air = wind[start : stop + noise.order] * np.array([1.0, 1.0, VERTICAL_SHARE])[: wind.shape[2]]
+        basis = cosines(len(air), rate, thresholds)
+        waves = air[:, :, :, None] * basis[:, None, None, :]
+        flat = noise.whiten(waves.reshape(*air.shape[:2], -1)).reshape(-1, air.shape[2] * basis.shape[1])
         here = slice(start, stop)
         part = Whitened(
             segment.columns[here], segment.rows[here], segment.column_errors[here], segment.row_errors[here]
         )
-        x, y, x_error, y_error = (flat.T @ of for of in part.flat())
-        yield Waves(np.maximum(values, 0.0), x.T @ vectors, vectors.T @ y, x_error.T @ vectors, vectors.T @ y_error)
+        gram, products = flat.T @ flat, [flat.T @ of for of in part.flat()]
+        weights = [spectral_weights(len(air), rate, corner, thresholds) for corner in thresholds.corners]
+        yield tuple(_with_spectrum(gram, products, np.tile(weight, air.shape[2])) for weight in weights)
 
 
-def cosines(count: int, rate: float, thresholds: GustThresholds) -> tuple[Floats, Floats]:
-    """(m, k) half-wave cosines, and the weight (k,) that a gust's spectrum gives to each.
+def _with_spectrum(gram: Floats, products: Sequence[Floats], weight: Floats) -> Waves:
+    """Waves whose amplitudes have the variances `weight`, from the products of those of unit variance."""
+    size = np.sqrt(weight)
+    values, vectors = np.linalg.eigh(size[:, None] * gram * size)
+    turned = size[:, None] * vectors
+    x, y, x_error, y_error = products
+    return Waves(np.maximum(values, 0.0), x.T @ turned, turned.T @ y, x_error.T @ turned, turned.T @ y_error)
 
-    Amplitudes whose variances are the weights make an air velocity of variance 1.
+
+def cosines(count: int, rate: float, thresholds: GustThresholds) -> Floats:
+    """(m, k) half-wave cosines up to the highest frequency."""
+    order = np.arange(int(2 * count / rate * thresholds.max_frequency) + 1)
+    return np.asarray(np.cos(np.pi * np.outer((np.arange(count) + 0.5) / count, order)))
+
+
+def spectral_weights(count: int, rate: float, corner: float, thresholds: GustThresholds) -> Floats:
+    """(k,) variances of the cosines' amplitudes in air of variance 1, part of which is above the highest frequency.
+
+    Its spectrum is of first order with this corner, Hz: what is below f has the share 2/pi arctan(f / corner).
     """
     duration = count / rate
     order = np.arange(int(2 * duration * thresholds.max_frequency) + 1)
-    basis = np.cos(np.pi * np.outer((np.arange(count) + 0.5) / count, order))
     share = np.where(order == 0, 1.0, 0.5)  # mean square of each cosine
-    weight = np.where(order == 0, 0.5, 1.0) / (1 + (order / (2 * duration) / thresholds.corner) ** 2)
-    return basis, weight / float(weight @ share)
+    weight = np.where(order == 0, 0.5, 1.0) / (1 + (order / (2 * duration) / corner) ** 2)
+    below = 2 / np.pi * np.arctan(thresholds.max_frequency / corner)
+    return np.asarray(below * weight / float(weight @ share))

@@ -19,7 +19,8 @@ class Gust:
 
     gain: twice the log-likelihood gained.
     score: the gain less its penalty.
-    intensity: m/s, through the drag of the model, or a usual rotor drag where it has none.
+    intensity: m/s, through the drag of the model, or a usual rotor drag where it has none, of the likeliest spectrum
+        where it is measured.
     std: of the intensity, m/s, from the likelihood's profile.
     share: of flight resamples in which a gust is more likely than none.
     effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
@@ -48,12 +49,23 @@ def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool
         return Gust()
     thresholds = regression.thresholds.gust
     strengths = np.geomspace(*thresholds.intensity, thresholds.strengths)
-    profile = regression.gust_profile(chosen, [0.0, *(strengths**2).tolist()])
-    total = profile.total()
-    gain, intensity, std = _peak(strengths, total[1:] - total[0])
+    variances = [0.0, *(strengths**2).tolist()]
+    profile = regression.gust_profile(chosen, variances)
+    gains = _over_still_air(profile)
+    gain, intensity, std = _peak(strengths, gains)
     penalty = _penalty(regression, thresholds)
-    share = _share(profile, penalty, regression.thresholds.verdict.resamples) if measured else 0.0
+    if not measured or not intensity:
+        return Gust(gain, gain - penalty, intensity, std, 0.0, effect)
+    others = [regression.gust_profile(chosen, variances, corner) for corner in range(1, len(thresholds.corners))]
+    _, intensity, std = _peak(strengths, np.max([gains, *map(_over_still_air, others)], axis=0))
+    share = _share(profile, penalty, regression.thresholds.verdict.resamples)
     return Gust(gain, gain - penalty, intensity, std, share, effect)
+
+
+def _over_still_air(profile: GustProfile) -> Floats:
+    """(v,) twice the log-likelihood that the gusts of a profile gain over its first variance, still air."""
+    total = profile.total()
+    return np.asarray(total[1:] - total[0])
 
 
 def _penalty(regression: Regression, thresholds: GustThresholds) -> float:

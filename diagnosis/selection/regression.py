@@ -40,28 +40,28 @@ class FlightEquations:
 
     gram, product: (k, k) and (k,) with errors-in-variables correction.
     plain_gram, plain_product: without.
-    waves: None where no wind is regressed.
+    spectra: waves with each corner of a gust's spectrum, the usual one first; none where no wind is regressed.
     """
 
     gram: Floats
     product: Floats
     plain_gram: Floats
     plain_product: Floats
-    waves: Waves | None = None
+    spectra: tuple[Waves, ...] = ()
 
     def beside_gust(
-        self, variance: float | Floats, places: Sequence[int], *, corrected: bool = True
+        self, variance: float | Floats, places: Sequence[int], *, corrected: bool = True, corner: int = 0
     ) -> tuple[Floats, Floats]:
         """(.., p, p) and (.., p) normal equations of the columns at some places beside a gust of this variance.
 
-        variance: (m/s)^2, or several, (..).
+        variance: (m/s)^2, or several, (..). corner: place of its spectrum's corner among those that are tried.
         """
         gram, product = (self.gram, self.product) if corrected else (self.plain_gram, self.plain_product)
         gram, product = gram[np.ix_(places, places)], product[list(places)]
-        if self.waves is None:
+        if not self.spectra:
             several = np.shape(variance)
             return np.broadcast_to(gram, (*several, *gram.shape)), np.broadcast_to(product, (*several, *product.shape))
-        less, less_product = self.waves.reduction(np.asarray(variance), list(places), corrected=corrected)
+        less, less_product = self.spectra[corner].reduction(np.asarray(variance), list(places), corrected=corrected)
         return gram - less, product - less_product
 
 
@@ -221,7 +221,7 @@ class Regression:
     @property
     def feels_air(self) -> bool:
         """Whether random air motion would show."""
-        return all(one.waves is not None for one in self.equations)
+        return all(one.spectra for one in self.equations)
 
     def in_gust(self, variance: float) -> Regression:
         """The same flights in a random air motion of this variance, (m/s)^2, which is marginalised."""
@@ -245,8 +245,8 @@ class Regression:
             gust_variance=variance,
         )
 
-    def gust_profile(self, chosen: Sequence[int], variances: Sequence[float]) -> GustProfile:
-        """The likelihood of gusts of these variances beside the chosen columns."""
+    def gust_profile(self, chosen: Sequence[int], variances: Sequence[float], corner: int = 0) -> GustProfile:
+        """The likelihood of gusts of these variances beside the chosen columns. corner: as in `beside_gust`."""
         shared = replace(self.shared, columns=tuple(range(len(chosen), len(chosen) + len(self.shared.columns))))
         chosen, off = [*chosen, *self.shared.columns], list(self.biases.columns)
         own = [i for i in chosen if i not in off]
@@ -254,13 +254,13 @@ class Regression:
         biases = Biases(tuple(range(len(own), len(own) + len(off))), self.biases.information)
         gains, grams, products = [], [], []
         for one in self.equations:
-            gram, product = one.beside_gust(np.array(variances), [*own, *off])
+            gram, product = one.beside_gust(np.array(variances), [*own, *off], corner=corner)
             free, free_product = marginal(gram, product, biases)
             grams.append(free[np.ix_(range(len(variances)), alike, alike)])
             products.append(free_product[:, alike])
             gains.append(explained_by_biases(gram, product, biases))
-            if one.waves is not None:
-                gains[-1] = gains[-1] + one.waves.gain(np.array(variances))
+            if one.spectra:
+                gains[-1] = gains[-1] + one.spectra[corner].gain(np.array(variances))
         by_flight = np.stack(gains, axis=1), np.stack(grams, axis=1), np.stack(products, axis=1)
         return GustProfile(tuple(variances), by_flight[0], by_flight[1], by_flight[2], shared)
 
@@ -454,7 +454,7 @@ def flight_equations(
         product += x.T @ y
         correction += x_error.T @ x_error
         product_correction += x_error.T @ y_error
-    waves = make_waves(segments, wind, noise, rate, thresholds) if wind[0].shape[2] else None
+    waves = make_waves(segments, wind, noise, rate, thresholds) if wind[0].shape[2] else ()
     return FlightEquations(gram - correction, product - product_correction, gram, product, waves)
 
 

@@ -7,6 +7,7 @@ from dynamics.effects.wind import COEFFICIENT, push
 from dynamics.excitation import FORCE, Excitation
 
 AXES = ("x", "y", "z")
+VERTICAL_SHARE = 0.5  # of the horizontal intensity
 
 
 def wind(_: Values, hidden: Values) -> Expression:
@@ -18,7 +19,7 @@ def derivative(_: Conditions, p: Values, hidden: Values, noise: Values) -> Value
     """dw/dt = -w / correlation_time + intensity sqrt(2 / correlation_time) white noise, half as strong vertically."""
     rates = {}
     for axis in AXES:
-        gain = p["intensity"] * ca.sqrt(2 / p["correlation_time"]) * (0.5 if axis == "z" else 1.0)
+        gain = p["intensity"] * ca.sqrt(2 / p["correlation_time"]) * (VERTICAL_SHARE if axis == "z" else 1.0)
         rates[f"wind_{axis}"] = -hidden[f"wind_{axis}"] / p["correlation_time"] + gain * noise[f"wind_{axis}"]
     return rates
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from diagnosis.selection.air_motion import cosines
+from diagnosis.selection.air_motion import cosines, spectral_weights
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
 from diagnosis.selection.search import select
@@ -78,9 +78,11 @@ def test_a_gust_beside_an_effect_ends_no_search_and_both_have_their_size(arpl_25
 def test_normal_equations_beside_a_gust_are_those_of_its_covariance(arpl_250g):
     calm = blown(arpl_250g, intensity=1.0, seed=2, count=60)
     gusty = calm.in_gust(0.7)
-    basis, weight = cosines(60, RATE, calm.thresholds.gust)
+    basis = cosines(60, RATE, calm.thresholds.gust)
+    weight = spectral_weights(60, RATE, calm.thresholds.gust.corners[0], calm.thresholds.gust)
     x = calm.columns[0].reshape(-1, 4)
-    waves = np.stack([calm.columns[0][:, :, i, None] * basis[:, None, :] for i in range(3)], axis=2)
+    air = calm.columns[0][:, :, :3] * [1.0, 1.0, 0.5]
+    waves = np.stack([air[:, :, i, None] * basis[:, None, :] for i in range(3)], axis=2)
     z = (waves * np.sqrt(weight)).reshape(len(x), -1)
     covariance = np.eye(len(x)) + 0.7 * z @ z.T
     np.testing.assert_allclose(gusty.gram[0], x.T @ np.linalg.solve(covariance, x), rtol=1e-6, atol=1e-6)
