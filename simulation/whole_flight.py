@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
+import msgspec
 import numpy as np
 
 from dynamics import quaternion
@@ -23,18 +24,22 @@ from runtime.flight.engagement import AutopilotRequest
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Phase, Plan
-from runtime.link.estimate import StateEstimate
+from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
+from runtime.link.odometry import Odometry
 from runtime.record.records import ObservationRecord
+from runtime.telemetry_buffer import LINK_EVENTS
 from sitl_mock.autopilot.autopilot import Autopilot
 from sitl_mock.autopilot.modes import Mode
 from sitl_mock.mock import MockOptions, build_autopilot
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
+from sitl_mock.wire.motion_messages import LOCAL_NED
 from sitl_mock.wire.streams import TOLERANCE
 
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
 WAITING = 3.0  # s that the vehicle stands before it is engaged
 ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN, Phase.DESCEND)
+NO_STEP = ResetStep(np.zeros(3), np.zeros(3), 0.0)
 CLOSE = 0.1  # m from the ground, below which a vehicle that lands has arrived
 
 
@@ -139,7 +144,8 @@ class _Lockstep:
         self._vehicle = autopilot.vehicle
         self._flight = WholeFlight()
         self._estimate: StateEstimate | None = None
-        self._frame = (autopilot.estimate_fault.shift, autopilot.estimate_fault.yaw)
+        self._monitor = EstimateMonitor()
+        self._check: EstimateCheck | None = None
         self._tick = 0
         self._due = autopilot.time
         self._in_air_since = float("inf")
@@ -168,11 +174,19 @@ class _Lockstep:
         while self._autopilot.time < self._due - TOLERANCE:
             self._autopilot.step()
             self._note_arming()
-        fault = self._autopilot.estimate_fault
-        reported = fault.reported(self._vehicle.estimate)
-        if not fault.stopped and np.all(np.isfinite(reported.position_world)):
-            now, taken = (round(1000 * time) / 1000 for time in (self._autopilot.time, reported.time))
-            self._estimate = StateEstimate(taken, now, _state_of(reported), fault.reset_counter, True, "ODOMETRY")
+        if not self._autopilot.estimate_fault.stopped:
+            self._receive()
+
+    def _receive(self) -> None:
+        """Take the estimate as from an ODOMETRY message."""
+        now = round(1000 * self._autopilot.time) / 1000
+        snapshot = self._autopilot.snapshot(self._autopilot.time)
+        motion, taken = snapshot.motion, round(1000 * self._vehicle.estimate.time) / 1000
+        wire = (*motion.position, *motion.attitude, *motion.velocity, *motion.rate)
+        odometry = Odometry(taken, wire, LOCAL_NED, LOCAL_NED, snapshot.reset_counter)
+        check = self._monitor.handle_odometry(odometry, taken, now, True)
+        self._check = check if check.event or check.step is not None else self._check
+        self._estimate = check.estimate or self._estimate
 
     def _note_arming(self) -> None:
         armed = self._autopilot.commander.armed
@@ -181,10 +195,12 @@ class _Lockstep:
         self._was_armed = armed
 
     def _decide(self) -> Decision:
-        autopilot, commander, fault = self._autopilot, self._autopilot.commander, self._autopilot.estimate_fault
-        now = round(1000 * autopilot.time) / 1000
-        shift, yaw = self._frame
-        self._frame = (fault.shift, fault.yaw)
+        commander = self._autopilot.commander
+        now = round(1000 * self._autopilot.time) / 1000
+        check, self._check = self._check, None
+        step = check.step if check is not None and check.step is not None else NO_STEP
+        name = (check.event or "") if check is not None else ""
+        findings = {LINK_EVENTS[name]: check.text} if check is not None and name in LINK_EVENTS else {}
         if not commander.landed:
             self._in_air_since = min(self._in_air_since, now)
         leaves = self._leave_after is not None and now - self._in_air_since > self._leave_after
@@ -198,10 +214,10 @@ class _Lockstep:
             offboard=commander.mode is Mode.OFFBOARD,
             mode=commander.mode.name,
             landed=commander.landed,
-            findings="",
-            reset=bool(np.any(fault.shift != shift) or fault.yaw != yaw),
-            reset_position=fault.shift - shift,
-            reset_yaw=fault.yaw - yaw,
+            findings=msgspec.json.encode(findings).decode() if findings else "",
+            reset=step is not NO_STEP,
+            reset_position=step.position_world,
+            reset_yaw=step.yaw,
             specific_force_z=float(force[2]),
             specific_force_xy=force[:2],
             engage=self._tick == 0,

@@ -83,7 +83,7 @@ class Autopilot:
             body_velocity=behaviour.body_velocity,
         )
         self._faults = FaultSchedule(
-            behaviour.faults, FaultTargets(self.commander, self.estimate_fault, self.clock, self.links)
+            behaviour.faults, FaultTargets(self.commander, self.estimate_fault, self.clock, self.links, vehicle)
         )
         self._reception = Reception(
             vehicle,

@@ -13,6 +13,7 @@ import numpy as np
 from dynamics.errors import RequestError
 from sitl_mock.autopilot.commander import Commander
 from sitl_mock.vehicle.clock import VehicleClock
+from sitl_mock.vehicle.vehicle_interface import Vehicle
 from sitl_mock.wire.estimate_fault import EstimateFault
 from sitl_mock.wire.link import Link
 
@@ -29,8 +30,11 @@ FaultKind = Literal[
     "message_flood",
     "refuse_arming",
     "refuse_offboard",
+    "gnss_loss",
+    "held",
 ]
-Start = Literal["start", "arming", "takeoff"]
+TOUCHED = 0.1  # share of the weight that the ground carries when the vehicle has touched down
+Start = Literal["start", "arming", "takeoff", "touchdown"]
 
 
 class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -38,7 +42,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     kind: what goes wrong.
     at: when it begins, s after the event that `after` names.
-    after: the mock's start, the arming or the take-off.
+    after: the mock's start, the arming, the take-off or the first contact with the ground after flight.
     duration: s, without end by default; an estimator reset and a clock jump happen at once.
     shift: of an estimator reset, ENU, m.
     yaw: of an estimator reset, about up, rad.
@@ -74,6 +78,7 @@ class FaultTargets:
     estimate: EstimateFault
     clock: VehicleClock
     links: list[Link]
+    vehicle: Vehicle
 
 
 class FaultSchedule:
@@ -84,6 +89,7 @@ class FaultSchedule:
         self._waiting = list(faults)
         self._running: list[tuple[float, Fault]] = []
         self._origin: dict[Start, float] = {"start": 0.0}
+        self._flown = False
 
     def apply(self, time: float) -> None:
         """Begin what is due and end what is over at a simulated time, s."""
@@ -93,6 +99,7 @@ class FaultSchedule:
             self._origin.setdefault("arming", time)
         if not self._targets.commander.landed:
             self._origin.setdefault("takeoff", time)
+        self._note_touchdown(time)
         for end, fault in [entry for entry in self._running if entry[0] <= time]:
             self._running.remove((end, fault))
             ACTIONS[fault.kind](self._targets, fault, False)
@@ -101,6 +108,13 @@ class FaultSchedule:
             ACTIONS[fault.kind](self._targets, fault, True)
             if math.isfinite(fault.duration):
                 self._running.append((time + fault.duration, fault))
+
+    def _note_touchdown(self, time: float) -> None:
+        force = self._targets.vehicle.ground_force
+        if "takeoff" in self._origin and force == 0.0:
+            self._flown = True
+        elif self._flown and force > TOUCHED:
+            self._origin.setdefault("touchdown", time)
 
     def _begins(self, fault: Fault) -> float:
         return self._origin.get(fault.after, math.inf) + fault.at
@@ -163,6 +177,18 @@ def _refuse_offboard(targets: FaultTargets, _: Fault, begins: bool) -> None:
     commander.forced_rejections = replace(commander.forced_rejections, offboard=begins)
 
 
+def _gnss_loss(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.vehicle.use_gnss(not begins)
+    if begins:
+        targets.estimate.lose_gnss(targets.vehicle.time)
+    else:
+        targets.estimate.regain_gnss()
+
+
+def _held(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.vehicle.hold(begins)
+
+
 ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "estimator_reset": _reset,
     "estimate_nan": _invalid,
@@ -176,4 +202,6 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "message_flood": _flood,
     "refuse_arming": _refuse_arming,
     "refuse_offboard": _refuse_offboard,
+    "gnss_loss": _gnss_loss,
+    "held": _held,
 }

@@ -16,6 +16,7 @@ from dynamics.arrays import Floats
 from sitl_mock.vehicle.sensors import WANDER_DAMPING, SensorErrors, Vector3
 
 Estimator = Literal["px4", "mocap", "perfect"]
+DEAD_RECKONING_BIAS = 0.15  # m/s^2, the size of PX4's bias estimates' own errors
 CORRELATION_PHASE = 1.69  # frequency x time after which a smooth error's correlation is 1/e, at WANDER_DAMPING
 
 
@@ -76,32 +77,51 @@ class Wander:
 class Drift:
     """The part of a `Wander` that takes minutes: offsets of the estimate and biases, drawn anew now and then.
 
-    offset: (9,) of position, velocity and rotation.
     bias: (6,) of accelerometer and gyro.
+    without_gnss: whether horizontal velocity and position are integrated from the accelerometer alone.
     """
 
     def __init__(self, wander: Wander, random: np.random.Generator, height_error: float | None = None) -> None:
         """height_error: of the estimate at the start, m; None for one by chance."""
-        self._offset_spread = np.array([*wander.position_offset, 0.0, 0.0, 0.0, *wander.rotation_offset])
+        self._spread = np.array([*wander.position_offset, 0.0, 0.0, 0.0, *wander.rotation_offset])
         self._bias_spread = np.array([*wander.accelerometer_bias, *wander.gyro_bias])
         self._times = wander.offset_time, wander.bias_time
         self._random = random
-        self.offset: Floats = self._offset_spread * random.standard_normal(9)
-        self.bias: Floats = np.zeros(6)
-        self._centre = 0.0  # of the height's offset, m
+        self._wandered: Floats = self._spread * random.standard_normal(9)
+        self._mean = np.zeros(9)
         if height_error is not None:
-            self.offset[2] = self._centre = height_error
+            self._wandered[2] = self._mean[2] = height_error
+        self._dead_reckoned = np.zeros(9)
+        self._acceleration = np.zeros(2)  # false one while dead reckoning, m/s^2
+        self.bias: Floats = np.zeros(6)
+        self.without_gnss = False
+
+    @property
+    def offset(self) -> Floats:
+        """(9,) of position, velocity and rotation."""
+        return self._wandered + self._dead_reckoned
 
     def advance(self, duration: float) -> None:
         """Draw both after a duration, s."""
         share, bias_share = (math.exp(-duration / time) for time in self._times)
-        centre = np.zeros(9)
-        centre[2] = self._centre
-        step = math.sqrt(1 - share**2) * self._offset_spread * self._random.standard_normal(9)
-        self.offset = centre + share * (self.offset - centre) + step
-        self.bias = bias_share * self.bias + math.sqrt(1 - bias_share**2) * self._bias_spread * (
-            self._random.standard_normal(6)
-        )
+        step = math.sqrt(1 - share**2) * self._spread * self._random.standard_normal(9)
+        self._wandered = self._mean + share * (self._wandered - self._mean) + step
+        step = math.sqrt(1 - bias_share**2) * self._bias_spread * self._random.standard_normal(6)
+        self.bias = bias_share * self.bias + step
+        if self.without_gnss:
+            self._dead_reckoned[0:2] += (self._dead_reckoned[3:5] + 0.5 * self._acceleration * duration) * duration
+            self._dead_reckoned[3:5] += self._acceleration * duration
+
+    def lose_gnss(self) -> None:
+        """Let horizontal velocity and position drift off."""
+        heading = self._random.uniform(0.0, 2 * math.pi)
+        self._acceleration = DEAD_RECKONING_BIAS * np.array([math.cos(heading), math.sin(heading)])
+        self.without_gnss = True
+
+    def regain_gnss(self) -> None:
+        """Reset velocity and position to what GNSS measures."""
+        self._dead_reckoned = np.zeros(9)
+        self.without_gnss = False
 
 
 def at_rest(wander: Wander, random: np.random.Generator) -> tuple[Floats, Floats]:

@@ -261,6 +261,15 @@ class SimulatedVehicle:
         """Whether the land detector has detected a landing."""
         return self.land_detector.landed
 
+    def use_gnss(self, available: bool) -> None:
+        """Take satellite navigation from the estimator, or give it back: then it resets what has drifted off."""
+        if not available:
+            self._drift.lose_gnss()
+            return
+        self._drift.regain_gnss()
+        self._constants["drift"][:] = 0.0
+        self._loop.state[self.plant.state.places["offset"]] = self._drift.offset
+
     @property
     def clearance(self) -> float:
         """Distance of the feet from the ground in a level vehicle that stands on it: 0, in the air more, m."""

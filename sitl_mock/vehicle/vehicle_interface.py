@@ -174,6 +174,16 @@ class Vehicle(Protocol):
     def on_ground(self) -> bool:
         """Whether the vehicle's land detector has detected a landing."""
 
+    @property
+    def ground_force(self) -> float:
+        """Share of the weight that the ground carries now."""
+
+    def hold(self, held: bool) -> None:
+        """Let a hand hold the vehicle where it is, or let go of it."""
+
+    def use_gnss(self, available: bool) -> None:
+        """Take satellite navigation from the estimator, or give it back."""
+
     def advance(self, setpoint: ControlSetpoint, armed: bool, duration: float) -> None:
         """Simulate a duration (s) under a setpoint; rotors stand still when not armed."""
 

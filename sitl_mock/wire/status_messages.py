@@ -18,6 +18,11 @@ from sitl_mock.wire.snapshot import (
 AUTOPILOT_PX4 = 12
 NO_CELL, NO_MISSION = 0xFFFF, 0xFFFF
 DISARMED_PWM, PWM_MIN, PWM_RANGE = 900, 1000, 1000
+# ESTIMATOR_STATUS flags
+HORIZONTAL = 2 | 8 | 16 | 256 | 512  # velocity, relative and absolute position, their predictions
+CONSTANT_POSITION = 128
+EVERYTHING = 0b1111111111 & ~CONSTANT_POSITION
+CONSTANT_POSITION_UNTIL = 9.0  # s since boot
 RPM_PER_RADIAN = 60.0 / (2 * math.pi)
 
 
@@ -119,9 +124,15 @@ def system_time(s: Snapshot) -> Message:
 
 
 def estimator_status(s: Snapshot) -> Message:
-    """ESTIMATOR_STATUS: everything observed, or nothing."""
-    flags = 0b1101111111 if s.estimate_valid else 0
-    return mavlink.MAVLink_estimator_status_message(s.now_us, flags, 0.05, 0.05, 0.02, 0.05, 0.02, math.nan, 0.15, 0.05)
+    """ESTIMATOR_STATUS: everything observed, without horizontal aiding all but that, or nothing.
+
+    Test ratios and accuracies as recorded; an estimator that has just started reports a constant position as well.
+    """
+    flags = EVERYTHING if s.position_valid else EVERYTHING & ~HORIZONTAL
+    flags |= CONSTANT_POSITION if s.now < CONSTANT_POSITION_UNTIL else 0
+    ratios = (0.04, 0.035, 0.02, 0.07, 0.005, math.nan)
+    accuracy = 0.3 if s.position_valid else 10.0
+    return mavlink.MAVLink_estimator_status_message(s.now_us, flags if s.estimate_valid else 0, *ratios, accuracy, 0.07)
 
 
 def home_position(s: Snapshot) -> Message:

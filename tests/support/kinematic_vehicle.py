@@ -23,6 +23,7 @@ class KinematicVehicle:
         self.armed = False
         self.setpoint = ControlSetpoint("idle")
         self.tuning = Tuning()
+        self.held, self.has_gnss = False, True
         self.rotor_position = np.array([[0.1, 0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.1, -0.1, 0]])
 
     @property
@@ -52,6 +53,16 @@ class KinematicVehicle:
     @property
     def on_ground(self) -> bool:
         return bool(self.position[2] <= 1e-6)
+
+    @property
+    def ground_force(self) -> float:
+        return float(self.on_ground)
+
+    def hold(self, held: bool) -> None:
+        self.held = held
+
+    def use_gnss(self, available: bool) -> None:
+        self.has_gnss = available
 
     def tune(self, tuning: Tuning) -> None:
         self.tuning = tuning

@@ -160,3 +160,38 @@ def test_unsolicited_ping_is_answered() -> None:
     bench.send(mavlink.MAVLink_ping_message(5, 6, 0, 0))
     bench.run(0.01)
     assert [(ping.time_usec, ping.seq) for ping in bench.of("PING")] == [(5, 6)]
+
+
+def test_without_satellites_position_goes_after_five_seconds_and_comes_back_by_a_reset() -> None:
+    bench = bench_with("gnss_loss", duration=7.0)
+    before, drifting = messages_of(bench, 1.1)[-1], messages_of(bench, 4.0)
+    assert not bench.vehicle.has_gnss
+    assert all(math.isfinite(message.x) for message in drifting)
+    bench.run(1.2)
+    lost = messages_of(bench, 1.2)[-1]
+    assert math.isnan(lost.x)
+    assert math.isnan(lost.vy)
+    assert math.isfinite(lost.z)
+    assert not bench.of("ESTIMATOR_STATUS")[-1].flags & (2 | 16)
+    back = messages_of(bench, 1.0)[-1]
+    assert bench.vehicle.has_gnss
+    assert math.isfinite(back.x)
+    assert back.reset_counter == before.reset_counter + 1
+
+
+def test_a_hand_holds_for_as_long_as_the_fault_lasts() -> None:
+    bench = bench_with("held", duration=0.5)
+    bench.run(1.1)
+    assert bench.vehicle.held
+    bench.run(0.5)
+    assert not bench.vehicle.held
+
+
+def test_a_fault_may_wait_for_the_contact_after_flight() -> None:
+    bench = Bench(faults=(Fault(kind="estimate_freeze", at=0.0, after="touchdown"),))
+    bench.fly()
+    assert not bench.mock.estimate_fault.frozen
+    assert bench.request(SET_MODE, 1, 4, 6) == 0
+    bench.until(lambda: bench.vehicle.on_ground)
+    bench.run(0.1)
+    assert bench.mock.estimate_fault.frozen

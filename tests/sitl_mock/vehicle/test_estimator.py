@@ -133,3 +133,25 @@ def test_the_quadrotor_of_px4s_simulation_has_px4s_estimate(px4_sih: Vehicle, ar
     sensors = {kind: mock.vehicle.options.sensors for kind, mock in mocks.items()}  # type: ignore[attr-defined]
     assert sensors[None] == sensors["px4"] == PX4_SENSORS
     assert sensors["mocap"] != sensors["px4"]
+
+
+def test_without_satellites_the_estimate_drifts_off_and_returns(px4_sih: Vehicle) -> None:
+    options = VehicleOptions(sensors=PX4_SENSORS, wander=PX4_WANDER, start_height_error=0.0)
+    vehicle = SimulatedVehicle(px4_sih, options=options, seed=9)
+    vehicle.use_gnss(False)
+    lost = errors_of(vehicle, 20.0)[-1]
+    assert np.hypot(*lost[3:5]) == pytest.approx(20.0 * 0.15, rel=0.2)
+    assert np.hypot(*lost[0:2]) == pytest.approx(0.5 * 20.0**2 * 0.15, rel=0.1)
+    vehicle.use_gnss(True)
+    assert np.abs(errors_of(vehicle, 1.0)[-1][:6]).max() < 1.5
+
+
+def test_a_held_vehicle_does_not_take_off(arpl_250g: Vehicle) -> None:
+    vehicle = SimulatedVehicle(arpl_250g, seed=10)
+    start = vehicle.truth.position_world
+    vehicle.hold(True)
+    vehicle.advance(hover_at(0.0, 0.0, 3.0), True, 3.0)
+    assert np.linalg.norm(vehicle.truth.position_world - start) < 0.3
+    vehicle.hold(False)
+    vehicle.advance(hover_at(0.0, 0.0, 3.0), True, 5.0)
+    assert vehicle.truth.position_world[2] > 2.0
