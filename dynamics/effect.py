@@ -202,6 +202,8 @@ class Effect:
     grid: values of the parameters in which it is not linear, tried one by one; linear regression gives
         the others, or the size of the effect where all are on the grid.
     refine: parameters of the grid that the final fit frees, with their prior.
+    assumed: parameters of the grid that flights hardly show: their prior chooses the point, and is part of the others'
+        intervals.
     min_detectable: size below which it is not claimed where all parameters are on the grid, in their unit.
     caveat: what a fit of it cannot settle; {parameter} stands for a fitted value.
     time_constants: parameters, s, that bound the step with which its hidden states can be integrated.
@@ -230,6 +232,7 @@ class Effect:
     measurement: Callable[[Reading, Values, int | None], Reading] | None = None
     grid: Callable[[Vehicle, Span], Sequence[Mapping[str, float]]] | None = None
     refine: tuple[str, ...] = ()
+    assumed: tuple[str, ...] = ()
     min_detectable: float = 0.0
     caveat: str = ""
     time_constants: tuple[str, ...] = ()
@@ -283,7 +286,7 @@ def _contradictions(effect: Effect) -> Iterator[str]:
         yield "hidden states need a derivative, and a derivative hidden states"
     if effect.rotor_speed is not None and effect.rotor_speed_state is None:
         yield "rotor_speed needs a hidden state of each rotor (per_rotor=True) that holds the speed"
-    for field in ("refine", "time_constants"):
+    for field in ("refine", "assumed", "time_constants"):
         for name in set(getattr(effect, field)) - set(names):
             yield f"{field} names {name!r}, which is none of its parameters ({', '.join(names)})"
     yield from _contradicting_roles(effect)
@@ -296,8 +299,8 @@ def _contradicting_roles(effect: Effect) -> Iterator[str]:
             yield f"time constant {parameter.name} has the lower bound {parameter.lower} s; it must be above 0"
     if effect.time_constants and not effect.hidden:
         yield "time_constants belong to hidden states, and it has none"
-    if effect.grid is None and (effect.refine or effect.min_detectable):
-        yield "refine and min_detectable belong to a grid, and it has none"
+    if effect.grid is None and (effect.refine or effect.assumed or effect.min_detectable):
+        yield "refine, assumed and min_detectable belong to a grid, and it has none"
     if effect.stochastic and not effect.hidden:
         yield "stochastic effects have hidden states that noise drives, and it has none"
     if effect.stochastic and effect.grid is not None:

@@ -357,11 +357,22 @@ class _EquationErrorProblem:
         cost += float(self._information @ off**2)
         scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
-        step = inverse @ product
+        step = self._moved(gram, product)
         blocks, number = self._blocks(equations, step, inverse)
         blocks += np.diag(self._information)
         covariance = self._pooled(inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T, number)
         return _Step(step, covariance, gram, cost)
+
+    def _moved(self, gram: Floats, product: Floats) -> Floats:
+        """(k,) Gauss-Newton step of all parameters but those that are assumed."""
+        moving = [i for i, (candidate, name) in enumerate(self.free) if name not in candidate.effect.assumed]
+        some = np.ix_(moving, moving)
+        scale = np.sqrt(np.maximum(np.abs(np.diag(gram)[moving]), 1e-300))
+        step = np.zeros(len(self.free))
+        step[moving] = (
+            np.linalg.pinv(gram[some] / np.outer(scale, scale), rcond=1e-10) @ (product[moving] / scale) / scale
+        )
+        return step
 
     def _equations(self, changed: Mapping[str, float]) -> _Equations | None:
         """Normal equations of each flight at changed parameters, None where hidden states have diverged."""
@@ -500,7 +511,7 @@ class _EquationErrorProblem:
 def _free(candidate: Candidate) -> tuple[str, ...]:
     if candidate.fixed_shape:
         return tuple(candidate.at)
-    return (*candidate.free, *candidate.effect.refine)
+    return (*candidate.free, *candidate.effect.refine, *candidate.effect.assumed)
 
 
 def _own_slopes(regression: Regression, names: Sequence[str]) -> list[tuple[int, int, float]]:
@@ -519,8 +530,7 @@ def _own_slopes(regression: Regression, names: Sequence[str]) -> list[tuple[int,
 def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tuple[Floats, Floats]:
     """Inverse prior variances and prior means of the free parameters.
 
-    Of effects those have one which the fit frees beside the parameters in which they are linear: of some flights, such
-    as those high above the ground, hardly more is known of them.
+    Of effects those have one in which they are not linear: of some flights hardly more is known of them.
     """
     shared = regression.shared
     places = {id(c): i for c in regression.nuisances for i in [shared.columns.index(c.columns[0])]}
@@ -529,7 +539,7 @@ def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tu
         parameter = next(p for p in candidate.effect.parameters if p.name == name)
         if id(candidate) in places:
             information[i], expected[i] = shared.information[places[id(candidate)]], parameter.neutral
-        elif name in candidate.effect.refine:
+        elif name in (*candidate.effect.refine, *candidate.effect.assumed):
             prior = parameter.prior(regression.vehicle)
             information[i], expected[i] = prior.std**-2, prior.mean
     return information, expected

@@ -63,7 +63,10 @@ def refit(
     only faults of sensors, which do not move the vehicle.
     """
     free = [
-        (c, name) for c in initial.candidates for key, name in initial.estimates if key == c.key and _moves(c.effect)
+        (c, name)
+        for c in initial.candidates
+        for key, name in initial.estimates
+        if key == c.key and _moves(c.effect) and name not in c.effect.assumed
     ]
     if not free or any(s.lacks for s in (*fitted, *held_out)):
         return None
@@ -84,10 +87,11 @@ def refit(
     if not np.isfinite([before, after, level]).all():
         return None
     clock = [clock_variance(c.effect, name, fitted[0].rate) for c, name in free]
-    deviation = np.sqrt(np.diag(covariance) + clock)
     keys = list(initial.estimates)
     joint = np.diag([estimate.std**2 for estimate in initial.estimates.values()])
     places = [keys.index((c.key, name)) for c, name in free]
+    covariance = covariance + _by_assumed(initial, places)
+    deviation = np.sqrt(np.diag(covariance) + clock)
     joint[np.ix_(places, places)] = covariance
     better = {
         (c.key, name): ParameterEstimate(float(v), float(d), initial.estimates[c.key, name].unit)
@@ -110,6 +114,15 @@ def _settle(
         if np.all(np.abs(step) <= thresholds.equation_error.converged * np.sqrt(np.diag(covariance))):
             break
     return values, covariance
+
+
+def _by_assumed(initial: Fit, places: Sequence[int]) -> Floats:
+    """(k, k) covariance that parameters have by those which were assumed, and are not fitted again."""
+    assumed = [
+        i for c in initial.candidates for i in initial.of(c) if list(initial.estimates)[i][1] in c.effect.assumed
+    ]
+    across = initial.covariance[np.ix_(places, assumed)]
+    return np.asarray(across @ np.linalg.pinv(initial.covariance[np.ix_(assumed, assumed)]) @ across.T)
 
 
 def _moves(effect: Effect) -> bool:

@@ -47,6 +47,12 @@ class Scored:
         return {c.effect.name for c in self.candidates}
 
 
+def _distance_of_assumed(candidate: Candidate, vehicle: Vehicle) -> float:
+    """Squared deviations of a grid point from the prior of the parameters that flights hardly show."""
+    priors = {p.name: p.prior(vehicle) for p in candidate.effect.parameters if p.name in candidate.effect.assumed}
+    return sum(((candidate.at[name] - prior.mean) / prior.std) ** 2 for name, prior in priors.items())
+
+
 def min_score(candidates: Sequence[Candidate], thresholds: SearchThresholds = DEFAULT.search) -> float:
     """Score below which candidates are not claimed."""
     faults = all(c.effect.sensor_prior is not None for c in candidates)
@@ -87,6 +93,7 @@ class Search:
         of_catalogue = 2 * math.log(len(grid_sizes) + 1)
         self._tried = {name: 2 * math.log(size) + of_catalogue for name, size in grid_sizes.items()}
         self._size = math.log(regression.independent)
+        self._assumed = {c.columns: _distance_of_assumed(c, regression.vehicle) for c in regression.candidates}
         self._low, self._high = self._bounds()
 
     def _bounds(self) -> tuple[Floats, Floats]:
@@ -99,7 +106,8 @@ class Search:
 
     def penalty(self, candidate: Candidate) -> float:
         """The criterion's penalty of a candidate."""
-        return len(candidate.columns) * self._size + self._tried[candidate.effect.name]
+        assumed = self._assumed.get(candidate.columns, 0.0)
+        return len(candidate.columns) * self._size + self._tried[candidate.effect.name] + assumed
 
     def score(self, candidates: Sequence[Candidate]) -> Scored:
         """The score of a set of effects, -inf where a coefficient is physically impossible."""

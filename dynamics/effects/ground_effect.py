@@ -11,8 +11,8 @@ from dynamics.vehicle import Vehicle
 
 
 def usual_radius(vehicle: Vehicle) -> Prior:
-    """The propeller's radius."""
-    return Prior(vehicle.rotors.disc_radius, 0.3 * vehicle.rotors.disc_radius)
+    """The propeller's radius; that of rotors which help each other is larger."""
+    return Prior(vehicle.rotors.disc_radius, 0.5 * vehicle.rotors.disc_radius)
 
 
 def wrench(c: Conditions, p: Values, _: Values) -> Wrench:
@@ -44,8 +44,9 @@ EFFECT = Effect(
     ),
     wrench=wrench,
     grid=grid,
+    assumed=("radius",),
     caveat="gain and radius cannot be told apart: high above the ground only gain x radius^2 shows, here "
-    "{gain:.3g} x ({radius:.3g} m)^2; the radius was tried, not fitted",
+    "{gain:.3g} x ({radius:.3g} m)^2; the radius is assumed from the propeller's, to within half of it",
     excitation=Excitation(
         (("position",), FORCE, WRENCH),
         measure="low_flight",
