@@ -9,11 +9,11 @@ from dynamics.vehicle import Vehicle
 
 
 def physics(body: Physics, p: Values, environment: Environment, _: int | None) -> Physics:
-    """k_f times 1 + 2 gain (V / V0 - 1), thrust going with the square of the voltage for small sags.
+    """k_f times (V / V0)^(2 gain): the speed goes with the voltage to the power of gain, thrust with its square.
 
     V0 is reference times the full battery's voltage.
     """
-    factor = 1 + 2 * p["gain"] * (environment.battery_ratio / p["reference"] - 1)
+    factor = (environment.battery_ratio / p["reference"]) ** (2 * p["gain"])
     return replace(body, thrust_constant=body.thrust_constant * factor)
 
 
@@ -25,7 +25,7 @@ def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
 EFFECT = Effect(
     name="battery_sag",
     summary="Thrust falls with battery voltage",
-    source="rotor speed proportional to voltage at fixed duty, linearised",
+    source="rotor speed proportional to voltage at fixed duty",
     parameters=(
         Parameter(
             "gain", "1", "1: speed follows the voltage; 0: speed is regulated", 0.0, 2.0, lambda _: Prior(1.0, 0.5)

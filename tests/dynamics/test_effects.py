@@ -150,7 +150,8 @@ def centre_of_mass(now, p):
 
 
 def battery_sag(now, p):
-    return summed(now, upwards(2 * p["gain"] * (now.environment[1] / p["reference"] - 1) * now.thrusts))
+    share = (now.environment[1] / p["reference"]) ** (2 * p["gain"])
+    return summed(now, upwards((share - 1) * now.thrusts))
 
 
 def linear_drag(now, p):
