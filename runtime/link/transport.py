@@ -248,6 +248,7 @@ class SerialTransport:
 
     def close(self) -> None:
         """Close the device, present or not."""
+        self._descriptor = -1  # the number may be that of another file soon, and the control thread may still send
         with contextlib.suppress(OSError, serial.SerialException):
             self._port.close()
 

@@ -291,6 +291,30 @@ def test_a_serial_device_unplugged_in_flight_ends_safely_and_is_named(vehicle: V
     assert "nothing arrives" in report.outcome or "failsafe" in report.outcome
 
 
+class Stuck:
+    """A control thread that does not end."""
+
+    def join(self, timeout: float) -> bool:
+        return False
+
+
+class ClosableLink:
+    """A link that knows whether it was closed."""
+
+    closed = False
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_control_thread_that_does_not_end_loses_its_link(vehicle: Vehicle) -> None:
+    announcements, link = Announcements(), ClosableLink()
+    daemon = Daemon(request_for("udpin:127.0.0.1:14540"), vehicle, reference_of(vehicle), announcements)
+    daemon._stop(link, Stuck())  # type: ignore[arg-type]
+    assert link.closed
+    assert announcements.contain("did not end within 1 s: its link was closed")
+
+
 def test_a_silent_link_is_reported_with_what_to_check(vehicle: Vehicle) -> None:
     with pytest.raises(VehicleError, match="No MAVLink arrived"):
         fly(vehicle, Announcements(), request_for(f"udpin:127.0.0.1:{free_port()}", timeout=0.5))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import socket
 import time
@@ -170,6 +171,18 @@ def test_an_unplugged_serial_device_is_lost(line: tuple[int, SerialTransport]) -
     with pytest.raises(TransportLostError, match="unplugged"):
         receive(transport)
     assert not transport.send(b"into the void")
+
+
+def test_nothing_is_written_into_another_file_after_a_serial_device_was_closed(
+    line: tuple[int, SerialTransport], tmp_path: Path
+) -> None:
+    _, transport = line
+    transport.close()
+    with contextlib.ExitStack() as stack:  # one of them gets the number that the device had
+        files = [stack.enter_context((tmp_path / str(n)).open("wb")) for n in range(8)]
+        assert not transport.send(b"a setpoint")
+    assert files
+    assert all(not (tmp_path / str(n)).read_bytes() for n in range(8))
 
 
 def test_a_full_serial_line_never_blocks_the_sender(line: tuple[int, SerialTransport]) -> None:
