@@ -27,7 +27,7 @@ from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
-from diagnosis.selection.search import Selection
+from diagnosis.selection.search import Selection, with_gust_beside
 from diagnosis.thresholds import DEFAULT, Thresholds
 from diagnosis.verdict import (
     channel_errors,
@@ -89,7 +89,8 @@ def diagnose_dataset(
     while judged.rejected and (drifting := drifting_effects(regression, accepted.fit, judged.fitted)):
         accepted = without(regression, accepted, drifting, dataset)
         judged = judgement.of(accepted)
-    effects = missing_effects(regression, selection, accepted, gusty=judged.gusty)
+    selection = judged.selection
+    effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
     quiet = not_excited(regression, selection.chosen)
     maps = regime_maps(dataset.held_out, before, accepted.floor, vehicle, thresholds.regimes)
     sensors = sensors_floor(regression, accepted.fit.vehicle, dataset.held_out, accepted.floor)
@@ -143,10 +144,12 @@ def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:
 class _Judged:
     """What the residuals of an accepted fit say.
 
+    selection: with the gust beside that fit.
     after, fitted: (m, 12) on the held-out and on the fitted segments. tests: of the latter. rejected: of these.
     gusty: whether a gust is named. refused: a gust that is not.
     """
 
+    selection: Selection
     after: list[Floats]
     fitted: list[Floats]
     tests: ResidualTests
@@ -158,12 +161,13 @@ class _Judged:
 class _Judgement:
     """The tests of the residuals of accepted fits. before: (m, 12) held-out residuals without effects."""
 
-    def __init__(self, regression: Regression, selection: Selection, dataset: Dataset, before: list[Floats]) -> None:
-        self._regression, self._selection, self._dataset, self._before = regression, selection, dataset, before
+    def __init__(self, regression: Regression, selected: Selection, dataset: Dataset, before: list[Floats]) -> None:
+        self._regression, self._selected, self._dataset, self._before = regression, selected, dataset, before
 
     def of(self, accepted: Accepted) -> _Judged:
         """A gust and the tests that reject, of one fit."""
-        regression, selection = self._regression, self._selection
+        regression = self._regression
+        selection = with_gust_beside(regression, self._selected, accepted.fit.candidates)
         after = residuals_in(regression, accepted.fit.vehicle, self._dataset.held_out)
         fitted = residuals_in(regression, accepted.fit.vehicle, self._dataset.fitted)
         tests = run_residual_tests(regression, fitted, by_position=selection.gust_detected)
@@ -171,7 +175,7 @@ class _Judgement:
         refused = gust_refusal(regression, selection, tests, regression.thresholds.verdict)
         gusty = selection.gust_detected and refused is None
         rejected = self._rejected(accepted.fit, tests, after, gusty=gusty)
-        return _Judged(after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
+        return _Judged(selection, after, fitted, tests, rejected, gusty, () if refused is None else (refused,))
 
     def _rejected(
         self, accepted: Fit, tests: ResidualTests, after: list[Floats], *, gusty: bool

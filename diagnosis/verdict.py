@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 
@@ -48,10 +48,14 @@ def gust_refusal(
 
 
 def missing_effects(
-    regression: Regression, selection: Selection, accepted: Accepted, *, gusty: bool
+    regression: Regression, selection: Selection, accepted: Accepted, *, gusty: bool, unknown: bool
 ) -> tuple[MissingEffect, ...]:
-    """The accepted effects with their intervals, rivals and share of resamples. gusty: whether a gust is named, too."""
-    search, effects = Search(regression), []
+    """The accepted effects with their intervals, rivals and share of resamples.
+
+    gusty: whether a gust is named, too. unknown: whether a test of the residuals rejects; which of the forms with
+    nearly the same signal is there, these flights then do not tell, even where one fits better.
+    """
+    search, effects, taken = Search(regression), [], {c.effect.name for c in accepted.fit.candidates}
     for candidate in accepted.fit.candidates:
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
@@ -62,7 +66,9 @@ def missing_effects(
                 rotor=candidate.rotor,
                 parameters=_parameters(accepted.fit, candidate),
                 confidence=accepted.agreement[candidate.key],
-                ambiguous_with=tuple(near),
+                ambiguous_with=tuple(
+                    dict.fromkeys([*near, *(_alike(regression, candidate, taken) if unknown else ())])
+                ),
             )
         )
     gust, before = selection.gust, selection.gust_before
@@ -73,6 +79,16 @@ def missing_effects(
         air = MissingEffect(gust.effect.name, None, strength, gust.share, ())
         effects.insert(0 if first else min(1, len(effects)), air)
     return tuple(effects)
+
+
+def _alike(regression: Regression, candidate: Candidate, taken: Collection[str]) -> list[str]:
+    """Candidates that the catalogue declares to have nearly the signal of one, but for those taken."""
+    name, others = candidate.effect.name, {c.effect.name: c.effect for c in regression.candidates}
+    return [
+        other.name
+        for other in others.values()
+        if other.name not in taken and (name in other.confounded_with or other.name in candidate.effect.confounded_with)
+    ]
 
 
 def _parameters(accepted: Fit, candidate: Candidate) -> dict[str, ParameterValue]:

@@ -213,8 +213,8 @@ class _Trial:
             return refused("not_converged")
         if (bound := at_its_bounds(best, candidate, self._vehicle)) is not None:
             return refused("at_bound", bound)
-        strongest = min(kinds, key=lambda kind: by_kind[kind].rise)
-        if not -by_kind[strongest].rise >= limits.min_rise:
+        strongest = max(kinds, key=lambda kind: by_kind[kind].fall)
+        if not by_kind[strongest].fall >= limits.min_rise:
             change = by_kind[strongest]
             numbers = {"before": change.before, "after": change.after, "floor": change.floor}
             replaced = _strength(self._alone(best, candidate)) >= limits.min_rise
@@ -285,8 +285,8 @@ def with_faults_of(fitted: Fit, vehicle: Vehicle) -> Vehicle:
 
 
 def _strength(by_kind: Mapping[str, ErrorChange]) -> float:
-    """By how much the error of some kind of channel would rise over its floor without an effect."""
-    return max((-change.rise for change in by_kind.values()), default=0.0)
+    """By how much the error of some axis of a kind of channel would rise over its floor without an effect."""
+    return max((change.fall for change in by_kind.values()), default=0.0)
 
 
 def _squared_change(one: Sequence[Floats], other: Sequence[Floats], regression: Regression) -> float:

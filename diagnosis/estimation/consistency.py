@@ -76,14 +76,14 @@ class _Block:
 def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]) -> Iterator[_Block]:
     noise = regression.noise
     length = max(noise.order, round(regression.thresholds.equation_error.block * regression.rate))
-    whole, flown = Counter[int](), Counter[int]()
+    lengths, flown = Counter[int](), Counter[int]()
     for flight, y in zip(regression.flight_of, rows, strict=True):
-        whole[flight] += len(y)
+        lengths[flight] += len(y)
     for flight, y, columns in zip(regression.flight_of, rows, regression.columns, strict=True):
         white_y, white_x = noise.whiten(y), noise.whiten(columns[:, :, list(where)])
         for start in range(0, len(white_y), length):
             x = white_x[start : start + length].reshape(-1, len(where))
-            early = flown[flight] + start + length / 2 < whole[flight] / 2
+            early = flown[flight] + start + length / 2 < lengths[flight] / 2
             yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), early)
         flown[flight] += len(y)
 

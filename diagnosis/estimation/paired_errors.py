@@ -16,14 +16,17 @@ from diagnosis.models.open_loop import OPEN_LOOP_QUANTITIES
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds
 from dynamics.arrays import Floats
 
+MIN_SHARE = 1e-3  # of an axis's floor in that of its kind: no axis is without noise
+
 
 @dataclass(frozen=True)
 class ErrorChange:
     """Change of an RMS error from one model to another.
 
-    before, after: RMS.
-    floor: with which it is compared.
-    deviations: the change of the squared error over its standard deviation, positive where it rises.
+    before, after: RMS over the axes.
+    floor: with which it is compared, likewise.
+    by_axis: change of the mean squared error of each axis, over its squared floor.
+    deviations: the mean of these over its standard deviation, positive where it rises.
     size: RMS of the difference of the predictions.
     shortfall: by how many deviations the squared error falls by less than half of the squared size, all of which it
         would fall by if the difference were real.
@@ -32,14 +35,20 @@ class ErrorChange:
     before: float
     after: float
     floor: float
+    by_axis: tuple[float, ...]
     deviations: float
     size: float = 0.0
     shortfall: float = 0.0
 
     @property
     def rise(self) -> float:
-        """How much an error at the floor would change, over the floor; negative where it falls."""
-        return _rise(self.after**2 - self.before**2, self.floor)
+        """How much an error at the floor would change, over the floor; negative where it falls. Axes count alike."""
+        return _rise(float(np.mean(self.by_axis)))
+
+    @property
+    def fall(self) -> float:
+        """By how much the error of the axis that falls most would, over that axis's floor."""
+        return -_rise(min(self.by_axis))
 
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
@@ -47,7 +56,9 @@ class ErrorChange:
 
     def is_contradicted(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the difference would matter, but the error does not fall as if it were real."""
-        return _rise(self.size**2, self.floor) >= limits.min_rise and self.shortfall > limits.deviations
+        return (
+            _rise((self.size / max(self.floor, 1e-12)) ** 2) >= limits.min_rise and self.shortfall > limits.deviations
+        )
 
 
 def channel_changes(
@@ -57,21 +68,19 @@ def channel_changes(
 
     before, after: (m, 12) residuals of the same segments. floor: (12,). rate: of the rows, Hz.
     """
-    levels = np.sqrt(channels.squared_by_kind(floor))
-    was, now, difference = (
-        [channels.squared_by_kind(rows) for rows in part]
-        for part in (before, after, [a - b for a, b in zip(after, before, strict=True)])
-    )
     compared = {}
     for i, kind in enumerate(channels.KINDS):
-        if levels[i] > 0:
-            old, new, size = ([rows[:, i] for rows in part] for part in (was, now, difference))
-            change = _change(old, new, float(levels[i]), rate, limits)
-            expected = [w - d / 2 for w, d in zip(old, size, strict=True)]
+        axes = slice(channels.AXES * i, channels.AXES * (i + 1))
+        level = float(np.linalg.norm(floor[axes]))
+        if level > 0:
+            was, now = ([rows[:, axes] ** 2 for rows in part] for part in (before, after))
+            size = [(a[:, axes] - b[:, axes]) ** 2 for a, b in zip(after, before, strict=True)]
+            floors = np.maximum(floor[axes], MIN_SHARE * level)
+            expected = [w - d / 2 for w, d in zip(was, size, strict=True)]
             compared[kind] = replace(
-                change,
-                size=float(np.sqrt(np.mean(np.concatenate(size)))),
-                shortfall=_change(expected, new, float(levels[i]), rate, limits).deviations,
+                _change(was, now, floors, rate, limits),
+                size=_norm(size),
+                shortfall=_change(expected, now, floors, rate, limits).deviations,
             )
     return compared
 
@@ -91,28 +100,43 @@ def open_loop_changes(
     for horizon, was in before.items():
         for i, quantity in enumerate(OPEN_LOOP_QUANTITIES):
             axes = slice(3 * i, 3 * i + 3)
-            old, new = ([np.sum(e[:, axes] ** 2, axis=1) for e in part] for part in (was, after[horizon]))
-            level = float(np.sqrt(np.mean(np.concatenate(old))))
+            old, new = (
+                [np.sum(e[:, axes] ** 2, axis=1, keepdims=True) for e in part] for part in (was, after[horizon])
+            )
+            level = _norm(old)
             if level > 0:
-                compared[horizon, quantity] = _change(old, new, level, 1 / interval, limits)
+                compared[horizon, quantity] = _change(old, new, np.array([level]), 1 / interval, limits)
     return compared
 
 
 def _change(
-    was: Sequence[Floats], now: Sequence[Floats], floor: float, rate: float, limits: RelevanceThresholds
+    was: Sequence[Floats], now: Sequence[Floats], floors: Floats, rate: float, limits: RelevanceThresholds
 ) -> ErrorChange:
-    """From squared errors (m,) of each segment."""
+    """From squared errors (m, a) of each segment. floors: (a,) of the axes."""
     count = sum(map(len, was))
     length = max(1, min(round(limits.block * rate), count // limits.min_blocks))
-    differences = np.concatenate(
-        [np.add.reduceat(n - w, np.arange(0, len(w), length)) for w, n in zip(was, now, strict=True) if len(w)]
+    blocks = [
+        np.add.reduceat((n - w) / floors**2, np.arange(0, len(w), length))
+        for w, n in zip(was, now, strict=True)
+        if len(w)
+    ]
+    differences = np.concatenate(blocks)
+    pooled = differences.sum(axis=1)
+    spread = float(np.linalg.norm(pooled))
+    return ErrorChange(
+        before=_norm(was),
+        after=_norm(now),
+        floor=float(np.linalg.norm(floors)),
+        by_axis=tuple((differences.sum(axis=0) / max(count, 1)).tolist()),
+        deviations=float(pooled.sum()) / spread if spread > 0 else 0.0,
     )
-    spread = float(np.sqrt(np.sum(differences**2)))
-    before, after = (float(np.sqrt(np.maximum(np.mean(np.concatenate(part)), 0.0))) for part in (was, now))
-    return ErrorChange(before, after, floor, float(differences.sum()) / spread if spread > 0 else 0.0)
 
 
-def _rise(squared: float, floor: float) -> float:
-    """By how much an error at the floor changes, over the floor, with a change of the squared error."""
-    change = squared / max(floor, 1e-12) ** 2
+def _norm(squares: Sequence[Floats]) -> float:
+    """Root of the mean of squares (m, a) of each segment, summed over the axes."""
+    return float(np.sqrt(np.maximum(np.mean(np.sum(np.concatenate(squares), axis=1)), 0.0)))
+
+
+def _rise(change: float) -> float:
+    """By how much an error at the floor changes, over the floor, with a change of its square over that of the floor."""
     return float(np.sign(change) * (np.sqrt(1.0 + abs(change)) - 1.0))

@@ -12,7 +12,7 @@ import itertools
 import math
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -349,6 +349,17 @@ def _selection(
     return Selection(chosen, singles, before, after, detected, variance)
 
 
+def with_gust_beside(regression: Regression, selection: Selection, candidates: Sequence[Candidate]) -> Selection:
+    """The selection with the gust beside certain effects, such as those that were accepted: what was selected and
+    refused may have made room for it."""
+    if {c.key for c in candidates} == {c.key for c in selection.chosen.candidates}:
+        return selection
+    columns = [i for c in candidates for i in c.columns]
+    gust = gust_beside(regression, columns)
+    required = regression.thresholds.search.min_gust_share * regression.gain(columns)
+    return replace(selection, gust=gust, gust_detected=_is_gust(gust, regression, required))
+
+
 def _relevant(regression: Regression) -> float:
     """Score by which an effect must raise that of the others to matter."""
     thresholds = regression.thresholds.search
@@ -356,10 +367,14 @@ def _relevant(regression: Regression) -> float:
 
 
 def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
-    """Whether random air motion is a gust: clear in most resamples, and more than an estimator's error of velocity."""
-    limits = regression.thresholds.relevance
+    """Whether random air motion is a gust: clear in most resamples, and more than an estimator's error of velocity.
+
+    One as strong as the strongest that was tried stands in for a force that is none of the air.
+    """
+    limits, strongest = regression.thresholds.relevance, regression.thresholds.gust.intensity[1]
     clear = gust.intensity > limits.deviations * gust.std and gust.share >= limits.min_agreement
-    return clear and gust.score >= max(_relevant(regression), min_score) and gust.intensity > regression.pose.velocity
+    air = regression.pose.velocity < gust.intensity < (1 - 1e-6) * strongest
+    return clear and air and gust.score >= max(_relevant(regression), min_score)
 
 
 def _searched(regression: Regression, start: Set, variance: float, required: float) -> tuple[Scored, float, float]:

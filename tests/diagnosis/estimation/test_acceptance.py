@@ -68,6 +68,21 @@ def test_a_force_that_the_accelerometer_does_not_show_is_contradicted(of_noise):
     assert contradicted(0.4) == {"imu", "mocap"}
 
 
+def test_an_effect_on_one_axis_counts_as_much_as_one_on_all(of_noise):
+    limits, floor = of_noise.thresholds.relevance, np.ones(CHANNELS)
+    floor[6:9] = [10.0, 10.0, 1.0]
+    after = [y * floor for y in noise_rows(0)]
+    wave = 2.0 * np.sin(np.arange(400) / 20)[:, None] * floor
+    about_z = wave * (np.arange(CHANNELS) == 8)
+    one, every = (
+        channel_changes([y + more for y in after], after, floor, 25.0, limits)["angular"] for more in (about_z, wave)
+    )
+    assert one.fall == pytest.approx(every.fall, rel=0.2)
+    assert one.fall > limits.min_rise
+    assert one.before == pytest.approx(np.sqrt(np.mean(np.sum((after[0] + about_z)[:, 6:9] ** 2, axis=1))), rel=0.05)
+    assert every.rise == pytest.approx(-every.fall, rel=0.3)
+
+
 def test_what_else_is_missing_does_not_hide_a_change(of_noise):
     gust = [3 * np.sin(np.arange(400) / 30)[:, None] for _ in range(2)]
     before = [y + 0.5 * np.cos(np.arange(400))[:, None] for y in noise_rows(0)]

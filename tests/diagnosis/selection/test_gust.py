@@ -86,3 +86,9 @@ def test_normal_equations_beside_a_gust_are_those_of_its_covariance(arpl_250g):
     z = (waves * np.sqrt(weight)).reshape(len(x), -1)
     covariance = np.eye(len(x)) + 0.7 * z @ z.T
     np.testing.assert_allclose(gusty.gram[0], x.T @ np.linalg.solve(covariance, x), rtol=1e-6, atol=1e-6)
+
+
+def test_a_gust_as_strong_as_the_strongest_that_was_tried_is_none(arpl_250g):
+    storm = blown(arpl_250g, intensity=60.0, seed=0)
+    assert not select(storm).gust_detected
+    assert select(blown(arpl_250g, intensity=6.0, seed=0)).gust_detected
