@@ -491,6 +491,7 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
 
     min_rise: of an error over its floor, were all else at the floor, when an effect is left out. [definition]
     max_rise: of the same that is no loss, when an effect is put in. [definition: that of `min_rise`]
+    min_axis_floor: of an axis over that of its kind; no axis is without noise. [definition]
     deviations: of an estimate from its neutral value, or of a change from none, that is not chance. [convention: 95 %]
     block: over which errors may be correlated, s. [decisions: intervals come from blocks]
     min_blocks: into which errors are divided where there are fewer of that length. [not derived yet]
@@ -499,6 +500,7 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
 
     min_rise: Score = 0.02
     max_rise: Score = 0.02
+    min_axis_floor: Share = 1e-3
     deviations: Positive = 2.0
     block: Positive = 2.0
     min_blocks: Count = 8

@@ -16,8 +16,6 @@ from diagnosis.models.open_loop import OPEN_LOOP_QUANTITIES
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds
 from dynamics.arrays import Floats
 
-MIN_SHARE = 1e-3  # of an axis's floor in that of its kind: no axis is without noise
-
 
 @dataclass(frozen=True)
 class ErrorChange:
@@ -75,7 +73,7 @@ def channel_changes(
         if level > 0:
             was, now = ([rows[:, axes] ** 2 for rows in part] for part in (before, after))
             size = [(a[:, axes] - b[:, axes]) ** 2 for a, b in zip(after, before, strict=True)]
-            floors = np.maximum(floor[axes], MIN_SHARE * level)
+            floors = np.maximum(floor[axes], limits.min_axis_floor * level)
             expected = [w - d / 2 for w, d in zip(was, size, strict=True)]
             compared[kind] = replace(
                 _change(was, now, floors, rate, limits),

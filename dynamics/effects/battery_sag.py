@@ -9,12 +9,12 @@ from dynamics.vehicle import Vehicle
 
 
 def physics(body: Physics, p: Values, environment: Environment, _: int | None) -> Physics:
-    """k_f times (V / V0)^(2 gain): the speed goes with the voltage to the power of gain, thrust with its square.
+    """k_f and k_tau times (V / V0)^(2 gain), since rotor speed goes with the voltage to the power of gain.
 
     V0 is reference times the full battery's voltage.
     """
     factor = (environment.battery_ratio / p["reference"]) ** (2 * p["gain"])
-    return replace(body, thrust_constant=body.thrust_constant * factor)
+    return replace(body, thrust_constant=body.thrust_constant * factor, torque_constant=body.torque_constant * factor)
 
 
 def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:

@@ -150,8 +150,10 @@ def centre_of_mass(now, p):
 
 
 def battery_sag(now, p):
-    share = (now.environment[1] / p["reference"]) ** (2 * p["gain"])
-    return summed(now, upwards((share - 1) * now.thrusts))
+    rotors, slower = now.vehicle.rotors, (now.environment[1] / p["reference"]) ** p["gain"]
+    force, torque = summed(now, upwards((slower**2 - 1) * now.thrusts))
+    yaw = rotors.torque_constant * (slower**2 - 1) * np.dot(rotors.spin, now.speed**2)
+    return force, torque + np.array([0.0, 0.0, yaw])
 
 
 def linear_drag(now, p):
