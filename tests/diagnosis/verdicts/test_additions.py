@@ -74,12 +74,12 @@ def test_what_no_effect_explains_never_leads_to_a_worse_model(plain, arpl_250g):
 
 def test_what_is_too_small_to_matter_is_listed_and_not_named(plain, arpl_250g):
     eager = msgspec.structs.replace(DEFAULT, search=msgspec.structs.replace(DEFAULT.search, min_gain=5.0))
-    diagnosis = diagnose_dataset(plain, wrong(arpl_250g, inertia=0.994), SOME, eager).diagnosis
+    diagnosis = diagnose_dataset(plain, wrong(arpl_250g, inertia=0.996), SOME, eager).diagnosis
     assert diagnosis.verdict == "explained"
     assert diagnosis.effects == ()
     refused = next(r for r in diagnosis.refused if r.name == "inertia")
     assert refused.reason == "too_small"
-    assert refused.parameters["ratio_x"] == pytest.approx(1 / 0.994, abs=0.008)
+    assert refused.parameters["ratio_x"] == pytest.approx(1 / 0.996, abs=0.008)
     assert not refused.is_hint
 
 
