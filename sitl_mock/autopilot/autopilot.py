@@ -140,9 +140,17 @@ class Autopilot:
     def step(self) -> None:
         """One pass: decide, fly for 4 ms, queue the messages that are due."""
         self._faults.apply(self.time)
+        self._watch_position()
         self._navigator.fly(STEP)
         self.next_step = self.time + STEP
         self._queue_messages(self.time)
+
+    def _watch_position(self) -> None:
+        has_position = self.vehicle.has_position
+        if self.commander.has_position and not has_position:
+            self.commander.lose_position()
+        self.commander.has_position = has_position
+        self.estimate_fault.watch_position(has_position)
 
     def snapshot(self, time: float) -> Snapshot:
         """The content of all streams at a simulated time, s."""

@@ -45,6 +45,7 @@ class SystemStatus(IntEnum):
 # COM_OBL_RC_ACT without a pilot: a mode that needs sticks becomes a return
 OFFBOARD_LOSS_MODE = {0: Mode.RTL, 1: Mode.RTL, 2: Mode.RTL, 3: Mode.RTL, 4: Mode.LAND, 5: Mode.HOLD}
 TERMINATE, DISARM = 6, 7
+NEED_POSITION = (Mode.HOLD, Mode.RTL, Mode.TAKEOFF)
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +71,7 @@ class Commander:
         self.failsafe = False
         self.terminated = False
         self.landed = True
+        self.has_position = True
         self.forced_rejections = ForcedRejections()
         self.texts: deque[tuple[TextSeverity, str]] = deque(maxlen=32)
         self._parameters = parameters
@@ -155,6 +157,14 @@ class Commander:
         """Switch to HOLD at the take-off height."""
         self.mode = self.intended = self._after_disarming = Mode.HOLD
 
+    def lose_position(self) -> None:
+        """The estimator has no position any more: a mode that needs one becomes a landing."""
+        self.has_position = False
+        if self.armed and self.mode in NEED_POSITION:
+            self.failsafe = True
+            self.mode = self.intended = Mode.LAND
+            self.texts.append(("critical", "Failsafe activated: no position estimate, landing"))
+
     def _watch_offboard(self, time: float) -> None:
         if self.intended is not Mode.OFFBOARD or self.terminated:
             return
@@ -184,7 +194,7 @@ class Commander:
         if action == TERMINATE:
             self.terminate()
         else:
-            self.mode = OFFBOARD_LOSS_MODE.get(action, Mode.RTL)
+            self.mode = OFFBOARD_LOSS_MODE.get(action, Mode.RTL) if self.has_position else Mode.LAND
             self.texts.append(("critical", f"Failsafe activated: no offboard setpoints, entering {self.mode.name}"))
 
     def _disarm_when_due(self, time: float) -> None:
@@ -205,7 +215,7 @@ class Commander:
     def _can_run(self, time: float, mode: Mode) -> bool:
         if mode is Mode.OFFBOARD:
             return self.offboard.may_begin(time, self._loss_time)
-        return not mode.needs_pilot and mode is not Mode.MISSION
+        return not mode.needs_pilot and mode is not Mode.MISSION and (self.has_position or mode is Mode.LAND)
 
     @property
     def _loss_time(self) -> float:

@@ -179,10 +179,6 @@ def _refuse_offboard(targets: FaultTargets, _: Fault, begins: bool) -> None:
 
 def _gnss_loss(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.vehicle.use_gnss(not begins)
-    if begins:
-        targets.estimate.lose_gnss(targets.vehicle.time)
-    else:
-        targets.estimate.regain_gnss()
 
 
 def _held(targets: FaultTargets, _: Fault, begins: bool) -> None:

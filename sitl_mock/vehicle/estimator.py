@@ -17,6 +17,7 @@ from sitl_mock.vehicle.sensors import WANDER_DAMPING, SensorErrors, Vector3
 
 Estimator = Literal["px4", "mocap", "perfect"]
 DEAD_RECKONING_BIAS = 0.15  # m/s^2, the size of PX4's bias estimates' own errors
+NO_AIDING_TIME = 5.0  # s, EKF2_NOAID_TOUT
 CORRELATION_PHASE = 1.69  # frequency x time after which a smooth error's correlation is 1/e, at WANDER_DAMPING
 
 

@@ -49,12 +49,17 @@ class Demand:
 
 
 class PositionControl:
-    """Flies one position mode at a time; a mode remembers where it was entered."""
+    """Flies one position mode at a time; a mode remembers where it was entered.
+
+    home: (3,) world, m.
+    has_position: whether the estimate has a horizontal position and velocity; without, the vehicle is held level.
+    """
 
     def __init__(self, home: Floats, tuning: Tuning) -> None:
         """home: (3,) world ENU, m: where a return ends, on the ground."""
         self.home = home.copy()
         self.tuning = tuning
+        self.has_position = True
         self._kind = ""
         self._anchor = home.copy()
         self._yaw = self._yaw_rate = 0.0
@@ -134,6 +139,7 @@ class PositionControl:
         self._velocity = now.velocity_world
         tracking = VELOCITY_GAIN * error + self._integral - DAMPING_GAIN * slowing
         acceleration = np.where(accelerates, 0.0, tracking) + np.nan_to_num(feed_forward)
+        acceleration[0:2] *= self.has_position
         attitude, thrust, saturated = _attitude_for(acceleration.tolist(), self._yaw, self.tuning.hover_thrust)
         if not saturated:
             self._integral = np.minimum(np.maximum(self._integral + INTEGRAL_GAIN * error * dt, -5.0), 5.0)

@@ -23,7 +23,7 @@ from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
 from sitl_mock.vehicle import ground
 from sitl_mock.vehicle.battery import BatteryPack, open_circuit_voltage, usual_battery
-from sitl_mock.vehicle.estimator import Drift, Wander, at_rest
+from sitl_mock.vehicle.estimator import NO_AIDING_TIME, Drift, Wander, at_rest
 from sitl_mock.vehicle.ground import Ground
 from sitl_mock.vehicle.land_detector import LandDetector
 from sitl_mock.vehicle.plant import DT, Plant, build_plant
@@ -107,6 +107,7 @@ class SimulatedVehicle:
         self._due = 0.0
         self._last: tuple[ControlSetpoint | None, bool] = (None, False)
         self._thrust = 0.0
+        self._gnss_lost_at = math.inf
         values = self.plant.model.parameter_values
         ages = [float(age) for age in self.plant.model.measure(0, 0, 0, values, 0)[3:5]]
         self._pose_age, self._attitude_age = (max(round(age / DT), 0) for age in (ages[0], sum(ages)))  # steps
@@ -263,12 +264,18 @@ class SimulatedVehicle:
 
     def use_gnss(self, available: bool) -> None:
         """Take satellite navigation from the estimator, or give it back: then it resets what has drifted off."""
+        self._gnss_lost_at = math.inf if available else self.time
         if not available:
             self._drift.lose_gnss()
             return
         self._drift.regain_gnss()
         self._constants["drift"][:] = 0.0
         self._loop.state[self.plant.state.places["offset"]] = self._drift.offset
+
+    @property
+    def has_position(self) -> bool:
+        """Whether the estimator calls its horizontal position and velocity valid: until 5 s without satellites."""
+        return self.time - self._gnss_lost_at < NO_AIDING_TIME
 
     @property
     def clearance(self) -> float:
@@ -413,9 +420,13 @@ class SimulatedVehicle:
         if not flies_itself and self._step % (2 * SUPERVISION):
             return
         now, detector = self.estimate_now, self.land_detector
+        if not self.has_position:  # PX4's land detector then goes without the horizontal speed
+            velocity = np.array([0.0, 0.0, now.velocity_world[2]])
+            now = dataclasses.replace(now, velocity_world=velocity)
         detector.update(self.time, now, armed=armed, thrust=self._thrust, hover_thrust=self.tuning.hover_thrust)
         self._landed[:] = detector.maybe_landed
         if flies_itself:
+            self._position_control.has_position = self.has_position
             demand = self._position_control.fly(setpoint, now, SUPERVISION * DT)
             stays = detector.landed and not demand.climbs
             stays = stays or (detector.ground_contact and setpoint.kind != "hold")

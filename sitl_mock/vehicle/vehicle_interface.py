@@ -178,6 +178,10 @@ class Vehicle(Protocol):
     def ground_force(self) -> float:
         """Share of the weight that the ground carries now."""
 
+    @property
+    def has_position(self) -> bool:
+        """Whether the estimator calls its horizontal position and velocity valid."""
+
     def hold(self, held: bool) -> None:
         """Let a hand hold the vehicle where it is, or let go of it."""
 

@@ -11,8 +11,6 @@ from dynamics.arrays import Floats
 from dynamics.quaternion import multiply
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 
-NO_AIDING_TIME = 5.0  # s, EKF2_NOAID_TOUT
-
 
 def _heading(yaw: float) -> Floats:
     return np.array([math.cos(yaw / 2), 0.0, 0.0, math.sin(yaw / 2)])
@@ -28,7 +26,7 @@ class EstimateFault:
     invalid: NaN instead of numbers.
     frozen: the estimate stays constant while its time stamps advance.
     stopped: no estimate is sent at all.
-    gnss_lost_at: when satellite navigation was lost, simulated s; infinite while it is there.
+    has_position: whether EKF2 calls its horizontal position and velocity valid.
     """
 
     reset_counter: int = 9
@@ -37,7 +35,7 @@ class EstimateFault:
     invalid: bool = False
     frozen: bool = False
     stopped: bool = False
-    gnss_lost_at: float = math.inf
+    has_position: bool = True
     _last_reported: MotionState | None = None
 
     def reset(self, shift: Floats, yaw: float) -> None:
@@ -46,18 +44,11 @@ class EstimateFault:
         self.yaw += yaw
         self.reset_counter = (self.reset_counter + 1) % 256
 
-    def lose_gnss(self, time: float) -> None:
-        """Note the loss of satellite navigation at a simulated time, s."""
-        self.gnss_lost_at = time
-
-    def regain_gnss(self) -> None:
-        """Note its return, which resets the estimate."""
-        self.gnss_lost_at = math.inf
-        self.reset_counter = (self.reset_counter + 1) % 256
-
-    def has_position(self, time: float) -> bool:
-        """Whether EKF2 still calls its horizontal position and velocity valid: until 5 s without aiding."""
-        return time - self.gnss_lost_at < NO_AIDING_TIME
+    def watch_position(self, has_position: bool) -> None:
+        """Note whether the estimator has a position; its return is a reset."""
+        if has_position and not self.has_position:
+            self.reset_counter = (self.reset_counter + 1) % 256
+        self.has_position = has_position
 
     def reported(self, state: MotionState) -> MotionState:
         """The estimate as the wire carries it."""
@@ -66,7 +57,7 @@ class EstimateFault:
         if self.invalid:
             nothing = np.full(3, math.nan)
             return MotionState(state.time, nothing, nothing, np.full(4, math.nan), nothing)
-        if not self.has_position(state.time):
+        if not self.has_position:
             nothing = np.array([math.nan, math.nan, 0.0])
             position, velocity = state.position_world + nothing, state.velocity_world + nothing
             state = replace(state, position_world=position, velocity_world=velocity)

@@ -7,10 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.references import named_reference
-from dynamics.vehicle_file import read_vehicle
-from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers
 from runtime.flight.mission import Phase, Plan
 from simulation.whole_flight import WholeFlight, fly_whole
@@ -23,14 +20,8 @@ SHORT = Plan(height=1.0, duration=3.0, settle=0.3, origin="takeoff")
 STEEPEST = np.radians(12.0)  # that a landing may tilt after contact
 
 
-@pytest.fixture(scope="module")
-def controllers() -> Controllers:
-    vehicle = read_vehicle(FILE)
-    return Controllers(Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD)))
-
-
 def fly(controllers: Controllers, **options: object) -> WholeFlight:
-    reference = named_reference("circle", read_vehicle(FILE))
+    reference = named_reference("circle", controllers.flying.trim)
     return fly_whole(MockOptions(FILE, **options), reference, plan=SHORT, controllers=controllers)  # type: ignore[arg-type]
 
 

@@ -23,7 +23,7 @@ class KinematicVehicle:
         self.armed = False
         self.setpoint = ControlSetpoint("idle")
         self.tuning = Tuning()
-        self.held, self.has_gnss = False, True
+        self.held, self.has_position = False, True
         self.rotor_position = np.array([[0.1, 0.1, 0], [-0.1, 0.1, 0], [-0.1, -0.1, 0], [0.1, -0.1, 0]])
 
     @property
@@ -62,7 +62,7 @@ class KinematicVehicle:
         self.held = held
 
     def use_gnss(self, available: bool) -> None:
-        self.has_gnss = available
+        self.has_position = available
 
     def tune(self, tuning: Tuning) -> None:
         self.tuning = tuning
