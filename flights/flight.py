@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +19,9 @@ from flights.log import Log, Origin, Provenance
 from flights.pose_source import PoseSource, source_of
 from flights.quantities import MOTION, QUANTITIES, RESET_COUNTERS, Quantity, known_columns, quantity_of
 from flights.reading import read_log
+
+if TYPE_CHECKING:
+    import pandas
 
 MIN_SEGMENT = 0.5  # s
 
@@ -74,6 +77,22 @@ class Flight:
 
     def __len__(self) -> int:
         return len(self.time)
+
+    def __str__(self) -> str:
+        """A summary: the file, its length, and each quantity with its unit, frame, logged rate and source."""
+        name, rows = Path(self.provenance.path).name, f"{len(self)} rows at {self.rate:.0f} Hz"
+        lines = [f"{name} ({self.provenance.format}): {self.duration:.1f} s, {rows}"]
+        width = max((len(quantity) for quantity in self.quantities), default=0)
+        for quantity in self.quantities:
+            kind = QUANTITIES[quantity]
+            origin = self.origins.get(quantity)
+            logged = "" if origin is None else f"logged at {origin.rate:.0f} Hz, {origin.source}"
+            missing = 100 * float(np.mean(~np.isfinite(self[quantity])))
+            gaps = f"{missing:.0f} % missing" if missing >= 0.5 else ""
+            unit = "" if kind.unit == "1" else kind.unit
+            facts = ", ".join(filter(None, [" ".join(filter(None, [unit, kind.frame])), logged, gaps]))
+            lines.append(f"  {quantity:<{width}}  {facts}".rstrip())
+        return "\n".join(lines)
 
     @property
     def period(self) -> float:
@@ -167,6 +186,17 @@ class Flight:
         bounds = zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True) if len(edges) else ()
         min_rows = max(2, round(shortest * self.rate))
         return tuple(self.rows(start, stop) for start, stop in bounds if good[start] and stop - start >= min_rows)
+
+    def to_pandas(self) -> pandas.DataFrame:
+        """The flight as a data frame, indexed by time in s; `frame.attrs` holds the file, "units" and "frames"."""
+        import pandas
+
+        index = pandas.Index(np.array(self.time), name="time")
+        frame = pandas.DataFrame({name: np.array(values) for name, values in self.columns.items()}, index=index)
+        frame.attrs["path"] = self.provenance.path
+        frame.attrs["units"] = {name: self.unit(name) for name in self.columns}
+        frame.attrs["frames"] = {name: self.frame(name) for name in self.columns}
+        return frame
 
     def to_csv(self, path: str | Path) -> Path:
         """Write the flight CSV, which is read back bit for bit. Raises RequestError when it cannot be written."""

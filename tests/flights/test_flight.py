@@ -122,3 +122,30 @@ def test_a_file_in_a_folder_that_is_none_is_refused(tmp_path: Path) -> None:
     flight = _flight(np.arange(3.0), position_x=np.arange(3.0))
     with pytest.raises(RequestError, match="cannot write"):
         flight.to_csv(tmp_path / "nowhere" / "flight.csv")
+
+
+def test_a_flight_prints_as_a_summary() -> None:
+    flight = Flight.read(Path("tests/data/px4_sih_flights/nothing_1_circle.ulg.gz"))
+    lines = str(flight).splitlines()
+    assert lines[0].startswith("nothing_1_circle.ulg.gz (PX4 ULog")
+    assert f"{flight.duration:.1f} s, {len(flight)} rows" in lines[0]
+    assert len(lines) == 1 + len(flight.quantities)
+    assert any(line.split()[:4] == ["specific_force", "m/s^2", "body", "FLU,"] for line in lines)
+
+
+def test_a_summary_counts_what_is_missing() -> None:
+    values = np.array([1.0, np.nan, np.nan, 4.0])
+    assert str(_flight(np.arange(4.0), velocity_x=values, velocity_y=values, velocity_z=values)).endswith(
+        "50 % missing"
+    )
+
+
+def test_a_flight_as_a_data_frame_has_its_numbers_units_and_frames() -> None:
+    flight = Flight.read(Path("tests/data/px4_sih_flights/nothing_1_circle.ulg.gz"))
+    frame = flight.to_pandas()
+    np.testing.assert_array_equal(frame.index.to_numpy(), flight.time)
+    np.testing.assert_array_equal(frame["velocity_x"].to_numpy(), flight["velocity"][:, 0])
+    assert frame.attrs["units"]["velocity_x"] == "m/s"
+    assert frame.attrs["frames"]["velocity_x"] == "world ENU"
+    frame["velocity_x"] = 0.0  # a copy: the flight stays as it is
+    assert np.nanmax(np.abs(flight["velocity"][:, 0])) > 0.0
