@@ -6,8 +6,9 @@ their slopes at once; those that have a grid, bring hidden states or move the ai
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 
 import msgspec
 import numpy as np
@@ -43,8 +44,13 @@ class _Group:
     """
 
     candidates: tuple[Candidate, ...]
-    predictor: Predictor
+    make: Callable[[], Predictor]
     scale_rotors: bool
+
+    @property
+    def predictor(self) -> Predictor:
+        """The predictor, made when it is needed first."""
+        return self.make()
 
 
 class DesignMatrix:
@@ -221,17 +227,16 @@ class _ModelSource:
         if scales_rotors(candidates[0]):
             others = without_lag(others, self.catalogue)
         free = [f"{c.key}.{name}" for c in candidates for name in c.free]
-        predictor = self.predictor([*others, *(c.use() for c in candidates)], free)
-        return _Group(tuple(candidates), predictor, scales_rotors(candidates[0]))
+        make = partial(self.predictor, [*others, *(c.use() for c in candidates)], free)
+        return _Group(tuple(candidates), cache(make), scales_rotors(candidates[0]))
 
     def alone(self, candidates: Sequence[Candidate]) -> list[_Group]:
         """A group for each candidate; those at several points of one grid share a model."""
-        shared: dict[tuple[str, tuple[str, ...]], Predictor] = {}
+        shared: dict[tuple[str, tuple[str, ...]], Callable[[], Predictor]] = {}
         groups = []
         for c in candidates:
-            if (c.key, c.free) not in shared:
-                shared[c.key, c.free] = make_predictor(self.vehicle, self.catalogue, c, self.example, self.thresholds)
-            groups.append(_Group((c,), shared[c.key, c.free], scales_rotors(c)))
+            make = partial(make_predictor, self.vehicle, self.catalogue, c, self.example, self.thresholds)
+            groups.append(_Group((c,), shared.setdefault((c.key, c.free), cache(make)), scales_rotors(c)))
         return groups
 
 

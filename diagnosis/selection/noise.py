@@ -56,7 +56,8 @@ class NoiseModel:
 
     def whiten(self, rows: Floats) -> Floats:
         """Rows (m, 12) or columns (m, 12, k) as (m - order, c) or (m - order, c, k) with unit white noise."""
-        here = np.ascontiguousarray(rows[:, list(self.active)], dtype=float)
+        everything = self.active == tuple(range(rows.shape[1]))
+        here = np.ascontiguousarray(rows if everything else rows[:, list(self.active)], dtype=float)
         width = here[0, 0].size
         shape = (len(here) - self.order, (self.order + 1) * len(self.active), width)
         windows = as_strided(here, shape, (here.strides[0], width * here.itemsize, here.itemsize), writeable=False)
