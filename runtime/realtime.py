@@ -1,6 +1,6 @@
 """Real-time scheduling on Linux as far as the operating system permits; a refusal is reported and ends nothing.
 
-Guards keep a defect of ours from taking the machine with it: a process that takes a whole processor goes back to
+Guards keep a defect of ours from taking the machine with it: a process that takes half of the processors goes back to
 ordinary scheduling, one that cannot is ended by the kernel, and memory is locked only where enough is left.
 """
 
@@ -20,7 +20,7 @@ from types import TracebackType
 from typing import Self
 
 SWITCH_INTERVAL = 5e-4  # s; the interpreter's 5 ms would let a busy thread hold the control thread up for half a tick
-MAX_RUN, MAX_SHARE = 2.0, 0.9  # s, and share of one processor that the process may take over it
+MAX_RUN, MAX_SHARE = 2.0, 0.9  # s, and share of half the processors, at least one, that the process may take over it
 MAX_RUN_WITHOUT_GUARD = 3.0  # s of processor time without a pause after which the kernel ends the process
 MAX_LOCKED = 0.5  # of the available memory
 _MCL_CURRENT, _MCL_FUTURE, _MCL_ONFAULT = 1, 2, 4
@@ -167,12 +167,13 @@ class Scheduling:
         threading.Thread(target=self._guard, args=(self.priority + 1,), name="guard", daemon=True).start()
 
     def _guard(self, priority: int) -> None:
-        """Put all threads back when the process takes a whole processor for longer than a flight ever does."""
+        """Put all threads back when the process takes too much for longer than a flight ever does."""
         schedule_thread(priority)
+        limit = MAX_SHARE * MAX_RUN * max(1.0, len(os.sched_getaffinity(0)) / 2)
         before = time.process_time()
         while not self._over.wait(MAX_RUN):
             used, before = time.process_time() - before, time.process_time()
-            if used > MAX_SHARE * MAX_RUN:
+            if used > limit:
                 lower_threads()
                 self.priority = None
                 self.refusals.append(f"given up: {used:.1f} s of processor time were used within {MAX_RUN:g} s")
