@@ -30,6 +30,7 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
 from diagnosis.selection.regression import Regression, about_fit, make_regression
 from diagnosis.selection.search import Search
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
 from dynamics.vehicle import Vehicle
@@ -63,7 +64,7 @@ CASES = (
     *(("speeds", n) for n in FROM_SPEEDS), ("speeds", "several"), ("speeds", "gust beside three"),
     *(("commands", n) for n in FROM_COMMANDS), *(("estimator", n) for n in FROM_ESTIMATOR),
 )  # fmt: skip
-MAX_TRIES, FLIGHTS, TOGETHER = 3, 8, 32
+MAX_TRIES, FLIGHTS, TOGETHER = 3, 8, 41
 LEVEL = 1.96
 Row = Mapping[str, Any]
 
@@ -106,28 +107,30 @@ class Case:
         return [str(random.choice(group)) for group in groups]
 
 
-def read(campaign: Campaign, truths: Sequence[Truth]) -> tuple[Vehicle, Sequence[Segment], Sequence[int]]:
+def read(
+    campaign: Campaign, truths: Sequence[Truth], thresholds: Thresholds = DEFAULT
+) -> tuple[Vehicle, Sequence[Segment], Sequence[int]]:
     """Vehicle, segments to fit and the flight of each."""
     vehicle = vehicle_of(campaign)
     if campaign.recorder.pose == "estimator":
         with tempfile.TemporaryDirectory() as place:
             write_campaign(campaign, truths, Path(place))
-            data = read_dataset(sorted(map(str, Path(place).glob("*.ulg"))), vehicle)
+            data = read_dataset(sorted(map(str, Path(place).glob("*.ulg"))), vehicle, thresholds=thresholds)
     elif campaign.recorder.commands:
-        data = make_dataset(captured_flights(campaign, truths), vehicle)
+        data = make_dataset(captured_flights(campaign, truths), vehicle, thresholds=thresholds)
     else:  # nothing is held out of what this table is made from
-        parts = [segments(flight, vehicle) for flight in captured_flights(campaign, truths)]
+        parts = [segments(flight, vehicle, thresholds) for flight in captured_flights(campaign, truths)]
         return vehicle, [s for part in parts for s in part], [i for i, part in enumerate(parts) for _ in part]
     return vehicle, data.fitted, data.flight_of
 
 
-def fitted_rows(case: Case, campaign: Campaign, truths: Sequence[Truth]) -> list[Row]:
+def fitted_rows(case: Case, campaign: Campaign, truths: Sequence[Truth], thresholds: Thresholds = DEFAULT) -> list[Row]:
     """A row for each parameter of the known set."""
-    vehicle, flown_segments, flight_of = read(campaign, truths)
+    vehicle, flown_segments, flight_of = read(campaign, truths, thresholds)
     truth = {_named(name): _as_named(name, values) for name, values in campaign.hidden.items()}
     catalogue = {n: CATALOGUE[n] for n in dict.fromkeys((*truth, *SENSORS, *(("wind",) if "gust" in truth else ())))}
     catalogue |= {use.name: CATALOGUE[use.name] for use in vehicle.effects}
-    regression = make_regression(vehicle, catalogue, flown_segments, flight_of)
+    regression = make_regression(vehicle, catalogue, flown_segments, flight_of, thresholds)
     chosen = known_set(regression, truth)
     rows: list[Row] = []
     if chosen:

@@ -36,11 +36,12 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     """Filters on both sides of the regression. Applied when flights are read.
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
-    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
+    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [benchmarks/interval_coverage.py:
+    inertias of measured speeds show no bias]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
     [benchmarks/interval_coverage.py; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
-    edge: that the filters spoil at both ends of a segment, s. [not derived yet]
+    edge: that the filters spoil at both ends of a segment, s. [formula: the low-pass has fallen to 0.3 % of its peak]
     """
 
     cutoff: Positive = 8.0
@@ -300,7 +301,7 @@ class RegressionThresholds(ThresholdGroup, frozen=True):
     """Normal equations of all candidates.
 
     ridge: on all columns at once, over the number of rows. [not derived yet]
-    max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [not derived yet]
+    max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [convention: 99 %]
     independent_share: of the whitened residuals, in the criterion's penalty. [not derived yet]
     """
 
@@ -375,7 +376,7 @@ class RivalThresholds(ThresholdGroup, frozen=True):
 class GustThresholds(ThresholdGroup, frozen=True):
     """Random air motion.
 
-    max_frequency: of the cosines that make it up, Hz. [not derived yet]
+    max_frequency: of the cosines that make it up, Hz. [formula: 86 % of the variance of a gust of 1 s lies below]
     corners: of its spectrum, the one that is marginalised first; its strength is that of the likeliest, Hz.
     [definition: correlation times of 1, 2 and 0.5 s]
     intensity: range of its strength that is tried, m/s. [definition: from nothing to a storm]
@@ -424,9 +425,10 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
 
     max_steps: of Gauss-Newton. [not derived yet]
     max_cost_growth: factor on the cost beyond which a step is halved. [not derived yet]
-    converged: step over the standard deviation at which it ends; output error uses the same. [not derived yet]
-    max_unsettled: the same beyond which a fit that has ended has no interval. [not derived yet]
-    difference_step: of finite differences, relative. [not derived yet]
+    converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
+    much takes 0.005 % off an interval's coverage]
+    max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
+    difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
     """
