@@ -1,59 +1,113 @@
-"""How long diagnosis takes: 108 s of nine flights, and ten minutes of fifty-four, one thread a library.
+"""Time of a diagnosis, by kind of flight: processor seconds for 100 s of it, one thread a library.
 
-Each size is diagnosed three times in a process that has done so once before; reading files is not counted.
+Flights by speeds and by commands, slow and fast, of our own simulator, of one that is not ours and of PX4. Each kind
+has a process of its own: the first diagnosis there builds the models, three more find them built. Reading files is
+not counted. The flights of `benchmarks.verdicts` are flown first where they are not kept.
 
-    python -m benchmarks.diagnosis_speed
+    python -m benchmarks.diagnosis_speed [--kind NAME ..]
 """
 
 from __future__ import annotations
 
+import argparse
 import os
+import subprocess
 import sys
 import time
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
 from statistics import median
 
 from benchmarks.provenance import write_result
-from diagnosis.data.dataset import make_dataset
+from benchmarks.verdict_cases import Case, prepare
+from benchmarks.verdicts import logs_of
+from diagnosis.data.dataset import Dataset, make_dataset, read_dataset
 from diagnosis.diagnose import diagnose_dataset
 from dynamics.effects import CATALOGUE
-from dynamics.vehicle import EffectUse
+from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from fixtures.compiled_flights import compiled_flights
-from runtime.realtime import limit_library_threads
 from vehicles import FOLDER
 
-SETS = {"108 s": (1, 2.0), "10 minutes": (6, 10.0)}  # of nine flights each, and the goal, s
 REPEATS = 3
-HIDDEN = {"rotor_drag": [EffectUse("rotor_drag", {"coefficient": 2.2e-5})], "nothing": []}
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # as the command has it
+DRAG = [EffectUse("rotor_drag", {"coefficient": 2.2e-5})]
+PX4 = Path(__file__).resolve().parents[1] / "tests" / "data" / "px4_sih_flights"
+
+
+def compiled(uses: list[EffectUse], sets: int) -> tuple[Dataset, Vehicle]:
+    """Sets of nine flights by measured speeds at 100 Hz."""
+    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    flights = [
+        flight
+        for seed in range(sets)
+        for flight in compiled_flights(vehicle, uses, catalogue=CATALOGUE, seed=60 + seed, noise=1.0)
+    ]
+    return make_dataset(flights, vehicle), vehicle
+
+
+def px4() -> tuple[Dataset, Vehicle]:
+    """Two of PX4's flights, by commands with its estimator's pose at 250 Hz."""
+    vehicle = read_vehicle(FOLDER / "px4_sih.toml")
+    logs = [PX4 / f"{name}.ulg.gz" for name in ("drag2_1_circle", "drag2_4_lemniscate")]
+    return read_dataset(logs, vehicle), vehicle
+
+
+def verdict(case: Case) -> tuple[Dataset, Vehicle]:
+    """A case of `benchmarks.verdicts`."""
+    prepare([case])
+    vehicle = read_vehicle(case.folder / "vehicle.toml")
+    return read_dataset(logs_of(case.folder), vehicle), vehicle
+
+
+KINDS: Mapping[str, tuple[Callable[[], tuple[Dataset, Vehicle]], float | None]] = {  # and the goal, s for 100 s
+    "rotor drag, nine flights": (partial(compiled, DRAG, 1), 2.5),
+    "nothing, nine flights": (partial(compiled, [], 1), 2.5),
+    "rotor drag, 54 flights": (partial(compiled, DRAG, 6), 2.5),
+    "nine effects, ten flights": (partial(verdict, Case("many", "nine", 1)), 3.7),  # 15 s for ten flights
+    "inertia, outside simulator": (partial(verdict, Case("single", "inertia", 1)), 2.5),
+    "slung load, outside simulator": (partial(verdict, Case("single", "slung_load", 1)), 2.5),
+    "nothing, outside simulator, commands": (partial(verdict, Case("nothing", "commands", 1)), None),
+    "nothing, outside simulator, estimator's pose": (partial(verdict, Case("nothing", "estimator", 1)), None),
+    "drag, PX4's own simulation, two flights": (px4, None),
+}
+
+
+def timed(name: str) -> str:
+    """A kind's line of the table."""
+    made, goal = KINDS[name]
+    data, vehicle = made()
+    taken = []
+    for _ in range(1 + REPEATS):
+        began = time.process_time()
+        diagnose_dataset(data, vehicle, CATALOGUE)
+        taken.append(time.process_time() - began)
+    flown = sum(s.duration for s in data.everything)
+    one, first, seconds = data.fitted[0], taken[0], median(taken[1:])
+    rotors = "speeds" if one.rotor_source == "measured" else "commands"
+    cells = [name, rotors, f"{one.rate:.0f}", f"{flown:.0f}", f"{first:.1f}", f"{seconds:.1f}"]
+    cells += [f"{100 * each / flown:.2f}" for each in (first, seconds)]
+    return "| " + " | ".join([*cells, "-" if goal is None else f"{goal:g}"]) + " |"
 
 
 def main() -> None:
-    if os.environ.get("OPENBLAS_NUM_THREADS") != "1":  # as the command has it; read when the library is loaded
-        limit_library_threads()
-        os.environ["OPENBLAS_NUM_THREADS"] = "1"
-        os.execv(sys.executable, sys.orig_argv)
-    vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
+    """Time the kinds and write the table."""
+    options = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--kind", nargs="+", choices=KINDS, default=list(KINDS), help="kinds to time")
+    options.add_argument("--line", action="store_true", help="print the one kind's line of the table")
+    chosen = options.parse_args()
+    if chosen.line:
+        print(timed(chosen.kind[0]))
+        return
+    own = [sys.executable, "-m", "benchmarks.diagnosis_speed", "--line", "--kind"]
     lines = [
-        "| flight | hidden | seconds of flight | processor seconds, median | by the clock | goal |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "Processor seconds of the first diagnosis in a process and the median of three more.",
+        "",
+        "| hidden, flights | rotors | Hz | s flown | first | median | first, for 100 s | median, for 100 s | goal |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+        *(subprocess.check_output([*own, kind], env=ENVIRONMENT, text=True).strip() for kind in chosen.kind),
     ]
-    for name, (sets, goal) in SETS.items():
-        for hidden, uses in HIDDEN.items():
-            flights = [
-                flight
-                for seed in range(sets)
-                for flight in compiled_flights(vehicle, uses, catalogue=CATALOGUE, seed=60 + seed, noise=1.0)
-            ]
-            data = make_dataset(flights, vehicle)
-            diagnose_dataset(data, vehicle, CATALOGUE)
-            taken = []
-            for _ in range(REPEATS):
-                began = time.process_time(), time.perf_counter()
-                diagnose_dataset(data, vehicle, CATALOGUE)
-                taken.append((time.process_time() - began[0], time.perf_counter() - began[1]))
-            flown = sum(s.duration for s in data.everything)
-            figures = (median(t for t, _ in taken), median(t for _, t in taken))
-            lines.append(f"| {name} | {hidden} | {flown:.0f} | {figures[0]:.1f} | {figures[1]:.1f} | {goal:.0f} |")
     write_result("diagnosis_speed", "Time of a diagnosis", "\n".join(lines))
 
 

@@ -59,3 +59,11 @@ def test_a_candidate_takes_the_place_of_the_files_effect_of_the_same_name(arpl_2
 def test_bounds_are_the_effects_own():
     parameter = CATALOGUE["mass"].parameters[0]
     assert bounds(CATALOGUE["mass"], "ratio") == (parameter.lower, parameter.upper)
+
+
+def test_a_fit_that_was_made_is_not_made_again(of_heavy, arpl_250g):
+    mass = of(of_heavy, "mass")
+    assert fit(of_heavy, [mass]) is fit(of_heavy, [mass], vehicle=arpl_250g)
+    assert fit(of_heavy, [mass]) is not fit(of_heavy, [mass], start={("mass", "ratio"): 1.2})
+    biased = arpl_250g.with_effects(EffectUse("gyro_bias", {"x": 0.02, "y": 0.0, "z": 0.0}))
+    assert fit(of_heavy, [mass], vehicle=biased).vehicle.effects != fit(of_heavy, [mass]).vehicle.effects

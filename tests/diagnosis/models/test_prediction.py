@@ -88,3 +88,16 @@ def test_channels_of_a_flight_that_hides_nothing_are_small(segment, arpl_250g):
     assert errors["imu"] < 0.2
     assert errors["mocap"] < 0.3
     assert errors["attitude_rate"] < 0.05
+
+
+def test_models_share_the_hidden_states_that_are_the_same(segment, arpl_250g):
+    def rotors(*uses):
+        predictor = Predictor(
+            arpl_250g, [EffectUse("motor_lag", {"time_constant": 0.04}), *uses], CATALOGUE, speed_measured=False
+        )
+        return predictor.rotor_speed(segment)
+
+    alone = rotors()
+    np.testing.assert_array_equal(rotors(EffectUse("rotor_drag", {"coefficient": 3e-5})), alone)
+    halved = rotors(EffectUse("rotor_speed_fault", {"gain": 0.5}, 2))
+    np.testing.assert_allclose(halved[500:], alone[500:] * np.array([1, 1, 2, 1]), rtol=1e-6)
