@@ -19,6 +19,7 @@ from dynamics.vehicle import GRAVITY
 UP = np.array([0.0, 0.0, 1.0])
 GRAVITY_WORLD = np.array([0.0, 0.0, GRAVITY])
 MEAN_TIME = 0.1  # s over which the force is averaged: it takes PX4's 1.4 m/s^2 of noise at 100 Hz down to 0.45
+USUAL_TIME = 1.5  # s over which the usual force of a flight is averaged
 MAX_GAP = 0.2  # s between two samples after which the mean starts again
 
 
@@ -36,18 +37,18 @@ class ExternalForce:
     """The mean force besides thrust and gravity over the last tenth of a second, per mass, m/s^2, world axes.
 
     value: (3,), zero until the samples cover the time.
+    along_thrust: its part along the body's z axis, m/s^2, which a thrust that was fitted in the same wind has none of.
     covered: whether they do.
     """
 
     def __init__(self) -> None:
-        self._samples: deque[tuple[float, Floats]] = deque()
-        self._sum = np.zeros(3)
+        self._samples: deque[tuple[float, Floats, float]] = deque()
         self.clear()
 
     def clear(self) -> None:
         """Forget all samples."""
         self._samples.clear()
-        self.value, self.covered = np.zeros(3), False
+        self.value, self.along_thrust, self.covered = np.zeros(3), 0.0, False
 
     def add(self, time: float, specific_force: Floats, thrust: float, attitude: Floats) -> None:
         """Add a sample.
@@ -59,12 +60,13 @@ class ExternalForce:
             self.clear()
         body = np.nan_to_num(specific_force)
         body[2] -= thrust
-        self._samples.append((time, np.asarray(quaternion.rotate(attitude, body))))
+        self._samples.append((time, np.asarray(quaternion.rotate(attitude, body)), float(body[2])))
         while self._samples[0][0] <= time - MEAN_TIME:
             self._samples.popleft()
         self.covered = time - self._samples[0][0] > 0.7 * MEAN_TIME
         if self.covered:
-            self.value = np.mean([sample for _, sample in self._samples], axis=0)
+            self.value = np.mean([sample for _, sample, _ in self._samples], axis=0)
+            self.along_thrust = sum(axial for _, _, axial in self._samples) / len(self._samples)
 
     def expire(self, time: float) -> None:
         """Forget samples of a stream that has stopped. time: s."""
@@ -81,6 +83,8 @@ class ForceMeter:
     """Measures the external force by the accelerometer, or by the estimated velocity where no accelerometer is sent.
 
     force: the running mean.
+    usual: (3,) the mean over the last seconds of flight, m/s^2, world: drag in the wind, and what a thrust that was
+        fitted in it leaves.
     thrust: the modelled collective thrust at the last update, per mass, m/s^2.
     by_velocity: whether the last sample is from the estimated velocity.
     """
@@ -92,6 +96,7 @@ class ForceMeter:
     def clear(self) -> None:
         """Start again, as on the ground."""
         self.force.clear()
+        self.usual = np.zeros(3)
         self.thrust, self.by_velocity = 0.0, False
         self._measured, self._before = -inf, (0.0, np.zeros(3))
 
@@ -114,6 +119,11 @@ class ForceMeter:
             world = (velocity[1] - velocity_before) / elapsed + GRAVITY_WORLD
             self.force.add(time, np.asarray(quaternion.rotate_inverse(attitude, world)), thrust, attitude)
         self.force.expire(time)
+
+    def learn(self, duration: float) -> None:
+        """Take the present force as a usual one of free flight, for `duration` s."""
+        if self.force.covered:
+            self.usual += (self.force.value - self.usual) * min(duration / USUAL_TIME, 1.0)
 
 
 class Persistence:
@@ -140,6 +150,7 @@ class LandingContact:
     """
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
+    SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
     IMPULSE, IMPULSE_FAST = (
         0.35,
         0.5,
@@ -148,9 +159,11 @@ class LandingContact:
     def __init__(self) -> None:
         self._slow, self._fast = Persistence(self.HOLD), Persistence(self.HOLD)
 
-    def update(self, force: ExternalForce, time: float, *, slow: bool) -> bool:
+    def update(self, meter: ForceMeter, time: float, *, slow: bool) -> bool:
         """Take one tick. slow: whether the descent is slower than 0.4 m/s. time: s."""
-        share = force.up / GRAVITY
+        change = meter.force.value - meter.usual
+        anywhere = self.SIDEWAYS * float(np.linalg.norm(change)) if meter.force.covered else 0.0
+        share = max(meter.force.along_thrust, float(change[2]), anywhere) / GRAVITY
         held_slow = self._slow.update(share > self.SHARE, time)
         held_fast = self._fast.update(share > self.SHARE_FAST, time)
         return held_fast or share > self.IMPULSE_FAST or (slow and (held_slow or share > self.IMPULSE))
@@ -172,29 +185,34 @@ class GroundProbe:
     """
 
     RAMP = 0.3  # s in which thrust goes away
+    FIRST = 0.6  # thrust per weight at once: enough to level with
+    LEVELLING, MAX_LEVELLING = 1.5, 0.4  # rad/s; s for which that thrust is kept in a landing
     FLOOR = 0.3  # thrust per weight, to which a probe in flight reduces it
-    MIN_DEFICIT = 0.3  # of the weight that thrust must lack before the ground can be judged
-    CARRIED, FALLING = 0.6, 0.3  # shares of the lacking thrust that an external force replaces
+    MIN_DEFICIT = 0.3  # of the weight that the force which would keep it at rest must be to judge the ground
+    CARRIED, FALLING = 0.6, 0.3  # shares of the force that would keep it at rest which something else gives
     HOLD = 0.04  # s that either must hold
     PATIENCE = 0.8  # s after which the likelier of the two counts
 
-    def __init__(self, time: float, thrust: float, weight: float, *, landing: bool) -> None:
-        """time: s. thrust: at that time, N. weight: N. landing: whether thrust may go to zero meanwhile."""
-        self._started, self._weight = time, weight
-        self._first = min(thrust, weight)
+    def __init__(self, time: float, thrust: float, weight: float, *, tilt: float, landing: bool) -> None:
+        """time: s. thrust: at that time, N. weight: N. tilt: rad. landing: whether thrust may go to zero meanwhile."""
+        levelling = min(tilt / self.LEVELLING, self.MAX_LEVELLING) if landing else 0.0
+        self._started, self._ramp = time, time + levelling
+        self._first = min(thrust, self.FIRST * weight)
         self._floor = 0.0 if landing else self.FLOOR * weight
         self._carried, self._falling = Persistence(self.HOLD), Persistence(self.HOLD)
 
     def thrust(self, time: float) -> float:
         """Thrust to send, N."""
-        return max(self._first * (1.0 - (time - self._started) / self.RAMP), self._floor)
+        return max(self._first * min(1.0 - (time - self._ramp) / self.RAMP, 1.0), self._floor)
 
-    def update(self, force: ExternalForce, lift: float, time: float) -> Ground:
-        """Take one tick. lift: the vertical part of thrust per mass, m/s^2. time: s."""
-        deficit = GRAVITY - lift
+    def update(self, force: ExternalForce, thrust: float, attitude: Floats, time: float) -> Ground:
+        """Take one tick. thrust: modelled, per mass, m/s^2. attitude: (4,). time: s."""
+        lacking = GRAVITY_WORLD - thrust * quaternion.rotate(attitude, UP)
+        deficit = float(np.linalg.norm(lacking))
         judged = force.covered and deficit > self.MIN_DEFICIT * GRAVITY
-        share = force.up / deficit if judged else 0.0
-        if self._carried.update(judged and share > self.CARRIED, time):
+        share = float(force.value @ lacking) / deficit**2 if judged else 0.0
+        carried = self._carried.update(judged and share > self.CARRIED, time)
+        if carried and time >= self._ramp:  # levelled
             return Ground.CARRIES
         if self._falling.update(judged and share < self.FALLING, time):
             return Ground.ABSENT

@@ -17,7 +17,7 @@ from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
-from runtime.flight.contact import ForceMeter, Ground, GroundProbe, LandingContact, uprightness
+from runtime.flight.contact import ForceMeter, Ground, GroundProbe, LandingContact, tilt_of
 from runtime.flight.crash import CrashDetector
 from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
@@ -41,7 +41,7 @@ ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.CONTACT, Phase.SHUTDOWN)  # where disarm
 SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever happens
 MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
 SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
-LEVEL_GAIN, LEVEL_LIMIT = 3.0, 1.0  # 1/s and rad/s, of levelling after a contact
+LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contact
 SLOW_DESCENT = 0.4  # m/s
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
@@ -288,6 +288,7 @@ class Flyer:
         if phase in LANDING or reference is None or not settled:
             self._crash.reset()
             return
+        self._meter.learn(self._settings.period)
         distance = 0.0
         if phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
             distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
@@ -453,7 +454,9 @@ class Flyer:
 
     def _take_thrust_away(self, time: float, cause: str = "") -> None:
         """cause: event after which the ground is probed in flight; empty in a landing."""
-        self._probe = GroundProbe(time, self._last_setpoint[1], self._vehicle.weight, landing=not cause)
+        assert self._state is not None
+        thrust, tilt = self._last_setpoint[1], tilt_of(self._state[ATTITUDE])
+        self._probe = GroundProbe(time, thrust, self._vehicle.weight, tilt=tilt, landing=not cause)
         self._probe_cause = cause
         self.mission.settle(time)
 
@@ -466,7 +469,7 @@ class Flyer:
         limit = min(self._rate_limit[:2]) if self._probe_cause else LEVEL_LIMIT
         decision.rate_body = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
         decision.collective_thrust = self._probe.thrust(time)
-        match self._probe.update(self._meter.force, self._meter.thrust * uprightness(attitude), time):
+        match self._probe.update(self._meter.force, self._meter.thrust, attitude, time):
             case Ground.CARRIES:
                 if self._probe_cause:
                     self._crashed = self._pending[Event.CRASHED] = self._probe_cause
@@ -528,7 +531,7 @@ class Flyer:
         )
         reference = self.reference_now(time)
         slow = touching_down or (reference is not None and reference[VELOCITY][2] > -SLOW_DESCENT)
-        if self._contact.update(self._meter.force, time, slow=slow) or still:
+        if self._contact.update(self._meter, time, slow=slow) or still:
             self._take_thrust_away(time)
         elif self._touch_down_since is not None and time - self._touch_down_since > TOUCHDOWN_PATIENCE:
             self._pending[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
