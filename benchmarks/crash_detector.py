@@ -1,0 +1,215 @@
+"""Crashes: false alarms in hard flights, and the time until a true crash is noticed.
+
+Whole flights in lockstep on the mock's vehicle with PX4's estimator. Hard: every manoeuvre as fast as the vehicle can
+fly it, with effects hidden from the controller (twice the drag, a quarter more or less mass, a slower motor, wind with
+gusts). Crashes: a circle in the coordinates of an estimate whose height is too large, which leads into the ground, and
+a hand that seizes the vehicle in flight. Noticed: the first event of a crash after the true contact.
+
+    python -m benchmarks.crash_detector [--flights 500] [--crashes 40] [--first-seed 9000] [--jobs 1]
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from math import nan
+
+import numpy as np
+
+from benchmarks.provenance import write_result
+from dynamics.errors import RequestError
+from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.references.catalogue import MANOEUVRES
+from dynamics.vehicle import Vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
+from flights.parallel import parallel_map
+from runtime.control.controller import ControllerOptions
+from runtime.flight.composition import Controllers, build_controllers
+from runtime.flight.mission import Phase, Plan
+from simulation.whole_flight import GroundToGround, WholeFlight
+from sitl_mock.vehicle.estimator import ERRORS
+from sitl_mock.vehicle.ground import Ground
+from sitl_mock.vehicle.vehicle import VehicleOptions
+
+VEHICLES = ("px4_sih", "arpl_250g")
+HIDDEN: dict[str, Sequence[str]] = {
+    "nothing": (),
+    "drag": ("linear_drag:coefficient={drag}",),
+    "heavy": ("mass:ratio=1.25",),
+    "light": ("mass:ratio=0.8",),
+    "slow motors": ("motor_lag:time_constant=0.09",),
+    "wind": ("wind:x=3,y=2", "gust:intensity=1.0"),
+}
+DRAG = {"px4_sih": 2.0, "arpl_250g": 0.2}  # N s/m
+SPEEDS = (1.0, 0.85, 0.7, 0.55, 0.4, 0.3)
+HEIGHT, SECONDS, PATIENCE = 3.0, 8.0, 60.0  # m, s of a manoeuvre, s
+ALARMS = ("impact", "ground_contact", "overturned", "held", "tracking_lost", "crashed")
+_controllers: dict[str, Controllers] = {}
+
+
+@dataclass(frozen=True)
+class Hard:
+    """A hard flight. alarms: events of a crash that were raised. touched: whether it met the ground in the air."""
+
+    seed: int
+    what: str
+    speed: float
+    alarms: tuple[str, ...]
+    touched: bool
+    outcome: str
+
+
+@dataclass(frozen=True)
+class Crash:
+    """A crash. noticed, stopped: s from the contact until an event, and until thrust is gone for good."""
+
+    seed: int
+    what: str
+    noticed: float
+    stopped: float
+    outcome: str
+    events: tuple[str, ...] = field(default_factory=tuple)
+
+
+def fastest(name: str, vehicle: Vehicle) -> Reference | None:
+    """A manoeuvre as fast as the vehicle can fly it, None if it cannot."""
+    for speed in SPEEDS:
+        try:
+            reference = named_reference(f"{name}:speed={speed:g},height={HEIGHT:g}", vehicle, duration=SECONDS)
+            check_feasibility(reference, vehicle).require()
+        except RequestError:
+            continue
+        return reference
+    return None
+
+
+def controllers(name: str) -> tuple[Vehicle, Controllers]:
+    """The vehicle and its controllers, built once in a process."""
+    vehicle = read_vehicle(find_vehicle(name))
+    if name not in _controllers:
+        options = ControllerOptions.for_vehicle(vehicle, period=0.01)
+        _controllers[name] = build_controllers(vehicle, None, options)
+    return vehicle, _controllers[name]
+
+
+def hard_flight(seed: int) -> Hard | None:
+    """One hard flight, None where the vehicle cannot fly the manoeuvre."""
+    random = np.random.default_rng(seed)
+    name = VEHICLES[seed % len(VEHICLES)]
+    vehicle, built = controllers(name)
+    manoeuvre = list(MANOEUVRES)[int(random.integers(len(MANOEUVRES)))]
+    hidden = list(HIDDEN)[int(random.integers(len(HIDDEN)))]
+    reference = fastest(manoeuvre, vehicle)
+    if reference is None:
+        return None
+    texts = [text.format(drag=DRAG[name]) for text in HIDDEN[hidden]]
+    sensors, wander = ERRORS["px4"]
+    flight = GroundToGround(
+        vehicle,
+        built,
+        reference,
+        Plan(height=HEIGHT, duration=SECONDS, speed=2.5, acceleration=3.0, settle=0.3, origin="takeoff"),
+        effects=[parse_effect(text, vehicle.rotors.count) for text in texts],
+        options=VehicleOptions(sensors=sensors, wander=wander, ground=Ground(kind="sih")),
+        seed=seed,
+        refusals=1,
+    ).fly(PATIENCE)
+    speed = float(np.linalg.norm(reference.states(np.arange(0.0, SECONDS, 0.02))[:, 3:6], axis=1).max())
+    alarms = tuple(event for _, event, _ in flight.events if event in ALARMS)
+    in_air = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
+    touched = any(tick.carried > 0.05 for tick in flight.ticks if tick.phase in in_air)
+    return Hard(seed, f"{name}, {manoeuvre}, {hidden}", speed, alarms, touched, flight.outcome)
+
+
+def crash(seed: int) -> Crash:
+    """One crash: into the ground, or into a hand."""
+    random = np.random.default_rng(seed)
+    vehicle, built = controllers("px4_sih")
+    sensors, wander = ERRORS["px4"]
+    seized = seed % 2 == 1
+    # the estimate's height at the start, so that a circle at 1 m in its coordinates lies below the ground
+    error = 0.0 if seized else float(random.uniform(1.1, 1.6))
+    flight = GroundToGround(
+        vehicle,
+        built,
+        named_reference("circle:height=1", vehicle, duration=SECONDS),
+        Plan(height=HEIGHT if seized else 1.5, duration=SECONDS, origin="takeoff" if seized else "estimate"),
+        options=VehicleOptions(sensors=sensors, wander=wander, ground=Ground(kind="sih"), start_height_error=error),
+        seed=seed,
+    )
+    at = random.uniform(3.0, 6.0)
+    held: list[float] = []
+
+    def hand(flown: GroundToGround) -> None:
+        mission = flown.flyer.mission
+        if seized and not held and mission.phase is Phase.TRACK and flown.plant.time - mission.phase_started > at:
+            flown.plant.hold(True)
+            held.append(flown.plant.time)
+
+    whole = flight.fly(PATIENCE, hand)
+    contact = held[0] if held else first_contact(whole)
+    noticed = [time for time, event, _ in whole.events if event in ALARMS and time >= contact]
+    running = [tick.time for tick in whole.ticks if tick.thrust > 0.05 * vehicle.weight]
+    what = "seized by a hand" if seized else "circle into the ground"
+    return Crash(
+        seed,
+        what,
+        min(noticed, default=np.inf) - contact,
+        max(running) - contact,
+        whole.outcome,
+        tuple(event for _, event, _ in whole.events),
+    )
+
+
+def first_contact(flight: WholeFlight) -> float:
+    """When the ground first carries a part of the weight in flight, s; NaN if it never does."""
+    in_air = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
+    return next((tick.time for tick in flight.ticks if tick.phase in in_air and tick.carried > 0.05), nan)
+
+
+def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
+    """Both tables in Markdown."""
+    airborne = [one for one in hard if not one.touched]
+    alarmed = [one for one in airborne if one.alarms]
+    lines = [
+        f"{len(hard)} hard flights, up to {max(one.speed for one in hard):.1f} m/s; {len(hard) - len(airborne)} of "
+        f"them touched the ground. False alarms in the others: **{len(alarmed)}**.",
+        *[f"- seed {one.seed}, {one.what}: {', '.join(one.alarms)}" for one in alarmed],
+        "",
+        "| crash | flights | noticed after, median, worst, s | thrust gone after, median, worst, s | unnoticed |",
+        "| --- | --- | --- | --- | --- |",
+    ]
+    for what in sorted({one.what for one in crashes}):
+        met = [one for one in crashes if one.what == what and np.isfinite(one.stopped)]
+        noticed, stopped = (np.array([getattr(one, name) for one in met]) for name in ("noticed", "stopped"))
+        unnoticed = int(np.sum(~np.isfinite(noticed)))
+        lines.append(
+            f"| {what} | {len(met)} | {np.median(noticed):.2f}, {noticed.max():.2f} "
+            f"| {np.median(stopped):.2f}, {stopped.max():.2f} | {unnoticed} |"
+        )
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Fly, crash and write the tables."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=500)
+    parser.add_argument("--crashes", type=int, default=40)
+    parser.add_argument("--first-seed", type=int, default=9000)
+    parser.add_argument("--jobs", type=int, default=1)
+    chosen = parser.parse_args()
+    first = chosen.first_seed
+    hard, crashes = [], []
+    for _, done in parallel_map(crash, list(range(first, first + chosen.crashes)), jobs=chosen.jobs):
+        print(done, flush=True)
+        crashes.append(done)
+    for _, flown in parallel_map(hard_flight, list(range(first, first + chosen.flights)), jobs=chosen.jobs):
+        if flown is not None:
+            print(flown, flush=True)
+            hard.append(flown)
+    write_result("crash_detector", "Crashes noticed, and false alarms", report(hard, crashes))
+
+
+if __name__ == "__main__":
+    main()
