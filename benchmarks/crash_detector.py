@@ -1,9 +1,10 @@
 """Crashes: false alarms in hard flights, and the time until a true crash is noticed.
 
-Whole flights in lockstep on the mock's vehicle with PX4's estimator. Hard: every manoeuvre as fast as the vehicle can
-fly it, with effects hidden from the controller (twice the drag, a quarter more or less mass, a slower motor, wind with
-gusts). Crashes: a circle in the coordinates of an estimate whose height is too large, which leads into the ground, and
-a hand that seizes the vehicle in flight. Noticed: the first event of a crash after the true contact.
+Whole flights in lockstep on the mock's vehicles, px4_sih with PX4's estimator and arpl_250g in motion capture. Hard:
+every manoeuvre as fast as the vehicle can fly it, with effects hidden from the controller (twice the drag, a quarter
+more or less mass, a slower motor, wind with gusts). Crashes: a circle in the coordinates of an estimate whose height is
+too large, which leads into the ground, and a hand that seizes the vehicle in flight. Noticed: the first event of a
+crash after the true contact.
 
     python -m benchmarks.crash_detector [--flights 500] [--crashes 40] [--first-seed 9000] [--jobs 1]
 """
@@ -27,12 +28,13 @@ from flights.parallel import parallel_map
 from runtime.control.controller import ControllerOptions
 from runtime.flight.composition import Controllers, build_controllers
 from runtime.flight.mission import Phase, Plan
-from simulation.whole_flight import GroundToGround, WholeFlight
-from sitl_mock.vehicle.estimator import ERRORS
+from simulation.ground_to_ground import GroundToGround, WholeFlight
+from sitl_mock.vehicle.estimator import ERRORS, Estimator
 from sitl_mock.vehicle.ground import Ground
 from sitl_mock.vehicle.vehicle import VehicleOptions
 
-VEHICLES = ("px4_sih", "arpl_250g")
+ESTIMATORS: dict[str, Estimator] = {"px4_sih": "px4", "arpl_250g": "mocap"}
+VEHICLES = tuple(ESTIMATORS)
 HIDDEN: dict[str, Sequence[str]] = {
     "nothing": (),
     "drag": ("linear_drag:coefficient={drag}",),
@@ -104,7 +106,7 @@ def hard_flight(seed: int) -> Hard | None:
     if reference is None:
         return None
     texts = [text.format(drag=DRAG[name]) for text in HIDDEN[hidden]]
-    sensors, wander = ERRORS["px4"]
+    sensors, wander = ERRORS[ESTIMATORS[name]]
     flight = GroundToGround(
         vehicle,
         built,

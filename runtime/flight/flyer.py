@@ -292,7 +292,7 @@ class Flyer:
         distance = 0.0
         if phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
             distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
-        self._pending |= self._crash.force(self._meter.force, thrust, estimate.velocity_world, time)
+        self._pending |= self._crash.force(self._meter, estimate.velocity_world, time)
         self._pending |= self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
 
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
@@ -413,7 +413,7 @@ class Flyer:
             self.mission.land(self._chain.reason, self._state, observation.time)
             return
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
-        decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate)
+        decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate, float(self._force[2]))
         if self._ramp.failed:
             self._pending[Event.TAKEOFF_FAILED] = (
                 f"at {self._ramp.collective_thrust:.2f} N; is it held, or a propeller missing?"

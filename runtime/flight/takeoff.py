@@ -6,7 +6,11 @@ milliseconds. So thrust rises slowly until the vehicle lifts off, and only then 
 
 from __future__ import annotations
 
+from collections import deque
 from dataclasses import dataclass
+from math import isfinite, nan
+
+from dynamics.vehicle import GRAVITY
 
 
 @dataclass(frozen=True)
@@ -19,6 +23,8 @@ class RampSettings:
     patience: s at the maximum thrust without lift-off.
     height: m above the ground; lift-off requires more than it and than the climb rate.
     climb_rate: m/s.
+    force: specific force along body z over gravity, mean over force_time, s, which lift-off requires more than where it
+        is measured: an estimate that drifts upward at rest is no lift-off.
     """
 
     rise: float = 1.5
@@ -27,6 +33,8 @@ class RampSettings:
     patience: float = 1.0
     height: float = 0.04
     climb_rate: float = 0.15
+    force: float = 1.07
+    force_time: float = 0.3
 
 
 class TakeoffRamp:
@@ -45,15 +53,23 @@ class TakeoffRamp:
         self._started: float | None = None
         self._ground = 0.0
         self._rising = 0
+        self._forces: deque[tuple[float, float]] = deque()
         self._lift_height = 0.0
         self._lift_rate = 0.0
         self.lifted = False
         self.failed = False
         self.collective_thrust = 0.0
 
-    def update(self, time: float, height: float, climb_rate: float) -> float:
-        """Thrust setpoint at this time, N. height: m, climb_rate: m/s, both world up."""
+    def update(self, time: float, height: float, climb_rate: float, specific_force: float = nan) -> float:
+        """Thrust setpoint at this time, N.
+
+        height: m, climb_rate: m/s, both world up. specific_force: along body z, m/s^2; NaN where none is new.
+        """
         settings = self._settings
+        if isfinite(specific_force):
+            self._forces.append((time, specific_force))
+        while self._forces and self._forces[0][0] < time - settings.force_time:
+            self._forces.popleft()
         if self._started is None:
             self._started, self._ground = time, height
         if self.lifted:
@@ -65,10 +81,19 @@ class TakeoffRamp:
         self._rising = self._rising + 1 if rising else 0
         self._lift_height, self._lift_rate = height - self._ground, climb_rate
         # one estimate may be noise; below half the weight nothing lifts off
-        self.lifted = self._rising >= 3 and self.collective_thrust > 0.5 * self._weight
+        pushed = self._is_pushed
+        self.lifted = self._rising >= 3 and self.collective_thrust > 0.5 * self._weight and pushed
         time_at_max_thrust = settings.rise * (self._max_thrust / self._weight - settings.spool) / (1 - settings.spool)
         self.failed = not self.lifted and elapsed > time_at_max_thrust + settings.patience
         return self.collective_thrust
+
+    @property
+    def _is_pushed(self) -> bool:
+        """Whether the vehicle accelerates upward; true where nothing measures it."""
+        if not self._forces:
+            return True
+        mean = sum(force for _, force in self._forces) / len(self._forces)
+        return mean > self._settings.force * GRAVITY
 
     def effectiveness(self, response_time: float) -> float:
         """Thrust per modelled thrust, from the thrust setpoint at which the vehicle left the ground.

@@ -57,7 +57,7 @@ def crash_events(name: str, until: float = np.inf) -> dict[Event, float]:
     for time, phase, state, meter, _ in recorded(name):
         if phase not in IN_FLIGHT or time > until:
             continue
-        for event in detector.force(meter.force, meter.thrust, state[VELOCITY], time):
+        for event in detector.force(meter, state[VELOCITY], time):
             first.setdefault(event, time)
         for event in detector.motion(state[ATTITUDE], LEVEL, 0.0, time):
             first.setdefault(event, time)

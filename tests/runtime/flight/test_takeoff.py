@@ -74,3 +74,12 @@ def test_landing_is_detected_by_stillness_at_low_thrust_or_reported_by_the_vehic
     standing = [detector.update(2 + t * 0.01, 0.0, 0.4 * WEIGHT, reported_landed=False) for t in range(100)]
     assert standing.index(True) == pytest.approx(50, abs=2)
     assert LandingDetector(WEIGHT).update(0.0, 0.0, WEIGHT, reported_landed=True)
+
+
+def test_an_estimate_that_climbs_at_rest_is_no_lift_off_while_the_accelerometer_shows_rest() -> None:
+    ramp = TakeoffRamp(WEIGHT, 4.8)
+    rng = np.random.default_rng(2)
+    for tick in range(250):
+        ramp.update(tick * 0.01, 0.004 * tick, 0.4, GRAVITY + 1.4 * rng.normal())
+        assert not ramp.lifted
+    assert ramp.thrust > 1.5 * WEIGHT
