@@ -143,24 +143,24 @@ def crash(seed: int) -> Crash:
     at = random.uniform(3.0, 6.0)
     held: list[float] = []
 
-    def hand(flown: GroundToGround) -> None:
-        mission = flown.flyer.mission
-        if seized and not held and mission.phase is Phase.TRACK and flown.plant.time - mission.phase_started > at:
-            flown.plant.hold(True)
-            held.append(flown.plant.time)
+    def hand(airborne: GroundToGround) -> None:
+        mission = airborne.flyer.mission
+        if seized and not held and mission.phase is Phase.TRACK and airborne.plant.time - mission.phase_started > at:
+            airborne.plant.hold(True)
+            held.append(airborne.plant.time)
 
-    whole = flight.fly(PATIENCE, hand)
-    contact = held[0] if held else first_contact(whole)
-    noticed = [time for time, event, _ in whole.events if event in ALARMS and time >= contact]
-    running = [tick.time for tick in whole.ticks if tick.thrust > 0.05 * vehicle.weight]
+    flown = flight.fly(PATIENCE, hand)
+    contact = held[0] if held else first_contact(flown)
+    noticed = [time for time, event, _ in flown.events if event in ALARMS and time >= contact]
+    running = [tick.time for tick in flown.ticks if tick.thrust > 0.05 * vehicle.weight]
     what = "seized by a hand" if seized else "circle into the ground"
     return Crash(
         seed,
         what,
         min(noticed, default=np.inf) - contact,
         max(running) - contact,
-        whole.outcome,
-        tuple(event for _, event, _ in whole.events),
+        flown.outcome,
+        tuple(event for _, event, _ in flown.events),
     )
 
 

@@ -82,4 +82,4 @@ def test_an_estimate_that_climbs_at_rest_is_no_lift_off_while_the_accelerometer_
     for tick in range(250):
         ramp.update(tick * 0.01, 0.004 * tick, 0.4, GRAVITY + 1.4 * rng.normal())
         assert not ramp.lifted
-    assert ramp.thrust > 1.5 * WEIGHT
+    assert ramp.collective_thrust > 1.5 * WEIGHT
