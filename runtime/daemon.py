@@ -22,7 +22,7 @@ from runtime import realtime
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
-from runtime.flight.composition import Controllers, build_controllers, build_flyer, warm_up
+from runtime.flight.composition import Controllers, build_controllers, build_flyer, vehicle_facts, warm_up
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
 from runtime.flight.flyer import FlyerSettings
@@ -35,6 +35,8 @@ from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
 from runtime.link.parameters import read_parameter
+from runtime.link.start_conditions import STREAMS as START_STREAMS
+from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
@@ -240,7 +242,7 @@ class Daemon:
         self._flyer = build_flyer(
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
-        self._check_start(link)
+        self._check_start(link, controllers.flying.trim)
         self._requests.slow_findings = self._settle(link)
         control = ControlThread(
             link,
@@ -270,8 +272,8 @@ class Daemon:
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
         return factor
 
-    def _check_start(self, link: Link) -> None:
-        """Refuse a reference that leads from here into the ground or far away."""
+    def _check_start(self, link: Link, trim: Vehicle) -> None:
+        """Refuse a reference that leads from here into the ground or far away. trim: the vehicle as it hovers."""
         estimate = link.wait_for_estimate(None, time.monotonic() + self._request.timeout)
         if estimate is None:
             return  # the check of rates refuses engagement instead
@@ -286,6 +288,18 @@ class Daemon:
         if reason:
             self._report_event(Event.REFERENCE_INFEASIBLE, reason)
             raise RequestError(reason)
+        self._check_conditions(link, trim)
+
+    def _check_conditions(self, link: Link, trim: Vehicle) -> None:
+        """Refuse a vehicle that must not be armed as it stands; announce what should be understood before it flies."""
+        request_rates(link, START_STREAMS)
+        problems = start_problems(observe_start(link), vehicle_facts(trim))
+        request_rates(link, dict.fromkeys(START_STREAMS, 0.0))
+        for problem in problems:
+            self._announce(problem.text if problem.severity == "error" else f"warning: {problem.text}")
+        refusals = [problem.text for problem in problems if problem.severity == "error"]
+        if refusals:
+            raise VehicleError(f"The vehicle is not armed: {' '.join(refusals)}")
 
     def _settle(self, link: Link) -> dict[Event, str]:
         """Wait a moment for the clock and the requested streams. Returns what is still missing."""

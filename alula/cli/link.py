@@ -13,6 +13,10 @@ from rich.table import Table
 from alula.cli.options import LINK, LinkOption, System, Timeout
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.model import build_model
+from dynamics.trim import find_trim
+from dynamics.vehicle_file import find_vehicle, read_vehicle
+from runtime.flight.composition import vehicle_facts
 from runtime.link.connection import parse_endpoint
 from runtime.link.link_check import check_link
 from runtime.link.link_report import LinkReport
@@ -24,6 +28,9 @@ def link(
     rate: Annotated[float, typer.Option(min=1.0, help="Requested rate of ODOMETRY, Hz.")] = 100.0,
     timeout: Timeout = 10.0,
     system: System = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="Vehicle file that will fly: the autopilot's parameters are compared with it.")
+    ] = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
     request_mode: Annotated[
         bool,
@@ -45,6 +52,9 @@ def link(
         streams=streams,
         window=window,
         request_mode=request_mode,
+        vehicle=None
+        if vehicle is None
+        else vehicle_facts(find_trim(build_model(read_vehicle(find_vehicle(vehicle)))).vehicle),
     )
     if as_json:
         write_json(_as_plain(report), STANDARD_OUTPUT)

@@ -14,6 +14,7 @@ from runtime.flight.flyer import Flyer, FlyerSettings
 from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap
+from runtime.link.start_conditions import VehicleFacts
 
 WARM_UP_TICKS = 20
 WARM_UP_AGE = 0.02  # s, of the estimates
@@ -46,6 +47,16 @@ def build_flyer(
         settings,
         nominal=controllers.nominal,
     )
+
+
+def vehicle_facts(trim: Vehicle) -> VehicleFacts:
+    """What the autopilot's parameters must agree with. trim: the vehicle as it hovers."""
+    rotors = trim.rotors
+
+    def hover_thrust(thrust_curve: float) -> float:
+        return ThrustMap(rotors.thrust_max, rotors.thrust_curve, thrust_curve).setpoint(trim.weight)
+
+    return VehicleFacts(rotors.count, hover_thrust)
 
 
 def warm_up(controllers: Controllers, reference: Motion, plan: Plan, *, rate: float) -> None:

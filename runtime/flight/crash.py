@@ -25,7 +25,6 @@ class CrashLimits:
     per_thrust: of the change or excess of thrust, by which its model may be wrong; added to the three.
     slow: m/s, an estimated speed at rest.
     carried_time, pressed_time: s.
-    scraping: of the weight, change of the upward force against the usual one at low speed, for `scraping_time`, s.
     tilt: rad, and `excess`: rad beyond the reference, both of which no manoeuvre exceeds for `tilt_time`, s.
     distance: m from the reference for `distance_time`, s.
     """
@@ -38,8 +37,6 @@ class CrashLimits:
     slow: float = 1.2
     carried_time: float = 0.3
     pressed_time: float = 0.7
-    scraping: float = 0.2
-    scraping_time: float = 0.4
     tilt: float = radians(75.0)
     excess: float = radians(60.0)
     tilt_time: float = 0.3
@@ -59,7 +56,6 @@ class CrashDetector:
         limits = self.limits
         self._past: deque[tuple[float, Floats, float]] = deque(maxlen=64)
         self._carried, self._pressed = Persistence(limits.carried_time), Persistence(limits.pressed_time)
-        self._scraping = Persistence(limits.scraping_time)
         self._tilted, self._far = Persistence(limits.tilt_time), Persistence(limits.distance_time)
 
     def force(self, meter: ForceMeter, velocity: Floats, time: float) -> dict[Event, str]:
@@ -74,10 +70,7 @@ class CrashDetector:
             present[Event.IMPACT] = f"an unexplained {jump / GRAVITY:.1f} g within {limits.impact_time:g} s"
         slow = float(np.linalg.norm(velocity)) < limits.slow
         allowance = limits.per_thrust * max(thrust - GRAVITY, 0.0)
-        change = force.up - float(meter.usual[2])
-        carried = self._carried.update(slow and force.up > limits.carried * GRAVITY + allowance, time)
-        scraping = self._scraping.update(slow and change > limits.scraping * GRAVITY + allowance, time)
-        if carried or scraping:
+        if self._carried.update(slow and force.up > limits.carried * GRAVITY + allowance, time):
             present[Event.GROUND_CONTACT] = f"it carries {force.up / GRAVITY:.0%} of the weight"
         if self._pressed.update(slow and -force.up > limits.pressed * GRAVITY + allowance, time):
             present[Event.HELD] = f"{-force.up / GRAVITY:.0%} of the weight is missing in its motion"

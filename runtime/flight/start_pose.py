@@ -11,8 +11,9 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION
 from runtime.flight.contact import tilt_of
 from runtime.flight.events import Event
+from runtime.link.start_conditions import MAX_START_TILT
 
-MAX_TILT = radians(20.0)  # of a vehicle that may arm: a slope of 15 degrees and an error of the estimate
+MAX_TILT = radians(MAX_START_TILT)
 MEDIAN_TIME = 1.0  # s over which the place of take-off is taken: the estimate moves by centimetres at rest
 
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 import queue
 import time
 from collections.abc import Mapping
-from math import acos, degrees, hypot
+from math import isfinite
 
-from dynamics import quaternion
 from runtime.link import commands
 from runtime.link.connection import Endpoint
 from runtime.link.dialect import mavlink
-from runtime.link.estimate import StateEstimate
 from runtime.link.link import Link, LinkCallbacks, LinkSettings
 from runtime.link.link_report import AttitudeCheck, ClockCheck, LinkReport, StreamCheck, link_problems
 from runtime.link.parameters import Parameter, read_parameters
+from runtime.link.problem import Problem
 from runtime.link.rates import WINDOW
-from runtime.link.telemetry import ImuSample, LinkEvent
+from runtime.link.start_conditions import STREAMS as START_STREAMS
+from runtime.link.start_conditions import StartFacts, VehicleFacts, observe_start, start_problems
+from runtime.link.telemetry import LinkEvent
 
 STREAMS: Mapping[str, float] = {"ODOMETRY": 100.0, "HIGHRES_IMU": 50.0, "ATTITUDE_QUATERNION": 50.0}
 PARAMETERS = (
@@ -31,8 +32,8 @@ PARAMETERS = (
     "MC_ROLL_P",
     "MC_PITCH_P",
     "MC_YAW_P",
+    "CA_ROTOR_COUNT",
 )
-_REST = 0.3  # m/s and rad/s below which the accelerometer shows gravity alone
 _ACK_WINDOW = 0.3  # s in which a second acknowledgement follows the first
 
 
@@ -44,6 +45,7 @@ def check_link(
     streams: Mapping[str, float] = STREAMS,
     window: float = WINDOW,
     request_mode: bool = False,
+    vehicle: VehicleFacts | None = None,
 ) -> LinkReport:
     """Listen to a vehicle, request its streams on this link, and reset them to their default rates.
 
@@ -52,6 +54,7 @@ def check_link(
     timeout: s to wait for the vehicle. streams: message name to Hz. window: s over which rates are measured.
     request_mode: whether to request a disarmed vehicle's present mode once more, to count the acknowledgements. A mode
         switched since its last heartbeat would be taken back.
+    vehicle: what the autopilot's parameters must agree with, None to leave that out.
     Raises VehicleError when no vehicle is heard, RequestError for a message that does not exist.
     """
     events: list[LinkEvent] = []
@@ -60,17 +63,21 @@ def check_link(
         time.sleep(window)
         before = {name: link.peer.rates.rate(name, time.monotonic(), window).rate for name in streams}
         answers = commands.request_rates(link, streams)
+        commands.request_rates(link, START_STREAMS)
         requested_at = time.monotonic()
         parameters = read_parameters(link, PARAMETERS)
         acknowledgements = _count_acknowledgements(link) if request_mode else 0
+        values = {name: float(each.value) for name, each in parameters.items() if each.value is not None}
+        facts = observe_start(link, values)
         time.sleep(max(0.0, window - (time.monotonic() - requested_at)) + 0.1)
         now = time.monotonic()
         checks = tuple(
             StreamCheck(name, before[name], rate, answers[name], link.peer.rates.rate(name, now, window))
             for name, rate in streams.items()
         )
-        report = _report(link, now, checks, parameters, acknowledgements, tuple(events))
-        commands.request_rates(link, dict.fromkeys(streams, 0.0))
+        start = start_problems(facts, vehicle)
+        report = _report(link, now, checks, parameters, acknowledgements, tuple(events), facts, start)
+        commands.request_rates(link, dict.fromkeys((*streams, *START_STREAMS), 0.0))
     return report
 
 
@@ -81,6 +88,8 @@ def _report(
     parameters: dict[str, Parameter],
     acknowledgements: int,
     events: tuple[LinkEvent, ...],
+    facts: StartFacts,
+    start: tuple[Problem, ...],
 ) -> LinkReport:
     peer, status, estimate = link.peer, link.status, link.estimate
     clock = ClockCheck(
@@ -91,8 +100,10 @@ def _report(
         peer.clock.uncertainty(now),
         peer.clock.drift,
     )
-    imu = peer.latest.get(ImuSample)
-    attitude = _check_attitude(estimate, imu) if estimate is not None and isinstance(imu, ImuSample) else None
+    stands = facts.standing
+    attitude = None
+    if stands is not None and isfinite(stands.specific_force):
+        attitude = AttitudeCheck(stands.specific_force, stands.gravity_angle)
     values = {
         name: parameter.error if parameter.value is None else parameter.value for name, parameter in parameters.items()
     }
@@ -110,7 +121,7 @@ def _report(
         parameters=values,
         acknowledgements_of_mode=acknowledgements,
         events=events,
-        problems=link_problems(streams, clock, status, attitude, values, events, has_estimate=estimate is not None),
+        problems=link_problems(streams, clock, status, values, events, start, has_estimate=estimate is not None),
         frames=link.parser.frames,
         unknown_frames=link.parser.unknown,
         skipped_bytes=link.parser.skipped_bytes,
@@ -126,17 +137,6 @@ def _frame_names(frames: tuple[int, int] | None) -> tuple[str, str] | None:
         for number, entry in zip(frames, names, strict=True)
     )
     return first, second
-
-
-def _check_attitude(estimate: StateEstimate, imu: ImuSample) -> AttitudeCheck | None:
-    """The specific force's length, and its angle to world up, which is 0 at rest; None while the vehicle moves."""
-    if hypot(*estimate.velocity_world) > _REST or hypot(*estimate.rate_body) > _REST:
-        return None
-    length = hypot(*imu.specific_force_body)
-    if not length > 0:
-        return AttitudeCheck(length, 180.0)
-    up = float(quaternion.rotate(estimate.attitude, imu.specific_force_body)[2]) / length
-    return AttitudeCheck(length, degrees(acos(max(-1.0, min(1.0, up)))))
 
 
 def _count_acknowledgements(link: Link) -> int:

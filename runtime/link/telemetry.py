@@ -94,6 +94,30 @@ class BatterySample(msgspec.Struct, frozen=True, gc=False):
     remaining: float
 
 
+class EstimatorSample(msgspec.Struct, frozen=True, gc=False):
+    """ESTIMATOR_STATUS: the estimator's own opinion of itself.
+
+    flags: ESTIMATOR_STATUS_FLAGS.
+    ratios: innovation test ratios by name, of velocity, horizontal and vertical position, magnetometer; above 1 the
+        measurements are rejected; NaN where they are not used.
+    horizontal, vertical: standard deviations of the position, m.
+    """
+
+    time: float
+    received: float
+    flags: int
+    ratios: tuple[tuple[str, float], ...]
+    horizontal: float
+    vertical: float
+
+
+class HomeSample(msgspec.Struct, frozen=True, gc=False):
+    """HOME_POSITION: the vehicle has a home to return to."""
+
+    time: float
+    received: float
+
+
 class Text(msgspec.Struct, frozen=True):
     """A complete STATUSTEXT of the vehicle. severity: MAVLink's, 0 emergency to 7 debug."""
 
@@ -102,7 +126,7 @@ class Text(msgspec.Struct, frozen=True):
     text: str
 
 
-Telemetry = RotorSpeeds | MotorOutputs | ImuSample | BatterySample
+Telemetry = RotorSpeeds | MotorOutputs | ImuSample | BatterySample | EstimatorSample | HomeSample
 ToOurs = Callable[[float, float], float]
 
 
@@ -160,6 +184,22 @@ def _system_battery(message: Message, received: float, to_ours: ToOurs) -> Batte
     )
 
 
+def _estimator(message: Message, received: float, to_ours: ToOurs) -> EstimatorSample:
+    ratios = {
+        "velocity": message.vel_ratio,
+        "horizontal position": message.pos_horiz_ratio,
+        "height": message.pos_vert_ratio,
+        "magnetometer": message.mag_ratio,
+    }
+    time = to_ours(message.time_usec * 1e-6, received)
+    accuracy = (message.pos_horiz_accuracy, message.pos_vert_accuracy)
+    return EstimatorSample(time, received, message.flags, tuple(ratios.items()), *accuracy)
+
+
+def _home(message: Message, received: float, to_ours: ToOurs) -> HomeSample:
+    return HomeSample(received, received)
+
+
 _DECODERS: dict[str, Callable[[Message, float, ToOurs], Telemetry]] = {
     "ESC_STATUS": _rotor_speeds,
     "SERVO_OUTPUT_RAW": _servo_outputs,
@@ -167,6 +207,8 @@ _DECODERS: dict[str, Callable[[Message, float, ToOurs], Telemetry]] = {
     "HIGHRES_IMU": _imu,
     "BATTERY_STATUS": _battery,
     "SYS_STATUS": _system_battery,
+    "ESTIMATOR_STATUS": _estimator,
+    "HOME_POSITION": _home,
 }
 
 

@@ -202,7 +202,7 @@ def test_a_vehicle_restarted_on_the_ground_is_asked_for_its_streams_again(vehicl
         announcements.waiting["DISCONNECTED -> STANDBY"] = restart
         report = fly(vehicle, announcements, request_for(mock.url, timeout=30.0))
     assert report.landed, announcements
-    assert announcements.contain("STANDBY -> DISCONNECTED"), announcements
+    assert announcements.contain("-> DISCONNECTED"), announcements  # from STANDBY, or when already streaming
 
 
 def test_a_vehicle_that_dies_in_flight_is_in_nobody_s_hands(vehicle: Vehicle) -> None:

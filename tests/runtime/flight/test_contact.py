@@ -1,4 +1,4 @@
-"""Contacts, impacts and the ground are found in PX4's own recordings, and nowhere where there are none."""
+"""Contacts, impacts and the ground show in PX4's own recordings, and nowhere where there are none."""
 
 from __future__ import annotations
 
@@ -41,19 +41,20 @@ def recorded(name: str) -> Iterator[tuple[float, str, Floats, ForceMeter, float]
 
 
 def landing_contact(name: str) -> tuple[float | None, float | None]:
-    """When the landing contact is found, and when the true height falls below 2 cm, s."""
-    contact, found, touched = LandingContact(), None, None
+    """When the landing contact shows, and when the true height falls below 2 cm, s."""
+    detector, contact_time, touched = LandingContact(), None, None
     for time, phase, _, meter, height in recorded(name):
         if phase in ("descend", "touchdown"):
             touched = time if touched is None and height < 0.02 else touched
-            if contact.update(meter, time, slow=phase == "touchdown") and found is None:
-                found = time
-    return found, touched
+            if detector.update(meter, time, slow=phase == "touchdown") and contact_time is None:
+                contact_time = time
+    return contact_time, touched
 
 
 def crash_events(name: str, until: float = np.inf) -> dict[Event, float]:
     """When events of a crash are first present, s."""
-    detector, first = CrashDetector(), {}
+    detector = CrashDetector()
+    first: dict[Event, float] = {}
     for time, phase, state, meter, _ in recorded(name):
         if phase not in IN_FLIGHT or time > until:
             continue
@@ -65,10 +66,10 @@ def crash_events(name: str, until: float = np.inf) -> dict[Event, float]:
 
 
 def test_a_landing_is_found_within_half_a_second() -> None:
-    found, touched = landing_contact("tipped_44deg")
-    assert found is not None
+    contact_time, touched = landing_contact("tipped_44deg")
+    assert contact_time is not None
     assert touched is not None
-    assert 0.0 <= found - touched < 0.5
+    assert 0.0 <= contact_time - touched < 0.5
 
 
 def test_nothing_is_found_in_a_fast_flight_with_twice_the_drag() -> None:
@@ -95,13 +96,9 @@ def samples(acceleration: Floats, thrust: float, attitude: Floats, count: int = 
 
 
 def probed(acceleration: Floats, attitude: Floats, thrust: float) -> Ground:
-    probe = GroundProbe(0.0, 9.81, 9.81, tilt=0.0, landing=False)
-    force, verdict = samples(acceleration, thrust, attitude), Ground.OPEN
-    for tick in range(10):
-        verdict = probe.update(force, thrust, attitude, 0.3 + 0.01 * tick)
-        if verdict is not Ground.OPEN:
-            break
-    return verdict
+    probe, force = GroundProbe(0.0, 9.81, 9.81, tilt=0.0, landing=False), samples(acceleration, thrust, attitude)
+    verdicts = [probe.update(force, thrust, attitude, 0.3 + 0.01 * tick) for tick in range(10)]
+    return next((verdict for verdict in verdicts if verdict is not Ground.OPEN), Ground.OPEN)
 
 
 @pytest.mark.parametrize("tilt", [0.0, 15.0, 45.0, 90.0, 170.0])

@@ -147,7 +147,7 @@ def test_dangerous_parameters_are_warned_of(port: int, vehicle: StreamingVehicle
     assert any("COM_OF_LOSS_T is 30 s" in text for text in texts)
     assert any("Not read from the vehicle: THR_MDL_FAC" in text for text in texts)
     assert report.parameters["THR_MDL_FAC"] == "does_not_exist"
-    assert report.is_ready
+    assert not report.is_ready
 
 
 def test_a_silent_link_is_refused(port: int) -> None:
