@@ -37,7 +37,7 @@ class CrashLimits:
     slow: float = 1.2
     carried_time: float = 0.3
     pressed_time: float = 0.7
-    tilt: float = radians(75.0)
+    tilt: float = radians(100.0)
     excess: float = radians(60.0)
     tilt_time: float = 0.3
     distance: float = 3.0
