@@ -43,8 +43,8 @@ _ESTIMATES = {
     mavlink.ESTIMATOR_POS_HORIZ_REL | mavlink.ESTIMATOR_POS_HORIZ_ABS: "horizontal position",
     mavlink.ESTIMATOR_POS_VERT_ABS | mavlink.ESTIMATOR_POS_VERT_AGL: "height",
 }
+# ESTIMATOR_CONST_POS_MODE is none of them: PX4 sets it for some seconds after its start beside a good position
 _FAULTS = {
-    mavlink.ESTIMATOR_CONST_POS_MODE: "assumes that the vehicle stands still, because it has no position",
     mavlink.ESTIMATOR_GPS_GLITCH: "reports jumps of the GPS: wait, or go where the sky is free",
     mavlink.ESTIMATOR_ACCEL_ERROR: "reports an accelerometer error: look for vibration, calibrate the accelerometer",
 }
@@ -189,7 +189,7 @@ def _estimator_problems(status: EstimatorSample | None) -> Iterator[Problem]:
         text = f"The estimator has no {', '.join(missing)}. Check GPS, motion capture or optical flow, and wait for it."
         yield Problem("error", text)
     for flag, text in _FAULTS.items():
-        if status.flags & flag and not (missing and flag == mavlink.ESTIMATOR_CONST_POS_MODE):
+        if status.flags & flag:
             yield Problem("error", f"The estimator {text}.")
     rejected = [f"{name} ({ratio:.1f})" for name, ratio in status.ratios if ratio > MAX_RATIO]
     if rejected:

@@ -119,3 +119,43 @@ def test_a_bounce_is_caught_softly(vehicle: Vehicle, controller: Controller, spe
     assert max(state[2] for state in story.states[bounced:]) < 0.01 + speed**2 / 2 / GRAVITY + 0.15
     assert max(decision.collective_thrust for decision in story.decisions[bounced:]) < 1.4 * vehicle.weight
     assert steepest(story) < 10.0
+
+
+def test_an_estimate_that_freezes_at_touch_down_leaves_the_contact_to_the_accelerometer(
+    vehicle: Vehicle, controller: Controller
+) -> None:
+    flight = prepare(vehicle, controller)
+    flight.run(15.0, until=Phase.TOUCHDOWN)
+    while flight.plant.state[2] > 0.1:
+        flight.run(0.01)
+    flight.frozen = True
+    story = flight.run(5.0)
+    assert Event.ESTIMATE_STALE in story.raised
+    assert story.transitions[-1].reason == "landed and disarmed"
+    assert steepest(story) < 10.0
+
+
+def test_an_estimate_that_is_lost_while_landing_is_left_to_the_autopilot_s_own_landing(
+    vehicle: Vehicle, controller: Controller
+) -> None:
+    flight = prepare(vehicle, controller, height=3.0)
+    flight.run(15.0, until=Phase.TOUCHDOWN)
+    flight.frozen = True
+    story = flight.run(5.0)
+    assert flight.mode == "LAND"  # its failsafe might have been a return, and a climb
+    assert "failsafe" in story.transitions[-1].reason
+
+
+@pytest.mark.parametrize("jump", [-1.0, 1.0])
+def test_a_height_that_jumps_while_landing_neither_drops_the_vehicle_nor_lifts_it(
+    vehicle: Vehicle, controller: Controller, jump: float
+) -> None:
+    flight = prepare(vehicle, controller, height=0.6)
+    flight.run(15.0, until=Phase.TOUCHDOWN)
+    before, height = len(flight.story.states), flight.plant.state[2]
+    flight.offset = np.array([0.0, 0.0, jump])
+    story = flight.run(15.0)
+    assert story.transitions[-1].reason == "landed and disarmed"
+    assert max(state[2] for state in story.states[before:]) < height + 0.3
+    assert min(state[5] for state in story.states[before:]) > -1.0
+    assert steepest(story) < 10.0
