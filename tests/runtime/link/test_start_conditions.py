@@ -102,11 +102,11 @@ def test_noise_of_an_estimate_at_rest_averages_out() -> None:
         state = np.hstack([np.zeros(6), attitude, np.zeros(3)]) + noise
         estimates.append(StateEstimate(0.01 * tick, 0.01 * tick, state, 0, True, "ODOMETRY"))
     gravity = np.asarray(quaternion.rotate_inverse(attitude, np.array([0.0, 0.0, GRAVITY])))
-    found = standing(estimates, gravity + 1.4 * random.standard_normal((100, 3)))
-    assert found is not None
-    assert found.tilt == pytest.approx(15.0, abs=0.1)
-    assert found.rate < 0.1
-    assert found.speed < 0.2
-    assert found.specific_force == pytest.approx(GRAVITY, abs=0.5)
-    assert found.gravity_angle < 4.0
+    stand = standing(estimates, gravity + 1.4 * random.standard_normal((100, 3)))
+    assert stand is not None
+    assert stand.tilt == pytest.approx(15.0, abs=0.1)
+    assert stand.rate < 0.1
+    assert stand.speed < 0.2
+    assert stand.specific_force == pytest.approx(GRAVITY, abs=0.5)
+    assert stand.gravity_angle < 4.0
     assert standing([], gravity[None]) is None
