@@ -18,6 +18,7 @@ from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
+from diagnosis.estimation.paired_errors import relative_rise
 from diagnosis.estimation.refusal import Refused, reason_of
 from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
@@ -25,7 +26,7 @@ from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, make_regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
-from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.thresholds import DEFAULT, RelevanceThresholds, Thresholds
 from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
@@ -105,6 +106,7 @@ def add_effect(
     floor = judge.floor(fitted.vehicle)
     sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
     errors = channel_errors(judge.rows(present), judge.rows(fitted.vehicle), floor, sensors)
+    _require_no_drift(fitted, vehicle, dataset, errors, thresholds.relevance)
     action = _action(fitted, vehicle)
     changed = rounded_changes(vehicle, without_command_effects(fitted.vehicle))
     changed = with_history(changed, action, dataset, errors, date=date, command=command)
@@ -153,6 +155,30 @@ def _require_no_loss(judge: HeldOut, vehicle: Vehicle, before: Vehicle, fitted: 
         raise DataError(
             f"{names} was not added: on the held-out flights an error rises ({listed}). `alula diagnose` shows what is "
             "missing, if anything."
+        )
+
+
+def _require_no_drift(
+    fitted: Fit,
+    vehicle: Vehicle,
+    dataset: Dataset,
+    errors: Mapping[str, ChannelError],
+    limits: RelevanceThresholds,
+) -> None:
+    """Raise DataError where a fit is worse than the vehicle was before the first addition from these same flights.
+
+    Each addition may raise an error by what does not matter; several could raise it by more.
+    """
+    first = next((entry.before for entry in vehicle.history if entry.flights == _flights(dataset)), {})
+    risen = [
+        f"{kind}: {first[kind]:.4g} at first, {error.after:.4g} after"
+        for kind, error in errors.items()
+        if kind in first and relative_rise((error.after**2 - first[kind] ** 2) / error.floor**2) > limits.max_rise
+    ]
+    if risen:
+        raise DataError(
+            f"{', '.join(fitted.keys)} was not added: on the held-out flights an error would be larger than before "
+            f"the first effect that was added from these flights ({'; '.join(risen)}). {ADVICE}"
         )
 
 
@@ -228,12 +254,17 @@ def with_history(
     entry = HistoryEntry(
         date=date,
         action=action,
-        flights=tuple(f"{Path(path).name} {digest[:16]}" for path, digest in dataset.hashes.items()),
+        flights=_flights(dataset),
         before={kind: rounded(error.before) for kind, error in errors.items()},
         after={kind: rounded(error.after) for kind, error in errors.items()},
         command=command,
     )
     return msgspec.structs.replace(vehicle, history=(*vehicle.history, entry))
+
+
+def _flights(dataset: Dataset) -> tuple[str, ...]:
+    """Name and digest of each log that is fitted, as a history has them."""
+    return tuple(f"{Path(path).name} {digest[:16]}" for path, digest in dataset.hashes.items())
 
 
 def write_next_version(

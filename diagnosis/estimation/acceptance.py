@@ -19,7 +19,7 @@ from diagnosis.estimation.consistency import drifts
 from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.held_out import HeldOut
-from diagnosis.estimation.paired_errors import ErrorChange
+from diagnosis.estimation.paired_errors import ErrorChange, total_change
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
@@ -223,8 +223,9 @@ class _Trial:
         if alone is not None and alone.is_contradicted(limits):
             numbers = {"before": alone.before, "after": alone.after, "floor": alone.floor, "size": alone.size}
             return refused("contradicted", "imu", **numbers)
+        worst, not_confirmed = max(kinds, key=lambda kind: by_kind[kind].rise), total_change(by_kind) > 0
         for kind, change in by_kind.items():
-            if change.is_worse(limits):
+            if change.is_worse(limits) or (not_confirmed and kind == worst):
                 numbers = {"before": change.before, "after": change.after, "floor": change.floor}
                 return refused("channel_worse", kind, **numbers)
         deviations = deviations_from_neutral(best, candidate, self._vehicle)

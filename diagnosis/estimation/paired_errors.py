@@ -41,12 +41,12 @@ class ErrorChange:
     @property
     def rise(self) -> float:
         """How much an error at the floor would change, over the floor; negative where it falls. Axes count alike."""
-        return _rise(float(np.mean(self.by_axis)))
+        return relative_rise(float(np.mean(self.by_axis)))
 
     @property
     def fall(self) -> float:
         """By how much the error of the axis that falls most would, over that axis's floor."""
-        return -_rise(min(self.by_axis))
+        return -relative_rise(min(self.by_axis))
 
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
@@ -55,8 +55,14 @@ class ErrorChange:
     def is_contradicted(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the difference would matter, but the error does not fall as if it were real."""
         return (
-            _rise((self.size / max(self.floor, 1e-12)) ** 2) >= limits.min_rise and self.shortfall > limits.deviations
+            relative_rise((self.size / max(self.floor, 1e-12)) ** 2) >= limits.min_rise
+            and self.shortfall > limits.deviations
         )
+
+
+def total_change(by_kind: Mapping[str, ErrorChange]) -> float:
+    """Change of the mean squared errors of all axes of all kinds, each over its squared floor."""
+    return sum(sum(change.by_axis) for change in by_kind.values())
 
 
 def channel_changes(
@@ -135,6 +141,6 @@ def _norm(squares: Sequence[Floats]) -> float:
     return float(np.sqrt(np.maximum(np.mean(np.sum(np.concatenate(squares), axis=1)), 0.0)))
 
 
-def _rise(change: float) -> float:
+def relative_rise(change: float) -> float:
     """By how much an error at the floor changes, over the floor, with a change of its square over that of the floor."""
     return float(np.sign(change) * (np.sqrt(1.0 + abs(change)) - 1.0))

@@ -7,7 +7,7 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import accepted_fit, at_its_bounds
 from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
-from diagnosis.estimation.paired_errors import channel_changes
+from diagnosis.estimation.paired_errors import channel_changes, total_change
 from diagnosis.selection.regression import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
@@ -81,6 +81,17 @@ def test_an_effect_on_one_axis_counts_as_much_as_one_on_all(of_noise):
     assert one.fall > limits.min_rise
     assert one.before == pytest.approx(np.sqrt(np.mean(np.sum((after[0] + about_z)[:, 6:9] ** 2, axis=1))), rel=0.05)
     assert every.rise == pytest.approx(-every.fall, rel=0.3)
+
+
+def test_what_one_axis_gains_and_the_others_lose_is_a_loss_in_sum(of_noise):
+    before = noise_rows(0)
+    gains, loses = np.zeros(CHANNELS), np.zeros(CHANNELS)
+    gains[2], loses[:2] = 0.7, 1.4
+    after = [y * (1 - gains) + loses * np.sin(np.arange(400) / 20)[:, None] for y in before]
+    limits = of_noise.thresholds.relevance
+    by_kind = channel_changes(before, after, np.ones(CHANNELS), 25.0, limits)
+    assert by_kind["imu"].fall > limits.min_rise
+    assert total_change(by_kind) > 0 > total_change(channel_changes(after, before, np.ones(CHANNELS), 25.0, limits))
 
 
 def test_what_else_is_missing_does_not_hide_a_change(of_noise):

@@ -66,6 +66,18 @@ def test_three_wrong_values_are_corrected_jointly_and_then_nothing_is_added(plai
     assert all(c.after < 1.1 * c.floor for c in additions[-1].channels.values())
 
 
+def test_additions_from_the_same_flights_are_compared_with_the_first(plain, arpl_250g):
+    heavy, some = wrong(arpl_250g, mass=1.06), {n: CATALOGUE[n] for n in ("mass", *SENSORS)}
+    added = add_effect(None, plain, heavy, some, date="2026-01-02")
+    (entry,) = added.vehicle.history
+    once = {kind: 0.95 * error for kind, error in entry.after.items()}  # it was better when these flights came first
+    drifted = msgspec.structs.replace(heavy, history=(msgspec.structs.replace(entry, before=once),))
+    with pytest.raises(DataError, match=r"mass was not added: .* before the first effect .*imu: [\d.]+ at first"):
+        add_effect(None, plain, drifted, some, date="2026-01-02")
+    others = msgspec.structs.replace(entry, before=once, flights=("other 0",))
+    assert add_effect(None, plain, msgspec.structs.replace(heavy, history=(others,)), some, date="2026-01-02")
+
+
 def test_what_no_effect_explains_never_leads_to_a_worse_model(plain, arpl_250g):
     others = {n: e for n, e in SOME.items() if n != "mass"}
     additions, _ = added_until_it_stops(plain, wrong(arpl_250g, mass=1.1), others)
