@@ -36,8 +36,7 @@ class FilterThresholds(ThresholdGroup, frozen=True):
     """Filters on both sides of the regression. Applied when flights are read.
 
     cutoff: of the low-pass on both sides, Hz. [not derived yet]
-    slow_cutoff: below which motion is not the controller's response to turbulence, Hz.
-    [benchmarks/interval_coverage.py: inertias of measured speeds show no bias]
+    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
     [benchmarks/interval_coverage.py; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]

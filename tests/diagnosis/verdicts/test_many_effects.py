@@ -44,7 +44,10 @@ def test_the_gusts_strength_has_an_interval_and_a_share_of_resamples(answer):
     assert gust.confidence >= 0.5
 
 
-@pytest.mark.xfail(strict=True, reason="beside three effects the strength comes out a quarter too large, cause unknown")
+@pytest.mark.xfail(
+    strict=True,
+    reason="air of 0.43 m/s RMS blew; a fit of rotor drag alone gives 0.46, beside three effects 0.54, cause unknown",
+)
 def test_the_gusts_strength_is_that_which_blew(answer):
     (gust,) = (effect for effect in answer.diagnosis.effects if effect.name == "gust")
     assert gust.parameters["intensity"].value == pytest.approx(0.4, rel=0.25)
