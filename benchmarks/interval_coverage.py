@@ -244,9 +244,7 @@ def main() -> None:
     parser.add_argument("--logged", nargs="*", default=[])
     parser.add_argument("--names", nargs="*", default=[])
     parser.add_argument("--kept", type=Path, default=Path("build/intervals.jsonl"))
-    parser.add_argument(
-        "--budget", type=float, default=1e9, help="s after which none is flown; 0: a table alone"
-    )
+    parser.add_argument("--budget", type=float, default=1e9, help="s after which none is flown; 0: a table alone")
     parser.add_argument("--table", action="store_true", help="write benchmarks/results/interval_coverage.md")
     options = parser.parse_args()
     options.kept.parent.mkdir(parents=True, exist_ok=True)
