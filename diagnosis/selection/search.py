@@ -391,7 +391,8 @@ def _searched(regression: Regression, start: Set, variance: float, required: flo
             search = Search(regression.in_gust(variance), required)
             chosen = search.score(chosen.candidates)
     alone = regression.gust_profile([], [0.0, variance]).total()
-    return chosen, variance, search.worth(chosen) + float(alone[1] - alone[0])
+    air = float(alone[1] - alone[0]) - (required if variance else 0.0)  # it must gain what an effect must
+    return chosen, variance, search.worth(chosen) + air
 
 
 def gust_variance(regression: Regression, chosen: Set) -> float:

@@ -92,3 +92,13 @@ def test_a_gust_as_strong_as_the_strongest_that_was_tried_is_none(arpl_250g):
     storm = blown(arpl_250g, intensity=60.0, seed=0)
     assert not select(storm).gust_detected
     assert select(blown(arpl_250g, intensity=6.0, seed=0)).gust_detected
+
+
+def test_a_steady_wind_is_a_wind_and_no_gust(arpl_250g):
+    """Its first cosine makes a gust of it that gains nearly as much."""
+    windy = blown(arpl_250g, intensity=0.0, seed=3)
+    rows = [y + x[:, :, :2] @ np.array([8.0, -13.0]) for x, y in zip(windy.columns, windy.rows, strict=True)]
+    steady = regression(arpl_250g, windy.candidates, windy.columns, rows, catalogue=windy.catalogue)
+    selection = select(steady)
+    assert selection.chosen.names == {"wind"}
+    assert not selection.gust_detected
