@@ -45,7 +45,7 @@ def describe_effects(
     Returns an EffectCard for each effect. Raises RequestError for an unknown name or a file that cannot be used.
 
     Example:
-        card, = alula.describe_effects(["rotor_drag"], "arpl_250g")
+        (card,) = alula.describe_effects(["rotor_drag"], "arpl_250g")
         print(card.formula, card.parameters[0].usual, card.confounded_with)
     """
     from dynamics.effect_card import effect_cards
