@@ -13,8 +13,6 @@ from dynamics.effect import Effect, Parameter
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
 
-HOOKS = ("physics", "rotor_speed", "wind", "wrench", "derivative", "measurement")
-
 
 class ParameterCard(msgspec.Struct, frozen=True):
     """One number of an effect.
@@ -108,8 +106,11 @@ def _parameter(parameter: Parameter, vehicle: Vehicle | None) -> ParameterCard:
 
 def _formulas(effect: Effect) -> Iterable[str]:
     """The docstrings' first paragraphs of the hooks that the effect's own module defines."""
-    for name in HOOKS:
-        hook: Callable[..., Any] | None = getattr(effect, name)
+    hooks: tuple[Callable[..., Any] | None, ...] = (
+        *(effect.physics, effect.rotor_speed, effect.wind),
+        *(effect.wrench, effect.derivative, effect.measurement),
+    )
+    for hook in hooks:
         text = "" if hook is None else inspect.getdoc(hook) or ""
         if text:
             yield " ".join(text.split("\n\n")[0].split())
