@@ -12,6 +12,8 @@ from math import isfinite, nan
 
 from dynamics.vehicle import GRAVITY
 
+RECENT = 0.1  # s over which the specific force is averaged at lift-off
+
 
 @dataclass(frozen=True)
 class RampSettings:
@@ -96,16 +98,23 @@ class TakeoffRamp:
         return mean > self._settings.force * GRAVITY
 
     def effectiveness(self, response_time: float) -> float:
-        """Thrust per modelled thrust, from the thrust setpoint at which the vehicle left the ground.
+        """Thrust per modelled thrust at lift-off: by the accelerometer, or by the estimate where none is measured.
 
-        While thrust rises steadily, height grows with the cube and climb rate with the square of the time since then,
-        so that time is 3 height / climb rate. response_time: s by which thrust follows its setpoint.
+        By the estimate: while thrust rises steadily, height grows with the cube and climb rate with the square of the
+        time since the vehicle left the ground, so that time is 3 height / climb rate. An estimate that drifted at rest
+        makes it too long. response_time: s by which thrust follows its setpoint.
         """
         settings = self._settings
+        slope = 0.0
+        if self.collective_thrust < self._max_thrust:
+            slope = (1 - settings.spool) * self._weight / settings.rise
+        if self._forces:
+            newest = self._forces[-1][0]
+            recent = [force for time, force in self._forces if time > newest - RECENT]
+            lag = 0.5 * RECENT + response_time
+            force = sum(recent) / len(recent) / GRAVITY * self._weight
+            return force / max(self.collective_thrust - slope * lag, 0.3 * self._weight)
         since = min(3 * self._lift_height / max(self._lift_rate, settings.climb_rate), 1.0) + response_time
-        slope = (
-            (1 - settings.spool) * self._weight / settings.rise if self.collective_thrust < self._max_thrust else 0.0
-        )
         return self._weight / max(self.collective_thrust - slope * since, 0.3 * self._weight)
 
 

@@ -11,13 +11,20 @@ from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
 WEIGHT = 0.25 * GRAVITY
 
 
-def lift_off(effectiveness: float, *, lag: float = 0.08) -> tuple[TakeoffRamp, float, float]:
-    """A vehicle on the ground whose thrust is so many times the modelled one; its height and climb rate at the end."""
+def lift_off(
+    effectiveness: float, *, lag: float = 0.08, drift: float = 0.0, inertial: bool = False
+) -> tuple[TakeoffRamp, float, float]:
+    """A vehicle on the ground whose thrust is so many times the modelled one; its height and climb rate at the end.
+
+    drift: of the estimate, m/s. inertial: whether a noisy accelerometer is measured.
+    """
     ramp = TakeoffRamp(WEIGHT, 4.8)
     rng = np.random.default_rng(3)
     height, climb, force = 0.0, 0.0, 0.0
     for tick in range(1000):
-        thrust = ramp.update(tick * 0.01, height + 0.005 * rng.normal(), climb + 0.03 * rng.normal())
+        felt = max(force / WEIGHT, 1.0) * GRAVITY + 1.4 * rng.normal() if inertial else np.nan
+        estimate = (height + drift * tick * 0.01 + 0.005 * rng.normal(), climb + drift + 0.03 * rng.normal())
+        thrust = ramp.update(tick * 0.01, *estimate, felt)
         if ramp.lifted or ramp.failed:
             break
         force += (effectiveness * thrust - force) * 0.01 / lag
@@ -83,3 +90,14 @@ def test_an_estimate_that_climbs_at_rest_is_no_lift_off_while_the_accelerometer_
         ramp.update(tick * 0.01, 0.004 * tick, 0.4, GRAVITY + 1.4 * rng.normal())
         assert not ramp.lifted
     assert ramp.collective_thrust > 1.5 * WEIGHT
+
+
+@pytest.mark.parametrize("effectiveness", [0.8, 1.0, 1.25])
+@pytest.mark.parametrize("drift", [0.0, 0.35])
+def test_an_estimate_that_drifts_upward_at_rest_does_not_falsify_the_effectiveness(
+    effectiveness: float, drift: float
+) -> None:
+    ramp, _, climb = lift_off(effectiveness, drift=drift, inertial=True)
+    assert ramp.lifted
+    assert climb < 1.0
+    assert ramp.effectiveness(0.07) == pytest.approx(effectiveness, rel=0.2)
