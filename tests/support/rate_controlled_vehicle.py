@@ -130,12 +130,16 @@ class Flight:
         self.slip = 0.0  # s by which estimates claim to be older than they are
         self.offset = np.zeros(3)  # of the estimator's frame
         # (9,) errors of the estimated position, velocity and attitude (rotation vector, body) at a time
-        self.estimate_error: Callable[[float], Floats] = lambda time: np.zeros(9)
+        self.estimate_error: Callable[[float], Floats] = self.estimator()
         self.reset = np.zeros(3)
         self.engage, self.leave = True, ""
         self._past: list[tuple[float, Floats]] = []
         self._estimate: StateEstimate | None = None
         self._setpoint = (np.zeros(3), 0.0)
+
+    def estimator(self) -> Callable[[float], Floats]:
+        """Errors of the estimate where a test plants no others."""
+        return lambda time: np.zeros(9)
 
     def run(self, seconds: float, until: Phase | State | None = None) -> Story:
         """Fly on; ends early when a phase or state is reached, or the flight is over."""
@@ -200,7 +204,8 @@ class Flight:
         if not story.phases or story.phases[-1] is not mission.phase:
             story.phases.append(mission.phase)
         if mission.phase is Phase.TRACK and (reference := self.flyer.reference_now(self.time)) is not None:
-            story.errors.append(float(np.linalg.norm(reference[POSITION] - self.offset - self.plant.state[POSITION])))
+            estimated = self.plant.state[POSITION] + self.offset + self.estimate_error(self.time)[0:3]
+            story.errors.append(float(np.linalg.norm(reference[POSITION] - estimated)))
 
     def _grant(self, decision: Decision) -> None:
         for request in self.grants.intersection(decision.requests):

@@ -20,6 +20,7 @@ from runtime.flight.events import Event, Fallback
 from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Phase, Plan
 from runtime.flight.motion import Transfer
+from tests.support.px4_estimate import Px4Estimate
 from tests.support.rate_controlled_vehicle import Flight
 
 PLAN = Plan(height=1.0, speed=2.5, acceleration=4.0, settle=0.3)
@@ -47,6 +48,15 @@ def controller(vehicle: Vehicle) -> Controller:
     return Controller.build(vehicle)
 
 
+@pytest.fixture(autouse=True, params=["exact", pytest.param("px4", marks=pytest.mark.slow)])
+def estimate(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Whose errors the estimate has: every test here flies on PX4's as well."""
+    name = str(request.param)
+    if name == "px4":
+        monkeypatch.setattr(Flight, "estimator", lambda _: Px4Estimate(seed=7))
+    return name
+
+
 def prepare(vehicle: Vehicle, controller: Controller, **options: object) -> Flight:
     controller.reset(np.array([*[0.0] * 6, 1.0, *[0.0] * 6]), 0.0)
     reference = Transfer(vehicle, np.array([1.0, 0.0, 1.5, 0.0]), np.array([-1.0, 0.5, 1.5, 0.5]), 3.0)
@@ -59,21 +69,26 @@ def upright(flight: Flight) -> float:
 
 @pytest.mark.parametrize("effectiveness", [0.8, 1.0, 1.2])
 def test_it_takes_off_tracks_and_lands_whatever_the_vehicle_really_weighs(
-    vehicle: Vehicle, controller: Controller, effectiveness: float
+    vehicle: Vehicle, controller: Controller, effectiveness: float, estimate: str
 ) -> None:
     flight = prepare(vehicle, controller, effectiveness=effectiveness)
     story = flight.run(40.0)
     assert story.phases == FULL
     assert story.after == [State.STANDBY, State.STREAMING, State.ENGAGED, State.STANDBY]
     assert story.transitions[-1].reason == "landed and disarmed"
-    assert np.sqrt(np.mean(np.square(story.errors))) < 0.06
+    assert np.sqrt(np.mean(np.square(story.errors))) < (0.06 if estimate == "exact" else 0.3)
     assert story.raised <= {Event.ESTIMATE_STALE}
     assert flight.flyer.over
     assert flight.plant.on_ground
     assert flight.flyer.effectiveness.value == pytest.approx(effectiveness, abs=0.06)
 
 
-def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Controller) -> None:
+def test_lift_off_and_hand_over_leave_no_bump(
+    vehicle: Vehicle, controller: Controller, request: pytest.FixtureRequest, estimate: str
+) -> None:
+    if estimate == "px4":
+        reason = "while the controller takes over, thrust steps by 0.12 of full on PX4's estimate"
+        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
     flight = prepare(vehicle, controller, effectiveness=0.85, plan=Plan())
     flight.run(10.0, until=Phase.CLIMB)
     start = len(flight.story.decisions) - 1
@@ -494,26 +509,28 @@ def test_plans_of_zero_settling_fly_too(vehicle: Vehicle, controller: Controller
 
 @pytest.mark.parametrize("height", [-0.7, 1.1])
 def test_a_reference_counts_from_where_the_vehicle_stands_whatever_the_estimate_says_of_it(
-    vehicle: Vehicle, controller: Controller, height: float
+    vehicle: Vehicle, controller: Controller, height: float, estimate: str
 ) -> None:
     flight = prepare(vehicle, controller, plan=msgspec.structs.replace(PLAN, origin="takeoff"))
     flight.offset = np.array([3.0, -2.0, height])
     flight.run(20.0, until=Phase.TRACK)
     flight.run(0.5)
-    assert flight.plant.state[2] == pytest.approx(1.5, abs=0.05)
+    drift = 0.0 if estimate == "exact" else 0.7  # that an estimate may have gone meanwhile, m
+    assert flight.plant.state[2] == pytest.approx(1.5, abs=0.05 + drift)
     story = flight.run(40.0)
     assert story.phases == FULL
-    np.testing.assert_allclose(flight.flyer.mission.origin, flight.offset, atol=1e-6)
-    assert np.linalg.norm(story.states[-1][0:2]) < 0.2
+    at_start = flight.offset if estimate == "exact" else flight.offset + Px4Estimate(seed=7)(0.0)[0:3]
+    np.testing.assert_allclose(flight.flyer.mission.origin, at_start, atol=1e-6 + drift)
+    assert np.linalg.norm(story.states[-1][0:2]) < 0.2 + drift
 
 
-def test_a_vehicle_that_lies_on_its_side_is_not_armed(vehicle: Vehicle, controller: Controller) -> None:
+def test_a_vehicle_that_lies_on_its_side_is_not_armed(vehicle: Vehicle, controller: Controller, estimate: str) -> None:
     flight = prepare(vehicle, controller)
     flight.plant.righting = False
     flight.plant.state[ATTITUDE] = quaternion.from_euler(np.radians(61.0), 0.0, 0.0)
     story = flight.run(3.0)
     assert all(decision.rate_body is None and not decision.requests for decision in story.decisions)
-    assert "61 degrees" in flight.flyer.engagement.refusal
+    assert ("61 degrees" if estimate == "exact" else "not stand upright") in flight.flyer.engagement.refusal
 
 
 def test_a_vehicle_that_is_held_is_disarmed_with_the_reason(vehicle: Vehicle, controller: Controller) -> None:
