@@ -25,6 +25,8 @@ NO_THRESHOLDS = {
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE",
+    "CHAINED_BLOCK", "MAX_FOLLOWED", "MAX_KEPT",  # sizes of blocks and caches: they change no number
+    "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip
 
 
