@@ -41,6 +41,8 @@ ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.CONTACT, Phase.SHUTDOWN)  # where disarm
 SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever happens
 MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
 SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
+LEVELLING_SHARE = 0.6  # of the weight, from which on a take-off levels: it would leave a slope sideways
+START_GAIN, START_LIMIT = 3.0, 0.5  # 1/s and rad/s, of that
 LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contact
 SLOW_DESCENT = 0.4  # m/s
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
@@ -414,6 +416,8 @@ class Flyer:
             return
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate, float(self._force[2]))
+        if decision.collective_thrust > LEVELLING_SHARE * self._vehicle.weight:
+            decision.rate_body = level_rate(self._state[ATTITUDE], gain=START_GAIN, limit=START_LIMIT)
         if self._ramp.failed:
             self._pending[Event.TAKEOFF_FAILED] = (
                 f"at {self._ramp.collective_thrust:.2f} N; is it held, or a propeller missing?"
