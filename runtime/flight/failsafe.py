@@ -92,6 +92,7 @@ class FallbackChain:
             self._held += elapsed
         required = max((POLICIES[event].fallback for event in active), default=Fallback.NONE)
         self._active = active
+        self._refill(time)  # first: what is available again may be flown in this tick
         self._possible = {
             Fallback.NONE: True,
             Fallback.SHIFTED_SOLUTION: solution_left and self._shifted < self._bounds.shifted_ticks,
@@ -99,7 +100,6 @@ class FallbackChain:
             Fallback.LEVEL_HOLD: self._held < self._bounds.level_hold,
             Fallback.STOP_STREAMING: True,
         }
-        self._refill(time)
         return self._take(_PREFERENCE[required])
 
     def replace_solution(self, event: Event, detail: str) -> Fallback:

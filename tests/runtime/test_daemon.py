@@ -187,6 +187,9 @@ def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monke
     assert report.timing.latency["median"] != report.timing.latency["median"]  # no setpoint ever left
 
 
+OFF = 5.0  # s that a vehicle is off while it restarts, longer than a link may be silent
+
+
 def test_a_vehicle_restarted_on_the_ground_is_asked_for_its_streams_again(vehicle: Vehicle) -> None:
     announcements = Announcements()
     with contextlib.ExitStack() as stack:
@@ -196,7 +199,8 @@ def test_a_vehicle_restarted_on_the_ground_is_asked_for_its_streams_again(vehicl
             mock.stop(signal.SIGKILL)
             link = ["--link", f"udpout:127.0.0.1:{mock.port}", "--gcs-link", f"udpout:127.0.0.1:{mock.gcs_port}"]
             command = [sys.executable, "-m", "alula", "mock", "--vehicle", str(VEHICLE_FILE), *link]
-            process = stack.enter_context(subprocess.Popen(command, stderr=subprocess.DEVNULL))
+            late = ["sh", "-c", f'sleep {OFF}; exec "$@"', "sh", *command]
+            process = stack.enter_context(subprocess.Popen(late, stderr=subprocess.DEVNULL))
             stack.callback(process.terminate)
 
         announcements.waiting["DISCONNECTED -> STANDBY"] = restart
@@ -231,7 +235,7 @@ Daemon(request, vehicle, reference, lambda text: print(text, flush=True)).fly()
 
 
 def test_killed_in_the_air_and_restarted_it_holds_back(vehicle: Vehicle) -> None:
-    with mock_process("--param", "COM_OF_LOSS_T=20", vehicle=VEHICLE_FILE) as mock:
+    with mock_process("--param", "COM_OF_LOSS_T=5", vehicle=VEHICLE_FILE) as mock:
         arguments = [sys.executable, "-c", SECOND, str(VEHICLE_FILE), mock.url]
         with subprocess.Popen(arguments, stdout=subprocess.PIPE, text=True) as first:
             assert first.stdout is not None

@@ -6,7 +6,7 @@ from collections.abc import Iterable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from dynamics import quaternion
@@ -110,6 +110,7 @@ TICKS = st.tuples(
 )
 
 
+@example([(13, set()), (30, set()), (30, set()), (30, {STALE}), (72, set()), (30, {Event.DEADLINES_MISSED})], False)
 @given(st.lists(TICKS, max_size=30), st.booleans())
 def test_over_any_lateness_nothing_milder_that_is_possible_is_passed_over(
     history: list[tuple[int, set[Event]]], nominal_available: bool
