@@ -178,16 +178,10 @@ def make_predictor(
     segment: Segment,
     thresholds: PredictionThresholds = DEFAULT.prediction,
 ) -> Predictor:
-    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid.
-
-    That of a candidate whose columns need instruments has no lag of the rotors.
-    """
-    others: Sequence[EffectUse] = without(vehicle, candidate)
-    if scales_rotors(candidate) and not candidate.fixed_shape:
-        others = without_lag(others, catalogue)
+    """The model with a candidate in it, with slopes in its free parameters, for all points of the effect's grid."""
     return Predictor(
         vehicle,
-        [*others, candidate.use()],
+        [*without(vehicle, candidate), candidate.use()],
         catalogue,
         [f"{candidate.key}.{name}" for name in candidate.free],
         speed_measured=segment.rotor_source == "measured",

@@ -25,7 +25,6 @@ from diagnosis.selection.candidates import (
     make_instruments,
     make_predictor,
     scales_rotors,
-    without_lag,
 )
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
@@ -112,13 +111,14 @@ class DesignMatrix:
         base = _Bases(present, bases)
         instruments = make_instruments(segment, self._vehicle, self.present.rotor_speed(segment))
         columns = earlier.copy() if len(earlier) else np.empty((len(present), channels.CHANNELS, self._width))
+        lagged = bool(self.present.model.rotor_speed_places)  # rotor speeds are hidden states, which nothing replaces
         waiting: list[tuple[int, Prediction, Candidate]] = []
         for group in groups:
             waiting += _predictions(group, segment, instruments, instrumented=instrumented)
             if len(waiting) * len(segment) > MAX_BATCH:
-                _fill(columns, segment, waiting, base, instrumented=instrumented)
+                _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
                 waiting = []
-        _fill(columns, segment, waiting, base, instrumented=instrumented)
+        _fill(columns, segment, waiting, base, instrumented=instrumented, lagged=lagged)
         rows = channels.measured(segment) - present
         if np.any(self._coefficients):
             rows = rows + columns @ self._coefficients
@@ -224,8 +224,6 @@ class _ModelSource:
         """One model with all candidates in it."""
         own = {(c.effect.name, c.rotor) for c in candidates}
         others = [use for use in self.vehicle.effects if (use.name, use.rotor) not in own]
-        if scales_rotors(candidates[0]):
-            others = without_lag(others, self.catalogue)
         free = [f"{c.key}.{name}" for c in candidates for name in c.free]
         make = partial(self.predictor, [*others, *(c.use() for c in candidates)], free)
         return _Group(tuple(candidates), cache(make), scales_rotors(candidates[0]))
@@ -273,8 +271,9 @@ def _fill(
     base: _Bases,
     *,
     instrumented: bool,
+    lagged: bool,
 ) -> None:
-    """Write filtered columns to their places in the matrix (m, 12, k)."""
+    """Write filtered columns to their places in the matrix (m, 12, k). lagged: whether the rotors have a lag."""
     if not waiting:
         return
     columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
@@ -282,7 +281,8 @@ def _fill(
         column = columns[:, :, i]
         if candidate.fixed_shape:
             column = column - base.of(candidate)
-        if instrumented and candidate.effect.rotor_speed is not None:
+        slow_only = candidate.effect.rotor_speed is not None or (lagged and scales_rotors(candidate))
+        if instrumented and slow_only:
             column = with_slow_moments(column, segment)
         matrix[:, :, place] = column
 

@@ -28,7 +28,7 @@ def test_a_doubted_speed_sensor_is_replaced_by_the_commands_and_named(changed, a
 @pytest.mark.parametrize(("rotor", "gain"), [(1, 1 / 3), (3, 0.7), (0, 1.5)])
 def test_without_commands_it_is_refused_by_name(changed, arpl_250g, rotor, gain):
     wrong = changed(**{f"rotor_speed_{rotor}": lambda old: gain * old})
-    with pytest.raises(DataError, match=rf"rotor {rotor} reads {gain:.2f} times.*rotor_speed_fault"):
+    with pytest.raises(DataError, match=rf"rotor {rotor} \(.*\) reads {gain:.2f} times.*rotor_speed_fault"):
         make_dataset([with_columns(flight, COMMANDS) for flight in wrong], arpl_250g)
 
 
