@@ -63,7 +63,9 @@ class ExternalForce:
         self._samples.append((time, np.asarray(quaternion.rotate(attitude, body)), float(body[2])))
         while self._samples[0][0] <= time - MEAN_TIME:
             self._samples.popleft()
-        self.covered = time - self._samples[0][0] > 0.7 * MEAN_TIME
+        count = len(self._samples)
+        span = (time - self._samples[0][0]) * count / max(count - 1, 1)  # each sample stands for its period
+        self.covered = span > 0.7 * MEAN_TIME
         if self.covered:
             self.value = np.mean([sample for _, sample, _ in self._samples], axis=0)
             self.along_thrust = sum(axial for _, _, axial in self._samples) / len(self._samples)
@@ -151,10 +153,7 @@ class LandingContact:
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
     SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
-    IMPULSE, IMPULSE_FAST = (
-        0.35,
-        0.5,
-    )  # of the weight over MEAN_TIME: a descent of 0.35 and 0.5 m/s that ends
+    IMPULSE, IMPULSE_FAST = 0.35, 0.5  # of the weight over MEAN_TIME: a descent of 0.35 and 0.5 m/s that ends
 
     def __init__(self) -> None:
         self._slow, self._fast = Persistence(self.HOLD), Persistence(self.HOLD)

@@ -54,7 +54,7 @@ class CrashDetector:
     def reset(self) -> None:
         """Forget everything, as when the controller starts."""
         limits = self.limits
-        self._past: deque[tuple[float, Floats, float]] = deque(maxlen=64)
+        self._past: deque[tuple[float, Floats, float]] = deque()
         self._carried, self._pressed = Persistence(limits.carried_time), Persistence(limits.pressed_time)
         self._tilted, self._far = Persistence(limits.tilt_time), Persistence(limits.distance_time)
 
@@ -92,10 +92,12 @@ class CrashDetector:
     def _jump(self, value: Floats, thrust: float, time: float) -> float:
         """Change of the external force since `impact_time` ago, less what a change of thrust may explain, m/s^2."""
         limits = self.limits
-        before = next((past for past in reversed(self._past) if past[0] <= time - limits.impact_time), None)
         self._past.append((time, value, thrust))
-        if before is None:
+        while len(self._past) > 1 and self._past[1][0] <= time - limits.impact_time:
+            self._past.popleft()
+        before, then, _ = self._past[0]
+        if before > time - limits.impact_time:
             return 0.0
-        recent = [past[2] for past in self._past if past[0] >= before[0]]
-        change = float(np.linalg.norm(value - before[1]))
-        return change - limits.per_thrust * (max(recent) - min(recent))
+        thrusts = [past[2] for past in self._past]
+        change = float(np.linalg.norm(value - then))
+        return change - limits.per_thrust * (max(thrusts) - min(thrusts))

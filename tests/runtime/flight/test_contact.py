@@ -131,3 +131,14 @@ def test_a_stream_that_stops_leaves_no_force() -> None:
     force.expire(1.0)
     assert before == pytest.approx(GRAVITY)
     assert force.up == 0.0
+
+
+@pytest.mark.parametrize("rate", [20.0, 100.0, 500.0])
+def test_an_impact_is_noticed_at_any_control_rate(rate: float) -> None:
+    meter, detector, events = ForceMeter(), CrashDetector(), set()
+    for tick in range(round(1.5 * rate)):
+        time = tick / rate
+        struck = 4.0 * GRAVITY if time > 1.0 else 0.0
+        meter.update(np.array([struck, 0.0, GRAVITY]), GRAVITY, LEVEL, (time, np.zeros(3)), time)
+        events |= set(detector.force(meter, np.array([5.0, 0.0, 0.0]), time))
+    assert Event.IMPACT in events
