@@ -23,9 +23,8 @@ BLOCK = 1024  # rows that are evaluated at once: intermediate results stay in th
 CHAINED_BLOCK = 256  # rows that follow each other in one call of CasADi's interpreter
 
 Operation = Callable[..., Any]
-_Step = tuple[
-    Operation, Callable[[list[Floats]], tuple[Floats, ...]]
-]  # the operation, and what takes its inputs and result
+_Places = Callable[[list[Floats]], tuple[Floats, ...]]  # of an operation's inputs and result among the slots
+_Step = tuple[Operation, _Places]
 
 
 def _if_else_zero(condition: Floats, value: Floats, out: Floats) -> None:
@@ -166,13 +165,23 @@ def _operation(code: int, inputs: list[int]) -> tuple[Operation, list[int]]:
     raise NotImplementedError(f"CasADi's operation {code} on rows of arrays")
 
 
+def _has_counterparts(function: ca.Function) -> bool:
+    """Whether NumPy has all operations of a function; it has none for a call of another one."""
+    codes = {function.instruction_id(k) for k in range(function.n_instructions())}
+    return codes <= {ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST, ca.OP_TWICE, *UNARY, *BINARY}
+
+
 class RowFunction:
-    """The first output of a function, evaluated at every row. shared: places of arguments that all rows share."""
+    """The first output of a function, evaluated at every row. shared: places of arguments that all rows share.
+
+    A function with an operation that NumPy does not have is evaluated by CasADi's map.
+    """
 
     def __init__(self, function: ca.Function, *, shared: tuple[int, ...] = ()) -> None:
         self._function, self._shared = function, shared
         self._rows = [place for place in range(function.n_in()) if place not in shared]
         self._common: tuple[list[Floats], list[Floats]] = ([], [])
+        self._has_program = _has_counterparts(function)
 
     @cached_property
     def _program(self) -> _Program:
@@ -180,6 +189,8 @@ class RowFunction:
 
     def __call__(self, *arguments: Floats) -> Floats:
         """(n, k) of the first output, column by column in memory. arguments: (n, width), (width,) for shared ones."""
+        if not self._has_program:
+            return self._mapped(arguments)
         program, columns = self._program, {place: _by_column(arguments[place]) for place in self._rows}
         count, work = len(arguments[self._rows[0]]), _work(program.rows - program.entries - program.width)
         result = np.empty((program.width, count))
@@ -194,6 +205,11 @@ class RowFunction:
                 slots[program.entries : program.rows] = [*result[:, block], *work[:, : count - start]]
                 _run(program.by_row, slots)
         return result.T
+
+    def _mapped(self, arguments: Sequence[Floats]) -> Floats:
+        """The same by CasADi's own map over the rows, the shared arguments repeated."""
+        everything = [np.asarray(values, dtype=float).T for values in arguments]
+        return np.asarray(self._function.call(everything)[0], dtype=float).T
 
     def _computed_once(self, shared: list[Floats]) -> list[Floats]:
         """The slots with what all rows share, (1,) each; kept while the shared arguments are the same."""

@@ -39,12 +39,17 @@ def test_what_is_shared_is_computed_once_and_results_that_depend_on_nothing_else
     np.testing.assert_allclose(by_row, [[np.sin(0.3) * r[1], np.exp(-0.2), r[2] - r[0]] for r in rows], rtol=1e-14)
 
 
-def test_an_operation_without_a_counterpart_is_refused_by_name():
+def test_a_call_that_is_not_inlined_is_evaluated_by_casadis_map():
+    """A user's effect may call any function of CasADi's, which has no counterpart in NumPy."""
     assert ca.OP_CALL not in {**UNARY, **BINARY}
-    x = ca.SX.sym("x")
-    inner = ca.Function("inner", [x], [x + 1], {"never_inline": True})
-    with pytest.raises(NotImplementedError, match=str(ca.OP_CALL)):
-        RowFunction(ca.Function("f", [x], [inner(x)]))(np.ones((2, 1)))
+    x, y, p = ca.SX.sym("x", 2), ca.SX.sym("y"), ca.SX.sym("p", 2)
+    inner = ca.Function("inner", [y], [ca.sin(y)], {"never_inline": True})
+    function = ca.Function("f", [x, y, p], [ca.vertcat(inner(x[0]) * p[1], p[0], x[1] - y)])
+    rows, more, shared = np.random.default_rng(3).uniform(0, 1, (7, 2)), np.arange(7.0)[:, None], np.array([0.3, -0.2])
+    expected = [[-0.2 * np.sin(a), 0.3, b - c] for (a, b), (c,) in zip(rows, more, strict=True)]
+    for count in (7, 1):
+        by_row = RowFunction(function, shared=(2,))(rows[:count], more[:count], shared)
+        np.testing.assert_allclose(by_row, expected[:count], rtol=1e-14)
 
 
 @pytest.mark.parametrize("kind", ["constant factors", "factors that change", "not linear"])
