@@ -17,6 +17,7 @@ from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
+from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.contact import ForceMeter, Ground, GroundProbe, LandingContact, tilt_of
 from runtime.flight.crash import CrashDetector
 from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
@@ -135,6 +136,8 @@ class Flyer:
         self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
+        self._velocity = ConsistentVelocity()
+        self._received: StateEstimate | None = None
         self._estimate: StateEstimate | None = None
         self._previous: StateEstimate | None = None
         self._force = np.full(3, np.nan)
@@ -171,10 +174,13 @@ class Flyer:
     def step(self, observation: ObservationRecord, estimate: StateEstimate | None) -> Decision:
         """Decide what to send now. estimate: the newest accepted one, the same object while there is no newer."""
         decision = Decision()
-        fresh = estimate is not None and estimate is not self._estimate
+        fresh = estimate is not self._received
         if observation.engage:
             decision.event_changes += self.events.rearm(observation.time)
             self.engagement.engage()
+        self._received = estimate
+        if estimate is not None:
+            estimate = self._velocity.correct(estimate, moved=observation.reset) if fresh else self._estimate
         self._take_estimate(observation, estimate, fresh)
         decision.event_changes += self.events.update(self._findings(observation, estimate), observation.time)
         self._probe_ground(decision.event_changes, observation.time)

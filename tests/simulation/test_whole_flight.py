@@ -30,7 +30,7 @@ def test_it_takes_off_tracks_and_lands(controllers: Controllers, estimator: Esti
     flight = fly(controllers, estimator=estimator, seed=21)
     assert flight.landed, flight.outcome
     assert set(Phase) - {Phase.CONTACT, Phase.APPROACH, Phase.BRAKE} <= set(flight.phases)
-    assert flight.tracking_error(flight.estimate) < (0.3 if estimator == "px4" else 0.03)
+    assert flight.tracking_error(flight.estimate) < (0.1 if estimator == "px4" else 0.03)
     assert flight.tilt_after_contact < STEEPEST
     assert flight.time[flight.contact] < flight.disarmed < flight.time[flight.contact] + 4.0
     assert not flight.touched_in_flight
