@@ -20,6 +20,7 @@ from flights.readers.ulog_topics import Topic, Topics
 
 TOPICS = ("actuator_motors", "actuator_outputs", "actuator_controls_0", "esc_status")
 
+THRUST_MODEL = "THR_MDL_FAC"  # share of a motor's thrust that PX4 takes to go with the square of its signal
 _ROTORS_OF_TYPE = {2: 4, 13: 6, 14: 8}  # MAV_TYPE: quadrotor, hexarotor, octorotor
 _LOW_PWM, _HIGH_PWM = 1000.0, 2000.0  # PX4's defaults, microseconds
 # PX4's quad x mixer, one row a motor: roll, pitch, yaw
@@ -34,12 +35,13 @@ def add_streams(assembly: Assembly, topics: Topics, vehicle_type: int | None) ->
     speeds = _esc_speeds(assembly, topics)
     if speeds is not None:
         assembly.add("rotor_speed", speeds[0].time, in_our_order(speeds[1], order), "esc_status")
+    factor = assembly.parameters.get(THRUST_MODEL, 0.0)
     commands = [
         source
         for source in (
-            _motors(topics),
+            _of_thrust(_motors(topics), factor, assembly),
             _outputs(assembly, topics, vehicle_type),
-            _mixed(assembly, topics, vehicle_type),
+            _of_thrust(_mixed(assembly, topics, vehicle_type), factor, assembly),
         )
         if source is not None
     ]
@@ -86,6 +88,23 @@ def _motors(topics: Topics) -> tuple[Topic, Floats] | None:
     missing = np.flatnonzero(~np.isfinite(control).any(axis=0))
     count = int(missing[0]) if len(missing) else control.shape[1]
     return (topic, control[:, :count]) if count else None
+
+
+def _of_thrust(source: tuple[Topic, Floats] | None, factor: float, assembly: Assembly) -> tuple[Topic, Floats] | None:
+    """Motor signals of commanded thrusts of 0..1, as PX4's outputs have them: the inverse of f s^2 + (1 - f) s.
+
+    factor: f, THR_MDL_FAC; PX4 applies no curve outside 0 to 1. Source: PX4-Autopilot, FunctionMotors.hpp.
+    """
+    if source is None or not 0.0 < factor <= 1.0:
+        return source
+    topic, thrust = source
+    linear = 1.0 - factor
+    signal = (np.sqrt(linear**2 + 4 * factor * np.maximum(thrust, 0.0)) - linear) / (2 * factor)
+    assembly.note(
+        f"{topic.name} holds thrusts: rotor commands are the motor signals that PX4 makes of them "
+        f"({THRUST_MODEL} {factor:.3g})"
+    )
+    return topic, np.where(thrust > 0.0, signal, thrust)
 
 
 def _outputs(assembly: Assembly, topics: Topics, vehicle_type: int | None) -> tuple[Topic, Floats] | None:

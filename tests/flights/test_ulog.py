@@ -160,6 +160,16 @@ def test_the_fastest_rotor_commands_come_first(truth: Truth, tmp_path: Path) -> 
     assert any("quad x mixer" in note for note in log.provenance.notes)
 
 
+def test_rotor_commands_are_motor_signals_behind_the_thrust_model(truth: Truth, tmp_path: Path) -> None:
+    signal, factor = np.clip(truth.rotor_speed / 2000.0, 0.0, 1.0), 0.4
+    thrust = factor * signal**2 + (1 - factor) * signal
+    motors = {f"control[{i}]": _f(thrust[:, i] if i < 4 else np.full(len(thrust), np.nan)) for i in range(12)}
+    topic = Topic("actuator_motors", {"timestamp": _stamps(truth), "timestamp_sample": _stamps(truth), **motors})
+    log = _read(tmp_path, [_odometry(truth), topic], {"THR_MDL_FAC": factor})
+    assert_allclose(_values(log, "rotor_command"), signal, atol=1e-6)
+    assert any("THR_MDL_FAC" in note for note in log.provenance.notes)
+
+
 def test_what_the_estimator_calls_invalid_is_masked(truth: Truth, tmp_path: Path) -> None:
     count = len(truth.time)
     ned, velocity = frames.enu_from_ned(truth.position), frames.enu_from_ned(truth.velocity)
