@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate
     from alula.api.learning import evaluate, export, train
+    from alula.api.vehicles import check_vehicle, new_vehicle, vehicle_from_logs
     from dynamics.effect import Effect
     from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
     from dynamics.vehicle import EffectUse, Vehicle
@@ -41,6 +42,7 @@ __all__ = [
     "VehicleError",
     "__version__",
     "add_effect",
+    "check_vehicle",
     "compare",
     "compare_hover",
     "describe_effects",
@@ -50,12 +52,14 @@ __all__ = [
     "fly",
     "inspect",
     "load_vehicle",
+    "new_vehicle",
     "read_flight",
     "read_flights",
     "read_folder",
     "read_log",
     "simulate",
     "train",
+    "vehicle_from_logs",
     "write_vehicle",
 ]
 
@@ -64,6 +68,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate"),
     "alula.api.learning": ("evaluate", "export", "train"),
+    "alula.api.vehicles": ("check_vehicle", "new_vehicle", "vehicle_from_logs"),
     "dynamics.effect": ("Effect",),
     "dynamics.errors": ("AlulaError", "DataError", "RequestError", "VehicleError"),
     "dynamics.vehicle": ("EffectUse", "Vehicle"),

@@ -612,6 +612,44 @@ class HoverTrimThresholds(ThresholdGroup, frozen=True):
     few_flights: Count = 3
 
 
+class VehicleThresholds(ThresholdGroup, frozen=True):
+    """A vehicle's constants from its flights, and a vehicle file beside them.
+
+    max_rounds: of correcting the vehicle and fitting again. [PX4's simulated flights: two to five]
+    converged: correction over half of an interval below which it is none. [definition]
+    model_error: half of an interval over the value that the model's own errors add.
+    [docs/vehicle.md: six sets of PX4's simulated flights]
+    max_interval: half of an interval over the value beyond which a value is not given. [convention]
+    min_loaded: squared speeds over usual ones below which a row is not in flight. [definition: half of the weight]
+    max_lag: of speeds behind signals that is tried, s. [command_curve.max_lag and a third]
+    lag_step: between the lags that are tried, s. [definition: a row at 200 Hz]
+    signal_parts: of a flight, whose spread is the interval of what signals show. [convention]
+    min_part: of rows in flight in a part that counts, share. [convention]
+    assumed_speed: of a rotor at full signal, where nothing states it, rad/s. [a scale: nothing else depends on it]
+    torque_ratio: of a rotor's torque to its thrust before any flight, m. [vehicles/: 6 to 20 mm]
+    max_angle: between a rotor's direction in the file and in the parameters, degrees. [convention]
+    max_length: of the difference in its distance from the centre, over it. [convention]
+    tolerance: of a value beside its interval, over it. [convention: smaller differences change no flight]
+    curve_tolerance: of the thrust curve beside its interval. [convention]
+    """
+
+    max_rounds: Count = 5
+    converged: Share = 0.2
+    model_error: Share = 0.05
+    max_interval: Share = 0.5
+    min_loaded: Share = 0.5
+    max_lag: Positive = 0.2
+    lag_step: Positive = 0.005
+    signal_parts: Count = 6
+    min_part: Share = 0.95
+    assumed_speed: Positive = 1000.0
+    torque_ratio: Positive = 0.016
+    max_angle: Positive = 10.0
+    max_length: Share = 0.1
+    tolerance: Share = 0.05
+    curve_tolerance: Share = 0.1
+
+
 class Thresholds(ThresholdGroup, frozen=True):
     """All thresholds of diagnosis, by subject."""
 
@@ -638,6 +676,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()
     hover_trim: HoverTrimThresholds = HoverTrimThresholds()
+    vehicle: VehicleThresholds = VehicleThresholds()
 
 
 DEFAULT = Thresholds()

@@ -17,9 +17,13 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).with_name("api.md")
-ROOMS = ("flights", "diagnosis", "learning", "flying")  # of alula.api, in the order of the loop
+ROOMS = ("vehicles", "flights", "diagnosis", "learning", "flying")  # of alula.api, in the order of the loop
 REPORTS = (  # that functions return as they are
     ("flights.quality.inspection", "Inspection"),
+    ("dynamics.vehicle_draft", "Draft"),
+    ("diagnosis.vehicle_from_logs", "LogVehicle"),
+    ("diagnosis.vehicle_identification", "Identification"),
+    ("diagnosis.vehicle_check", "VehicleCheck"),
     ("diagnosis.hover_trim", "TrimComparison"),
     ("simulation.lockstep", "FlownReference"),
     ("runtime.daemon", "FlightReport"),

@@ -26,14 +26,15 @@ def rotor_places(vehicle: Vehicle) -> tuple[str, ...]:
 def rotor_names(vehicle: Vehicle) -> tuple[str, ...]:
     """Each rotor for people: "rotor 1 (back left; PX4 and ArduPilot motor 2, Crazyflie M3)".
 
-    The numbers are those of the autopilots' usual frame of these places: quad X and hexa X. Other frames have their
-    place alone.
+    The numbers are those that the vehicle file gives as `motor`, else those of the autopilots' usual frame of these
+    places: quad X and hexa X. Other frames have their place alone.
     """
     places = rotor_places(vehicle)
     frames = {4: QUAD_X, 6: HEXA_X}.get(len(places), {})
     names = []
     for number, place in enumerate(places):
-        motors = [f"{of}{order.index(place) + 1}" for of, order in frames.items() if sorted(order) == sorted(places)]
+        usual = [f"{of}{order.index(place) + 1}" for of, order in frames.items() if sorted(order) == sorted(places)]
+        motors = [f"motor {vehicle.rotors.motor[number]}"] if vehicle.rotors.motor else usual
         inside = "; ".join(filter(None, [place, ", ".join(motors)]))
         names.append(f"rotor {number} ({inside})" if inside else f"rotor {number}")
     return tuple(names)

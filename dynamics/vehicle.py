@@ -54,6 +54,7 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     radius: propeller radius, m.
     thrust_curve: c in thrust/thrust_max = c s^2 + (1 - c) s for a motor signal s of 0 to 1 (1: speed follows the
         signal, 0: thrust does, as in PX4's SIH).
+    motor: the autopilot's number of each rotor's motor, from 1; for people.
     """
 
     position: tuple[Vector3, ...]
@@ -64,12 +65,15 @@ class Rotors(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_min: NonNegative = 0.0
     radius: Positive | None = None
     thrust_curve: Annotated[float, Meta(ge=0, le=1)] = 1.0
+    motor: tuple[Annotated[int, Meta(ge=1)], ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse layouts that cannot produce thrust, roll, pitch and yaw independently."""
         count = len(self.position)
         if len(self.spin) != count:
             raise RequestError(f"{count} rotor positions but {len(self.spin)} spin signs: give one of each per rotor.")
+        if (self.motor and sorted(set(self.motor)) != sorted(self.motor)) or len(self.motor) not in (0, count):
+            raise RequestError(f"rotor motor {list(self.motor)}: give {count} different numbers, or leave it out.")
         if any(sign not in (-1, 1) for sign in self.spin):
             raise RequestError(f"rotor spin {list(self.spin)}: each must be 1 or -1.")
         if self.speed_min >= self.speed_max:

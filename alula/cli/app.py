@@ -22,6 +22,7 @@ from dynamics.errors import AlulaError, RequestError
 INTERRUPTED = 130  # exit code after Ctrl-C
 
 COMMANDS = (
+    "vehicle",
     "demo",
     "mock",
     "fly",
@@ -64,9 +65,12 @@ class LazyGroup(TyperGroup):
 
 
 def load(name: str) -> Any:
-    """The command of a name with its options."""
+    """The command of a name with its options, or its group of commands."""
+    module = importlib.import_module(f"alula.cli.{name}")
+    if hasattr(module, "commands"):
+        return typer.main.get_group(module.commands)
     single = typer.Typer(add_completion=False)
-    single.command(name)(getattr(importlib.import_module(f"alula.cli.{name}"), name))
+    single.command(name)(getattr(module, name))
     return typer.main.get_command(single)
 
 

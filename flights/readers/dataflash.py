@@ -13,11 +13,12 @@ from pymavlink.DFReader import DFReader_binary
 
 from dynamics import frames, quaternion
 from dynamics.arrays import Floats
+from dynamics.autopilot_frames import FRAMES, QUAD_X_ORDER, ardupilot_frame
 from dynamics.errors import DataError
 from dynamics.units import RPM
 from flights.assembly import Assembly
 from flights.log import LogContent
-from flights.readers.px4_rotors import QUAD_X, in_our_order
+from flights.readers.px4_rotors import in_our_order
 from flights.source import Source
 
 # the message with which every log begins: FMT (128), which describes itself as 89 bytes long
@@ -25,7 +26,6 @@ _MAGIC = b"\xa3\x95\x80\x80\x59FMT\0"
 _PWM_LOW, _PWM_HIGH = 1000.0, 2000.0  # microseconds, ArduPilot's MOT_PWM_MIN and MAX by default
 _LATEST_STAMP = 4_102_444_800_000_000  # microseconds: the year 2100, for clocks that count from 1970
 _MOTOR_1 = 33  # SERVOn_FUNCTION
-_QUAD_FRAME = 1  # FRAME_CLASS
 
 # Message to its fields; instances other than the first are left out where the message has an instance field.
 _FIELDS: Mapping[str, tuple[str, ...]] = {
@@ -144,9 +144,10 @@ def _add_streams(assembly: Assembly, collected: Mapping[str, _Rows]) -> None:
 
 def _add_rotors(assembly: Assembly, collected: Mapping[str, _Rows], speeds: Mapping[int, _Rows]) -> None:
     parameters = assembly.parameters
-    is_quad = parameters.get("FRAME_CLASS", 0) == _QUAD_FRAME and parameters.get("FRAME_TYPE", -1) == 1
-    order = QUAD_X if is_quad else None  # ArduPilot's quad x numbers its motors as PX4 does
-    assembly.note("motors put in our order as ArduPilot's quad x" if is_quad else "motors left in ArduPilot's order")
+    frame = ardupilot_frame(int(parameters.get("FRAME_CLASS", 0)), int(parameters.get("FRAME_TYPE", -1)))
+    order = QUAD_X_ORDER if frame is not None and FRAMES[frame].order == QUAD_X_ORDER else None
+    named = (frame or "").replace("_", " ")
+    assembly.note(f"motors put in our order as ArduPilot's {named}" if order else "motors left in ArduPilot's order")
     if "RCOU" in collected:
         low, high = parameters.get("MOT_PWM_MIN", _PWM_LOW), parameters.get("MOT_PWM_MAX", _PWM_HIGH)
         channels = {

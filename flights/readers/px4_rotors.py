@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.autopilot_frames import QUAD_X_ORDER
 
 QUADROTOR = 2  # MAV_TYPE
-# PX4's quad x: motor 1 front right, 2 back left, 3 front left, 4 back right
-QUAD_X = (2, 1, 3, 0)
+QUAD_X = QUAD_X_ORDER  # PX4's motor 1 is front right, 2 back left, 3 front left, 4 back right
 FIRST_MOTOR_FUNCTION, LAST_MOTOR_FUNCTION = 101, 112
 _PWM_LOW, _PWM_SPAN = 1000.0, 1000.0  # microseconds of a motor at rest and its range
 _UNUSED_PWM = 800.0  # below: the channel is not used

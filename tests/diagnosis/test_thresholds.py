@@ -24,7 +24,7 @@ NO_THRESHOLDS = {
     "POSE_ACCELERATION", "ANGULAR_ACCELERATION", "ATTITUDE_RATE", "MOTION", "POSE_AND_VELOCITY", "PARAMETERS",
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
-    "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE",
+    "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
     "CHAINED_BLOCK", "MAX_FOLLOWED", "MAX_KEPT",  # sizes of blocks and caches: they change no number
     "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip

@@ -33,7 +33,7 @@ PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "ex
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^(?: {4}.*\n?)+", re.MULTILINE)
 COMMAND = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*)$")
-SLOW = ("train", "evaluate", "export", "fly")
+SLOW = ("train", "evaluate", "export", "fly", "vehicle_from_logs", "check_vehicle")  # or need an autopilot's log
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
 
 
@@ -66,6 +66,12 @@ def python_blocks() -> list[Any]:
     return [pytest.param(body, id=f"{page.stem}-{place}") for place, (page, body) in enumerate(blocks)]
 
 
+def command_of(name: str, words: list[str]) -> Any:
+    """The command of a name; of a group the one that the first word names, which is taken off."""
+    command = app.load(name)
+    return command.commands[words.pop(0)] if words and words[0] in getattr(command, "commands", {}) else command
+
+
 @pytest.mark.parametrize(("page", "command"), commands_in_blocks())
 def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: str) -> None:
     name, *arguments = shlex.split(command, comments=True)[1:]
@@ -73,7 +79,9 @@ def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: s
         test_a_command_in_a_sentence_exists_with_its_options(page, command)
         return
     assert name in app.COMMANDS, page
-    app.load(name).make_context(name, arguments)  # raises for an unknown option, a missing argument, a wrong type
+    command_of(name, arguments).make_context(
+        name, arguments
+    )  # raises for an unknown option, a missing argument, a wrong type
 
 
 @pytest.mark.parametrize(("page", "command"), commands_in_sentences())
@@ -82,7 +90,11 @@ def test_a_command_in_a_sentence_exists_with_its_options(page: str, command: str
     if name in ("COMMAND", "--help", "--version"):
         return
     assert name in app.COMMANDS, page
-    options = {option for parameter in app.load(name).params for option in (*parameter.opts, *parameter.secondary_opts)}
+    options = {
+        option
+        for parameter in command_of(name, words).params
+        for option in (*parameter.opts, *parameter.secondary_opts)
+    }
     assert {word.split("=")[0] for word in words if word.startswith("--")} <= options | {"--help"}, page
 
 

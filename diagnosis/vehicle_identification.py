@@ -1,0 +1,387 @@
+"""A vehicle's constants from its flights: thrust, inertia, yaw authority, the motors' lag, each with an interval.
+
+Everything is relative to the mass, which flights cannot show: the rotors carry the weight in hover, and forces and
+moments scale with it. Torque constant and yaw inertia show as their ratio alone. The estimates are those of the joint
+fit behind `alula diagnose`, with the drags that fast flight has beside them, from a vehicle that is corrected until
+the fit changes it no more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import casadi as ca
+import msgspec
+import numpy as np
+from scipy.optimize import lsq_linear
+from scipy.special import ndtri
+
+from diagnosis.data.command_curve import lagged
+from diagnosis.data.dataset import Dataset, make_dataset
+from diagnosis.estimation.command_gain import command_gain
+from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
+from diagnosis.models.command_effects import BEND
+from diagnosis.selection.candidates import Candidate
+from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.thresholds import DEFAULT
+from dynamics.arrays import Floats
+from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
+from dynamics.effects import CATALOGUE
+from dynamics.effects.inertia import EFFECT as INERTIA
+from dynamics.effects.linear_drag import EFFECT as LINEAR_DRAG
+from dynamics.effects.motor_lag import EFFECT as MOTOR_LAG
+from dynamics.effects.rotor_drag import EFFECT as ROTOR_DRAG
+from dynamics.effects.thrust_constant import EFFECT as THRUST_CONSTANT
+from dynamics.errors import DataError
+from dynamics.vehicle import GRAVITY, Vehicle
+from flights import Flight
+from flights.rotors import rotor_speeds
+
+
+def damped(c: Conditions, p: Values, _: Values) -> Wrench:
+    """A moment against each body rate."""
+    rates = [c.rate_body[i] for i in range(3)]
+    return Wrench(ca.SX.zeros(3), -ca.vertcat(*(p[axis] * rate for axis, rate in zip("xyz", rates, strict=True))))
+
+
+DAMPING = Effect(
+    name="axis_damping",
+    summary="Moment against the body rates, each axis with its own coefficient: yaw's depends on the inertia assumed",
+    source="definition",
+    parameters=tuple(Parameter(axis, "N m s/rad", "", -1e3, 1e3, lambda _: Prior(0.0, 1.0)) for axis in "xyz"),
+    wrench=damped,
+)
+CONSTANTS = (INERTIA, MOTOR_LAG, THRUST_CONSTANT)
+DRAGS = (ROTOR_DRAG, LINEAR_DRAG)  # nearly one signal: the one that fits better
+LIMITS = DEFAULT.vehicle
+NORMAL = float(ndtri(0.975))  # standard deviations in half of an interval of 95 %
+
+
+@dataclass(frozen=True)
+class Constant:
+    """One constant.
+
+    value: in the unit.
+    half_width: of the interval of 95 %, in the unit.
+    """
+
+    value: float
+    half_width: float
+    unit: str
+
+    @property
+    def is_told(self) -> bool:
+        """Whether the interval is narrow enough to use the value."""
+        return math.isfinite(self.half_width) and self.half_width <= LIMITS.max_interval * abs(self.value)
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What flights show of a vehicle of a given mass.
+
+    vehicle: with the values below; its torque constant and yaw inertia have the ratio that was found.
+    thrust: of all rotors at full signal, N; with measured speeds and no signal, at the vehicle's speed_max.
+    thrust_constant: N s^2/rad^2.
+    thrust_curve: of the motor signal; None where no signal was logged.
+    inertia: about body x and y, kg m^2.
+    yaw_gain: torque constant over yaw inertia, from squared rotor speed to yaw acceleration, 1/rad.
+    motor_lag: s; None where neither signals nor commands were logged.
+    speed_max: rad/s; None where no rotor speed was measured.
+    drag: the drag that was fitted beside them.
+    is_measured: whether rotor speeds were measured.
+    hover: signal in hover, None without signals.
+    segments, duration: of flight that was used, and their length in s.
+    chi_square: reduced, of the fit; 1 where the residuals are noise.
+    """
+
+    vehicle: Vehicle
+    thrust: Constant
+    thrust_constant: Constant
+    thrust_curve: Constant | None
+    inertia: tuple[Constant, Constant]
+    yaw_gain: Constant
+    motor_lag: Constant | None
+    speed_max: Constant | None
+    drag: str
+    is_measured: bool
+    hover: float | None
+    segments: int
+    duration: float
+    chi_square: float
+    notes: tuple[str, ...]
+
+
+def identify_vehicle(
+    flights: Sequence[Flight],
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect] = CATALOGUE,
+    *,
+    fit_curve: bool = True,
+) -> Identification:
+    """The constants of a vehicle of known mass and layout.
+
+    flights: at one rate. vehicle: where the estimation begins. fit_curve: estimate the signal's curve too.
+    Raises DataError where the flights cannot answer.
+    """
+    signal = _signal_fit(flights)
+    if signal is not None:
+        vehicle = _with_rotors(
+            vehicle, speed_max=signal.speed_max.value, thrust_curve=min(max(signal.curve.value, 0.0), 1.0)
+        )
+    choices: list[Effect] = []
+    for _ in range(LIMITS.max_rounds):
+        start = calibrated(vehicle, flights)
+        dataset = make_dataset(flights, start)
+        regression = _regression(dataset, start, catalogue)
+        choices = choices or _drags(regression)
+        fits = {choice: _fitted(regression, choice) for choice in choices}
+        drag = min(choices, key=lambda choice: fits[choice].chi_square)
+        found, choices = fits[drag], [drag]
+        vehicle, moved = _corrected(start, found, dataset, fit_curve=fit_curve and signal is None)
+        if not moved:
+            break
+    return _identification(start, vehicle, found, dataset, drag, signal)
+
+
+def calibrated(vehicle: Vehicle, flights: Sequence[Flight]) -> Vehicle:
+    """The vehicle with the thrust constant with which its rotors carry it in these flights."""
+    ratios = []
+    for flight in flights:
+        speed, _ = rotor_speeds(flight, vehicle)
+        squares = np.sum(speed**2, axis=1)
+        usual = np.nanpercentile(squares, 90) if np.isfinite(squares).any() else np.nan
+        force = flight["specific_force"][:, 2] if flight.has("specific_force") else np.full(len(squares), GRAVITY)
+        with np.errstate(invalid="ignore", divide="ignore"):
+            ratio = vehicle.body.mass * force / squares
+            ratios.append(ratio[(squares > LIMITS.min_loaded * usual) & np.isfinite(ratio)])
+    together = np.concatenate(ratios)
+    if not len(together) or not np.median(together) > 0:
+        raise DataError("nowhere do the rotors carry the vehicle in these logs. Give logs of flights.")
+    constant = float(np.median(together))
+    ratio = vehicle.rotors.torque_constant / vehicle.rotors.thrust_constant
+    return _with_rotors(vehicle, thrust_constant=constant, torque_constant=ratio * constant)
+
+
+def _with_rotors(vehicle: Vehicle, **changed: float) -> Vehicle:
+    """The vehicle with other constants of its rotors, at least as much thrust as it needs to exist."""
+    rotors = msgspec.structs.replace(vehicle.rotors, **changed)
+    needed = 1.01 * vehicle.weight / (rotors.count * rotors.thrust_constant)
+    if rotors.speed_max**2 < needed:
+        rotors = msgspec.structs.replace(rotors, speed_max=math.sqrt(needed))
+    return msgspec.structs.replace(vehicle, rotors=rotors)
+
+
+def _regression(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Regression:
+    """Of the effects that stand for constants, and those of the vehicle file, on all segments."""
+    names = {effect.name for effect in (*CONSTANTS, *DRAGS, DAMPING)} | {use.name for use in vehicle.effects}
+    known = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
+    last = max(dataset.flight_of, default=-1) + 1
+    logs = list(dict.fromkeys(s.flight for s in dataset.held_out))
+    flight_of = (*dataset.flight_of, *(last + logs.index(s.flight) for s in dataset.held_out))
+    return make_regression(vehicle, known, dataset.everything, flight_of)
+
+
+def _drags(regression: Regression) -> list[Effect]:
+    """The drags that these flights can show: those of the vehicle file where it has any."""
+    shown = [effect for effect in DRAGS if any(c.effect is effect for c in regression.candidates)]
+    own = [effect for effect in shown if any(use.name == effect.name for use in regression.vehicle.effects)]
+    choices = own[:1] or shown
+    if not choices:
+        raise DataError(
+            "the logs hold no velocity, so that drag cannot be told from thrust and inertia. Log position or velocity."
+        )
+    return choices
+
+
+def _fitted(regression: Regression, drag: Effect) -> Fit:
+    effects = [*CONSTANTS, drag, DAMPING]
+    return fit(regression, [c for effect in effects if (c := _candidate(regression, effect)) is not None])
+
+
+def _candidate(regression: Regression, effect: Effect) -> Candidate | None:
+    """The candidate of an effect, of several points of its grid the one that fits best; None where it cannot show."""
+    candidates = [c for c in regression.candidates if c.effect is effect]
+    return max(candidates, key=lambda c: regression.gain(c.columns), default=None)
+
+
+def _corrected(start: Vehicle, found: Fit, dataset: Dataset, *, fit_curve: bool) -> tuple[Vehicle, bool]:
+    """The vehicle with a fit's values, and whether one of them has moved by more than a share of its interval."""
+    ratios = [found.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
+    x, y, z = start.body.inertia
+    tilt = (x * ratios[0].value, y * ratios[1].value)
+    yaw = min(max(z, *(1.001 * abs(tilt[0] - tilt[1]),)), 0.999 * sum(tilt))
+    thrust = _thrust_ratio(found, dataset)
+    gain = start.rotors.torque_constant * thrust.value / (z * ratios[2].value)
+    constant = start.rotors.thrust_constant * thrust.value
+    changed = {"thrust_constant": constant, "torque_constant": gain * yaw}
+    curve = _curve(start, found, dataset) if fit_curve else None
+    if curve is not None and abs(curve.value - start.rotors.thrust_curve) > NORMAL * curve.std:
+        changed["thrust_curve"] = min(max(curve.value, 0.0), 1.0)
+    body = msgspec.structs.replace(start.body, inertia=(*tilt, yaw))
+    moved = [e for e in ratios if abs(e.value - 1.0) > LIMITS.converged * NORMAL * e.std]
+    return _with_rotors(msgspec.structs.replace(start, body=body), **changed), bool(moved)
+
+
+def _thrust_ratio(found: Fit, dataset: Dataset) -> ParameterEstimate:
+    """Thrust in hover over that of the vehicle that was fitted."""
+    if dataset.curve is None:
+        return found.estimates.get((THRUST_CONSTANT.name, "ratio"), ParameterEstimate(1.0, math.nan, "1"))
+    gains = [gain.mean for gain in dataset.curve.gains.values()]
+    ratio = command_gain(found, dataset.curve.mass)
+    fitted = ratio or ParameterEstimate(1.0, 0.0, "1")
+    mean = float(np.mean(gains))
+    spread = float(np.std(gains, ddof=1)) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
+    return ParameterEstimate(mean * fitted.value, math.hypot(mean * fitted.std, spread), "1")
+
+
+def _curve(start: Vehicle, found: Fit, dataset: Dataset) -> ParameterEstimate | None:
+    """The share of the thrust that goes with the signal's square, by the slope of thrust over signal in hover."""
+    bend = found.commands.get((BEND.name, "bend"))
+    if dataset.curve is None or bend is None:
+        return None
+    a, b, c = dataset.curve.terms
+    own, hover = start.rotors.thrust_curve, _hover_signal(start)
+    slope = (1 + own * (2 * hover - 1)) / (1 + own * (hover - 1))  # d ln thrust / d ln signal of the file
+    measured = slope * (b + 2 * c) / (a + b + c) * (1 + bend.value)
+
+    def share(elasticity: float) -> float:
+        return (elasticity - 1) / (elasticity * (1 - hover) - 1 + 2 * hover)
+
+    step = 1e-3
+    sensitivity = (share(measured + step) - share(measured - step)) / (2 * step)
+    return ParameterEstimate(share(measured), abs(sensitivity) * slope * bend.std, "1")
+
+
+def _hover_signal(vehicle: Vehicle) -> float:
+    """Signal of 0 to 1 in hover."""
+    share, curve = vehicle.weight / vehicle.rotors.thrust_max, vehicle.rotors.thrust_curve
+    if curve < 1e-6:
+        return share
+    return (math.sqrt((1 - curve) ** 2 + 4 * curve * share) - (1 - curve)) / (2 * curve)
+
+
+@dataclass(frozen=True)
+class _SignalFit:
+    """Rotor speed over motor signal, where both were logged."""
+
+    speed_max: Constant
+    curve: Constant
+    lag: Constant
+
+
+def _signal_fit(flights: Sequence[Flight]) -> _SignalFit | None:
+    """Squared speed = speed_max^2 (c s^2 + (1 - c) s) of the lagged signal s, in parts for the intervals.
+
+    None where a flight has not both.
+    """
+    if not all(flight.has("rotor_speed", "rotor_command") for flight in flights):
+        return None
+    parts = [part for flight in flights for part in _signal_parts(flight)]
+    fits = [_signal_curve(*part) for part in parts]
+    if len(fits) < 2:
+        return None
+    columns = np.array(fits)
+    middle, spread = np.median(columns, axis=0), np.std(columns, axis=0, ddof=1) / math.sqrt(len(fits))
+    speed, curve, lag = (
+        Constant(float(m), NORMAL * float(s), u) for m, s, u in zip(middle, spread, ("rad/s", "1", "s"), strict=True)
+    )
+    return _SignalFit(speed, curve, lag) if speed.value > 0 and math.isfinite(speed.value) else None
+
+
+def _signal_parts(flight: Flight) -> Iterator[tuple[Floats, Floats, float]]:
+    signal, speed = flight["rotor_command"], flight["rotor_speed"]
+    finite = np.isfinite(signal).all(axis=1) & np.isfinite(speed).all(axis=1)
+    loaded = finite & (np.sum(signal, axis=1) > LIMITS.min_loaded * np.nanpercentile(np.sum(signal, axis=1), 90))
+    rows = np.flatnonzero(loaded)
+    if len(rows) < LIMITS.signal_parts * flight.rate:
+        return
+    inside = slice(rows[0], rows[-1] + 1)
+    for s, w, good in zip(
+        *(np.array_split(a[inside], LIMITS.signal_parts) for a in (signal, speed, loaded)), strict=True
+    ):
+        if good.mean() > LIMITS.min_part:
+            yield s[good], w[good], flight.rate
+
+
+def _signal_curve(signal: Floats, speed: Floats, rate: float) -> tuple[float, float, float]:
+    """(speed at full signal, curve, lag) of one part."""
+    best = (math.inf, 0.0, 0.0, 0.0)
+    for lag in np.arange(0.0, LIMITS.max_lag + LIMITS.lag_step / 2, LIMITS.lag_step):
+        x = lagged(signal, rate, float(lag))[round(rate / 2) :].ravel()
+        y = (speed[round(rate / 2) :] ** 2).ravel()
+        scale = float(np.mean(y))
+        solved = lsq_linear(np.column_stack([x**2, x]), y / scale, bounds=(0, np.inf))
+        full = float(np.sum(solved.x)) * scale
+        best = min(best, (float(solved.cost), math.sqrt(full), float(solved.x[0]) * scale / full, float(lag)))
+    return best[1:]
+
+
+def _identification(
+    start: Vehicle, vehicle: Vehicle, found: Fit, dataset: Dataset, drag: Effect, signal: _SignalFit | None
+) -> Identification:
+    ratios = [found.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
+    unsettled = INERTIA.name in found.unsettled
+
+    def told(value: float, relative: float, unit: str, *, known: bool = True) -> Constant:
+        width = math.hypot(NORMAL * relative, LIMITS.model_error) * abs(value)
+        return Constant(value, width if known else math.inf, unit)
+
+    x, y, z = (
+        told(base * r.value, r.std / r.value, "kg m^2", known=not unsettled)
+        for base, r in zip(start.body.inertia, ratios, strict=True)
+    )
+    thrust = _thrust_ratio(found, dataset)
+    known, deviation = math.isfinite(thrust.std), thrust.std / thrust.value
+    constant = told(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2", known=known)
+    gain = start.rotors.torque_constant * thrust.value / z.value
+    curve, lag = _curve_and_lag(start, found, dataset, signal)
+    full = math.hypot(deviation, _extrapolation(vehicle, curve) / NORMAL)
+    return Identification(
+        vehicle=vehicle,
+        thrust=told(vehicle.rotors.thrust_max, full, "N", known=known),
+        thrust_constant=constant,
+        thrust_curve=curve,
+        inertia=(x, y),
+        yaw_gain=Constant(gain, gain * z.half_width / z.value, "1/rad"),
+        motor_lag=lag,
+        speed_max=None if signal is None else signal.speed_max,
+        drag=drag.name,
+        is_measured=dataset.fitted[0].rotor_source == "measured",
+        hover=_hover_signal(vehicle) if curve is not None else None,
+        segments=len(dataset.everything),
+        duration=sum(s.duration for s in dataset.everything),
+        chi_square=found.chi_square,
+        notes=tuple(n for n in dataset.notes if dataset.curve is None or n != dataset.curve.note()),
+    )
+
+
+def _curve_and_lag(
+    start: Vehicle, found: Fit, dataset: Dataset, signal: _SignalFit | None
+) -> tuple[Constant | None, Constant | None]:
+    """Of the rotors behind their signal, where the flights show them."""
+    if signal is not None:
+        return signal.curve, signal.lag
+    bend = _curve(start, found, dataset)
+    curve = None if bend is None else Constant(bend.value, NORMAL * bend.std, "1")
+    lag = found.estimates.get((MOTOR_LAG.name, "time_constant"))
+    if lag is None:
+        return curve, None
+    return curve, Constant(lag.value, math.hypot(NORMAL * lag.std, LIMITS.model_error * lag.value), "s")
+
+
+def _extrapolation(vehicle: Vehicle, curve: Constant | None) -> float:
+    """Half of the interval of thrust at full signal, over its value, that the curve's own interval makes."""
+    if curve is None:
+        return 0.0
+    hover = _hover_signal(vehicle)
+    share = 1 + curve.value * (hover - 1)  # thrust in hover over that at full signal, over the signal
+    return abs(curve.half_width * (hover - 1) / share)
+
+
+def with_yaw_inertia(identified: Identification, yaw: float) -> Identification:
+    """The same with another yaw inertia, kg m^2, and the torque constant that goes with it."""
+    body = msgspec.structs.replace(identified.vehicle.body, inertia=(*identified.vehicle.body.inertia[:2], yaw))
+    rotors = msgspec.structs.replace(identified.vehicle.rotors, torque_constant=identified.yaw_gain.value * yaw)
+    return replace(identified, vehicle=msgspec.structs.replace(identified.vehicle, body=body, rotors=rotors))
