@@ -14,7 +14,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from math import nan
 
 import numpy as np
 
@@ -23,18 +22,16 @@ from dynamics.errors import RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.references.catalogue import MANOEUVRES
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
+from dynamics.vehicle_file import find_vehicle, read_vehicle
 from flights.parallel import parallel_map
 from runtime.control.controller import ControllerOptions
 from runtime.flight.composition import Controllers, build_controllers
+from runtime.flight.events import Event
 from runtime.flight.mission import Phase, Plan
-from simulation.ground_to_ground import GroundToGround, WholeFlight
-from sitl_mock.vehicle.estimator import ERRORS, Estimator
-from sitl_mock.vehicle.ground import Ground
-from sitl_mock.vehicle.vehicle import VehicleOptions
+from simulation.whole_flight import Lockstep, fly_whole
+from sitl_mock.mock import MockOptions
 
-ESTIMATORS: dict[str, Estimator] = {"px4_sih": "px4", "arpl_250g": "mocap"}
-VEHICLES = tuple(ESTIMATORS)
+VEHICLES = ("px4_sih", "arpl_250g")
 HIDDEN: dict[str, Sequence[str]] = {
     "nothing": (),
     "drag": ("linear_drag:coefficient={drag}",),
@@ -46,19 +43,33 @@ HIDDEN: dict[str, Sequence[str]] = {
 DRAG = {"px4_sih": 2.0, "arpl_250g": 0.2}  # N s/m
 SPEEDS = (1.0, 0.85, 0.7, 0.55, 0.4, 0.3)
 HEIGHT, SECONDS, PATIENCE = 3.0, 8.0, 60.0  # m, s of a manoeuvre, s
-ALARMS = ("impact", "ground_contact", "overturned", "held", "tracking_lost", "crashed")
+ALARMS = (
+    Event.IMPACT,
+    Event.GROUND_CONTACT,
+    Event.OVERTURNED,
+    Event.HELD,
+    Event.TRACKING_LOST,
+    Event.CRASHED,
+)
+NOTICED = (*ALARMS, Event.SETPOINT_REFUSED)  # that a hand holds its attitude as well
 _controllers: dict[str, Controllers] = {}
 
 
 @dataclass(frozen=True)
 class Hard:
-    """A hard flight. alarms: events of a crash that were raised. touched: whether it met the ground in the air."""
+    """A hard flight.
+
+    alarms: events of a crash that were raised.
+    touched: whether it met the ground in the air.
+    landed: whether it ended by the runtime's own landing.
+    """
 
     seed: int
     what: str
     speed: float
     alarms: tuple[str, ...]
     touched: bool
+    landed: bool
     outcome: str
 
 
@@ -105,69 +116,57 @@ def hard_flight(seed: int) -> Hard | None:
     reference = fastest(manoeuvre, vehicle)
     if reference is None:
         return None
-    texts = [text.format(drag=DRAG[name]) for text in HIDDEN[hidden]]
-    sensors, wander = ERRORS[ESTIMATORS[name]]
-    flight = GroundToGround(
-        vehicle,
-        built,
+    flight = fly_whole(
+        MockOptions(
+            find_vehicle(name), effects=tuple(text.format(drag=DRAG[name]) for text in HIDDEN[hidden]), seed=seed
+        ),
         reference,
-        Plan(height=HEIGHT, duration=SECONDS, speed=2.5, acceleration=3.0, settle=0.3, origin="takeoff"),
-        effects=[parse_effect(text, vehicle.rotors.count) for text in texts],
-        options=VehicleOptions(sensors=sensors, wander=wander, ground=Ground(kind="sih")),
-        seed=seed,
-        refusals=1,
-    ).fly(PATIENCE)
+        plan=Plan(height=HEIGHT, duration=SECONDS, speed=2.5, acceleration=3.0, settle=0.3, origin="takeoff"),
+        controllers=built,
+        limit=PATIENCE,
+    )
     speed = float(np.linalg.norm(reference.states(np.arange(0.0, SECONDS, 0.02))[:, 3:6], axis=1).max())
-    alarms = tuple(event for _, event, _ in flight.events if event in ALARMS)
-    in_air = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
-    touched = any(tick.carried > 0.05 for tick in flight.ticks if tick.phase in in_air)
-    return Hard(seed, f"{name}, {manoeuvre}, {hidden}", speed, alarms, touched, flight.outcome)
+    alarms = tuple(event.value for _, event, _ in flight.events if event in ALARMS)
+    touched = bool(np.isfinite(flight.touched))
+    return Hard(seed, f"{name}, {manoeuvre}, {hidden}", speed, alarms, touched, flight.landed, flight.outcome)
 
 
 def crash(seed: int) -> Crash:
     """One crash: into the ground, or into a hand."""
     random = np.random.default_rng(seed)
     vehicle, built = controllers("px4_sih")
-    sensors, wander = ERRORS["px4"]
     seized = seed % 2 == 1
     # the estimate's height at the start, so that a circle at 1 m in its coordinates lies below the ground
     error = 0.0 if seized else float(random.uniform(1.1, 1.6))
-    flight = GroundToGround(
-        vehicle,
-        built,
-        named_reference("circle:height=1", vehicle, duration=SECONDS),
-        Plan(height=HEIGHT if seized else 1.5, duration=SECONDS, origin="takeoff" if seized else "estimate"),
-        options=VehicleOptions(sensors=sensors, wander=wander, ground=Ground(kind="sih"), start_height_error=error),
-        seed=seed,
-    )
     at = random.uniform(3.0, 6.0)
     held: list[float] = []
 
-    def hand(airborne: GroundToGround) -> None:
-        mission = airborne.flyer.mission
-        if seized and not held and mission.phase is Phase.TRACK and airborne.plant.time - mission.phase_started > at:
-            airborne.plant.hold(True)
-            held.append(airborne.plant.time)
+    def hand(flown: Lockstep) -> None:
+        mission, time = flown.flyer.mission, flown.autopilot.time
+        if seized and not held and mission.phase is Phase.TRACK and time - mission.phase_started > at:
+            flown.vehicle.hold(True)
+            held.append(time)
 
-    flown = flight.fly(PATIENCE, hand)
-    contact = held[0] if held else first_contact(flown)
-    noticed = [time for time, event, _ in flown.events if event in ALARMS and time >= contact]
-    running = [tick.time for tick in flown.ticks if tick.thrust > 0.05 * vehicle.weight]
+    flight = fly_whole(
+        MockOptions(find_vehicle("px4_sih"), start_height_error=error, seed=seed),
+        named_reference("circle:height=1", vehicle, duration=SECONDS),
+        plan=Plan(height=HEIGHT if seized else 1.5, duration=SECONDS, origin="takeoff" if seized else "estimate"),
+        controllers=built,
+        watch=hand,
+        limit=PATIENCE,
+    )
+    contact = held[0] if held else flight.touched
+    noticed = [time for time, event, _ in flight.events if event in NOTICED and time >= contact]
+    running = [time for time, thrust in zip(flight.time, flight.thrust, strict=True) if thrust > 0.05 * vehicle.weight]
     what = "seized by a hand" if seized else "circle into the ground"
     return Crash(
         seed,
         what,
         min(noticed, default=np.inf) - contact,
         max(running) - contact,
-        flown.outcome,
-        tuple(event for _, event, _ in flown.events),
+        flight.outcome,
+        tuple(event.value for _, event, _ in flight.events),
     )
-
-
-def first_contact(flight: WholeFlight) -> float:
-    """When the ground first carries a part of the weight in flight, s; NaN if it never does."""
-    in_air = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
-    return next((tick.time for tick in flight.ticks if tick.phase in in_air and tick.carried > 0.05), nan)
 
 
 def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
@@ -178,6 +177,9 @@ def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
         f"{len(hard)} hard flights, up to {max(one.speed for one in hard):.1f} m/s; {len(hard) - len(airborne)} of "
         f"them touched the ground. False alarms in the others: **{len(alarmed)}**.",
         *[f"- seed {one.seed}, {one.what}: {', '.join(one.alarms)}" for one in alarmed],
+        "",
+        "Flights that ended early without one:",
+        *[f"- seed {one.seed}, {one.what}: {one.outcome}" for one in airborne if not one.alarms and not one.landed],
         "",
         "| crash | flights | noticed after, median, worst, s | thrust gone after, median, worst, s | unnoticed |",
         "| --- | --- | --- | --- | --- |",

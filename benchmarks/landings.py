@@ -1,8 +1,9 @@
 """Landings on PX4's estimate: tilt after contact, time until the motors stand still and the vehicle is disarmed.
 
 Whole flights in lockstep on the mock's vehicle with PX4's estimator, whose height is wrong from the start and drifts
-on, over ground of five kinds. Disarming is refused one to three times. Tilt is true, from the last contact on, and on
-a slope what exceeds the slope. Beside it the tilt 0.5 s after the contact: in wind a vehicle touches down leaning.
+on, over ground of five kinds. The autopilot refuses to disarm until its own land detector agrees. Tilt is true, from
+the last contact on, and on a slope what exceeds the slope. Beside it the tilt of the half second before the contact
+and from half a second after it on: in wind a vehicle hovers and touches down leaning.
 
     python -m benchmarks.landings [--flights 200] [--first-seed 7000] [--jobs 1]
 """
@@ -12,25 +13,26 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import degrees, inf, radians
+from math import degrees, inf, isfinite, radians
 
 import msgspec
 import numpy as np
 
 from benchmarks.provenance import write_result
 from dynamics.references import named_reference
-from dynamics.vehicle import EffectUse
-from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
+from dynamics.vehicle_file import read_vehicle
 from flights.parallel import parallel_map
 from runtime.control.controller import ControllerOptions
 from runtime.flight.composition import Controllers, build_controllers
+from runtime.flight.events import Event
 from runtime.flight.mission import Plan
-from simulation.ground_to_ground import GroundToGround, after_contact
-from sitl_mock.vehicle.estimator import ERRORS
+from simulation.whole_flight import fly_whole
+from sitl_mock.mock import MockOptions
+from sitl_mock.scenario import Scenario
 from sitl_mock.vehicle.ground import Ground
-from sitl_mock.vehicle.vehicle import VehicleOptions
+from vehicles import FOLDER
 
-VEHICLE, REFERENCE, PATIENCE = "px4_sih", "hover:laps=1,height=1.2", 90.0  # s
+FILE, REFERENCE, PATIENCE = FOLDER / "px4_sih.toml", "hover:laps=1,height=1.2", 90.0  # s
 KINDS = ("flat", "windy", "sloped", "hard", "moving deck")
 PLAN = Plan(height=1.2, duration=1.0, speed=2.5, acceleration=3.0, settle=0.3, origin="takeoff")
 HARD = 0.8  # m/s
@@ -40,13 +42,14 @@ _controllers: list[Controllers] = []
 
 @dataclass(frozen=True)
 class Landing:
-    """One landing. tilt, settled: degrees, from contact and from 0.5 s later. motors, disarmed: s from contact.
+    """One landing. before, tilt, settled: degrees, mean of the 0.5 s before contact, from it on, from 0.5 s later on.
 
-    caught: contacts that were none.
+    motors, disarmed: s from contact. caught: contacts that were none.
     """
 
     seed: int
     kind: str
+    before: float
     tilt: float
     settled: float
     motors: float
@@ -55,72 +58,70 @@ class Landing:
     outcome: str
 
 
-def surroundings(kind: str, random: np.random.Generator) -> tuple[Ground, list[str]]:
+def surroundings(kind: str, random: np.random.Generator) -> tuple[Ground, tuple[str, ...]]:
     """Ground and air of a kind of landing."""
     direction, size = random.uniform(0, 2 * np.pi), random.uniform()
     match kind:
         case "windy":
             east, north = (1.0 + 4.0 * size) * np.array([np.cos(direction), np.sin(direction)])
-            return Ground(kind="sih"), [f"wind:x={east:.2f},y={north:.2f}", f"gust:intensity={0.3 + 0.7 * size:.2f}"]
+            return Ground(kind="sih"), (f"wind:x={east:.2f},y={north:.2f}", f"gust:intensity={0.3 + 0.7 * size:.2f}")
         case "sloped":
-            return Ground(kind="legs", slope=radians(3.0 + 12.0 * size), uphill=direction), []
+            return Ground(kind="legs", slope=radians(3.0 + 12.0 * size), uphill=direction), ()
         case "hard":
-            return Ground(kind="legs"), []
+            return Ground(kind="legs"), ()
         case "moving deck":
-            return Ground(kind="legs", heave=0.05 + 0.2 * size, heave_period=5.0), []
+            speed = (0.4 * size * np.cos(direction), 0.4 * size * np.sin(direction))
+            return Ground(kind="legs", heave=0.05 + 0.2 * size, heave_period=5.0, speed=speed), ()
         case _:
-            return Ground(kind="sih"), []
+            return Ground(kind="sih"), ()
 
 
 def land(seed: int) -> Landing:
     """Fly and land once."""
-    vehicle = read_vehicle(find_vehicle(VEHICLE))
+    vehicle = read_vehicle(FILE)
     if not _controllers:
         _controllers.append(build_controllers(vehicle, None, ControllerOptions.for_vehicle(vehicle, period=0.01)))
-    random, kind = np.random.default_rng(seed), KINDS[seed % len(KINDS)]
-    ground, texts = surroundings(kind, random)
-    effects: Sequence[EffectUse] = [parse_effect(text, vehicle.rotors.count) for text in texts]
-    sensors, wander = ERRORS["px4"]
-    flight = GroundToGround(
-        vehicle,
-        _controllers[0],
+    kind = KINDS[seed % len(KINDS)]
+    ground, effects = surroundings(kind, np.random.default_rng(seed))
+    flight = fly_whole(
+        MockOptions(FILE, effects=effects, scenario=Scenario(ground=ground), seed=seed),
         named_reference(REFERENCE, vehicle),
-        msgspec.structs.replace(PLAN, touchdown=HARD) if kind == "hard" else PLAN,
-        effects=effects,
-        options=VehicleOptions(sensors=sensors, wander=wander, ground=ground),
-        seed=seed,
-        refusals=int(random.integers(1, 4)),
-    ).fly(PATIENCE)
-    contact, times, tilts = after_contact(flight)
-    ticks = flight.ticks[-len(times) :]
-    running = [tick.time for tick in ticks if tick.thrust > STANDING * vehicle.weight]
-    armed = [tick.time for tick in ticks if tick.armed]
-    landed = flight.outcome == "landed and disarmed" and not flight.landing_reason
+        plan=msgspec.structs.replace(PLAN, touchdown=HARD) if kind == "hard" else PLAN,
+        controllers=_controllers[0],
+        limit=PATIENCE,
+    )
+    contact, tilt = min(flight.contact, len(flight.time) - 1), flight.tilt
+    since = np.array(flight.time) - flight.time[contact]
+    running = since[np.array(flight.thrust) > STANDING * vehicle.weight]
+    planned = flight.landed and not flight.landing_reason
     return Landing(
         seed,
         kind,
-        degrees(max(0.0, float(tilts.max()) - ground.slope)),
-        degrees(max(0.0, float(tilts[times > contact + 0.5].max(initial=0.0)) - ground.slope)),
-        max(running, default=contact) - contact,
-        max(armed, default=contact) - contact if landed else inf,
-        len(flight.times("contact_lost")),
-        "" if landed else flight.landing_reason or flight.outcome,
+        degrees(float(tilt[(since > -0.5) & (since < 0.0)].mean())),
+        degrees(max(0.0, float(tilt[since >= 0.0].max()) - ground.slope)),
+        degrees(max(0.0, float(tilt[since > 0.5].max(initial=0.0)) - ground.slope)),
+        max(float(running.max(initial=0.0)), 0.0),
+        flight.disarmed - flight.time[contact] if isfinite(flight.disarmed) else inf,
+        len(flight.times(Event.CONTACT_LOST)),
+        "" if planned else flight.landing_reason or flight.outcome,
     )
 
 
 def table(landings: Sequence[Landing]) -> str:
     """All kinds in Markdown."""
     lines = [
-        "| ground | landings | tilt after contact, median, 95 %, worst, degrees | after 0.5 s, worst "
-        "| thrust below 5 %, median, worst, s | disarmed, median, worst, s | contacts that were none |",
-        "| --- | --- | --- | --- | --- | --- | --- |",
+        "| ground | landings | tilt before contact, median, worst, degrees | after it, median, 95 %, worst "
+        "| from 0.5 s on, worst | thrust below 5 %, median, worst, s | disarmed, median, worst, s "
+        "| contacts that were none |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- |",
     ]
     for kind in ("all", *KINDS):
         chosen = [one for one in landings if kind in ("all", one.kind)]
-        tilt = np.array([one.tilt for one in chosen])
+        before, tilt = (np.array([getattr(one, name) for one in chosen]) for name in ("before", "tilt"))
         motors, disarmed = (np.array([getattr(one, name) for one in chosen]) for name in ("motors", "disarmed"))
         lines.append(
-            f"| {kind} | {len(chosen)} | {np.median(tilt):.1f}, {np.quantile(tilt, 0.95):.1f}, {tilt.max():.1f} "
+            f"| {kind} | {len(chosen)} | {np.median(before):.1f}, {before.max():.1f} "
+            f"| {np.median(tilt):.1f}, {np.quantile(tilt, 0.95):.1f}, {tilt.max():.1f} "
             f"| {max(one.settled for one in chosen):.1f} "
             f"| {np.median(motors):.2f}, {motors.max():.2f} | {np.median(disarmed):.1f}, {disarmed.max():.1f} "
             f"| {sum(one.caught for one in chosen)} |"

@@ -26,6 +26,7 @@ from runtime.flight.composition import Controllers, build_controllers, build_fly
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
 from runtime.flight.flyer import FlyerSettings
+from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
@@ -37,7 +38,7 @@ from runtime.link.link import Link, LinkSettings
 from runtime.link.parameters import read_parameter
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
-from runtime.link.telemetry import VehicleStatus
+from runtime.link.telemetry import EstimatorSample, VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
@@ -52,11 +53,13 @@ SUPERVISION_PERIOD = 0.1  # s
 SETTLING_TIME = 1.5  # s, at most, in which clock and streams settle before their state is reported
 READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
+ESTIMATOR_AGE = 2.0  # s for which an ESTIMATOR_STATUS counts
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
     "EXTENDED_SYS_STATE": 5.0,
     "BATTERY_STATUS": 2.0,
+    "ESTIMATOR_STATUS": 2.0,
     "ESC_STATUS": 100.0,
     "SERVO_OUTPUT_RAW": 100.0,
 }
@@ -371,6 +374,9 @@ class Daemon:
             present[Event.RATES_LOW] = f"estimates come at {rate:.0f} Hz, {required:.0f} Hz are required"
         if not link.peer.clock.is_valid(now):
             present[Event.CLOCK_UNCERTAIN] = f"TIMESYNC uncertain by {1e3 * link.peer.clock.uncertainty(now):.1f} ms"
+        estimator = link.peer.latest.get(EstimatorSample)
+        if isinstance(estimator, EstimatorSample) and now - estimator.received < ESTIMATOR_AGE:
+            present |= estimator_health(estimator)
         if self._recorder is not None and self._recorder.trouble:
             event = Event.RECORDER_OVERRUN if self._recorder.still_writing else Event.DISK_FULL
             present[event] = self._recorder.trouble

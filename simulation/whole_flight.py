@@ -6,7 +6,7 @@ sends them (every second or third of its steps of 4 ms), with the estimator's er
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import msgspec
@@ -16,16 +16,18 @@ from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.references import Reference
-from dynamics.state import POSITION
+from dynamics.state import ATTITUDE, POSITION
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers, build_flyer
 from runtime.flight.engagement import AutopilotRequest
+from runtime.flight.events import Event
 from runtime.flight.flyer import Decision, Flyer, FlyerSettings
-from runtime.flight.health import HealthLimits
+from runtime.flight.health import HealthLimits, estimator_health
 from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.odometry import Odometry
+from runtime.link.telemetry import EstimatorSample, decode_telemetry
 from runtime.record.records import ObservationRecord
 from runtime.telemetry_buffer import LINK_EVENTS
 from sitl_mock.autopilot.autopilot import Autopilot
@@ -34,62 +36,89 @@ from sitl_mock.mock import MockOptions, build_autopilot
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 from sitl_mock.wire.motion_messages import LOCAL_NED
+from sitl_mock.wire.snapshot import Snapshot
+from sitl_mock.wire.status_messages import estimator_status
 from sitl_mock.wire.streams import TOLERANCE
 
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
+ESTIMATOR_PERIOD = 0.5  # s between two ESTIMATOR_STATUS
 WAITING = 3.0  # s that the vehicle stands before it is engaged
 ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN, Phase.DESCEND)
 NO_STEP = ResetStep(np.zeros(3), np.zeros(3), 0.0)
-CLOSE = 0.1  # m from the ground, below which a vehicle that lands has arrived
+CARRIED = 0.05  # of the weight, from which on the ground counts as touched
 
 
 @dataclass
 class WholeFlight:
-    """A flight from the ground to the ground, and what was true in it. Times are simulated, s.
+    """A flight from the ground to the ground, tick by tick, and what was true in it. Times are simulated, s.
 
     landed: whether the flight ended by the runtime's own landing.
     outcome: why it ended.
+    landing_reason: why it was cut short, empty when it was not.
     time: (ticks,) of each tick.
     truth, estimate: (ticks, 13) rigid-body states.
     reference: (ticks, 3) position of the reference in the estimator's frame, m; NaN where none is tracked.
     phases: (ticks,) of the mission.
-    events: raised, in order.
+    thrust: (ticks,) collective thrust sent, N; 0 where nothing is sent.
+    armed: (ticks,) whether the motors may turn.
     ground_force: (ticks,) share of the weight that the ground carries.
     clearance: (ticks,) distance of the feet from the ground, m.
+    events: (time, event, detail) of each that was raised.
     refused: requests to disarm that the autopilot refused.
     disarmed: when the motors stopped for good; NaN if they did not.
     """
 
     landed: bool = False
     outcome: str = ""
+    landing_reason: str = ""
     time: list[float] = field(default_factory=list)
     truth: list[Floats] = field(default_factory=list)
     estimate: list[Floats] = field(default_factory=list)
     reference: list[Floats] = field(default_factory=list)
     phases: list[Phase] = field(default_factory=list)
-    events: list[str] = field(default_factory=list)
+    thrust: list[float] = field(default_factory=list)
+    armed: list[bool] = field(default_factory=list)
     ground_force: list[float] = field(default_factory=list)
     clearance: list[float] = field(default_factory=list)
+    events: list[tuple[float, Event, str]] = field(default_factory=list)
     refused: int = 0
     disarmed: float = float("nan")
 
     @property
+    def raised(self) -> set[Event]:
+        """The events that were raised."""
+        return {event for _, event, _ in self.events}
+
+    def times(self, event: Event) -> list[float]:
+        """When an event was raised, s."""
+        return [time for time, raised, _ in self.events if raised is event]
+
+    @property
     def contact(self) -> int:
-        """The tick from which the vehicle stays close to the ground; the number of ticks if it never flew or landed."""
-        flying = np.flatnonzero(np.array(self.clearance) > CLOSE)
+        """The tick of the last contact with the ground; the number of ticks if it never flew or landed."""
+        columns = zip(self.ground_force, self.armed, self.clearance, strict=True)
+        flying = np.flatnonzero([force < CARRIED and armed and height > 0.0 for force, armed, height in columns])
         return int(flying[-1]) + 1 if flying.size else len(self.time)
 
     @property
-    def touched_in_flight(self) -> bool:
-        """Whether it touched the ground between take-off and landing."""
-        aloft = [phase in ALOFT for phase in self.phases]
-        return bool(np.any(np.array(self.ground_force)[aloft] > 0.0))
+    def aloft(self) -> list[int]:
+        """The ticks between take-off and landing."""
+        return [tick for tick, phase in enumerate(self.phases) if phase in ALOFT]
+
+    @property
+    def touched(self) -> float:
+        """When the ground first carried a part of the weight between take-off and landing, s; NaN if it never did."""
+        return next((self.time[tick] for tick in self.aloft if self.ground_force[tick] > CARRIED), float("nan"))
+
+    @property
+    def tilt(self) -> Floats:
+        """(ticks,) true tilt, rad."""
+        return tilts(np.array(self.truth)[:, ATTITUDE])
 
     @property
     def tilt_after_contact(self) -> float:
         """Greatest true tilt from the last contact on, rad; NaN without one."""
-        attitudes = np.array([state[6:10] for state in self.truth[self.contact :]])
-        return float(tilts(attitudes).max()) if attitudes.size else float("nan")
+        return float(self.tilt[self.contact :].max(initial=-1.0)) if self.contact < len(self.time) else float("nan")
 
     def tracking_error(self, states: Sequence[Floats]) -> float:
         """RMS distance of `truth` or `estimate` from the reference while it is tracked, m; NaN if it never was."""
@@ -114,6 +143,7 @@ def fly_whole(
     settings: FlyerSettings | None = None,
     controllers: Controllers | None = None,
     leave_after: float | None = None,
+    watch: Callable[[Lockstep], None] | None = None,
     limit: float = 120.0,
 ) -> WholeFlight:
     """Take off, track a reference and land.
@@ -121,6 +151,7 @@ def fly_whole(
     options: of the mock, its vehicle file among them.
     controllers: None for one of the vehicle file.
     leave_after: s in the air after which landing is requested; None to fly the reference to its end.
+    watch: called before each tick, to plant a fault.
     limit: s after which the flight is given up.
     """
     vehicle = read_vehicle(options.vehicle)
@@ -132,79 +163,99 @@ def fly_whole(
     autopilot = build_autopilot(options)
     curve = autopilot.parameters["THR_MDL_FAC"]
     flyer = build_flyer(controllers, reference, plan or Plan(origin="takeoff"), settings, thrust_curve=curve)
-    return _Lockstep(autopilot, flyer, leave_after).fly(limit)
+    return Lockstep(autopilot, flyer, leave_after).fly(limit, watch)
 
 
-class _Lockstep:
-    """The loop of ticks between one autopilot and one flyer."""
+class Lockstep:
+    """The loop of ticks between one autopilot and one flyer.
 
-    def __init__(self, autopilot: Autopilot, flyer: Flyer, leave_after: float | None) -> None:
+    autopilot, vehicle, flyer: of the flight, for those who watch it.
+    """
+
+    def __init__(self, autopilot: Autopilot, flyer: Flyer, leave_after: float | None = None) -> None:
+        """leave_after: as in `fly_whole`."""
         assert isinstance(autopilot.vehicle, SimulatedVehicle)
-        self._autopilot, self._flyer, self._leave_after = autopilot, flyer, leave_after
-        self._vehicle = autopilot.vehicle
+        self.autopilot, self.flyer, self._leave_after = autopilot, flyer, leave_after
+        self.vehicle = autopilot.vehicle
         self._flight = WholeFlight()
         self._estimate: StateEstimate | None = None
         self._monitor = EstimateMonitor()
         self._check: EstimateCheck | None = None
+        self._estimator_findings: dict[Event, str] = {}
+        self._estimator_due = 0.0
         self._tick = 0
         self._due = autopilot.time
         self._in_air_since = float("inf")
         self._was_armed = False
 
-    def fly(self, limit: float) -> WholeFlight:
-        """The flight until it is over or the limit, s."""
+    def fly(self, limit: float, watch: Callable[[Lockstep], None] | None = None) -> WholeFlight:
+        """The flight until it is over or the limit, s. watch: called before each tick."""
         self._advance(WAITING)
-        while self._autopilot.time < limit:
+        while self.autopilot.time < limit:
+            if watch is not None:
+                watch(self)
             self._next_estimate()
             decision = self._decide()
             self._act(decision)
-            if self._flyer.over and not self._autopilot.commander.armed:
+            if self.flyer.over and not self.autopilot.commander.armed:
                 break
-        self._flight.landed = self._flyer.landed and not self._autopilot.commander.armed
-        self._flight.outcome = self._flyer.engagement.refusal or f"not over after {limit:g} s"
+        self._flight.landed = self.flyer.landed and not self.autopilot.commander.armed
+        self._flight.outcome = self.flyer.engagement.refusal or f"not over after {limit:g} s"
+        self._flight.landing_reason = self.flyer.mission.landing_reason
         return self._flight
 
     def _advance(self, duration: float) -> None:
-        self._autopilot.advance(duration)
-        self._due = self._autopilot.time
+        self.autopilot.advance(duration)
+        self._due = self.autopilot.time
 
     def _next_estimate(self) -> None:
         """Advance to the step in which PX4 sends the next estimate of a stream of the control rate."""
         self._due += CONTROL_PERIOD
-        while self._autopilot.time < self._due - TOLERANCE:
-            self._autopilot.step()
+        while self.autopilot.time < self._due - TOLERANCE:
+            self.autopilot.step()
             self._note_arming()
-        if not self._autopilot.estimate_fault.stopped:
+        if not self.autopilot.estimate_fault.stopped:
             self._receive()
 
     def _receive(self) -> None:
         """Take the estimate as from an ODOMETRY message."""
-        now = round(1000 * self._autopilot.time) / 1000
-        snapshot = self._autopilot.snapshot(self._autopilot.time)
-        motion, taken = snapshot.motion, round(1000 * self._vehicle.estimate.time) / 1000
+        now = round(1000 * self.autopilot.time) / 1000
+        snapshot = self.autopilot.snapshot(self.autopilot.time)
+        motion, taken = snapshot.motion, round(1000 * self.vehicle.estimate.time) / 1000
         wire = (*motion.position, *motion.attitude, *motion.velocity, *motion.rate)
         odometry = Odometry(taken, wire, LOCAL_NED, LOCAL_NED, snapshot.reset_counter)
         check = self._monitor.handle_odometry(odometry, taken, now, True)
+        self._report_estimator(snapshot, now)
         self._check = check if check.event or check.step is not None else self._check
         self._estimate = check.estimate or self._estimate
 
+    def _report_estimator(self, snapshot: Snapshot, now: float) -> None:
+        """Take what the estimator reports of itself, as often as ESTIMATOR_STATUS comes."""
+        if now < self._estimator_due:
+            return
+        self._estimator_due = now + ESTIMATOR_PERIOD
+        status = decode_telemetry(estimator_status(snapshot), now, lambda time, _: time)
+        assert isinstance(status, EstimatorSample)
+        self._estimator_findings = estimator_health(status)
+
     def _note_arming(self) -> None:
-        armed = self._autopilot.commander.armed
+        armed = self.autopilot.commander.armed
         if self._was_armed and not armed:
-            self._flight.disarmed = self._autopilot.time
+            self._flight.disarmed = self.autopilot.time
         self._was_armed = armed
 
     def _decide(self) -> Decision:
-        commander = self._autopilot.commander
-        now = round(1000 * self._autopilot.time) / 1000
+        commander = self.autopilot.commander
+        now = round(1000 * self.autopilot.time) / 1000
         check, self._check = self._check, None
         step = check.step if check is not None and check.step is not None else NO_STEP
         name = (check.event or "") if check is not None else ""
         findings = {LINK_EVENTS[name]: check.text} if check is not None and name in LINK_EVENTS else {}
+        findings |= self._estimator_findings
         if not commander.landed:
             self._in_air_since = min(self._in_air_since, now)
         leaves = self._leave_after is not None and now - self._in_air_since > self._leave_after
-        force = self._vehicle.imu.specific_force_body
+        force = self.vehicle.imu.specific_force_body
         observation = ObservationRecord(
             tick=self._tick,
             time=now,
@@ -223,25 +274,28 @@ class _Lockstep:
             engage=self._tick == 0,
             leave="requested" if leaves else "",
         )
-        decision = self._flyer.step(observation, self._estimate)
-        self._flyer.prepare(now)
+        decision = self.flyer.step(observation, self._estimate)
+        self.flyer.prepare(now)
         self._keep(now, decision)
         self._tick += 1
         return decision
 
     def _keep(self, now: float, decision: Decision) -> None:
-        flight, reference = self._flight, self._flyer.reference_now(now)
+        flight, reference = self._flight, self.flyer.reference_now(now)
         flight.time.append(now)
-        flight.truth.append(_state_of(self._vehicle.truth))
+        flight.truth.append(_state_of(self.vehicle.truth))
         flight.estimate.append(np.full(13, np.nan) if self._estimate is None else self._estimate.state)
         flight.reference.append(np.full(3, np.nan) if reference is None else reference[POSITION].copy())
-        flight.phases.append(self._flyer.mission.phase)
-        flight.ground_force.append(self._vehicle.ground_force)
-        flight.clearance.append(self._vehicle.clearance)
-        flight.events += [change.event.value for change in decision.event_changes if change.active]
+        flight.phases.append(self.flyer.mission.phase)
+        flight.ground_force.append(self.vehicle.ground_force)
+        flight.clearance.append(self.vehicle.clearance)
+        flight.thrust.append(decision.collective_thrust if decision.rate_body is not None else 0.0)
+        flight.armed.append(self.autopilot.commander.armed)
+        raised = [change for change in decision.event_changes if change.active]
+        flight.events += [(change.time, change.event, change.detail) for change in raised]
 
     def _act(self, decision: Decision) -> None:
-        autopilot = self._autopilot
+        autopilot = self.autopilot
         for request in decision.requests:
             accepted = autopilot.request(request.value)
             self._flight.refused += request is AutopilotRequest.DISARM and not accepted

@@ -50,7 +50,7 @@ class MockOptions:
 
     vehicle: the vehicle file.
     effects: hidden effects as on the command line, `name:key=value,...`.
-    scenario: the scenario file.
+    scenario: or its file.
     estimator: whose errors the estimate has; None for the scenario's or the one that suits the vehicle.
     start_height_error: of the estimate, m; None for the scenario's or one by chance.
     ground: its kind; None for the scenario's or the one that suits the vehicle.
@@ -65,7 +65,7 @@ class MockOptions:
 
     vehicle: Path
     effects: tuple[str, ...] = ()
-    scenario: Path | None = None
+    scenario: Path | Scenario | None = None
     estimator: Estimator | None = None
     start_height_error: float | None = None
     ground: GroundKind | None = None
@@ -118,7 +118,9 @@ def usual_surroundings(vehicle: Vehicle) -> Surroundings:
 def _plan(options: MockOptions) -> tuple[Vehicle, Scenario]:
     """The vehicle, and the scenario with what the options decide otherwise and nothing left open."""
     vehicle = read_vehicle(options.vehicle)
-    scenario = read_scenario(options.scenario, vehicle.rotors.count) if options.scenario else Scenario()
+    scenario = options.scenario or Scenario()
+    if isinstance(scenario, Path):
+        scenario = read_scenario(scenario, vehicle.rotors.count)
     usual = usual_surroundings(vehicle)
     ground = {"kind": options.ground or scenario.ground.kind or usual.ground}
     clock = {"kind": options.clock or scenario.clock.kind or usual.clock}

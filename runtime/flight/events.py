@@ -36,8 +36,11 @@ class Event(Enum):
     """Every event of a flight."""
 
     ESTIMATE_STALE = "estimate_stale"
+    ESTIMATE_FROZEN = "estimate_frozen"
     ESTIMATE_JUMP = "estimate_jump"
     ESTIMATOR_RESET = "estimator_reset"
+    ESTIMATOR_DEGRADED = "estimator_degraded"
+    ESTIMATOR_REJECTS = "estimator_rejects"
     INPUT_NOT_FINITE = "input_not_finite"
     SOLVER_FAILED = "solver_failed"
     DEADLINES_MISSED = "deadlines_missed"
@@ -101,10 +104,17 @@ POLICIES: Mapping[Event, Policy] = {
     Event.ESTIMATE_STALE: Policy(
         "no fresh estimate", Severity.WARNING, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),
+    Event.ESTIMATE_FROZEN: Policy(
+        "the estimate is frozen", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
+    ),
     Event.ESTIMATE_JUMP: Policy(
         "the estimate jumped", Severity.WARNING, Fallback.SHIFTED_SOLUTION, clear_after=0.1, refuses=True
     ),
     Event.ESTIMATOR_RESET: Policy("the estimator was reset, the reference follows it", Severity.NOTICE),
+    Event.ESTIMATOR_DEGRADED: Policy(
+        "the estimator does not vouch for its estimate", Severity.ERROR, onset=0.5, clear_after=NEVER, lands=True
+    ),
+    Event.ESTIMATOR_REJECTS: Policy("the estimator rejects measurements", Severity.WARNING, onset=1.0),
     Event.INPUT_NOT_FINITE: Policy(
         "the estimate is unusable", Severity.ERROR, Fallback.SHIFTED_SOLUTION, clear_after=0.05, refuses=True
     ),

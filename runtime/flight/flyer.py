@@ -23,7 +23,7 @@ from runtime.flight.crash import CrashDetector
 from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
 from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold, level_rate
-from runtime.flight.health import FlightHealth, HealthLimits
+from runtime.flight.health import FlightHealth, FrozenEstimate, HealthLimits
 from runtime.flight.mission import LANDING, Mission, Phase
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.start_pose import StartPose
@@ -48,7 +48,7 @@ LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contac
 SLOW_DESCENT = 0.4  # m/s
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
-_UNUSABLE = (Event.ESTIMATE_STALE, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
+_UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
 
 
 class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -123,7 +123,7 @@ class Flyer:
         self._thrust_limit = vehicle.thrust_limits[1]
         self._sent: tuple[Floats, float, float, float] | None = None
         self._chain = FallbackChain(settings.bounds)
-        self._health = FlightHealth(vehicle, settings.health)
+        self._health, self._frozen = FlightHealth(vehicle, settings.health), FrozenEstimate()
         self._hold = LevelHold(vehicle.weight)
         self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
         self._landing = LandingDetector(vehicle.weight)
@@ -132,7 +132,7 @@ class Flyer:
         self._probe: GroundProbe | None = None
         self._probe_cause = ""
         self._touch_down_since: float | None = None
-        self._crashed = ""
+        self._crashed = self._not_flown = ""
         self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
@@ -144,6 +144,7 @@ class Flyer:
         self._solution: tuple[float, Command, Controller] | None = None
         self._failed: Controller | None = None
         self._state: Floats | None = None
+        self._reference: Floats | None = None
         self._last_setpoint: tuple[Floats, float] = (ZERO_RATE, 0.0)
         self._last_disarm_request = -inf
         self._prepared = False
@@ -157,7 +158,19 @@ class Flyer:
     @property
     def landed(self) -> bool:
         """Whether the flight ended on the ground, by its own landing."""
-        return self.over and self.mission.phase is Phase.SHUTDOWN and not self._crashed
+        return self.over and self.mission.phase is Phase.SHUTDOWN and self._ending == "landed"
+
+    @property
+    def _ending(self) -> str:
+        """How the flight ends on the ground."""
+        if self._crashed:
+            return "crashed"
+        return "did not take off" if self._not_flown else "landed"
+
+    @property
+    def _why(self) -> str:
+        reason = self._crashed or self._not_flown
+        return f": {reason}" if reason else ""
 
     @property
     def model_ratio(self) -> float:
@@ -195,13 +208,14 @@ class Flyer:
     def prepare(self, time: float) -> None:
         """Advance the mission and linearise for the next tick, after the setpoint has left. time: s, of this tick."""
         self._remember_sent()
-        self._measure_force(time)
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
+            self._measure_force(time, None)
             self._prepared = False
             return
         self._after_departure(time)
         self.mission.update(self._state, time)
-        window = self._window(self._controller, time)
+        self._reference, window = self._window(time)
+        self._measure_force(time, self._reference)
         if time - self._last_solution > STALE_SOLUTION:
             self._controller.reset(self._state, time)
         if self._estimate is not None and self._nominal is not None and self._flying is self._nominal:
@@ -281,8 +295,11 @@ class Flyer:
             force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
 
-    def _measure_force(self, time: float) -> None:
-        """Update the external force, and in flight the events that it and the motion show."""
+    def _measure_force(self, time: float, reference: Floats | None) -> None:
+        """Update the external force, and in flight the events that it and the motion show.
+
+        reference: its state (13,) at this time, None where none is tracked.
+        """
         phase, estimate = self.mission.phase, self._estimate
         if not self.engagement.flying or estimate is None or phase in (Phase.GROUND, Phase.RAMP):
             self._meter.clear()
@@ -292,7 +309,6 @@ class Flyer:
         velocity = (estimate.time, estimate.velocity_world)
         self._meter.update(self._force, thrust, estimate.attitude, velocity, time)
         settled = phase is not Phase.CLIMB or time - self.mission.phase_started > SETTLED_START
-        reference = self.reference_now(time)
         if phase in LANDING or reference is None or not settled:
             self._crash.reset()
             return
@@ -308,6 +324,8 @@ class Flyer:
         if observation.findings:
             present |= {Event(name): text for name, text in msgspec.json.decode(observation.findings).items()}
         present |= self._health.estimate_age(estimate, observation.time)
+        if self._received is not None:
+            present |= self._frozen.update(self._received, self._force)
         if not self.engagement.flying and not self.engagement.initially_armed:
             present |= self._start_pose.findings()
         if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
@@ -344,8 +362,7 @@ class Flyer:
         was_flying = self.engagement.flying
         if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
             self.mission.shut_down(observation.time)  # the autopilot noticed the landing first and disarmed by itself
-            reason = f"crashed and disarmed: {self._crashed}" if self._crashed else "landed and disarmed"
-            decision.transitions += self.engagement.release(reason, observation.time)
+            decision.transitions += self.engagement.release(f"{self._ending} and disarmed{self._why}", observation.time)
         facts = Facts(
             connected=observation.connected,
             armed=observation.armed,
@@ -363,9 +380,10 @@ class Flyer:
         if self.engagement.state is State.ENGAGED and not was_flying:
             self._begin(observation)
         if self.engagement.flying and self._state is not None:
-            reason = observation.leave or self.events.landing_reason
-            if reason:
-                self.mission.land(reason, self._state, observation.time)
+            if observation.leave:
+                self.mission.land(observation.leave, self._state, observation.time)
+            elif self.events.landing_reason:
+                self._land(self.events.landing_reason, observation.time)
         elif observation.leave:
             decision.transitions += self.engagement.release(observation.leave, observation.time)
 
@@ -385,6 +403,13 @@ class Flyer:
             if controller is not None:
                 controller.reset(self._state, time)
         self._prepared, self._last_solution = False, time
+
+    def _land(self, reason: str, time: float) -> None:
+        """Cut the flight short after an event, or a take-off before it leaves the ground."""
+        assert self._state is not None
+        if self.mission.phase is Phase.RAMP:
+            self._not_flown = reason
+        self.mission.land(reason, self._state, time)
 
     # --- setpoint
 
@@ -418,7 +443,7 @@ class Flyer:
         assert self._state is not None
         decision.rate_body = ZERO_RATE
         if decision.fallback >= Fallback.LEVEL_HOLD:
-            self.mission.land(self._chain.reason, self._state, observation.time)
+            self._land(self._chain.reason, observation.time)
             return
         height, climb_rate = float(self._state[POSITION][2]), float(self._state[VELOCITY][2])
         decision.collective_thrust = self._ramp.update(observation.time, height, climb_rate, float(self._force[2]))
@@ -446,10 +471,8 @@ class Flyer:
         decision.collective_thrust = share * min(self._last_setpoint[1], 0.5 * self._vehicle.weight)
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
-            outcome = f"crashed: {self._crashed}" if self._crashed else "landed"
-            decision.transitions += self.engagement.release(
-                f"{outcome}, left to the autopilot to disarm", observation.time
-            )
+            reason = f"{self._ending}, left to the autopilot to disarm{self._why}"
+            decision.transitions += self.engagement.release(reason, observation.time)
         elif since > SHUTDOWN_TIME and observation.time - self._last_disarm_request > DISARM_PERIOD:
             self._last_disarm_request = observation.time
             decision.requests = (AutopilotRequest.DISARM,)
@@ -539,8 +562,7 @@ class Flyer:
             collective_thrust,
             reported_landed=observation.landed and touching_down,
         )
-        reference = self.reference_now(time)
-        slow = touching_down or (reference is not None and reference[VELOCITY][2] > -SLOW_DESCENT)
+        slow = touching_down or (self._reference is not None and self._reference[VELOCITY][2] > -SLOW_DESCENT)
         if self._contact.update(self._meter, time, slow=slow) or still:
             self._take_thrust_away(time)
         elif self._touch_down_since is not None and time - self._touch_down_since > TOUCHDOWN_PATIENCE:
@@ -558,8 +580,9 @@ class Flyer:
         self._last_setpoint = (decision.rate_body, decision.collective_thrust)
         self._sent = (decision.rate_body, decision.collective_thrust, decision.thrust, observation.time)
 
-    def _window(self, controller: Controller, time: float) -> tuple[Floats, Floats]:
+    def _window(self, time: float) -> tuple[Floats, tuple[Floats, Floats]]:
+        """The reference's state (13,) at this time, and what the next tick tracks: states and rotor speeds."""
         assert self._state is not None
-        times = controller.node_times(time + self._settings.period)
-        states, inputs = self.mission.window(times, self._state[ATTITUDE])
-        return states, inputs[:-1]
+        nodes = self._controller.node_times(time + self._settings.period)
+        states, inputs = self.mission.window(np.append(time, nodes), self._state[ATTITUDE])
+        return states[0], (states[1:], inputs[1:-1])

@@ -16,10 +16,13 @@ from dynamics.state import POSITION, RATE
 from dynamics.vehicle import Vehicle
 from runtime.flight.events import Event
 from runtime.link.estimate import StateEstimate
+from runtime.link.start_conditions import estimator_doubts, estimator_rejections
+from runtime.link.telemetry import EstimatorSample
 from runtime.running_mean import RunningMean
 
 # limits as shares of the largest body rate; measured on a vehicle of 12 rad/s (benchmarks/results/oscillation.md)
 UNFOLLOWED, SWING, CHATTER = 1 / 4, 1 / 6, 1 / 8
+FROZEN = 0.1  # s of one and the same estimate
 
 
 class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -56,6 +59,36 @@ class HealthLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             swing=SWING * rate,
             chatter=CHATTER * rate,
         )
+
+
+def estimator_health(status: EstimatorSample) -> dict[Event, str]:
+    """Events of what the estimator reports of itself in flight."""
+    present: dict[Event, str] = {}
+    if doubts := estimator_doubts(status):
+        present[Event.ESTIMATOR_DEGRADED] = f"it {doubts[0]}"
+    if rejections := estimator_rejections(status):
+        present[Event.ESTIMATOR_REJECTS] = f"it {rejections}"
+    return present
+
+
+class FrozenEstimate:
+    """Whether estimates stay the same to the last bit while the accelerometer's samples change."""
+
+    def __init__(self) -> None:
+        self._state: Floats | None = None
+        self._force: Floats = np.full(3, np.nan)
+        self._since: float | None = None
+
+    def update(self, estimate: StateEstimate, specific_force: Floats) -> dict[Event, str]:
+        """The event, if they do. estimate: the newest. specific_force: (3,) m/s^2, body; NaN without a measurement."""
+        changed = bool(np.any(specific_force != self._force)) and np.isfinite(specific_force[2])
+        if self._state is None or not np.array_equal(estimate.state, self._state):
+            self._state, self._since = estimate.state, None
+        elif changed and self._since is None:
+            self._since = estimate.time
+        self._force = specific_force
+        duration = 0.0 if self._since is None else estimate.time - self._since
+        return {Event.ESTIMATE_FROZEN: f"the same to the last bit for {duration:.1f} s"} if duration > FROZEN else {}
 
 
 class FlightHealth:

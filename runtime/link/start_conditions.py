@@ -45,8 +45,8 @@ _ESTIMATES = {
 }
 # ESTIMATOR_CONST_POS_MODE is none of them: PX4 sets it for some seconds after its start beside a good position
 _FAULTS = {
-    mavlink.ESTIMATOR_GPS_GLITCH: "reports jumps of the GPS: wait, or go where the sky is free",
-    mavlink.ESTIMATOR_ACCEL_ERROR: "reports an accelerometer error: look for vibration, calibrate the accelerometer",
+    mavlink.ESTIMATOR_GPS_GLITCH: "reports jumps of the GPS: wait, or go where the sky is free.",
+    mavlink.ESTIMATOR_ACCEL_ERROR: "reports an accelerometer error: look for vibration, calibrate the accelerometer.",
 }
 
 
@@ -184,24 +184,31 @@ def _estimator_problems(status: EstimatorSample | None) -> Iterator[Problem]:
     if status is None:
         yield Problem("warning", "ESTIMATOR_STATUS does not come: what the estimator says of itself is not checked.")
         return
+    for text in (*estimator_doubts(status), estimator_rejections(status)):
+        if text:
+            yield Problem("error", f"The estimator {text}")
+
+
+def estimator_doubts(status: EstimatorSample) -> list[str]:
+    """Why the estimator does not vouch for its estimate, each with what to do."""
     missing = [name for flags, name in _ESTIMATES.items() if not status.flags & flags]
-    if missing:
-        text = f"The estimator has no {', '.join(missing)}. Check GPS, motion capture or optical flow, and wait for it."
-        yield Problem("error", text)
-    for flag, text in _FAULTS.items():
-        if status.flags & flag:
-            yield Problem("error", f"The estimator {text}.")
-    rejected = [f"{name} ({ratio:.1f})" for name, ratio in status.ratios if ratio > MAX_RATIO]
-    if rejected:
-        text = f"The estimator rejects {', '.join(rejected)}: test ratio above 1. Wait, or look for what disturbs it."
-        yield Problem("error", text)
+    doubts = [text for flag, text in _FAULTS.items() if status.flags & flag]
     for name, limit in MAX_DEVIATION.items():
         deviation = getattr(status, name)
         if deviation > limit:
-            text = (
-                f"The estimate's {name} position is uncertain by {deviation:.1f} m, at most {limit:g} m may be. Wait."
-            )
-            yield Problem("error", text)
+            text = f"is uncertain of its {name} position by {deviation:.1f} m, at most {limit:g} m may be. Wait."
+            doubts.append(text)
+    if missing:
+        doubts.insert(0, f"has no {', '.join(missing)}. Check GPS, motion capture or optical flow, and wait for it.")
+    return doubts
+
+
+def estimator_rejections(status: EstimatorSample) -> str:
+    """Which measurements the estimator rejects, with what to do; empty if none."""
+    rejected = [f"{name} ({ratio:.1f})" for name, ratio in status.ratios if ratio > MAX_RATIO]
+    if not rejected:
+        return ""
+    return f"rejects {', '.join(rejected)}: test ratio above 1. Wait, or look for what disturbs it."
 
 
 def _supply_problems(facts: StartFacts) -> Iterator[Problem]:

@@ -31,6 +31,7 @@ FaultKind = Literal[
     "refuse_arming",
     "refuse_offboard",
     "gnss_loss",
+    "gnss_glitch",
     "held",
 ]
 TOUCHED = 0.1  # share of the weight that the ground carries when the vehicle has touched down
@@ -181,6 +182,10 @@ def _gnss_loss(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.vehicle.use_gnss(not begins)
 
 
+def _gnss_glitch(targets: FaultTargets, _: Fault, begins: bool) -> None:
+    targets.estimate.gnss_glitch = begins
+
+
 def _held(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.vehicle.hold(begins)
 
@@ -199,5 +204,6 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "refuse_arming": _refuse_arming,
     "refuse_offboard": _refuse_offboard,
     "gnss_loss": _gnss_loss,
+    "gnss_glitch": _gnss_glitch,
     "held": _held,
 }

@@ -26,6 +26,7 @@ class EstimateFault:
     invalid: NaN instead of numbers.
     frozen: the estimate stays constant while its time stamps advance.
     stopped: no estimate is sent at all.
+    gnss_glitch: ESTIMATOR_STATUS reports jumps of the GPS.
     has_position: whether EKF2 calls its horizontal position and velocity valid.
     """
 
@@ -35,6 +36,7 @@ class EstimateFault:
     invalid: bool = False
     frozen: bool = False
     stopped: bool = False
+    gnss_glitch: bool = False
     has_position: bool = True
     _last_reported: MotionState | None = None
 

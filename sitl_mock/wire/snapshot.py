@@ -120,7 +120,7 @@ class Snapshot:
         self.status = status
         self.reset_counter = fault.reset_counter
         self.estimate_valid = not fault.invalid
-        self.position_valid = fault.has_position
+        self.position_valid, self.gnss_glitch = fault.has_position, fault.gnss_glitch
         self._vehicle, self._clock, self._fault, self._encoder, self._order = vehicle, clock, fault, encoder, order
 
     @cached_property

@@ -21,6 +21,7 @@ DISARMED_PWM, PWM_MIN, PWM_RANGE = 900, 1000, 1000
 # ESTIMATOR_STATUS flags
 HORIZONTAL = 2 | 8 | 16 | 256 | 512  # velocity, relative and absolute position, their predictions
 CONSTANT_POSITION = 128
+GNSS_GLITCH = 1024
 EVERYTHING = 0b1111111111 & ~CONSTANT_POSITION
 CONSTANT_POSITION_UNTIL = 9.0  # s since boot
 RPM_PER_RADIAN = 60.0 / (2 * math.pi)
@@ -130,6 +131,7 @@ def estimator_status(s: Snapshot) -> Message:
     """
     flags = EVERYTHING if s.position_valid else EVERYTHING & ~HORIZONTAL
     flags |= CONSTANT_POSITION if s.now < CONSTANT_POSITION_UNTIL else 0
+    flags |= GNSS_GLITCH if s.gnss_glitch else 0
     ratios = (0.04, 0.035, 0.02, 0.07, 0.005, math.nan)
     accuracy = 0.3 if s.position_valid else 10.0
     return mavlink.MAVLink_estimator_status_message(s.now_us, flags if s.estimate_valid else 0, *ratios, accuracy, 0.07)

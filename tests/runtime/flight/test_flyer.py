@@ -83,12 +83,7 @@ def test_it_takes_off_tracks_and_lands_whatever_the_vehicle_really_weighs(
     assert flight.flyer.effectiveness.value == pytest.approx(effectiveness, abs=0.06)
 
 
-def test_lift_off_and_hand_over_leave_no_bump(
-    vehicle: Vehicle, controller: Controller, request: pytest.FixtureRequest, estimate: str
-) -> None:
-    if estimate == "px4":
-        reason = "while the controller takes over, thrust steps by 0.12 of full on PX4's estimate"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=reason))
+def test_lift_off_and_hand_over_leave_no_bump(vehicle: Vehicle, controller: Controller) -> None:
     flight = prepare(vehicle, controller, effectiveness=0.85, plan=Plan())
     flight.run(10.0, until=Phase.CLIMB)
     start = len(flight.story.decisions) - 1
@@ -213,7 +208,7 @@ def test_a_doubted_estimate_is_not_followed(vehicle: Vehicle, controller: Contro
     assert max(story.errors) < 0.3
 
 
-def test_an_estimator_reset_moves_the_reference_along(vehicle: Vehicle, controller: Controller) -> None:
+def test_an_estimator_reset_moves_the_reference_along(vehicle: Vehicle, controller: Controller, estimate: str) -> None:
     flight = tracking(vehicle, controller)
     flight.offset = flight.reset = np.array([2.0, -1.0, 0.4])
     flight.findings = {Event.ESTIMATOR_RESET.value: "2.3 m"}
@@ -222,7 +217,8 @@ def test_an_estimator_reset_moves_the_reference_along(vehicle: Vehicle, controll
     story = flight.run(40.0)
     assert story.phases == FULL
     assert max(story.errors) < 0.3
-    assert np.linalg.norm(flight.plant.state[0:2]) < 0.3
+    drift = 0.0 if estimate == "exact" else 0.7  # that an estimate may have gone meanwhile, m
+    assert np.linalg.norm(flight.plant.state[0:2]) < 0.3 + drift
 
 
 def test_the_pilot_s_mode_switch_is_respected(vehicle: Vehicle, controller: Controller) -> None:
@@ -538,9 +534,10 @@ def test_a_vehicle_that_is_held_is_disarmed_with_the_reason(vehicle: Vehicle, co
     flight.plant.step = lambda rate_body, thrust, dt: None  # type: ignore[method-assign]
     story = flight.run(15.0)
     assert Event.TAKEOFF_FAILED in story.raised
-    assert story.transitions[-1].reason == "landed and disarmed"
+    assert "did not take off and disarmed: no lift-off" in story.transitions[-1].reason
     assert "is it held" in flight.flyer.mission.landing_reason
     assert not flight.armed
+    assert not flight.flyer.landed
 
 
 def test_a_take_off_that_tips_over_ends_at_once(vehicle: Vehicle, controller: Controller) -> None:

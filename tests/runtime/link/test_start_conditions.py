@@ -64,7 +64,7 @@ def test_a_vehicle_in_order_may_arm() -> None:
         (estimator(flags=ESTIMATOR.flags | 1024), "error", "jumps of the GPS"),
         (estimator(flags=ESTIMATOR.flags | 2048), "error", "accelerometer error"),
         (estimator(ratios=(("velocity", 1.7), ("height", 0.1))), "error", "rejects velocity (1.7)"),
-        (estimator(vertical=5.0), "error", "vertical position is uncertain by 5.0 m"),
+        (estimator(vertical=5.0), "error", "uncertain of its vertical position by 5.0 m"),
         ({"charge": 0.12}, "error", "12% left"),
         ({"has_home": False}, "warning", "no home"),
         (parameters(COM_OF_LOSS_T=0.1), "error", "COM_OF_LOSS_T is 0.1 s"),
