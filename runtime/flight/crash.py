@@ -29,7 +29,7 @@ class CrashLimits:
     distance: m from the reference for `distance_time`, s.
     """
 
-    impact: float = 1.5 * GRAVITY
+    impact: float = 0.9 * GRAVITY
     impact_time: float = 0.2
     carried: float = 0.4
     pressed: float = 0.4
