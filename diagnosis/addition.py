@@ -33,7 +33,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
-from dynamics.vehicle_file import nearest, vehicle_toml, write_vehicle_text
+from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
 
 ADVICE = "`alula diagnose` shows what is missing, if anything."
 _VERSION = re.compile(r"\.v(\d+)$")
@@ -275,7 +275,7 @@ def write_next_version(
     Comments and layout are those of the file, or of `source`, that the vehicle was read from.
     Raises RequestError when it cannot be written.
     """
-    text = text_after(vehicle, source or path, catalogue=catalogue)
+    text = text_after(vehicle, source or path, path.parent, catalogue=catalogue)
     match = _VERSION.search(path.stem)
     stem, version = (path.stem[: match.start()], int(match.group(1))) if match else (path.stem, 1)
     while True:
@@ -286,12 +286,20 @@ def write_next_version(
             return following
 
 
-def text_after(vehicle: Vehicle, source: Path | None, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
-    """The text of the file that a vehicle was read from with what has changed; written anew where there is none."""
+def text_after(
+    vehicle: Vehicle, source: Path | None, folder: Path, *, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> str:
+    """The text of the file that a vehicle was read from with what has changed; written anew where there is none.
+
+    folder: in which it will be written.
+    """
     if source is None or not source.is_file():
         return vehicle_toml(vehicle)
     try:
-        return edited_toml(source.read_text(encoding="utf-8"), vehicle, catalogue=catalogue)
+        text = source.read_text(encoding="utf-8")
+        if folder.resolve() != source.parent.resolve():
+            text = with_effect_files(text, source.parent)
+        return edited_toml(text, vehicle, folder=folder, catalogue=catalogue)
     except (RequestError, UnicodeDecodeError):  # another file has its place by now
         return vehicle_toml(vehicle)
 

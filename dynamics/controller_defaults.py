@@ -15,6 +15,7 @@ from dynamics.controller_settings import ControllerSettings
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
+from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import RateLoop, modelled_motor_lag, rate_loop
 from dynamics.vehicle import Vehicle
 
@@ -34,6 +35,7 @@ def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) ->
 
     Raises RequestError for a horizon that is too short for the vehicle's rate loop.
     """
+    catalogue = catalogue_of(vehicle, catalogue)
     settings, loop = vehicle.controller, rate_loop(vehicle, catalogue=catalogue)
     _require_horizon(vehicle, loop)
     modelled = modelled_motor_lag(vehicle.effects, catalogue)

@@ -1,10 +1,8 @@
-"""A user's own effects: one Python file with an `EFFECT` in it, or several as `EFFECTS`."""
+"""Checks of a user's own effects: one Python file with an `EFFECT` in it, or several as `EFFECTS`."""
 
 from __future__ import annotations
 
 import math
-import runpy
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,31 +12,11 @@ from dynamics.effect import Effect, Span
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
+from dynamics.own_effects import EXAMPLE, line_of, read_effects
 from dynamics.state import RIGID_BODY_STATES
 from dynamics.vehicle import EffectUse, Vehicle
 
-EXAMPLE = "See examples/my_effects.py."
 ROOM = Span((-5.0, -5.0, 0.0), (5.0, 5.0, 3.0))  # m, for which an effect's grid is evaluated
-
-
-def read_effects(path: str | Path) -> tuple[Effect, ...]:
-    """The effects that a Python file defines.
-
-    Raises RequestError, with the line, when the file cannot be run, defines none, or one that contradicts itself.
-    """
-    path = Path(path)
-    if not path.is_file():
-        raise RequestError(f"{path} is no file. Give a Python file that defines EFFECT. {EXAMPLE}")
-    try:
-        names = runpy.run_path(str(path))
-    except Exception as error:  # a user's file may raise anything
-        where = f"line {_line_of(error, path) or '?'}"
-        raise RequestError(f"{path}, {where}: {type(error).__name__}: {str(error).rstrip('.')}. {EXAMPLE}") from None
-    defined = names.get("EFFECTS", names.get("EFFECT"))
-    effects = tuple(defined) if isinstance(defined, Iterable) else (defined,)
-    if not effects or not all(isinstance(effect, Effect) for effect in effects):
-        raise RequestError(f"{path} defines no EFFECT that is a dynamics.effect.Effect. {EXAMPLE}")
-    return effects
 
 
 def with_effects_of(files: Iterable[str | Path], vehicle: Vehicle) -> Mapping[str, Effect]:
@@ -84,7 +62,7 @@ def _refusing(effect: Effect, path: Path) -> Iterator[None]:
     try:
         yield
     except Exception as error:
-        line = _line_of(error, path)
+        line = line_of(error, path)
         where = f"{path}, line {line}" if line else f"{path}"
         raise RequestError(f"{where}: effect {effect.name!r} fails in hover: {type(error).__name__}: {error}") from None
 
@@ -113,12 +91,6 @@ def _at(function: Callable[..., Any], effect: Effect, sentence: str) -> str:
     code = getattr(function, "__code__", None)
     line = f", line {code.co_firstlineno}" if code is not None else ""
     return f"{line}: effect {effect.name!r}: {sentence}. {EXAMPLE}"
-
-
-def _line_of(error: Exception, path: Path) -> int | None:
-    """The innermost line of a file in an error's traceback."""
-    frames = traceback.extract_tb(error.__traceback__)
-    return next((frame.lineno for frame in reversed(frames) if frame.filename == str(path)), None)
 
 
 def _hover() -> Any:

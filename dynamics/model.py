@@ -18,6 +18,7 @@ from dynamics.active_effect import ActiveEffect, activate, changed_physics, mode
 from dynamics.arrays import Floats
 from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Reading, Values
 from dynamics.effects import CATALOGUE
+from dynamics.own_effects import catalogue_of
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
@@ -110,7 +111,8 @@ def build_model(
 
     Raises RequestError when an effect is given twice.
     """
-    active, hidden_initial = activate(vehicle, vehicle.effects if effects is None else effects, catalogue)
+    known = catalogue_of(vehicle, catalogue)
+    active, hidden_initial = activate(vehicle, vehicle.effects if effects is None else effects, known)
     named, count = model_parameters(vehicle, active), vehicle.rotors.count
     structure = (count, *((item.effect, item.rotor, *item.values) for item in active))
     if structure not in _functions:

@@ -20,6 +20,7 @@ import numpy as np
 from dynamics.allocation import torque_authority
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 
 DEFAULT_MOTOR_LAG = 0.02  # s, of a vehicle whose file has no motor lag; see above
@@ -70,7 +71,7 @@ def rate_loop(
     vehicle: Vehicle, hidden: Sequence[EffectUse] = (), catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> RateLoop:
     """The loop on a vehicle. hidden: effects that its file does not name; the gains suit the real vehicle."""
-    motor = motor_time_constant((*vehicle.effects, *hidden), catalogue)
+    motor = motor_time_constant((*vehicle.effects, *hidden), catalogue_of(vehicle, catalogue))
     cutoff = min(max(GYRO_CUTOFF / motor, 30.0), 120.0)
     lag = motor + math.sqrt(2) / (2 * math.pi * cutoff) + ACTUATION_DELAY
     torque = torque_authority(vehicle) / np.array(vehicle.body.inertia)

@@ -177,6 +177,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A vehicle file's content.
 
     effects: the identified model's, on top of the nominal model.
+    effect_files: Python files with effects of one's own that it may name; in its file relative to that.
     history: how the effects were identified, oldest entry first.
     source: where the numbers come from, free text.
     """
@@ -189,6 +190,7 @@ class Vehicle(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     effects: tuple[EffectUse, ...] = ()
     history: tuple[HistoryEntry, ...] = ()
     source: str = ""
+    effect_files: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse a vehicle that cannot lift itself: usually a constant is in the wrong unit."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -14,26 +16,32 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import parse_vehicle, vehicle_toml, without_empty
+from dynamics.vehicle_file import parse_vehicle, vehicle_toml, with_effect_files, without_empty
 
 SIGNIFICANT_DIGITS = 4  # of a value that was fitted; its interval is never as narrow
 WIDTH = 110  # of a list in one line, characters
 
 
-def edited_toml(text: str, vehicle: Vehicle, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> str:
+def edited_toml(
+    text: str, vehicle: Vehicle, *, folder: Path | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
+) -> str:
     """The text of a vehicle file with the values that differ in `vehicle` changed, to four significant digits.
 
     text: of the file that the vehicle was read from. What is new goes behind its like, what is gone is left out. A
     file whose layout cannot hold the change, as one with effects in one line, is written anew.
+    folder: of the file, from which its effect files count; by default the working directory.
     Raises RequestError where the text is no vehicle file.
     """
-    old = parse_vehicle(text, catalogue=catalogue)
+    folder = (folder or Path()).resolve()
+    old = parse_vehicle(with_effect_files(text, folder), catalogue=catalogue)
     vehicle = _in_order_of(old, vehicle)
     document = tomlkit.parse(text)
     _change(document, _table(old), _table(vehicle))
+    if vehicle.effect_files != old.effect_files:
+        document["effect_files"] = [os.path.relpath(path, folder) for path in vehicle.effect_files]
     edited = tomlkit.dumps(document)
     try:
-        read = parse_vehicle(edited, catalogue=catalogue)
+        read = parse_vehicle(with_effect_files(edited, folder), catalogue=catalogue)
     except RequestError:
         return vehicle_toml(vehicle)
     return edited if _rounded_table(read) == _rounded_table(vehicle) else vehicle_toml(vehicle)

@@ -13,10 +13,12 @@ from typing import Any
 
 import msgspec
 import tomli_w
+import tomlkit
 
 from dynamics.controller_defaults import lookaheads
 from dynamics.controller_settings import ControllerSettings
 from dynamics.effect import Effect
+from dynamics.effect_file import with_effects_of
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse, Vehicle
@@ -33,25 +35,55 @@ def find_vehicle(name: str | Path) -> Path:
     return bundled if is_bundled else Path(name)
 
 
-def read_vehicle(path: str | Path, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
+def read_vehicle(
+    path: str | Path, *, effect_files: Sequence[str | Path] = (), catalogue: Mapping[str, Effect] = CATALOGUE
+) -> Vehicle:
     """A vehicle from its file.
+
+    effect_files: with effects of one's own, beside those that the file names.
 
     Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
     does), lacks one, or describes a vehicle that cannot exist.
     """
-    path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from error
+    text = vehicle_text(path, effect_files=effect_files)
     try:
         return parse_vehicle(text, catalogue=catalogue)
     except RequestError as error:
         raise RequestError(f"{path}: {error}") from error
 
 
+def vehicle_text(path: str | Path, *, effect_files: Sequence[str | Path] = ()) -> str:
+    """The text of a vehicle file, effect files by their whole paths, so that it can be parsed anywhere.
+
+    effect_files: added to those that the file names. Raises RequestError when the file cannot be read.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from error
+    return with_effect_files(text, path.parent, effect_files)
+
+
+def with_effect_files(text: str, folder: Path, added: Sequence[str | Path] = ()) -> str:
+    """The text of a vehicle file with its effect files, which count from a folder, and added ones by whole paths."""
+    try:
+        own = tomllib.loads(text).get("effect_files", [])
+    except tomllib.TOMLDecodeError:
+        return text  # `parse_vehicle` says where
+    if not isinstance(own, list) or not (own or added):
+        return text
+    paths = [*(folder / str(name) for name in own), *map(Path, added)]
+    document = tomlkit.parse(text)
+    document["effect_files"] = list(dict.fromkeys(str(path.resolve()) for path in paths))
+    return tomlkit.dumps(document)
+
+
 def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
-    """A vehicle from the text of its file. Raises RequestError as `read_vehicle`."""
+    """A vehicle from the text of its file. Raises RequestError as `read_vehicle`.
+
+    Effect files count from the working directory; see `vehicle_text`.
+    """
     try:
         table = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -64,6 +96,10 @@ def parse_vehicle(text: str, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> 
         if isinstance(error.__cause__, RequestError):
             raise error.__cause__ from None
         raise RequestError(f"{error}.") from error
+    if vehicle.effect_files:
+        paths = dict.fromkeys(str(Path(path).resolve()) for path in vehicle.effect_files)
+        vehicle = msgspec.structs.replace(vehicle, effect_files=tuple(paths))
+        catalogue = {**with_effects_of(vehicle.effect_files, vehicle), **catalogue}
     for use in vehicle.effects:
         check_effect(use, vehicle.rotors.count, catalogue=catalogue)
     _check_controller(vehicle, catalogue)

@@ -16,6 +16,7 @@ from pathlib import Path
 
 import casadi as ca
 import msgspec
+import tomlkit
 
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
@@ -190,11 +191,27 @@ def _write_files(
     part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], kernel: Path, parity: Parity
 ) -> None:
     (part / SOURCES).mkdir()
-    for name, text in {**texts, VEHICLE: model.vehicle_text}.items():
+    for name, text in {**texts, **_vehicle_texts(model)}.items():
         (part / name).write_text(text, encoding="utf-8")
     (part / ONNX).write_bytes(proto)
     shutil.copyfile(kernel, part / KERNEL)
     (part / PARITY).write_bytes(msgspec.json.format(msgspec.json.encode(parity), indent=1) + b"\n")
+
+
+def _vehicle_texts(model: ExportedModel) -> dict[str, str]:
+    """The vehicle file, and beside it the effect files that it names, by name.
+
+    Raises RequestError where two of these have one name.
+    """
+    paths = [Path(path) for path in model.vehicle.effect_files]
+    if not paths:
+        return {VEHICLE: model.vehicle_text}
+    names = [path.name for path in paths]
+    if len(set(names)) < len(names):
+        raise RequestError(f"two effect files have one name ({', '.join(names)}). Rename one of them.")
+    document = tomlkit.parse(model.vehicle_text)
+    document["effect_files"] = names
+    return {VEHICLE: tomlkit.dumps(document)} | {path.name: path.read_text(encoding="utf-8") for path in paths}
 
 
 def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manifest:

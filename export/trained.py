@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -11,11 +12,11 @@ import torch
 from torch import nn
 
 from dynamics.arrays import Floats
-from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
-from dynamics.vehicle_file import parse_vehicle
+from dynamics.vehicle_file import parse_vehicle, vehicle_text
 from export.integrator import choose_integrator
 from export.network import Convolution, Dense, Network
 from runtime.control.bundle import Integrator
@@ -79,21 +80,18 @@ class ExportedModel:
         return 0 if self.physics is None else self.physics.hidden_count
 
 
-def read_model(path: Path, *, member: int = 0, integrator: Integrator | None = None) -> ExportedModel:
+def read_model(
+    path: Path, *, member: int = 0, integrator: Integrator | None = None, effect_files: Sequence[str | Path] = ()
+) -> ExportedModel:
     """A vehicle file (TOML) as a physical model with its effects, or a checkpoint of training.
 
-    integrator: None for the one that fits the model.
+    integrator: None for the one that fits the model. effect_files: beside those that a vehicle file names.
 
     Raises RequestError when it cannot be read, has no such member, or cannot be evaluated column by column or
     integrated so.
     """
     if path.suffix == ".toml":
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise RequestError(
-                f"cannot read {path}: {error}. Give a vehicle file or a model of `alula train`."
-            ) from error
+        text = vehicle_text(path, effect_files=effect_files)
         vehicle = parse_vehicle(text)
         config = physical_config("physics", rotors=vehicle.rotors.count)
         settled = choose_integrator(config, integrator)
@@ -122,8 +120,8 @@ def _effects(trained: TrainedModel) -> list[EffectUse]:
     """The effects of the physics under a model, as training had them (`training.physics.RowModel`)."""
     if trained.config.base == "nominal":
         return []
-    measured = trained.config.motors == "measured"
-    return [use for use in trained.vehicle.effects if not (measured and CATALOGUE[use.name].rotor_speed)]
+    measured, catalogue = trained.config.motors == "measured", catalogue_of(trained.vehicle)
+    return [use for use in trained.vehicle.effects if not (measured and catalogue[use.name].rotor_speed)]
 
 
 def network_of(trained: TrainedModel, module: nn.Module) -> Network:

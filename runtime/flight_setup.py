@@ -6,10 +6,12 @@ import gzip
 import hashlib
 import sys
 import tempfile
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 
 import msgspec
+import tomlkit
 
 from dynamics.command import command_line
 from dynamics.errors import DataError, RequestError
@@ -17,7 +19,14 @@ from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import find_vehicle, parse_vehicle, vehicle_toml, with_settings
+from dynamics.vehicle_file import (
+    find_vehicle,
+    parse_vehicle,
+    vehicle_text,
+    vehicle_toml,
+    with_effect_files,
+    with_settings,
+)
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, read_bundle
 from runtime.daemon import FlightRequest
@@ -32,6 +41,7 @@ from runtime.record.recording import FlightRecording
 SHIFTED_TIME = 0.1  # s of the shifted solution
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
+EFFECT_FOLDER = "effects/"  # before the names of effect files among them
 
 
 class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -45,6 +55,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     height: of take-off, m.
     origin: of the reference's coordinates: the place of take-off, or the estimator's own zero.
     rate: control rate, Hz; that of the vehicle's [controller] where left out.
+    effect_files: with effects of the user's own, beside those that the vehicle names.
     settings: of the controller, in place of the vehicle file's, such as "controller.horizon=0.8".
     record: folder of the recording.
     arm: whether to request arming, or leave it to the pilot.
@@ -63,6 +74,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     height: float = 1.5
     origin: Origin = "takeoff"
     rate: float | None = None
+    effect_files: tuple[Path, ...] = ()
     settings: tuple[str, ...] = ()
     record: Path | None = None
     arm: bool = True
@@ -88,7 +100,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
     flown_before: the vehicle has flown this already, whatever the limits in its file.
     """
     endpoint = parse_endpoint(setup.link)
-    text = vehicle_text(setup.vehicle, setup.bundle)
+    text = flown_vehicle_text(setup.vehicle, setup.bundle, setup.effect_files)
     bundle = exported_bundle(setup.bundle)
     vehicle = parse_vehicle(text)
     if setup.settings:
@@ -102,7 +114,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         # the box is checked from the place of take-off, which only the vehicle knows
         anywhere = msgspec.structs.replace(trim, limits=msgspec.structs.replace(trim.limits, box=None))
         check_feasibility(reference, anywhere if setup.origin == "takeoff" else trim).require()
-    attachments = {VEHICLE_TEXT: text}
+    attachments = {VEHICLE_TEXT: text, **_effect_texts(vehicle)}
     if bundle is not None:
         attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
     if Path(setup.reference).is_file():
@@ -148,8 +160,13 @@ def exported_bundle(folder: Path | None) -> Bundle | None:
     return read_bundle(folder)
 
 
-def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
-    """The text of the vehicle file. Raises RequestError unless exactly one of the two is given and can be read."""
+def flown_vehicle_text(
+    vehicle: str | Vehicle | None, bundle: Path | None, effect_files: Sequence[str | Path] = ()
+) -> str:
+    """The text of the vehicle file, effect files by whole paths.
+
+    Raises RequestError unless exactly one of the two is given and can be read.
+    """
     if vehicle is not None and bundle is not None:
         name = vehicle.name if isinstance(vehicle, Vehicle) else vehicle
         raise RequestError(
@@ -159,27 +176,42 @@ def vehicle_text(vehicle: str | Vehicle | None, bundle: Path | None) -> str:
     if vehicle is None and bundle is None:
         raise RequestError("nothing to fly: give either --vehicle V.toml or --bundle B.")
     if isinstance(vehicle, Vehicle):
-        return vehicle_toml(vehicle)
+        return with_effect_files(vehicle_toml(vehicle), Path(), effect_files)
     path = bundle / VEHICLE if bundle is not None else find_vehicle(vehicle or "")
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        if bundle is not None:
-            raise RequestError(f"{bundle} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
-        raise RequestError(f"cannot read the vehicle file {path}: {error}. Give a TOML file, see vehicles/.") from None
+    if bundle is not None and not path.is_file():
+        raise RequestError(f"{bundle} is no bundle: it has no {VEHICLE}. Give a folder that `alula export` wrote.")
+    return vehicle_text(path, effect_files=effect_files)
+
+
+def _effect_texts(vehicle: Vehicle) -> dict[str, str]:
+    """The vehicle's effect files by the names that a recording keeps them under."""
+    paths = map(Path, vehicle.effect_files)
+    return {f"{EFFECT_FOLDER}{path.name}": path.read_text(encoding="utf-8") for path in paths}
+
+
+def _require_recorded_effects(recording: FlightRecording, vehicle: Vehicle) -> None:
+    """Raise DataError where an effect file is another one than at the flight."""
+    for name, text in _effect_texts(vehicle).items():
+        if (flown := recording.attachments.get(name)) is not None and flown != text:
+            raise DataError(
+                f"{recording.path} was flown with another {name.removeprefix(EFFECT_FOLDER)}: the recording holds it "
+                f"as the attachment {name}. Put that back, or give it with --effects."
+            )
 
 
 def recorded_flight(
-    recording: FlightRecording, vehicle: str | None, bundle: Path | None
+    recording: FlightRecording, vehicle: str | None, bundle: Path | None, effect_files: Sequence[str | Path] = ()
 ) -> tuple[Vehicle, Reference, Bundle | None]:
     """Vehicle, reference and bundle of a recording. vehicle, bundle: to fly instead of the recorded vehicle.
+    effect_files: in place of those that were flown, or beside those of the other vehicle.
 
     Raises DataError when it does not hold them, or was flown by a bundle and neither that nor a vehicle is given.
     """
     if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
         raise DataError(f"{recording.path} holds neither vehicle nor reference: it was not written by `alula fly`.")
     replaced = vehicle is not None or bundle is not None
-    recorded = parse_vehicle(recording.attachments[VEHICLE_TEXT])
+    recorded = parse_vehicle(_recorded_text(recording.attachments[VEHICLE_TEXT], () if replaced else effect_files))
+    _require_recorded_effects(recording, recorded)
     trim = find_trim(build_model(recorded)).vehicle
     duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
     # the reference is that of the recorded vehicle, whatever vehicle flies it now
@@ -195,8 +227,17 @@ def recorded_flight(
             f"{recording.path} was flown by an exported model: give its bundle with --bundle, or fly it with the "
             "model of a vehicle file with --vehicle."
         )
-    flown = parse_vehicle(vehicle_text(vehicle, bundle)) if replaced else recorded
+    flown = parse_vehicle(flown_vehicle_text(vehicle, bundle, effect_files)) if replaced else recorded
     return flown, reference, exported_bundle(bundle)
+
+
+def _recorded_text(text: str, effect_files: Sequence[str | Path]) -> str:
+    """The text of a recorded vehicle file, with other effect files where some are given."""
+    if not effect_files:
+        return text
+    document = tomlkit.parse(text)
+    document["effect_files"] = [str(Path(path).resolve()) for path in effect_files]
+    return tomlkit.dumps(document)
 
 
 def _table_text(path: Path) -> str:

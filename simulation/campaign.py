@@ -19,9 +19,10 @@ import numpy as np
 
 from dynamics.command import command_line
 from dynamics.errors import RequestError
+from dynamics.own_effects import catalogue_of
 from dynamics.references.campaign import REAL_WORLD, CampaignFlight, chosen_flights, paper_campaign
-from dynamics.vehicle import EffectUse
-from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle
+from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle, vehicle_text
 from dynamics.version import __version__
 from flights.parallel import parallel_map
 from runtime.control.controller import Controller
@@ -40,6 +41,7 @@ class CampaignOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
     folder: of the results.
     effects: hidden from the controller, as on the command line; None for those of a real vehicle.
+    effect_files: with effects of the user's own, beside those that the vehicle names.
     scenario: file with sensors, battery and effects.
     flights: names, patterns or splits; empty for all.
     jobs: processes, None for one a core.
@@ -50,6 +52,7 @@ class CampaignOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     folder: Path
     vehicle: str = "arpl_250g"
     effects: tuple[str, ...] | None = None
+    effect_files: tuple[Path, ...] = ()
     scenario: Path | None = None
     seed: int = 0
     flights: tuple[str, ...] = ()
@@ -92,14 +95,15 @@ class Campaign:
         self.options = options
         self._catalogue = tuple(paper_campaign() if catalogue is None else catalogue)
         self.flights = chosen_flights(self._catalogue, options.flights)
-        text = _read(find_vehicle(options.vehicle), "vehicle file")
+        text = vehicle_text(find_vehicle(options.vehicle), effect_files=options.effect_files)
         scenario_text = "" if options.scenario is None else _read(options.scenario, "scenario")
         self._vehicle = parse_vehicle(text)
-        self._scenario = _checked(parse_scenario(scenario_text, self._vehicle.rotors.count))
+        effects = catalogue_of(self._vehicle)
+        self._scenario = _checked(parse_scenario(scenario_text, self._vehicle.rotors.count, catalogue=effects))
         self._uses = self._hidden_effects()
         self.recipe = CampaignRecipe(
             vehicle=self._vehicle.name,
-            vehicle_sha256=hashlib.sha256(text.encode()).hexdigest(),
+            vehicle_sha256=_digest(text, self._vehicle),
             effects=tuple(_described(use) for use in self._uses),
             scenario_sha256=hashlib.sha256(scenario_text.encode()).hexdigest() if scenario_text else "",
             seed=options.seed,
@@ -131,7 +135,8 @@ class Campaign:
         requested = self.options.effects
         of_scenario = self._scenario.hidden_effects()
         texts = requested if requested is not None else () if of_scenario else REAL_WORLD
-        return (*of_scenario, *(parse_effect(text, self._vehicle.rotors.count) for text in texts))
+        effects, count = catalogue_of(self._vehicle), self._vehicle.rotors.count
+        return (*of_scenario, *(parse_effect(text, count, catalogue=effects) for text in texts))
 
     def _jobs(self) -> int:
         return self.options.jobs if self.options.jobs is not None else len(os.sched_getaffinity(0))
@@ -216,6 +221,12 @@ def _checked(scenario: Scenario) -> Scenario:
             "or take them out for a campaign."
         )
     return scenario
+
+
+def _digest(text: str, vehicle: Vehicle) -> str:
+    """Of a vehicle file and the effect files that it names."""
+    parts = [text.encode(), *(Path(path).read_bytes() for path in vehicle.effect_files)]
+    return hashlib.sha256(b"".join(parts)).hexdigest()
 
 
 def _described(use: EffectUse) -> str:

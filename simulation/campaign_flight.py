@@ -12,6 +12,7 @@ import numpy as np
 
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.errors import RequestError, VehicleError
+from dynamics.own_effects import catalogue_of
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.references.feasibility import slowed
 from dynamics.units import RPM
@@ -87,7 +88,7 @@ def fly_task(task: FlightTask) -> FlightSummary:
     Raises VehicleError when it cannot be flown at half its speed, RequestError when nothing can be written.
     """
     vehicle = parse_vehicle(task.vehicle_text)
-    scenario = parse_scenario(task.scenario_text, vehicle.rotors.count)
+    scenario = parse_scenario(task.scenario_text, vehicle.rotors.count, catalogue=catalogue_of(vehicle))
     full = _within_reach(named_reference(task.reference, vehicle), vehicle)
     for speed in SPEEDS:
         reference = full if speed == 1.0 else slowed(full, speed)

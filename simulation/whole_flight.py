@@ -154,7 +154,7 @@ def fly_whole(
     watch: called before each tick, to plant a fault.
     limit: s after which the flight is given up.
     """
-    vehicle = read_vehicle(options.vehicle)
+    vehicle = read_vehicle(options.vehicle, effect_files=options.effect_files)
     if controllers is None:
         controllers = Controllers(
             Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, period=CONTROL_PERIOD))

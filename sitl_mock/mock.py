@@ -13,6 +13,7 @@ from typing import TypeVar
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from sitl_mock.autopilot.autopilot import Autopilot, Behaviour
@@ -65,6 +66,7 @@ class MockOptions:
 
     vehicle: Path
     effects: tuple[str, ...] = ()
+    effect_files: tuple[Path, ...] = ()
     scenario: Path | Scenario | None = None
     estimator: Estimator | None = None
     start_height_error: float | None = None
@@ -86,9 +88,10 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     Raises RequestError for a vehicle, effect, scenario or parameter that is not valid.
     """
     vehicle, scenario = _plan(options)
-    requested = tuple(parse_effect(text, vehicle.rotors.count) for text in options.effects)
+    catalogue = catalogue_of(vehicle)
+    requested = tuple(parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
-    tuning = default_tuning(vehicle, hidden)
+    tuning = default_tuning(vehicle, hidden, catalogue)
     defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, "CA_ROTOR_COUNT": vehicle.rotors.count}
     simulated = SimulatedVehicle(
         vehicle,
@@ -96,6 +99,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         options=scenario.vehicle_options(),
         tuning=tuning,
         seed=options.seed,
+        catalogue=catalogue,
     )
     behaviour = Behaviour(
         rule=options.rule,
@@ -117,10 +121,10 @@ def usual_surroundings(vehicle: Vehicle) -> Surroundings:
 
 def _plan(options: MockOptions) -> tuple[Vehicle, Scenario]:
     """The vehicle, and the scenario with what the options decide otherwise and nothing left open."""
-    vehicle = read_vehicle(options.vehicle)
+    vehicle = read_vehicle(options.vehicle, effect_files=options.effect_files)
     scenario = options.scenario or Scenario()
     if isinstance(scenario, Path):
-        scenario = read_scenario(scenario, vehicle.rotors.count)
+        scenario = read_scenario(scenario, vehicle.rotors.count, catalogue=catalogue_of(vehicle))
     usual = usual_surroundings(vehicle)
     ground = {"kind": options.ground or scenario.ground.kind or usual.ground}
     clock = {"kind": options.clock or scenario.clock.kind or usual.clock}

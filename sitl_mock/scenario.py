@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
 import msgspec
 
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE
 from dynamics.effects.wind import steady_wind
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse
@@ -111,7 +114,7 @@ class Scenario(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         )
 
 
-def read_scenario(path: str | Path, rotor_count: int) -> Scenario:
+def read_scenario(path: str | Path, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Scenario:
     """A scenario from its file.
 
     Raises RequestError when the file cannot be read, holds a key that does not exist (naming the nearest one that
@@ -123,12 +126,12 @@ def read_scenario(path: str | Path, rotor_count: int) -> Scenario:
     except (OSError, UnicodeDecodeError) as error:
         raise RequestError(f"cannot read the scenario {path}: {error}. Give a TOML file, see docs/mock.md.") from error
     try:
-        return parse_scenario(text, rotor_count)
+        return parse_scenario(text, rotor_count, catalogue=catalogue)
     except RequestError as error:
         raise RequestError(f"{path}: {error}") from error
 
 
-def parse_scenario(text: str, rotor_count: int) -> Scenario:
+def parse_scenario(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> Scenario:
     """A scenario from the text of its file. Raises RequestError as `read_scenario`."""
     try:
         table = tomllib.loads(text)
@@ -142,7 +145,7 @@ def parse_scenario(text: str, rotor_count: int) -> Scenario:
             raise error.__cause__ from None
         raise RequestError(f"{error}.") from error
     for use in scenario.hidden_effects():
-        check_effect(use, rotor_count)
+        check_effect(use, rotor_count, catalogue=catalogue)
     _check_sensors(scenario.sensors)
     return scenario
 

@@ -13,6 +13,7 @@ from diagnosis.data.dataset import read_dataset
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE, motor_lag
 from dynamics.errors import DataError
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
 from training.effects_fit import named_effects
@@ -36,6 +37,7 @@ def with_diagnosed_effects(
 
     Raises DataError when the flights cannot answer, or nothing is missing that a model could have as its base.
     """
+    catalogue = catalogue_of(vehicle, catalogue)
     used = _spread(logs, MAX_FLIGHTS)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     completion = complete(read_dataset(used, vehicle, mapping=mapping), vehicle, catalogue, date=today)

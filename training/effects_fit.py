@@ -17,6 +17,7 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE, motor_lag
 from dynamics.errors import DataError, RequestError
+from dynamics.own_effects import catalogue_of
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import EffectUse, Vehicle
 from training.config import ModelConfig
@@ -86,6 +87,7 @@ def with_rotor_lag(
 
     The other effects are fitted with it. Unchanged for measured rotor speeds, which have no lag.
     """
+    catalogue = catalogue_of(vehicle, catalogue)
     named = any(catalogue[use.name].rotor_speed is not None for use in vehicle.effects)
     if named or config.motors == "measured":
         return vehicle
@@ -167,6 +169,7 @@ def _with_values(vehicle: Vehicle, values: dict[str, float]) -> Vehicle:
 
 def named_effects(vehicle: Vehicle, uses: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
     """The vehicle with further effects, at their usual values where none are given."""
+    catalogue = catalogue_of(vehicle, catalogue)
     return vehicle.with_effects(
         *[
             msgspec.structs.replace(use, parameters={**catalogue[use.name].defaults(vehicle), **use.parameters})

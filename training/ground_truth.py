@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
-from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError
+from dynamics.own_effects import catalogue_of
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
@@ -46,9 +46,10 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
         texts = [str(text) for text in manifest["effects"]]
     except (OSError, KeyError, TypeError, msgspec.MsgspecError) as error:
         raise DataError(f"{path} does not name what the campaign hid: {error}. Fly it again.") from error
-    uses = [parse_effect(text, vehicle.rotors.count) for text in texts]
+    catalogue = catalogue_of(vehicle)
+    uses = [parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in texts]
     bare = msgspec.structs.replace(vehicle, effects=())
-    return bare.with_effects(*[use for use in uses if not CATALOGUE[use.name].stochastic])
+    return bare.with_effects(*[use for use in uses if not catalogue[use.name].stochastic])
 
 
 def true_label(data: LabelledRows, campaign: Path, *, dt: float) -> Floats:

@@ -18,6 +18,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
+from dynamics.own_effects import catalogue_of
 from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 from training.config import Label, Motors
@@ -50,6 +51,7 @@ class RowModel:
         motors: Motors,
         catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> None:
+        catalogue = catalogue_of(vehicle, catalogue)
         self.model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         function = row_function(self.model, dt, label)
         # the carried state is only handed from row to row within one call
@@ -91,6 +93,7 @@ class BatchModel:
         catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> None:
         """rotor_speed: (m, rotors) rad/s at the first row, with rotors at these speeds."""
+        catalogue = catalogue_of(vehicle, catalogue)
         model = build_model(vehicle, effects=_driven(effects, motors, catalogue), catalogue=catalogue)
         batched = row_function(model, dt, label).map(BLOCK)
         self._code = compile_functions([batched])[batched.name()]

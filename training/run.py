@@ -19,6 +19,7 @@ import torch
 from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.files import write_whole
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from flights.parallel import parallel_map
@@ -51,6 +52,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     config: overrides of the model's definition.
     recipe_overrides: overrides of the recipe.
     effects: added to the vehicle file's, as on the command line; "diagnosed" for those that a diagnosis names.
+    effect_files: with effects of the user's own, beside those that the vehicle names.
     keep_effects: whether effects keep the vehicle file's values instead of being fitted.
     validation, hold_out: patterns of file names.
     mapping: columns of tables that are not recognised.
@@ -70,6 +72,7 @@ class TrainOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     config: dict[str, Any] = {}
     recipe_overrides: dict[str, Any] = {}
     effects: tuple[str, ...] = ()
+    effect_files: tuple[Path, ...] = ()
     keep_effects: bool = False
     validation: str | None = None
     hold_out: str | None = None
@@ -169,9 +172,9 @@ def write_card(model: TrainedModel, out: Path) -> Path:
 
 
 def _vehicle(options: TrainOptions) -> Vehicle:
-    vehicle = read_vehicle(find_vehicle(options.vehicle))
-    uses = [parse_effect(text, vehicle.rotors.count) for text in options.effects if text != DIAGNOSED]
-    return named_effects(vehicle, uses)
+    vehicle = read_vehicle(find_vehicle(options.vehicle), effect_files=options.effect_files)
+    catalogue, texts = catalogue_of(vehicle), [text for text in options.effects if text != DIAGNOSED]
+    return named_effects(vehicle, [parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in texts])
 
 
 def _train_members(

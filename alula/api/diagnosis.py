@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from alula.api.inputs import catalogue_with, dataset_of, log_paths, vehicle_of
+from alula.api.inputs import dataset_of, log_paths, vehicle_of
 from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult
 from alula.workbench import workbench
 from dynamics.command import command_line
@@ -23,7 +23,7 @@ def compare(
     flights: Flight | str | Path | Sequence[Flight | str | Path],
     vehicle: Vehicle | str | Path,
     *,
-    effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
 ) -> ComparisonResult:
@@ -31,7 +31,7 @@ def compare(
 
     flights: what `read_flights` returned, or logs, or a folder of logs; of one vehicle.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
-    effects: Python files with effects of your own that the vehicle names.
+    effect_files: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
     pose: where the pose comes from, "mocap" or "estimator"; by default as the logs tell.
 
@@ -46,8 +46,10 @@ def compare(
     """
     with workbench("alula.compare"):
         from diagnosis.comparison import compare_dataset
-    catalogue = catalogue_with(effects)
-    loaded = vehicle_of(vehicle, catalogue)
+    from dynamics.own_effects import catalogue_of
+
+    loaded = vehicle_of(vehicle, effect_files)
+    catalogue = catalogue_of(loaded)
     dataset = dataset_of(flights, loaded, None, mapping, pose)
     details = compare_dataset(dataset, loaded, catalogue)
     return ComparisonResult(details.comparison, loaded, dataset, details)
@@ -58,7 +60,7 @@ def diagnose(
     vehicle: Vehicle | str | Path,
     *,
     hold_out: str | None = None,
-    effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
 ) -> DiagnosisResult:
@@ -68,7 +70,7 @@ def diagnose(
     vehicle: as for `compare`.
     hold_out: pattern of the file names to evaluate on, such as "hold_*"; by default the last fifth of the flights,
         or blocks of all where these do not fly as the others do.
-    effects: Python files with effects of your own, considered beside the catalogue's.
+    effect_files: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
     pose: as for `compare`.
 
@@ -82,8 +84,10 @@ def diagnose(
     """
     with workbench("alula.diagnose"):
         from diagnosis.diagnose import diagnose_dataset
-    catalogue = catalogue_with(effects)
-    loaded = vehicle_of(vehicle, catalogue)
+    from dynamics.own_effects import catalogue_of
+
+    loaded = vehicle_of(vehicle, effect_files)
+    catalogue = catalogue_of(loaded)
     dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     details = diagnose_dataset(dataset, loaded, catalogue)
     return DiagnosisResult(details.diagnosis, loaded, dataset, details)
@@ -114,7 +118,7 @@ def compare_hover(
     """
     with workbench("alula.compare_hover"):
         from diagnosis.hover_trim import read_trim
-    loaded = vehicle_of(vehicle, catalogue_with(()))
+    loaded = vehicle_of(vehicle)
     return read_trim(log_paths(logs), log_paths(normal), loaded, None if mapping is None else Path(mapping))
 
 
@@ -125,7 +129,7 @@ def add_effect(
     *,
     rotor: int | None = None,
     hold_out: str | None = None,
-    effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
 ) -> AdditionResult:
@@ -134,7 +138,7 @@ def add_effect(
     flights, vehicle: as for `compare`.
     effect: name in the catalogue; by default all that the diagnosis names, fitted jointly.
     rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
-    hold_out, effects, mapping, pose: as for `diagnose`.
+    hold_out, effect_files, mapping, pose: as for `diagnose`.
 
     Returns an AdditionResult, whose vehicle has the effects; nothing is written yet.
     Raises RequestError for an unknown effect, DataError with the numbers where the flights do not bear it out.
@@ -149,10 +153,11 @@ def add_effect(
     with workbench("alula.add_effect"):
         from diagnosis.addition import add_effect as add_to_vehicle
         from diagnosis.addition_report import report
+    from dynamics.own_effects import catalogue_of
     from dynamics.vehicle_file import find_vehicle
 
-    catalogue = catalogue_with(effects)
-    loaded = vehicle_of(vehicle, catalogue)
+    loaded = vehicle_of(vehicle, effect_files)
+    catalogue = catalogue_of(loaded)
     dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)

@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from flights.quality import Inspection
 
 
-def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> Vehicle:
+def load_vehicle(vehicle: str | Path, *, effect_files: Sequence[str | Path] = ()) -> Vehicle:
     """A vehicle from its file: body, rotors, limits, controller settings and effects.
 
     vehicle: TOML file, or the name of a bundled one such as "arpl_250g".
-    effects: Python files with effects of your own that the vehicle file may name.
+    effect_files: Python files with effects of your own, beside those that the vehicle file names.
 
     Returns the vehicle, a frozen struct.
     Raises RequestError for a file that cannot be read, an unknown key, or a vehicle that cannot exist.
@@ -30,17 +30,17 @@ def load_vehicle(vehicle: str | Path, *, effects: Sequence[str | Path] = ()) -> 
         vehicle = alula.load_vehicle("arpl_250g")
         print(vehicle.body.mass, vehicle.hover_speed)
     """
-    return vehicle_of(vehicle, catalogue_with(effects))
+    return vehicle_of(vehicle, effect_files)
 
 
 def describe_effects(
-    names: Sequence[str] = (), vehicle: Vehicle | str | Path | None = None, *, effects: Sequence[str | Path] = ()
+    names: Sequence[str] = (), vehicle: Vehicle | str | Path | None = None, *, effect_files: Sequence[str | Path] = ()
 ) -> tuple[EffectCard, ...]:
     """The catalogue: formula, parameters and usual size of effects, what to fly to see them, and what looks alike.
 
     names: of effects; by default all.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one: usual sizes are for it.
-    effects: Python files with effects of your own.
+    effect_files: Python files with effects of your own, beside those that the vehicle names.
 
     Returns an EffectCard for each effect. Raises RequestError for an unknown name or a file that cannot be used.
 
@@ -49,14 +49,16 @@ def describe_effects(
         print(card.formula, card.parameters[0].usual, card.confounded_with)
     """
     from dynamics.effect_card import effect_cards
+    from dynamics.own_effects import catalogue_of
     from dynamics.vehicle_file import nearest
 
-    catalogue = catalogue_with(effects)
+    loaded = None if vehicle is None else vehicle_of(vehicle, effect_files)
+    catalogue = catalogue_with(effect_files) if loaded is None else catalogue_of(loaded)
     for name in names:
         if name not in catalogue:
             names_of_all = ", ".join(catalogue)
             raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {names_of_all}.")
-    cards = effect_cards(None if vehicle is None else vehicle_of(vehicle, catalogue), catalogue=catalogue)
+    cards = effect_cards(loaded, catalogue=catalogue)
     return tuple(card for card in cards if not names or card.name in names)
 
 
@@ -99,13 +101,13 @@ def read_flights(logs: str | Path | Sequence[str | Path], *, mapping: str | Path
 
 
 def inspect(
-    log: Log | str | Path, *, mapping: str | Path | None = None, effects: Sequence[str | Path] = ()
+    log: Log | str | Path, *, mapping: str | Path | None = None, effect_files: Sequence[str | Path] = ()
 ) -> Inspection:
     """Whether a log is good enough, and for what: rates, gaps, clocks, frozen or impossible channels, excitation.
 
     log: a file, or what `alula.read_log` returned.
     mapping: column mapping (TOML) for a CSV file of another tool.
-    effects: Python files with effects of your own, which might be identified from the log.
+    effect_files: Python files with effects of your own, which might be identified from the log.
 
     Returns an Inspection: `verdict` is "good", "limited" or "unusable", `sentence` the reason, `effects` what can be
         identified, `advice` what would make a better log.
@@ -118,4 +120,4 @@ def inspect(
     with workbench("alula.inspect"):
         from flights import read_log
         from flights.quality.inspection import judge
-    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log, catalogue_with(effects))
+    return judge(read_log(log, mapping=mapping) if isinstance(log, (str, Path)) else log, catalogue_with(effect_files))

@@ -20,7 +20,8 @@ def simulate(
     *,
     vehicle: Vehicle | str | Path | None = None,
     bundle: str | Path | None = None,
-    effects: Sequence[str | EffectUse] = (),
+    hidden: Sequence[str | EffectUse] = (),
+    effect_files: Sequence[str | Path] = (),
     duration: float | None = None,
     seed: int = 0,
 ) -> FlownReference:
@@ -29,7 +30,8 @@ def simulate(
     reference: name, "NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3", or a CSV file of your own.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
     bundle: folder of an exported model that flies, instead of a vehicle.
-    effects: effects of the simulated vehicle that the controller's model lacks: "name:key=value,...".
+    hidden: effects of the simulated vehicle that the controller's model lacks: "name:key=value,...".
+    effect_files: Python files with effects of your own, beside those that the vehicle names.
     duration: length of the reference, s; by default its own.
     seed: seed of sensors and gusts.
 
@@ -37,29 +39,31 @@ def simulate(
     Raises RequestError for a reference that the vehicle cannot fly, VehicleError when it does not reach the start.
 
     Example:
-        flown = alula.simulate("hover:laps=1", vehicle="arpl_250g", effects=["rotor_drag:coefficient=4e-5"])
+        flown = alula.simulate("hover:laps=1", vehicle="arpl_250g", hidden=["rotor_drag:coefficient=4e-5"])
         print(flown.position_rmse, alula.Flight.from_log(flown.log).duration)
     """
     with workbench("alula.simulate"):
         from simulation.lockstep import fly_reference
     from dynamics.model import build_model
+    from dynamics.own_effects import catalogue_of
     from dynamics.references import check_feasibility, named_reference
     from dynamics.trim import find_trim
     from dynamics.vehicle_file import parse_effect, parse_vehicle
     from runtime.control.controller import Controller
-    from runtime.flight_setup import exported_bundle, vehicle_text
+    from runtime.flight_setup import exported_bundle, flown_vehicle_text
 
     folder = None if bundle is None else Path(bundle)
-    flying = parse_vehicle(vehicle_text(_path_or_vehicle(vehicle), folder))
+    flying = parse_vehicle(flown_vehicle_text(_path_or_vehicle(vehicle), folder, effect_files))
     learned = exported_bundle(folder)
     trim = find_trim(build_model(flying)).vehicle
     path = named_reference(reference, trim, duration=duration)
     check_feasibility(path, trim).require()
-    hidden = [parse_effect(use, flying.rotors.count) if isinstance(use, str) else use for use in effects]
+    catalogue, count = catalogue_of(flying), flying.rotors.count
+    uses = [parse_effect(use, count, catalogue=catalogue) if isinstance(use, str) else use for use in hidden]
     return fly_reference(
         flying,
         path,
-        effects=hidden,
+        effects=uses,
         seed=seed,
         name=reference,
         controller=None if learned is None else Controller.from_bundle(learned),
@@ -78,6 +82,7 @@ def fly(
     origin: Literal["takeoff", "estimate"] = "takeoff",
     rate: float | None = None,
     settings: Sequence[str] = (),
+    effect_files: Sequence[str | Path] = (),
     record: str | Path | None = None,
     arm: bool = True,
     resume: bool = False,
@@ -100,6 +105,7 @@ def fly(
     origin: of the reference's coordinates: "takeoff", where the vehicle stands, or "estimate", the estimator's zero.
     rate: of control, Hz; by default that of the vehicle's [controller].
     settings: of the controller, in place of the vehicle file's: "controller.horizon=0.8".
+    effect_files: Python files with effects of your own, beside those that the vehicle names.
     record: folder for the recording (MCAP and tlog).
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
@@ -130,6 +136,7 @@ def fly(
         origin=origin,
         rate=rate,
         settings=tuple(settings),
+        effect_files=tuple(map(Path, effect_files)),
         record=None if record is None else Path(record),
         arm=arm,
         resume=resume,

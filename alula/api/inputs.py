@@ -18,7 +18,10 @@ if TYPE_CHECKING:
 
 
 def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
-    """The catalogue and the effects of a user's files. Raises RequestError for a file that defines none."""
+    """The catalogue and the effects of a user's files, tried on a bundled vehicle.
+
+    Raises RequestError for a file that defines none.
+    """
     from dynamics.effect_file import with_effects_of
     from dynamics.effects import CATALOGUE
     from dynamics.vehicle_file import read_vehicle
@@ -26,17 +29,21 @@ def catalogue_with(effects: Sequence[str | Path]) -> Mapping[str, Effect]:
 
     if not effects:
         return CATALOGUE
-    # checked on a bundled vehicle: the user's own may name these effects, and cannot be read before they are defined
     return with_effects_of(effects, read_vehicle(FOLDER / "arpl_250g.toml"))
 
 
-def vehicle_of(vehicle: Vehicle | str | Path, catalogue: Mapping[str, Effect]) -> Vehicle:
-    """A vehicle as it is, or read from its file. Raises RequestError for a file that cannot be used."""
-    from dynamics.vehicle_file import find_vehicle, read_vehicle
+def vehicle_of(vehicle: Vehicle | str | Path, effect_files: Sequence[str | Path] = ()) -> Vehicle:
+    """A vehicle as it is, or read from its file, with further effect files.
 
-    if not isinstance(vehicle, (str, Path)):
+    Raises RequestError for a file that cannot be used.
+    """
+    from dynamics.vehicle_file import find_vehicle, parse_vehicle, read_vehicle, vehicle_toml, with_effect_files
+
+    if isinstance(vehicle, (str, Path)):
+        return read_vehicle(find_vehicle(vehicle), effect_files=effect_files)
+    if not effect_files:
         return vehicle
-    return read_vehicle(find_vehicle(vehicle), catalogue=catalogue)
+    return parse_vehicle(with_effect_files(vehicle_toml(vehicle), Path(), effect_files))
 
 
 def log_paths(logs: str | Path | Sequence[str | Path]) -> list[Path]:

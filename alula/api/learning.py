@@ -26,7 +26,8 @@ def train(
     recipe: str = "fast",
     config: Mapping[str, Any] | None = None,
     overrides: Mapping[str, Any] | None = None,
-    effects: Sequence[str] = (),
+    added_effects: Sequence[str] = (),
+    effect_files: Sequence[str | Path] = (),
     keep_effects: bool = False,
     validation: str | None = None,
     hold_out: str | None = None,
@@ -50,8 +51,9 @@ def train(
     recipe: how to train: "fast" or "paper".
     config: fields of the model's definition that differ, such as {"history": 10}.
     overrides: fields of the recipe that differ, such as {"steps": 2000}.
-    effects: effects added to the vehicle file's, "name" or "name:key=value,..."; "diagnosed" for all that a diagnosis
-        of the training flights names.
+    added_effects: beside the vehicle file's, "name" or "name:key=value,..."; "diagnosed" for all that a diagnosis of
+        the training flights names.
+    effect_files: Python files with effects of your own, beside those that the vehicle names.
     keep_effects: leave the vehicle file's effects as they are, instead of fitting them to these flights.
     validation: pattern of the file names to choose the best step by; by default every tenth flight.
     hold_out: pattern of the file names not to read at all.
@@ -81,7 +83,8 @@ def train(
         recipe=recipe,
         config=dict(config or {}),
         recipe_overrides=dict(overrides or {}),
-        effects=tuple(effects),
+        effects=tuple(added_effects),
+        effect_files=tuple(Path(path).resolve() for path in effect_files),
         keep_effects=keep_effects,
         validation=validation,
         hold_out=hold_out,
@@ -102,6 +105,7 @@ def evaluate(
     logs: str | Path | Sequence[str | Path],
     *,
     vehicle: str | Path | None = None,
+    effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     timing: bool = False,
     progress: Callable[[str], None] | None = None,
@@ -111,6 +115,7 @@ def evaluate(
     models: checkpoints (.pt).
     logs: paths, folders of logs, or the folder of a campaign, for its test flights.
     vehicle: vehicle file or name whose own model is evaluated beside the others.
+    effect_files: Python files with effects of your own, beside those that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
     timing: measure how long a prediction takes.
     progress: called with each model's name when it is evaluated.
@@ -129,6 +134,7 @@ def evaluate(
         None if vehicle is None else str(vehicle),
         mapping=None if mapping is None else Path(mapping),
         timed=timing,
+        effect_files=_paths(effect_files),
         done=progress or _ignore,
     )
     return EvaluationResult(EvaluationAnswer(results.evaluated, results.timings), results.tables, results)
@@ -138,6 +144,7 @@ def export(
     model: str | Path,
     out: str | Path,
     *,
+    effect_files: Sequence[str | Path] = (),
     logs: str | Path | Sequence[str | Path] = (),
     member: int = 0,
     processor: str = "native",
@@ -153,6 +160,7 @@ def export(
 
     model: checkpoint (.pt), or a vehicle file or name for its physics.
     out: folder to write.
+    effect_files: Python files with effects of your own, beside those that a vehicle file names; the bundle holds them.
     logs: flights whose windows the backends are compared on; by default the paper's references.
     member: member of an ensemble that flies.
     processor: instruction set of the kernel: "native", "avx512", "avx2", "sse2" or "neon".
@@ -179,7 +187,7 @@ def export(
         from runtime.control.rti.processor import named_processor
         from simulation.flight_check import check_bundle
     path = Path(model) if Path(model).suffix == ".pt" else find_vehicle(model)
-    trained = read_model(path, member=member, integrator=integrator)
+    trained = read_model(path, member=member, integrator=integrator, effect_files=effect_files)
     problem = Problem.from_settings(trained.vehicle.controller)
     problem = msgspec.structs.replace(problem, nodes=nodes or problem.nodes, horizon=horizon or problem.horizon)
     options = ExportOptions(

@@ -119,7 +119,8 @@ class AdditionResult:
         from diagnosis.addition import text_after
         from dynamics.vehicle_file import write_vehicle_text
 
-        write_vehicle_text(text_after(self.vehicle, self.source, catalogue=self.catalogue), Path(path))
+        text = text_after(self.vehicle, self.source, Path(path).parent, catalogue=self.catalogue)
+        write_vehicle_text(text, Path(path))
         return Path(path)
 
     def write_next_version(self, vehicle: str | Path) -> Path:

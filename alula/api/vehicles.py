@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from alula.api.inputs import catalogue_with, log_paths, vehicle_of
+from alula.api.inputs import log_paths, vehicle_of
 from alula.workbench import workbench
 from dynamics.command import command_line
 
@@ -105,14 +105,14 @@ def check_vehicle(
     logs: str | Path | Sequence[str | Path],
     vehicle: Vehicle | str | Path,
     *,
-    effects: Sequence[str | Path] = (),
+    effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
 ) -> VehicleCheck:
     """Compare a vehicle file with logs of the vehicle: which number disagrees, and by how much.
 
     logs: paths, a folder or a pattern; of one vehicle.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
-    effects: Python files with effects of your own that the vehicle names.
+    effect_files: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
 
     Returns a VehicleCheck: `agrees`, and `numbers`, each with an `answer` and a `text`.
@@ -124,5 +124,7 @@ def check_vehicle(
     """
     with workbench("alula.check_vehicle"):
         from diagnosis.vehicle_check import check_vehicle as check
-    catalogue = catalogue_with(effects)
-    return check(log_paths(logs), vehicle_of(vehicle, catalogue), catalogue, mapping=mapping)
+    from dynamics.own_effects import catalogue_of
+
+    loaded = vehicle_of(vehicle, effect_files)
+    return check(log_paths(logs), loaded, catalogue_of(loaded), mapping=mapping)

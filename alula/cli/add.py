@@ -39,7 +39,7 @@ def add(
     """Fit an effect, or all that are missing, and write the next vehicle file, if held-out flights bear it out."""
     effect, logs = _effect_and_logs(arguments)
     result = alula.add_effect(
-        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effects=effects or (), mapping=mapping, pose=pose
+        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effect_files=effects or (), mapping=mapping, pose=pose
     )
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:

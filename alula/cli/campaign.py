@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
+from alula.cli.options import Effects
 from alula.workbench import workbench
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -31,6 +32,7 @@ def campaign(
             "flapping, inflow, motor lag, small errors of thrust and inertia, gusts."
         ),
     ] = None,
+    effects: Effects = None,
     no_effects: Annotated[
         bool, typer.Option("--no-effects", help="Hide nothing: the simulated domain of the paper's starred baselines.")
     ] = False,
@@ -53,6 +55,7 @@ def campaign(
         folder=out,
         vehicle=vehicle,
         effects=() if no_effects else tuple(effect) if effect else None,
+        effect_files=tuple(effects or ()),
         scenario=scenario,
         seed=seed,
         flights=tuple(flights or ()),

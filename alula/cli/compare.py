@@ -27,7 +27,7 @@ def compare(
     html: Page = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
-    result = alula.compare(logs, vehicle, effects=effects or (), mapping=mapping, pose=pose)
+    result = alula.compare(logs, vehicle, effect_files=effects or (), mapping=mapping, pose=pose)
     if json is not None:
         result.write_json(json)
     if html is not None:

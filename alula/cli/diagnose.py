@@ -43,7 +43,7 @@ def diagnose(
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return
-    result = alula.diagnose(logs, vehicle, hold_out=hold_out, effects=effects or (), mapping=mapping, pose=pose)
+    result = alula.diagnose(logs, vehicle, hold_out=hold_out, effect_files=effects or (), mapping=mapping, pose=pose)
     if json is not None:
         result.write_json(json)
     if html is not None:

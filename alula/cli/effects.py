@@ -26,7 +26,7 @@ def effects(
     json: Annotated[Path | None, typer.Option(help="Write the cards as JSON; - for standard output.")] = None,
 ) -> None:
     """List the effects that Alula knows: formula, units, usual size, what to fly to see one, what looks like it."""
-    cards = alula.describe_effects(names or (), vehicle, effects=effects or ())
+    cards = alula.describe_effects(names or (), vehicle, effect_files=effects or ())
     if json is not None:
         write_json(cards, json)
     if json == STANDARD_OUTPUT:

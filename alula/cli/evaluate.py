@@ -9,6 +9,7 @@ import typer
 from rich.console import Console
 
 import alula
+from alula.cli.options import Effects
 from dynamics.files import STANDARD_OUTPUT
 from studies.tables import terminal_table
 
@@ -26,6 +27,7 @@ def evaluate(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle file (TOML) or name whose own model is evaluated beside the others.")
     ] = None,
+    effects: Effects = None,
     mapping: Annotated[Path | None, typer.Option(help="Column mapping (TOML) for CSV files of other tools.")] = None,
     no_timing: Annotated[bool, typer.Option("--no-timing", help="Do not measure how long a prediction takes.")] = False,
     json_file: Annotated[Path | None, typer.Option("--json", help="Write every figure as JSON; - for stdout.")] = None,
@@ -42,6 +44,7 @@ def evaluate(
             models,
             logs,
             vehicle=vehicle,
+            effect_files=effects or (),
             mapping=mapping,
             timing=not no_timing,
             progress=lambda name: status.update(f"evaluated {name}"),

@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 import alula
+from alula.cli.options import Effects
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.control.bundle import Integrator
 from runtime.control.rti.processor import PROCESSORS
@@ -16,6 +17,7 @@ from runtime.control.rti.processor import PROCESSORS
 def export(
     model: Annotated[str, typer.Argument(help="Checkpoint (.pt) of `alula train`, or a vehicle file for its physics.")],
     out: Annotated[Path, typer.Option(help="Folder to write.")],
+    effects: Effects = None,
     logs: Annotated[
         list[Path] | None,
         typer.Option("--log", help="Flight whose windows the backends are compared on; repeatable; else references."),
@@ -45,6 +47,7 @@ def export(
     result = alula.export(
         model,
         out,
+        effect_files=effects or (),
         logs=logs or (),
         member=member,
         processor=processor,

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import LINK, LinkOption, System, Timeout
+from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
 
@@ -27,6 +27,7 @@ def fly(
     ],
     link: LinkOption = LINK,
     vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = None,
+    effects: Effects = None,
     bundle: Annotated[Path | None, typer.Option(help="Bundle of a learned model, instead of --vehicle.")] = None,
     duration: Annotated[
         float | None, typer.Option(min=1.0, help="Seconds of the reference; by default its own length.")
@@ -65,6 +66,7 @@ def fly(
         reference,
         vehicle=vehicle,
         bundle=bundle,
+        effect_files=effects or (),
         link=link,
         duration=duration,
         height=height,

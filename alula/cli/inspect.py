@@ -65,7 +65,7 @@ def inspect(
     for path in paths:
         try:
             streams = alula.read_log(path, mapping=mapping, pose=pose)
-            inspections.append(alula.inspect(streams, effects=effects or ()))
+            inspections.append(alula.inspect(streams, effect_files=effects or ()))
             if html is not None:
                 sections.append(_section(inspections[-1], streams))
         except AlulaError as error:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Annotated
 
 import msgspec
@@ -10,7 +12,7 @@ from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
-from alula.cli.options import LINK, LinkOption, System, Timeout
+from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from dynamics.model import build_model
@@ -21,6 +23,7 @@ from runtime.link.connection import parse_endpoint
 from runtime.link.link_check import check_link
 from runtime.link.link_report import LinkReport
 from runtime.link.rates import WINDOW
+from runtime.link.start_conditions import VehicleFacts
 
 
 def link(
@@ -31,6 +34,7 @@ def link(
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle file that will fly: the autopilot's parameters are compared with it.")
     ] = None,
+    effects: Effects = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
     request_mode: Annotated[
         bool,
@@ -52,9 +56,7 @@ def link(
         streams=streams,
         window=window,
         request_mode=request_mode,
-        vehicle=None
-        if vehicle is None
-        else vehicle_facts(find_trim(build_model(read_vehicle(find_vehicle(vehicle)))).vehicle),
+        vehicle=None if vehicle is None else _facts(vehicle, effects or ()),
     )
     if as_json:
         write_json(_as_plain(report), STANDARD_OUTPUT)
@@ -62,6 +64,12 @@ def link(
         _print(report, Console())
     if not report.is_ready:
         raise VehicleError(f"A flight over {report.endpoint} would not be engaged; the reasons are in the report.")
+
+
+def _facts(vehicle: str, effects: Sequence[Path]) -> VehicleFacts:
+    """What the autopilot's parameters are compared with."""
+    model = build_model(read_vehicle(find_vehicle(vehicle), effect_files=effects))
+    return vehicle_facts(find_trim(model).vehicle)
 
 
 def _as_plain(report: LinkReport) -> dict[str, object]:

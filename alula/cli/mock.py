@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from alula.cli.options import Effects
 from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
@@ -27,6 +28,7 @@ def mock(
         list[str] | None,
         typer.Option(help="Effect that the vehicle file does not contain: name:key=value,... Repeatable."),
     ] = None,
+    effects: Effects = None,
     scenario: Annotated[Path | None, typer.Option(help="Scenario file (TOML): sensors, battery, timed faults.")] = None,
     link: Annotated[
         list[str] | None,
@@ -90,6 +92,7 @@ def mock(
     options = MockOptions(
         vehicle=find_vehicle(vehicle),
         effects=tuple(effect or ()),
+        effect_files=tuple(effects or ()),
         scenario=scenario,
         estimator=estimator,
         start_height_error=start_height_error,

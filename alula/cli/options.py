@@ -18,7 +18,10 @@ HoldOut = Annotated[
         "these do not fly as the others do."
     ),
 ]
-Effects = Annotated[list[Path] | None, typer.Option(help="Python file with effects of your own. Repeatable.")]
+Effects = Annotated[
+    list[Path] | None,
+    typer.Option("--effects", help="Python file with effects of your own, beside the vehicle file's; repeatable."),
+]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
 Mapping = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
 Pose = Annotated[

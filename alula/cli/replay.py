@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from alula.cli.options import Effects
 from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
@@ -23,6 +24,7 @@ def replay(
     bundle: Annotated[
         Path | None, typer.Option(help="Fly it with this bundle instead of the recorded vehicle.")
     ] = None,
+    effects: Effects = None,
     tolerance: Annotated[
         float | None,
         typer.Option(min=0.0, help="Fail when a setpoint differs by more, rad/s or share of thrust; 0: by one bit."),
@@ -31,7 +33,7 @@ def replay(
 ) -> None:
     """Fly a recording again: same estimates in, setpoints compared with the recorded ones."""
     read = read_recording(recording)
-    report = replay_recording(read, *recorded_flight(read, vehicle, bundle))
+    report = replay_recording(read, *recorded_flight(read, vehicle, bundle, effects or ()))
     if as_json:
         write_json(report, STANDARD_OUTPUT)
     else:

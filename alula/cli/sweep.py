@@ -9,7 +9,7 @@ import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from alula.cli.options import Mapping, VehicleOption
+from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.workbench import workbench
 from dynamics.files import STANDARD_OUTPUT
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES
@@ -41,6 +41,7 @@ def sweep(
         typer.Option(help=f"For {STARRED}: logs of a simulation without effects (alula campaign --no-effects)."),
     ] = None,
     mapping: Mapping = None,
+    effects: Effects = None,
     seeds: Annotated[int, typer.Option(min=1, help="Trainings of every cell.", rich_help_panel=TRAINING)] = 2,
     steps: Annotated[
         int | None,
@@ -108,6 +109,7 @@ def sweep(
         jobs=jobs,
         scheduler=scheduler,
         mapping=mapping,
+        effect_files=tuple(path.resolve() for path in effects or ()),
     )
     console = Console(stderr=json_file == STANDARD_OUTPUT)
     made = make_sweep(options)

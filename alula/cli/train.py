@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 from rich.table import Table
 
 import alula
-from alula.cli.options import Mapping, VehicleOption
+from alula.cli.options import Effects, Mapping, VehicleOption
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from training.config import ModelConfig
@@ -62,6 +62,7 @@ def train(
             rich_help_panel=MODEL,
         ),
     ] = None,
+    effects: Effects = None,
     keep_effects: Annotated[
         bool,
         typer.Option(
@@ -173,7 +174,8 @@ def train(
             recipe=recipe,
             validation=validation,
             hold_out=hold_out,
-            effects=effect or (),
+            added_effects=effect or (),
+            effect_files=effects or (),
             keep_effects=keep_effects,
             seed=seed,
             ensemble=ensemble,

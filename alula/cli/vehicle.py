@@ -119,7 +119,7 @@ def check(
     logs: Logs, vehicle: VehicleOption, effects: Effects = None, mapping: MappingOption = None, json: Json = None
 ) -> None:
     """Compare a vehicle file with logs: layout, thrust, inertia, motor lag; what disagrees, and by how much."""
-    answer = alula.check_vehicle(logs, vehicle, effects=effects or (), mapping=mapping)
+    answer = alula.check_vehicle(logs, vehicle, effect_files=effects or (), mapping=mapping)
     if json is not None:
         write_json(answer, json)
     if json != STANDARD_OUTPUT:
@@ -139,7 +139,7 @@ def show(
     from alula.workbench import workbench
     from dynamics.rotor_places import rotor_names
 
-    loaded = alula.load_vehicle(vehicle, effects=effects or ())
+    loaded = alula.load_vehicle(vehicle, effect_files=effects or ())
     with workbench("alula vehicle show"):
         from studio.vehicle_picture import TURNING, draw_layout
     path = draw_layout(loaded, out or Path(f"{find_vehicle(vehicle).stem}.png"))

@@ -16,12 +16,13 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.model import Model, build_model
 from dynamics.network_inputs import Frame
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
+from dynamics.vehicle_file import vehicle_text as read_vehicle_text
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS
 
@@ -155,7 +156,7 @@ def read_bundle(folder: Path) -> Bundle:
             f"{folder / MANIFEST} is not what was exported: its digest does not fit. Limits and errors that guard the "
             "flight may have changed; export the model again."
         )
-    text = (folder / VEHICLE).read_text(encoding="utf-8")
+    text = read_vehicle_text(folder / VEHICLE)
     vehicle = parse_vehicle(text)
     return Bundle(folder, manifest, vehicle, text, physics_of(vehicle, manifest))
 
@@ -164,9 +165,9 @@ def physics_of(vehicle: Vehicle, manifest: Manifest) -> Model:
     """The nominal or identified model of a bundle: compiled into its kernel, or the source of the solver's shapes."""
     if manifest.physics != "vehicle":
         return build_model(vehicle, effects=())
-    measured = manifest.motors == "measured"
+    measured, catalogue = manifest.motors == "measured", catalogue_of(vehicle)
     return build_model(
-        vehicle, effects=[use for use in vehicle.effects if not (measured and CATALOGUE[use.name].rotor_speed)]
+        vehicle, effects=[use for use in vehicle.effects if not (measured and catalogue[use.name].rotor_speed)]
     )
 
 

@@ -18,6 +18,7 @@ from dynamics.effects import CATALOGUE
 from dynamics.effects.motor_lag import rotor_lag
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import Model, build_model
+from dynamics.own_effects import catalogue_of
 from dynamics.rate_loop import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
@@ -54,6 +55,7 @@ def plant_effects(
     vehicle: Vehicle, hidden: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE
 ) -> tuple[EffectUse, ...]:
     """Effects of the vehicle file, those hidden from it in their place or beside them, and always some motor lag."""
+    catalogue = catalogue_of(vehicle, catalogue)
     merged = {(use.name, use.rotor): use for use in (*vehicle.effects, *hidden)}
     if any(catalogue[use.name].rotor_speed is not None for use in merged.values()):
         return tuple(merged.values())

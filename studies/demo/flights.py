@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 from dynamics.errors import VehicleError
+from dynamics.own_effects import catalogue_of
 from dynamics.references import check_feasibility, named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from runtime.control.controller import Controller
@@ -120,7 +121,7 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
     reference = named_reference(name, controller.trim, duration=options.seconds)
     if model == NOMINAL:  # the identified model may call a manoeuvre infeasible that has just been flown
         check_feasibility(reference, controller.trim).require()
-    effects = [parse_effect(text, body.rotors.count) for text in options.effects]
+    effects = [parse_effect(text, body.rotors.count, catalogue=catalogue_of(body)) for text in options.effects]
     flown = fly_reference(body, reference, effects=effects, seed=options.seed, name=name, controller=controller)
     if flown.aborted:
         raise VehicleError(

@@ -12,7 +12,7 @@ from diagnosis.addition import write_next_version
 from diagnosis.completion import Completion, complete
 from diagnosis.data.dataset import Dataset, read_dataset
 from diagnosis.report import sentence
-from dynamics.effects import CATALOGUE
+from dynamics.own_effects import catalogue_of
 from dynamics.vehicle_file import find_vehicle, read_vehicle
 from studies.demo.flights import DemoOptions
 from studies.demo.result import Learned, PredictionError
@@ -41,7 +41,7 @@ def learn(options: DemoOptions, recordings: Sequence[str], *, command: str = "")
     vehicle = read_vehicle(file)
     dataset = read_dataset(recordings, vehicle)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    completion = complete(dataset, vehicle, CATALOGUE, date=today, command=command)
+    completion = complete(dataset, vehicle, catalogue_of(vehicle), date=today, command=command)
     diagnosis, after = completion.first.diagnosis, completion.last.diagnosis.channels
     written = (
         write_next_version(completion.vehicle, options.folder / file.name, source=file) if completion.added else ""

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.own_effects import catalogue_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot
@@ -28,7 +29,7 @@ def check_options(options: DemoOptions) -> None:
     """Refuse what cannot be flown or written before anything takes off; makes the folder. Raises RequestError."""
     vehicle = read_vehicle(find_vehicle(options.vehicle))
     for text in options.effects:
-        parse_effect(text, vehicle.rotors.count)
+        parse_effect(text, vehicle.rotors.count, catalogue=catalogue_of(vehicle))
     for name in options.manoeuvres:
         named_reference(name, vehicle)
     if not options.manoeuvres:

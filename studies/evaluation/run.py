@@ -46,7 +46,13 @@ class EvaluationAnswer(msgspec.Struct, frozen=True):
 
 
 def run(
-    arguments: Sequence[Path], vehicle: str | None, *, mapping: Path | None, timed: bool, done: Callable[[str], None]
+    arguments: Sequence[Path],
+    vehicle: str | None,
+    *,
+    mapping: Path | None,
+    timed: bool,
+    done: Callable[[str], None],
+    effect_files: Sequence[Path] = (),
 ) -> Results:
     """Evaluate models on flights.
 
@@ -54,6 +60,7 @@ def run(
     vehicle: a vehicle file to evaluate as well.
     timed: whether to time inference.
     done: called with each model's name.
+    effect_files: with effects of the user's own, beside those that the vehicle names.
 
     Raises RequestError and DataError for what a user can cause.
     """
@@ -61,7 +68,7 @@ def run(
     models = [NamedModel(name, checkpoint.load(path)) for name, path in zip(_names(paths), paths, strict=True)]
     logs = find_flights([path for path in arguments if path.suffix != MODEL_SUFFIX])
     if vehicle is not None:
-        file = read_vehicle(find_vehicle(vehicle))
+        file = read_vehicle(find_vehicle(vehicle), effect_files=effect_files)
         like = models[0].model.config if models else physical_config(VEHICLE_FILE, rotors=file.rotors.count)
         models.insert(0, NamedModel(VEHICLE_FILE, physical_model(VEHICLE_FILE, file, like)))
     dt = models[0].model.config.dt if models else physical_config("", rotors=4).dt

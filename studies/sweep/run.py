@@ -55,6 +55,7 @@ class SweepOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     jobs: int | None = None
     scheduler: str | None = None
     mapping: Path | None = None
+    effect_files: tuple[Path, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +116,7 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     if not tests:
         raise RequestError("no flight to judge on was given: give --test, logs or folders that nothing is trained on.")
     simulated = _simulated(options)
-    text = vehicle_toml(read_vehicle(find_vehicle(options.vehicle)))
+    text = vehicle_toml(read_vehicle(find_vehicle(options.vehicle), effect_files=options.effect_files))
     judged = find_flights(tests)
     if shared := {path.resolve() for path in (*logs, *simulated)} & {path.resolve() for path in judged}:
         raise RequestError(f"{min(shared).name} is among both training and test flights. Give it once.")

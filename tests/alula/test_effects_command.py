@@ -51,7 +51,7 @@ def test_one_effect_is_described_for_a_vehicle_and_as_json() -> None:
 
 
 def test_effects_of_ones_own_are_listed() -> None:
-    names = {card.name for card in alula.describe_effects(effects=[OWN])} - set(CATALOGUE)
+    names = {card.name for card in alula.describe_effects(effect_files=[OWN])} - set(CATALOGUE)
     assert names
     done = effects(next(iter(names)), "--effects", str(OWN))
     assert done.returncode == 0, done.stderr

@@ -18,7 +18,7 @@ from simulation.mock_process import free_port
 def test_a_simulated_flight_has_the_same_bits_for_the_same_seed_and_hidden_effects_change_it() -> None:
     vehicle = alula.load_vehicle("arpl_250g")
     first, again = (alula.simulate("line:laps=1,ramp=1", vehicle=vehicle, seed=3) for _ in range(2))
-    dragged = alula.simulate("line:laps=1,ramp=1", vehicle="arpl_250g", seed=3, effects=["wind:x=3"])
+    dragged = alula.simulate("line:laps=1,ramp=1", vehicle="arpl_250g", seed=3, hidden=["wind:x=3"])
     positions = [np.asarray(alula.Flight.from_log(flown.log)["position"]) for flown in (first, again)]
     np.testing.assert_array_equal(*positions)
     assert dragged.position_rmse > 1.2 * first.position_rmse
