@@ -75,9 +75,9 @@ def check_vehicle(
     counts = {f[name].shape[1] for f in flights for name in ("rotor_speed", "rotor_command") if f.has(name)}
     if not counts or counts == {vehicle.rotors.count}:
         try:
-            found = identify_vehicle(flights, vehicle, catalogue, fit_curve=False)
-            numbers += _constants(found, vehicle)
-            notes = (*notes, *found.notes)
+            identified = identify_vehicle(flights, vehicle, catalogue, fit_curve=False)
+            numbers += _constants(identified, vehicle)
+            notes = (*notes, *identified.notes)
         except DataError as error:
             numbers.append(_open("thrust, inertia and lag", str(error)))
     elif not any(n.name == "rotors" for n in numbers):
@@ -123,36 +123,39 @@ def _rotor(number: int, layout: RotorLayout) -> str:
     return f"rotor {number} ({layout.autopilot} motor {layout.motor[number]})"
 
 
-def _constants(found: Identification, vehicle: Vehicle) -> Iterator[CheckedNumber]:
+def _constants(identified: Identification, vehicle: Vehicle) -> Iterator[CheckedNumber]:
     """The constants, those of the commands at the file's curve and speed_max."""
     rotors, body = vehicle.rotors, vehicle.body
     mass = f" at the file's mass of {body.mass:g} kg"
-    heavier = body.mass * rotors.thrust_constant / found.thrust_constant.value
+    heavier = body.mass * rotors.thrust_constant / identified.thrust_constant.value
     either = f"{mass}, or a mass of {heavier:.3g} kg at the file's thrust constant"
-    yield _compared("rotors.thrust_constant", rotors.thrust_constant, found.thrust_constant, either)
-    for axis, own, constant in zip("xy", body.inertia, found.inertia, strict=False):
+    yield _compared("rotors.thrust_constant", rotors.thrust_constant, identified.thrust_constant, either)
+    for axis, own, constant in zip("xy", body.inertia, identified.inertia, strict=False):
         yield _compared(f"body.inertia about {axis}", own, constant, mass)
     yield _compared(
-        "rotors.torque_constant over body.inertia about z", rotors.torque_constant / body.inertia[2], found.yaw_gain, ""
+        "rotors.torque_constant over body.inertia about z",
+        rotors.torque_constant / body.inertia[2],
+        identified.yaw_gain,
+        "",
     )
     lags = [use.parameters.get("time_constant") for use in vehicle.effects if use.name == MOTOR_LAG.name]
-    if found.motor_lag is not None:
+    if identified.motor_lag is not None:
         own_lag = next((lag for lag in lags if lag is not None), 0.0)
-        yield _compared("effects.motor_lag.time_constant", own_lag, found.motor_lag, "")
-    if found.speed_max is not None:
-        yield _compared("rotors.speed_max", rotors.speed_max, found.speed_max, "")
-    if found.thrust_curve is not None and found.is_measured:
+        yield _compared("effects.motor_lag.time_constant", own_lag, identified.motor_lag, "")
+    if identified.speed_max is not None:
+        yield _compared("rotors.speed_max", rotors.speed_max, identified.speed_max, "")
+    if identified.thrust_curve is not None and identified.is_measured:
         yield _compared(
-            "rotors.thrust_curve", rotors.thrust_curve, found.thrust_curve, "", least=LIMITS.curve_tolerance
+            "rotors.thrust_curve", rotors.thrust_curve, identified.thrust_curve, "", margin=LIMITS.curve_tolerance
         )
 
 
-def _compared(name: str, own: float, constant: Constant, remark: str, *, least: float = 0.0) -> CheckedNumber:
+def _compared(name: str, own: float, constant: Constant, remark: str, *, margin: float = 0.0) -> CheckedNumber:
     """A number beside an interval. least: difference that does not matter, in the unit."""
-    if not (math.isfinite(constant.half_width) and (constant.is_told or least or own == 0.0)):
+    if not (math.isfinite(constant.half_width) and (constant.is_usable or margin or own == 0.0)):
         width = f" +- {constant.half_width:.2g}" if math.isfinite(constant.half_width) else ""
         return _open(name, f"the flights say {constant.value:.4g}{width} {constant.unit}: too little of it was flown")
-    return _number(name, own, constant.value, constant.half_width + least, constant.unit, remark)
+    return _number(name, own, constant.value, constant.half_width + margin, constant.unit, remark)
 
 
 def _number(name: str, own: float, logs: float, half_width: float, unit: str, remark: str = "") -> CheckedNumber:

@@ -128,81 +128,81 @@ def _start(
 def _identified(flights: Sequence[Flight], start: Vehicle) -> tuple[Identification | None, str]:
     """What the flights show, or None and why they do not."""
     try:
-        found = identify_vehicle(flights, start)
+        identified = identify_vehicle(flights, start)
     except DataError as error:
         return None, str(error)
-    tilt = found.vehicle.body.inertia[:2]
-    return with_yaw_inertia(found, YAW_INERTIA * sum(tilt)), ""
+    tilt = identified.vehicle.body.inertia[:2]
+    return with_yaw_inertia(identified, YAW_INERTIA * sum(tilt)), ""
 
 
 def _entries(
     layout: RotorLayout,
     position: tuple[tuple[float, float, float], ...],
     start: Vehicle,
-    found: Identification | None,
+    identified: Identification | None,
     *,
     mass: float | None,
     arm: float | None,
     propeller: float | None,
     speed: float | None,
 ) -> Iterator[Entry]:
-    vehicle = start if found is None else found.vehicle
+    vehicle = start if identified is None else identified.vehicle
     rotors = vehicle.rotors
     per_mass = "" if mass is not None else " of 1 kg"
     yield Entry(
         "body.mass", mass, "kg", "given" if mass is not None else "assumed", "given" if mass else "open: weigh it"
     )
-    yield _inertia(found, start, per_mass)
+    yield _inertia(identified, start, per_mass)
     places = f"{layout.origin} of {layout.autopilot}"
-    given = f", scaled to the arm of {arm:g} m that was given" if arm is not None else ""
-    yield Entry("rotors.position", [list(p) for p in position], "m, body FLU", "parameters", places + given)
+    scaling = f", scaled to the arm of {arm:g} m that was given" if arm is not None else ""
+    yield Entry("rotors.position", [list(p) for p in position], "m, body FLU", "parameters", places + scaling)
     yield Entry("rotors.spin", list(layout.spin), "sign of the reaction torque about body z", "parameters", places)
     yield Entry("rotors.motor", list(layout.motor), f"{layout.autopilot}'s motor numbers", "parameters", places)
-    yield from _thrust_entries(found, rotors, per_mass)
-    yield _speed_entry(found, rotors, speed)
+    yield from _thrust_entries(identified, rotors, per_mass)
+    yield _speed_entry(identified, rotors, speed)
     if propeller is not None:
         yield Entry("rotors.radius", propeller / 2, "m", "given", "half of the diameter given")
-    if found is not None and found.motor_lag is not None and found.motor_lag.is_told:
-        yield _of(found.motor_lag, "effects.motor_lag.time_constant", "rotors behind their commands")
+    if identified is not None and identified.motor_lag is not None and identified.motor_lag.is_usable:
+        yield _of(identified.motor_lag, "effects.motor_lag.time_constant", "rotors behind their commands")
 
 
-def _inertia(found: Identification | None, start: Vehicle, per_mass: str) -> Entry:
-    if found is None or not all(value.is_told for value in found.inertia):
+def _inertia(identified: Identification | None, start: Vehicle, per_mass: str) -> Entry:
+    if identified is None or not all(value.is_usable for value in identified.inertia):
         arm = max(math.hypot(x, y) for x, y, _ in start.rotors.position)
         rule = inertia_entry(start.body.mass, arm)
         return Entry(rule.key, rule.value, rule.unit, "rule", f"{rule.origin}{per_mass}", rule.uncertainty)
-    x, y = found.inertia
-    yaw = found.vehicle.body.inertia[2]
+    x, y = identified.inertia
+    yaw = identified.vehicle.body.inertia[2]
     widths = (x.half_width, y.half_width, YAW_SPREAD * yaw)
     origin = f"relative to the mass{per_mass}; about z {YAW_INERTIA:g} of the sum of the others, by rule"
     return Entry("body.inertia", [x.value, y.value, yaw], "kg m^2, diagonal", "flights", origin, widths)
 
 
-def _thrust_entries(found: Identification | None, rotors: Rotors, per_mass: str) -> Iterator[Entry]:
-    if found is None:
+def _thrust_entries(identified: Identification | None, rotors: Rotors, per_mass: str) -> Iterator[Entry]:
+    if identified is None:
         doubled = f"full thrust of twice the weight{per_mass}"
         ratio = f"{rotors.torque_constant / rotors.thrust_constant:.3g} m of torque over thrust"
         yield Entry("rotors.thrust_constant", rotors.thrust_constant, "N s^2/rad^2", "assumed", doubled)
         yield Entry("rotors.torque_constant", rotors.torque_constant, "N m s^2/rad^2", "assumed", ratio)
         return
-    yield _of(found.thrust_constant, "rotors.thrust_constant", f"carries the weight{per_mass} in hover")
-    gain = found.yaw_gain
-    yaw = found.vehicle.body.inertia[2]
+    yield _of(identified.thrust_constant, "rotors.thrust_constant", f"carries the weight{per_mass} in hover")
+    gain = identified.yaw_gain
+    yaw = identified.vehicle.body.inertia[2]
     width = rotors.torque_constant * math.hypot(gain.half_width / gain.value, YAW_SPREAD)
     origin = f"{gain.value:.4g} +- {gain.half_width:.2g} times the inertia about z of {yaw:.3g}"
     yield Entry("rotors.torque_constant", rotors.torque_constant, "N m s^2/rad^2", "flights", origin, (width,))
-    if found.thrust_curve is not None:
-        own = abs(rotors.thrust_curve - min(max(found.thrust_curve.value, 0.0), 1.0)) < 1e-9
-        origin = f"{found.thrust_curve.value:.2f} +- {found.thrust_curve.half_width:.2f} by the flights"
+    if identified.thrust_curve is not None:
+        own = abs(rotors.thrust_curve - min(max(identified.thrust_curve.value, 0.0), 1.0)) < 1e-9
+        origin = f"{identified.thrust_curve.value:.2f} +- {identified.thrust_curve.half_width:.2f} by the flights"
         origin = origin if own else f"the autopilot's; {origin}"
         yield Entry("rotors.thrust_curve", rotors.thrust_curve, "share of the thrust that goes with the squared signal",
                     "flights" if own else "parameters", origin)  # fmt: skip
 
 
-def _speed_entry(found: Identification | None, rotors: Rotors, speed: float | None) -> Entry:
+def _speed_entry(identified: Identification | None, rotors: Rotors, speed: float | None) -> Entry:
     key = "rotors.speed_max"
-    if found is not None and found.speed_max is not None:
-        return _of(found.speed_max, key, "speed over motor signal, at full signal")
+    if identified is not None and identified.speed_max is not None:
+        return _of(identified.speed_max, key, "speed over motor signal, at full signal")
     if speed is not None:
         return Entry(key, speed, "rad/s", "given", "")
     return Entry(key, rotors.speed_max, "rad/s", "assumed", "a scale: the logs hold no rotor speeds")
@@ -213,34 +213,35 @@ def _of(constant: Constant, key: str, origin: str) -> Entry:
 
 
 def _open(
-    layout: RotorLayout, found: Identification | None, refusal: str, *, mass: float | None, speed: float | None
+    layout: RotorLayout, identified: Identification | None, refusal: str, *, mass: float | None, speed: float | None
 ) -> Iterator[str]:
     if mass is None:
         yield "the mass, with which thrust, torque and inertia scale: weigh the vehicle as flown and give --mass"
-    if found is None:
+    if identified is None:
         yield f"inertia, thrust and torque constants and the motors' lag: {refusal}"
         return
-    if not all(value.is_told for value in found.inertia):
+    if not all(value.is_usable for value in identified.inertia):
         yield "the inertia: these flights turn too gently; fly rolls and pitches of 30 degrees back and forth"
-    if not found.yaw_gain.is_told:
+    if not identified.yaw_gain.is_usable:
         yield "the torque constant: these flights yaw too gently; fly yaw steps of 90 degrees both ways"
     yield (
         "torque constant and yaw inertia apart: flights show their ratio alone; a bifilar pendulum or a thrust stand "
         "tells one of them"
     )
-    if found.speed_max is None and speed is None:
+    if identified.speed_max is None and speed is None:
         yield (
             "the rotors' speed: log esc_status (DShot telemetry), or give --speed-max; until then speeds and the "
             "constants per squared speed are on a scale of their own"
         )
-    if found.motor_lag is None or not found.motor_lag.is_told:
+    if identified.motor_lag is None or not identified.motor_lag.is_usable:
         yield "the motors' lag: these flights show none; fly quick rolls and log the motor commands"
-    if layout.thrust_curve is not None and found.thrust_curve is not None:
-        difference = abs(found.thrust_curve.value - layout.thrust_curve)
-        if difference > found.thrust_curve.half_width + LIMITS.curve_tolerance:
+    curve = identified.thrust_curve
+    if layout.thrust_curve is not None and curve is not None:
+        difference = abs(curve.value - layout.thrust_curve)
+        if difference > curve.half_width + LIMITS.curve_tolerance:
             yield (
-                f"why the thrust's curve is {found.thrust_curve.value:.2f} +- {found.thrust_curve.half_width:.2f} by "
-                f"the flights and {layout.thrust_curve:.2f} in the autopilot: the signal is followed as the flights say"
+                f"why the thrust's curve is {curve.value:.2f} +- {curve.half_width:.2f} by the flights and "
+                f"{layout.thrust_curve:.2f} in the autopilot: the signal is followed as the flights say"
             )
 
 

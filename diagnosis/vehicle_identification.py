@@ -72,7 +72,7 @@ class Constant:
     unit: str
 
     @property
-    def is_told(self) -> bool:
+    def is_usable(self) -> bool:
         """Whether the interval is narrow enough to use the value."""
         return math.isfinite(self.half_width) and self.half_width <= LIMITS.max_interval * abs(self.value)
 
@@ -138,11 +138,11 @@ def identify_vehicle(
         choices = choices or _drags(regression)
         fits = {choice: _fitted(regression, choice) for choice in choices}
         drag = min(choices, key=lambda choice: fits[choice].chi_square)
-        found, choices = fits[drag], [drag]
-        vehicle, moved = _corrected(start, found, dataset, fit_curve=fit_curve and signal is None)
+        fitted, choices = fits[drag], [drag]
+        vehicle, moved = _corrected(start, fitted, dataset, fit_curve=fit_curve and signal is None)
         if not moved:
             break
-    return _identification(start, vehicle, found, dataset, drag, signal)
+    return _identification(start, vehicle, fitted, dataset, drag, signal)
 
 
 def calibrated(vehicle: Vehicle, flights: Sequence[Flight]) -> Vehicle:
@@ -176,11 +176,11 @@ def _with_rotors(vehicle: Vehicle, **changed: float) -> Vehicle:
 def _regression(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Regression:
     """Of the effects that stand for constants, and those of the vehicle file, on all segments."""
     names = {effect.name for effect in (*CONSTANTS, *DRAGS, DAMPING)} | {use.name for use in vehicle.effects}
-    known = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
+    effects = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
     last = max(dataset.flight_of, default=-1) + 1
     logs = list(dict.fromkeys(s.flight for s in dataset.held_out))
     flight_of = (*dataset.flight_of, *(last + logs.index(s.flight) for s in dataset.held_out))
-    return make_regression(vehicle, known, dataset.everything, flight_of)
+    return make_regression(vehicle, effects, dataset.everything, flight_of)
 
 
 def _drags(regression: Regression) -> list[Effect]:
@@ -206,17 +206,17 @@ def _candidate(regression: Regression, effect: Effect) -> Candidate | None:
     return max(candidates, key=lambda c: regression.gain(c.columns), default=None)
 
 
-def _corrected(start: Vehicle, found: Fit, dataset: Dataset, *, fit_curve: bool) -> tuple[Vehicle, bool]:
+def _corrected(start: Vehicle, fitted: Fit, dataset: Dataset, *, fit_curve: bool) -> tuple[Vehicle, bool]:
     """The vehicle with a fit's values, and whether one of them has moved by more than a share of its interval."""
-    ratios = [found.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
+    ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
     x, y, z = start.body.inertia
     tilt = (x * ratios[0].value, y * ratios[1].value)
     yaw = min(max(z, *(1.001 * abs(tilt[0] - tilt[1]),)), 0.999 * sum(tilt))
-    thrust = _thrust_ratio(found, dataset)
+    thrust = _thrust_ratio(fitted, dataset)
     gain = start.rotors.torque_constant * thrust.value / (z * ratios[2].value)
     constant = start.rotors.thrust_constant * thrust.value
     changed = {"thrust_constant": constant, "torque_constant": gain * yaw}
-    curve = _curve(start, found, dataset) if fit_curve else None
+    curve = _curve(start, fitted, dataset) if fit_curve else None
     if curve is not None and abs(curve.value - start.rotors.thrust_curve) > NORMAL * curve.std:
         changed["thrust_curve"] = min(max(curve.value, 0.0), 1.0)
     body = msgspec.structs.replace(start.body, inertia=(*tilt, yaw))
@@ -224,21 +224,21 @@ def _corrected(start: Vehicle, found: Fit, dataset: Dataset, *, fit_curve: bool)
     return _with_rotors(msgspec.structs.replace(start, body=body), **changed), bool(moved)
 
 
-def _thrust_ratio(found: Fit, dataset: Dataset) -> ParameterEstimate:
+def _thrust_ratio(fitted: Fit, dataset: Dataset) -> ParameterEstimate:
     """Thrust in hover over that of the vehicle that was fitted."""
     if dataset.curve is None:
-        return found.estimates.get((THRUST_CONSTANT.name, "ratio"), ParameterEstimate(1.0, math.nan, "1"))
+        return fitted.estimates.get((THRUST_CONSTANT.name, "ratio"), ParameterEstimate(1.0, math.nan, "1"))
     gains = [gain.mean for gain in dataset.curve.gains.values()]
-    ratio = command_gain(found, dataset.curve.mass)
-    fitted = ratio or ParameterEstimate(1.0, 0.0, "1")
+    ratio = command_gain(fitted, dataset.curve.mass)
+    joint = ratio or ParameterEstimate(1.0, 0.0, "1")
     mean = float(np.mean(gains))
     spread = float(np.std(gains, ddof=1)) / math.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    return ParameterEstimate(mean * fitted.value, math.hypot(mean * fitted.std, spread), "1")
+    return ParameterEstimate(mean * joint.value, math.hypot(mean * joint.std, spread), "1")
 
 
-def _curve(start: Vehicle, found: Fit, dataset: Dataset) -> ParameterEstimate | None:
+def _curve(start: Vehicle, fitted: Fit, dataset: Dataset) -> ParameterEstimate | None:
     """The share of the thrust that goes with the signal's square, by the slope of thrust over signal in hover."""
-    bend = found.commands.get((BEND.name, "bend"))
+    bend = fitted.commands.get((BEND.name, "bend"))
     if dataset.curve is None or bend is None:
         return None
     a, b, c = dataset.curve.terms
@@ -319,28 +319,28 @@ def _signal_curve(signal: Floats, speed: Floats, rate: float) -> tuple[float, fl
 
 
 def _identification(
-    start: Vehicle, vehicle: Vehicle, found: Fit, dataset: Dataset, drag: Effect, signal: _SignalFit | None
+    start: Vehicle, vehicle: Vehicle, fitted: Fit, dataset: Dataset, drag: Effect, signal: _SignalFit | None
 ) -> Identification:
-    ratios = [found.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
-    unsettled = INERTIA.name in found.unsettled
+    ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
+    unsettled = INERTIA.name in fitted.unsettled
 
-    def told(value: float, relative: float, unit: str, *, known: bool = True) -> Constant:
+    def constant_of(value: float, relative: float, unit: str, *, settled: bool = True) -> Constant:
         width = math.hypot(NORMAL * relative, LIMITS.model_error) * abs(value)
-        return Constant(value, width if known else math.inf, unit)
+        return Constant(value, width if settled else math.inf, unit)
 
     x, y, z = (
-        told(base * r.value, r.std / r.value, "kg m^2", known=not unsettled)
+        constant_of(base * r.value, r.std / r.value, "kg m^2", settled=not unsettled)
         for base, r in zip(start.body.inertia, ratios, strict=True)
     )
-    thrust = _thrust_ratio(found, dataset)
-    known, deviation = math.isfinite(thrust.std), thrust.std / thrust.value
-    constant = told(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2", known=known)
+    thrust = _thrust_ratio(fitted, dataset)
+    is_settled, deviation = math.isfinite(thrust.std), thrust.std / thrust.value
+    constant = constant_of(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2", settled=is_settled)
     gain = start.rotors.torque_constant * thrust.value / z.value
-    curve, lag = _curve_and_lag(start, found, dataset, signal)
+    curve, lag = _curve_and_lag(start, fitted, dataset, signal)
     full = math.hypot(deviation, _extrapolation(vehicle, curve) / NORMAL)
     return Identification(
         vehicle=vehicle,
-        thrust=told(vehicle.rotors.thrust_max, full, "N", known=known),
+        thrust=constant_of(vehicle.rotors.thrust_max, full, "N", settled=is_settled),
         thrust_constant=constant,
         thrust_curve=curve,
         inertia=(x, y),
@@ -352,20 +352,20 @@ def _identification(
         hover=_hover_signal(vehicle) if curve is not None else None,
         segments=len(dataset.everything),
         duration=sum(s.duration for s in dataset.everything),
-        chi_square=found.chi_square,
+        chi_square=fitted.chi_square,
         notes=tuple(n for n in dataset.notes if dataset.curve is None or n != dataset.curve.note()),
     )
 
 
 def _curve_and_lag(
-    start: Vehicle, found: Fit, dataset: Dataset, signal: _SignalFit | None
+    start: Vehicle, fitted: Fit, dataset: Dataset, signal: _SignalFit | None
 ) -> tuple[Constant | None, Constant | None]:
     """Of the rotors behind their signal, where the flights show them."""
     if signal is not None:
         return signal.curve, signal.lag
-    bend = _curve(start, found, dataset)
+    bend = _curve(start, fitted, dataset)
     curve = None if bend is None else Constant(bend.value, NORMAL * bend.std, "1")
-    lag = found.estimates.get((MOTOR_LAG.name, "time_constant"))
+    lag = fitted.estimates.get((MOTOR_LAG.name, "time_constant"))
     if lag is None:
         return curve, None
     return curve, Constant(lag.value, math.hypot(NORMAL * lag.std, LIMITS.model_error * lag.value), "s")

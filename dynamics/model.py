@@ -111,8 +111,8 @@ def build_model(
 
     Raises RequestError when an effect is given twice.
     """
-    known = catalogue_of(vehicle, catalogue)
-    active, hidden_initial = activate(vehicle, vehicle.effects if effects is None else effects, known)
+    own = catalogue_of(vehicle, catalogue)
+    active, hidden_initial = activate(vehicle, vehicle.effects if effects is None else effects, own)
     named, count = model_parameters(vehicle, active), vehicle.rotors.count
     structure = (count, *((item.effect, item.rotor, *item.values) for item in active))
     if structure not in _functions:

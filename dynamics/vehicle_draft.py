@@ -103,9 +103,9 @@ def _assignments(entries: Iterable[Entry]) -> Iterator[str]:
     for entry in entries:
         interval = f", {entry.interval}" if entry.interval else ""
         assignment = f"{entry.key.rpartition('.')[2]} = {_literal(entry.value)}"
-        beside = entry.unit and len(assignment) < COMMENT_COLUMN
-        yield f"# {entry.described}{interval}" + (f"; {entry.unit}" if entry.unit and not beside else "")
-        yield f"{assignment:<{COMMENT_COLUMN}}# {entry.unit}" if beside else assignment
+        same_line = entry.unit and len(assignment) < COMMENT_COLUMN
+        yield f"# {entry.described}{interval}" + (f"; {entry.unit}" if entry.unit and not same_line else "")
+        yield f"{assignment:<{COMMENT_COLUMN}}# {entry.unit}" if same_line else assignment
 
 
 def _literal(value: Any) -> str:

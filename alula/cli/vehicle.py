@@ -61,8 +61,8 @@ def new(
     json: Json = None,
 ) -> None:
     """Make a vehicle file by rules of thumb, from what is written on the parts; asks for what is not given."""
-    given = {"mass": mass, "arm": arm, "propeller": propeller, "kv": kv, "cells": cells}
-    numbers = {key: quantity(text, key) for key, text in _answered(given).items()}
+    options = {"mass": mass, "arm": arm, "propeller": propeller, "kv": kv, "cells": cells}
+    numbers = {key: quantity(text, key) for key, text in _answered(options).items()}
     draft = alula.new_vehicle(
         name,
         mass=numbers["mass"],
@@ -174,17 +174,17 @@ def quantity(text: str, name: str) -> float:
     except ValueError:
         number = None
     if match is None or number is None:
-        known = " or ".join(filter(None, allowed))
-        raise RequestError(f"--{name} {text!r} is no number" + (f" with {known}." if known else "."))
+        units_allowed = " or ".join(filter(None, allowed))
+        raise RequestError(f"--{name} {text!r} is no number" + (f" with {units_allowed}." if units_allowed else "."))
     return number * UNITS[match.group(2)]
 
 
-def _answered(given: Mapping[str, str | None]) -> dict[str, str]:
+def _answered(options: Mapping[str, str | None]) -> dict[str, str]:
     """What was given, and answers to questions for the rest. Raises RequestError where nobody can be asked."""
-    missing = [f"--{name}" for name, text in given.items() if text is None]
+    missing = [f"--{name}" for name, text in options.items() if text is None]
     if missing and not sys.stdin.isatty():
         raise RequestError(f"{', '.join(missing)} missing: give them, or run this in a terminal, which asks for them.")
-    return {name: typer.prompt(QUESTIONS[name]) if text is None else text for name, text in given.items()}
+    return {name: typer.prompt(QUESTIONS[name]) if text is None else text for name, text in options.items()}
 
 
 def _report(draft: Draft, path: Path | None, json: Path | None, following: str) -> None:

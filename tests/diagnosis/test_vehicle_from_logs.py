@@ -24,16 +24,16 @@ def sih() -> LogVehicle:
 
 
 def test_a_file_from_px4s_log_holds_the_simulators_constants(sih: LogVehicle) -> None:
-    found = sih.identified
-    assert found is not None
-    assert found.thrust_curve is not None
-    assert found.motor_lag is not None
+    identified = sih.identified
+    assert identified is not None
+    assert identified.thrust_curve is not None
+    assert identified.motor_lag is not None
     truths = [
-        (found.thrust, 20.0),
-        (found.thrust_curve, 0.0),
-        *((inertia, 0.025) for inertia in found.inertia),
-        (found.yaw_gain, 1e-7 / 0.03),
-        (found.motor_lag, 0.05),
+        (identified.thrust, 20.0),
+        (identified.thrust_curve, 0.0),
+        *((inertia, 0.025) for inertia in identified.inertia),
+        (identified.yaw_gain, 1e-7 / 0.03),
+        (identified.motor_lag, 0.05),
     ]
     for constant, truth in truths:
         assert abs(constant.value - truth) <= constant.half_width
@@ -90,8 +90,8 @@ def test_measured_rotor_speeds_give_the_thrust_constant() -> None:
     rotors = msgspec.structs.replace(truth.rotors, thrust_constant=6e-7)
     start = msgspec.structs.replace(truth, body=body, rotors=rotors)
     flight = Flight.from_log(without(flown().log, "rotor_command", "rotor_speed_command"), rate=100.0)
-    found = identify_vehicle([flight], start)
-    assert found.is_measured
-    assert abs(found.thrust_constant.value - truth.rotors.thrust_constant) <= found.thrust_constant.half_width
-    for inertia, value in zip(found.inertia, truth.body.inertia, strict=False):
+    identified = identify_vehicle([flight], start)
+    assert identified.is_measured
+    assert abs(identified.thrust_constant.value - truth.rotors.thrust_constant) <= identified.thrust_constant.half_width
+    for inertia, value in zip(identified.inertia, truth.body.inertia, strict=False):
         assert abs(inertia.value - value) <= inertia.half_width
