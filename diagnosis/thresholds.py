@@ -430,6 +430,8 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
+    min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands. [not
+    derived yet]
     """
 
     max_steps: Count = 8
@@ -439,6 +441,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     difference_step: Positive = 0.02
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
+    min_excess: Factor = 1.2
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):

@@ -7,7 +7,7 @@ the slow columns serve as instruments; errors in variables are corrected as in t
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from weakref import WeakKeyDictionary
 
 import msgspec
@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri, stdtrit
 
+from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
-from diagnosis.selection.design_matrix import with_slow_moments
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
@@ -126,6 +126,10 @@ def _fitted(
     together = (*candidates, *regression.nuisances)
     problem = _EquationErrorProblem(regression, together, base)
     values, last, left = _settle(problem, problem.start(start))
+    chi_square = last.cost / regression.total
+    if problem.reweigh(values):
+        values, last, left = _settle(problem, values)
+        chi_square = problem.chi_square(values)
     covariance = last.covariance + np.outer(left, left)
     covariance += np.diag([clock_variance(c.effect, name, regression.segments[0].rate) for c, name in problem.free])
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
@@ -147,7 +151,7 @@ def _fitted(
         unsettled,
         regression.nuisances,
         commands,
-        last.cost / regression.total,
+        chi_square,
     )
 
 
@@ -276,6 +280,7 @@ class _EquationErrorProblem:
 
     def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
         self._regression, self._vehicle = regression, vehicle
+        self._noise = regression.noise
         self._candidates = candidates
         self.thresholds = regression.thresholds.equation_error
         self.free = [(c, name) for c in candidates for name in _free(c)]
@@ -289,12 +294,12 @@ class _EquationErrorProblem:
         self._own_slopes = _own_slopes(regression, self.names)
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
         example = regression.segments[0]
-        of_commands = example.rotor_source != "measured"
-        self._cutoff = example.filters.command_cutoff if of_commands else example.filters.slow_cutoff
+        self._of_commands = example.rotor_source != "measured"
+        self._cutoff = example.filters.command_cutoff if self._of_commands else example.filters.slow_cutoff
         self._instruments = self._predictor
         if self._predictor.model.rotor_speed_places:  # its rotors turn behind their commands, whatever speeds are given
             self._instruments = self._model(without_lag(uses, regression.catalogue), self.linear)
-        self._errors: dict[int, tuple[Floats, Floats]] = {}
+        self._errors: dict[int, tuple[Floats, Floats, Floats]] = {}
         self._block = max(regression.noise.order, round(self.thresholds.block * regression.rate))  # rows
 
     def _model(self, uses: Sequence[EffectUse], free: Sequence[str]) -> Predictor:
@@ -305,8 +310,16 @@ class _EquationErrorProblem:
         )
 
     def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
-        """Values at which the fit begins: the initial ones, else those of the linear regression."""
+        """Values at which the fit begins: the initial ones, else those of the linear regression.
+
+        Gain and curve of commands begin within three deviations of their prior: about another fit the linear solution
+        may lie far beyond, from where the steps do not return.
+        """
         starts = self._linear_solution() if initial is None else {f"{k}.{n}": v for (k, n), v in initial.items()}
+        for place in [i for i, (c, _) in enumerate(self.free) if c in self._regression.nuisances]:
+            mean, reach = self._expected[place], 3 / np.sqrt(self._information[place])
+            name = self.names[place]
+            starts[name] = float(np.clip(starts.get(name, mean), mean - reach, mean + reach))
         low, high = np.array(self.bounds).T
         return np.clip([starts.get(f"{c.key}.{n}", c.at[n]) for c, n in self.free], low, high)
 
@@ -335,13 +348,45 @@ class _EquationErrorProblem:
         low, high = np.array(self.bounds).T
         return np.asarray(np.clip(values + step, low, high))
 
+    def reweigh(self, values: Floats) -> bool:
+        """Weigh each channel by what a fit leaves in it, where that is more than the noise; whether any weight changed.
+
+        Where commands give the rotors' speeds, each channel has noise of its own. One that the model misses is no
+        measure of what the others show.
+        """
+        if not self._of_commands or (equations := self._equations(self._named(values))) is None:
+            return False
+        squares = np.mean(np.concatenate([self._unbiased(equations, part) for part in equations.rows]) ** 2, axis=0)
+        excess = np.where(squares > self.thresholds.min_excess, np.sqrt(squares), 1.0)
+        self._noise = replace(self._noise, level=self._noise.level * excess)
+        self._errors.clear()
+        return bool(np.any(excess > 1.0))
+
+    def _unbiased(self, equations: _Equations, part: _Rows) -> Floats:
+        """(m, c) residuals of a segment less the biases of its flight."""
+        places = list(equations.biases.columns)
+        gram, product = equations.grams[part.flight], equations.products[part.flight]
+        inner = gram[np.ix_(places, places)] + np.diag(equations.biases.information)
+        return np.asarray(part.y - part.x[:, :, places] @ np.linalg.solve(inner, product[places]))
+
+    def chi_square(self, values: Floats) -> float:
+        """Reduced, at some values, by the regression's noise."""
+        weighted, self._noise = self._noise, self._regression.noise
+        self._errors.clear()
+        result = self.step(values).cost / self._regression.total
+        self._noise = weighted
+        return result
+
+    def _named(self, values: Floats) -> dict[str, float]:
+        return dict(zip(self.names, values.tolist(), strict=True))
+
     def step(self, values: Floats) -> _Step:
         """The step from some values; every flight's biases are integrated out.
 
         The covariance is that of blocks of residuals (White, 1980), of few blocks also the noise model's.
         """
         count = len(self.free)
-        equations = self._equations(dict(zip(self.names, values.tolist(), strict=True)))
+        equations = self._equations(self._named(values))
         if equations is None:
             return _Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
@@ -399,13 +444,26 @@ class _EquationErrorProblem:
         r, off = self._regression, list(self._regression.biases.columns)
         for place, (segment, columns, flight) in enumerate(zip(r.segments, r.columns, r.flight_of, strict=True)):
             linear = self._linear(segment, changed)
-            y, x, z = (r.noise.whiten(part) for part in linear)
+            y, x, z = (self._noise.whiten(part) for part in linear)
             starts = np.arange(0, len(y), self._block)
-            if place not in self._errors:  # they change by as little as the columns do from step to step
-                self._errors[place] = self._added_by_noise(place, linear, changed, starts)
-            fixed = r.noise.whiten(columns[:, :, off])
+            errors = self._errors_at(place, linear, changed, starts)
+            fixed = self._noise.whiten(columns[:, :, off])
             white = [self._with_biases(part, fixed) for part in (x, z)]
-            yield _Rows(flight, y, white[0], white[1], starts, *self._errors[place])
+            yield _Rows(flight, y, white[0], white[1], starts, *errors)
+
+    def _errors_at(
+        self, place: int, linear: Sequence[Floats], changed: Mapping[str, float], starts: NDArray[np.intp]
+    ) -> tuple[Floats, Floats]:
+        """What noise of the sensors' level adds to Z'X and Z'y of a segment's blocks: (b, k, k) and (b, k).
+
+        They are computed once, since they change by as little as the columns do from step to step; of residuals at
+        other values noise is less what it is of the columns.
+        """
+        values = np.array([changed[name] for name in self.names])
+        if place not in self._errors:
+            self._errors[place] = (values, *self._added_by_noise(place, linear, changed, starts))
+        first, gram, product = self._errors[place]
+        return gram, product - gram @ (values - first)
 
     def _added_by_noise(
         self, place: int, linear: Sequence[Floats], changed: Mapping[str, float], starts: NDArray[np.intp]
@@ -415,7 +473,7 @@ class _EquationErrorProblem:
         linear: y, x and z of the segment without it.
         """
         again = self._linear(self._regression.noisier[place], changed)
-        y, x, z = (self._regression.noise.whiten(b - a) for a, b in zip(linear, again, strict=True))
+        y, x, z = (self._noise.whiten(b - a) for a, b in zip(linear, again, strict=True))
         products = np.einsum("mck,mc->mk", z, y)
         return _by_block(z, x, starts), np.asarray(np.add.reduceat(products, starts, axis=0))
 
@@ -488,18 +546,21 @@ class _EquationErrorProblem:
             scaling = [n for n, scales in zip(self.names, self._instrumented, strict=True) if scales and n in slopes]
             if scaling:
                 logged = self._predictor.rotor_speed(segment, self._predictor.values(changed))
-                speed = make_instruments(segment, self._regression.vehicle, logged, self._cutoff).rotor_speed
+                vehicle = self._regression.vehicle
+                speed = make_instruments(
+                    segment, vehicle, logged, self._cutoff, slow_thrust=self._of_commands
+                ).rotor_speed
                 model = self._instruments.model
                 at = {name: value for name, value in changed.items() if name in model.parameter_names}
-                slow = self._instruments.slopes(segment, at, rotor_speed=speed, free=scaling)
-                instruments = dict(zip(scaling, channels.predicted(segment, slow).transpose(2, 0, 1), strict=True))
+                at_speed = self._instruments.slopes(segment, at, rotor_speed=speed, free=scaling)
+                instruments = dict(zip(scaling, channels.predicted(segment, at_speed).transpose(2, 0, 1), strict=True))
         x, z = [], []
         for name, instrumented in zip(self.names, self._instrumented, strict=True):
             slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
             x.append(slope)
             z.append(instruments[name] if instrumented and name in instruments else slope)
             if name in self._lags:
-                z[-1] = with_slow_moments(slope, segment)
+                z[-1] = slow(slope, segment.decimated_rate, segment.filters.slow_cutoff)
         return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
 
     def _difference(self, segment: Segment, changed: Mapping[str, float], name: str, base: Floats) -> Floats:

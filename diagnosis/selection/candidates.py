@@ -204,17 +204,27 @@ class Instruments:
 
 
 def make_instruments(
-    segment: Segment, vehicle: Vehicle, rotor_speed: Floats | None = None, cutoff: float | None = None
+    segment: Segment,
+    vehicle: Vehicle,
+    rotor_speed: Floats | None = None,
+    cutoff: float | None = None,
+    *,
+    slow_thrust: bool = False,
 ) -> Instruments:
     """Instruments of a segment.
 
     rotor_speed: (n, rotors) that give its thrust, by default the logged ones, rad/s.
     cutoff: below which motion is slow, by default that of detection, Hz.
+    slow_thrust: whether the thrust, too, is that below the cutoff.
     """
     turned = segment.rotor_speed if rotor_speed is None else rotor_speed
-    slow_motion = _slow_motion(segment, vehicle, segment.filters.slow_cutoff if cutoff is None else cutoff)
+    limit = segment.filters.slow_cutoff if cutoff is None else cutoff
+    slow_motion = _slow_motion(segment, vehicle, limit)
     allocation = vehicle.rotors.allocation
-    wrench = np.column_stack([turned**2 @ allocation[0], slow_motion.moment])
+    thrust = turned**2 @ allocation[0]
+    if slow_thrust:
+        thrust = slow(thrust, segment.rate, limit)
+    wrench = np.column_stack([thrust, slow_motion.moment])
     speed = np.sqrt(np.maximum(wrench @ np.linalg.pinv(allocation).T, 0.0))
     return Instruments(speed, turned, slow_motion.rotor_acceleration)
 

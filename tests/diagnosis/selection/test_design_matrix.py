@@ -27,3 +27,16 @@ def test_slopes_of_all_candidates_at_once_are_those_of_each_alone(segment, arpl_
         )
         alone = channels.predicted(segment, slopes)
         np.testing.assert_allclose(together[:, :, list(candidate.columns)], alone, atol=1e-9 * np.abs(alone).max())
+
+
+def test_a_fit_of_commands_takes_instruments_whose_thrust_is_slow_too(segment, arpl_250g):
+    """A height controller answers the noise of the velocity that is logged."""
+    ripple = 1.0 + 0.05 * np.sin(2 * np.pi * 5.0 * np.arange(len(segment)) / segment.rate)[:, None]
+    fast, slow = (
+        make_instruments(segment, arpl_250g, ripple * segment.rotor_speed, 0.75, slow_thrust=of_fit).rotor_speed ** 2
+        @ arpl_250g.rotors.allocation[0]
+        for of_fit in (False, True)
+    )
+    inside = slice(round(segment.rate), -round(segment.rate))
+    assert np.std(np.diff(slow)[inside]) < 0.05 * np.std(np.diff(fast)[inside])
+    assert np.mean(slow) == pytest.approx(np.mean(fast), rel=0.01)
