@@ -8,9 +8,11 @@ named effects, grey_box), exported. 15 s of each reference over UDP MAVLink in r
 not count.
 
 Every flight is kept as a file, so that an interrupted run resumes; files of models that have changed since are
-left out. Draws docs/pictures/table_two.png.
+left out. Draws docs/pictures/table_two.png. With --estimates whole flights in lockstep instead, in motion capture and
+on PX4's estimate, into a page of their own.
 
     python -m benchmarks.table_two [--runs 5] [--models nominal,effects] [--jobs 2] [--lockstep] [--only-finished]
+    python -m benchmarks.table_two --estimates [--runs 1] [--models nominal,effects]
 """
 
 from __future__ import annotations
@@ -23,8 +25,8 @@ from pathlib import Path
 import msgspec
 
 from benchmarks.provenance import write_result
-from benchmarks.table_two_page import PICTURE, body, draw
-from benchmarks.table_two_worker import VEHICLE, Flown, Run, fly
+from benchmarks.table_two_page import PICTURE, body, draw, estimates_body
+from benchmarks.table_two_worker import VEHICLE, Flown, Pace, Run, fly
 from diagnosis.addition import write_next_version
 from diagnosis.completion import complete
 from diagnosis.data.dataset import read_dataset
@@ -57,11 +59,12 @@ def main() -> None:
     arguments = _arguments()
     models = arguments.models.split(",")
     runs = [
-        Run("lockstep" if arguments.lockstep else "link", model, str(path), key, manoeuvre, FIRST_SEED + number)
+        Run(pace, model, str(path), key, manoeuvre, FIRST_SEED + number)
         for model in models
         for path, key in [_model(model, arguments.keep, arguments.campaign)]
         for number in range(arguments.runs)
         for manoeuvre in TRACKING_NOMINAL
+        for pace in _paces(arguments)
     ]
     missing = [] if arguments.only_finished else [run for run in runs if not _file(arguments.keep, run).exists()]
     for number, (_, flown) in enumerate(parallel_map(fly, missing, jobs=arguments.jobs), start=1):
@@ -71,6 +74,9 @@ def main() -> None:
             f"{number}/{len(missing)} {flown.run.model} {flown.run.manoeuvre} {flown.run.seed}: {outcome}", flush=True
         )
     results = [_read(_file(arguments.keep, run)) for run in runs if _file(arguments.keep, run).exists()]
+    if arguments.estimates:
+        write_result("table_two_px4", "Tracking on PX4's estimate, hidden effects", estimates_body(results))
+        return
     if arguments.lockstep:
         print(body(results, [], _effects_file(arguments.keep)))
         return
@@ -84,12 +90,19 @@ def main() -> None:
     )
 
 
+def _paces(arguments: argparse.Namespace) -> tuple[Pace, ...]:
+    if arguments.estimates:
+        return ("mocap", "px4")
+    return ("lockstep",) if arguments.lockstep else ("link",)
+
+
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--models", default=",".join(MODELS))
     parser.add_argument("--jobs", type=int, choices=(1, 2), default=2, help="flights at the same time")
     parser.add_argument("--lockstep", action="store_true", help="simulated time, no link; prints, writes nothing")
+    parser.add_argument("--estimates", action="store_true", help="in lockstep, in motion capture and on PX4's estimate")
     parser.add_argument("--only-finished", action="store_true", help="fly nothing, write from what is there")
     parser.add_argument("--keep", type=Path, default=BUILD / "table_two")
     parser.add_argument("--campaign", type=Path, default=BUILD / "campaign_learning", help="of `alula campaign`")

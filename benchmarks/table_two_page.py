@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.table_two_worker import ANGULAR_BINS, DURATION, LINEAR_BINS, RAMP, Flown
+from benchmarks.table_two_worker import ANGULAR_BINS, DURATION, HEIGHT, LINEAR_BINS, RAMP, Flown
 from dynamics.references.manoeuvres import PAPER
 from dynamics.vehicle_file import read_vehicle
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
@@ -55,6 +55,22 @@ def body(flights: Sequence[Flown], quick: Sequence[Flown], effects: Path) -> str
         )
         parts += [f"Diagnosed and added: {listed}."]
     return "\n\n".join(parts)
+
+
+def estimates_body(flights: Sequence[Flown]) -> str:
+    """Errors of whole flights in lockstep, in motion capture and on PX4's estimate."""
+    models = _models(flights)
+    paces = {"mocap": "motion capture", "px4": "PX4's estimate"}
+    heads = [f"{NAMES[model]}, {title}" for model in models for title in paces.values()]
+    by_pace = {pace: [flown for flown in flights if flown.run.pace == pace] for pace in paces}
+    rows = [
+        [name, *(_cell(by_pace[pace], model, name) for model in models for pace in paces)] for name in TRACKING_NOMINAL
+    ]
+    return (
+        f"Position RMSE by the estimate in m, mean ± standard deviation over runs; {DURATION - RAMP:g} s of each "
+        f"flight from the ground to the ground in lockstep, after the ramp of {RAMP:g} s; ratio: nominal over it. "
+        f"Lowest point of each manoeuvre {HEIGHT:g} m.\n\n{_table(['manoeuvre', *heads], rows)}"
+    )
 
 
 def _models(flights: Sequence[Flown]) -> list[str]:

@@ -16,15 +16,22 @@ from dynamics.arrays import Floats
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
 from dynamics.references.campaign import REAL_WORLD
+from dynamics.state import POSITION, VELOCITY
+from dynamics.state import RATE as RATE_BODY
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from flights import Flight, filters
-from runtime.control.controller import Controller
+from runtime.control.controller import Controller, ControllerOptions
 from runtime.daemon import Daemon
+from runtime.flight.composition import build_controllers
 from runtime.flight.events import Event
+from runtime.flight.mission import Phase
 from runtime.flight_setup import FlightSetup, exported_bundle, prepare_flight
 from runtime.record.recording import FlightRecording, read_recording
 from simulation.lockstep import fly_reference
 from simulation.mock_process import mock_process
+from simulation.whole_flight import fly_whole
+from sitl_mock.mock import MockOptions
+from sitl_mock.vehicle.estimator import Estimator
 from studies.demo.flights import BRISK, FINDING_PATIENCE
 from studies.demo.report import tracked
 from training.data.labels import RATE_CUTOFF, VELOCITY_CUTOFF
@@ -32,6 +39,7 @@ from training.data.labels import RATE_CUTOFF, VELOCITY_CUTOFF
 VEHICLE = "arpl_250g"
 DURATION, RAMP = 15.0, 3.0  # s of the reference that are flown, and of its beginning that do not count
 RATE = 100.0  # Hz
+HEIGHT = 2.0  # m of the lowest point, on an estimate whose height wanders by a metre
 PRIORITY, MOCKS_PRIORITY = 50, 30  # of SCHED_FIFO for the control thread and the mock, where it is granted
 MAX_REPEATS = 3  # of a flight during which the machine held up the mock's estimates
 LINEAR_BINS = np.linspace(0.0, 24.0, 49)  # m/s^2
@@ -39,10 +47,18 @@ ANGULAR_BINS = np.linspace(0.0, 96.0, 49)  # rad/s^2
 PATH_STEP = 4  # every so many rows of a path are kept
 
 
-class Run(msgspec.Struct, frozen=True):
-    """A flight to be flown. path: the model's vehicle file or bundle. key: of what the model came from."""
+Pace = Literal["link", "lockstep", "mocap", "px4"]
 
-    pace: Literal["link", "lockstep"]
+
+class Run(msgspec.Struct, frozen=True):
+    """A flight to be flown.
+
+    pace: over the link; in lockstep from the reference's start; in lockstep from the ground on an estimator's errors.
+    path: the model's vehicle file or bundle.
+    key: of what the model came from.
+    """
+
+    pace: Pace
     model: str
     path: str
     key: str
@@ -93,7 +109,9 @@ def fly(run: Run) -> Flown:
 
 def _tried(run: Run) -> Flown:
     try:
-        return _over_link(run) if run.pace == "link" else in_lockstep(run)
+        if run.pace == "link":
+            return _over_link(run)
+        return in_lockstep(run) if run.pace == "lockstep" else from_the_ground(run, run.pace)
     except VehicleError as error:
         return Flown(run, str(error))
 
@@ -197,6 +215,26 @@ def in_lockstep(run: Run) -> Flown:
     return msgspec.structs.replace(
         result, fallbacks=flown.fallbacks, fallback_seconds=flown.fallback_seconds, ticks=int(DURATION * RATE)
     )
+
+
+def from_the_ground(run: Run, estimator: Estimator) -> Flown:
+    """A whole flight in lockstep on an estimator's errors; its error is by the estimate."""
+    file, bundle = find_vehicle(VEHICLE), exported_bundle(Path(run.path))
+    options = None if bundle is not None else ControllerOptions.for_vehicle(read_vehicle(Path(run.path)))
+    controllers = build_controllers(read_vehicle(file if bundle else Path(run.path)), bundle, options)
+    flight = fly_whole(
+        MockOptions(file, effects=tuple(REAL_WORLD), estimator=estimator, seed=run.seed),
+        named_reference(f"{run.manoeuvre}:height={HEIGHT}", controllers.flying.trim, duration=DURATION),
+        plan=msgspec.structs.replace(BRISK, duration=DURATION),
+        controllers=controllers,
+    )
+    if not flight.landed or flight.landing_reason:
+        return Flown(run, f"{flight.outcome} {flight.landing_reason}".strip())
+    rows = np.array([phase is Phase.TRACK for phase in flight.phases])
+    times, estimate = np.array(flight.time)[rows], np.array(flight.estimate)[rows]
+    parts = (estimate[:, POSITION], np.array(flight.reference)[rows], estimate[:, VELOCITY], estimate[:, RATE_BODY])
+    result = _judged(run, times - times[0], *parts)
+    return msgspec.structs.replace(result, ticks=int(DURATION * RATE))
 
 
 def _judged(

@@ -76,7 +76,7 @@ class ControllerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     levenberg_marquardt: float = 1e-3
     tolerance: float = 1e-5
     iterations: int = 50
-    row_iterations: int = 25
+    row_iterations: int = 50
     soft_penalty: float = 300.0
     keep_in_box: bool = True
     rate_lookahead: float | None = None

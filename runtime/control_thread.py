@@ -17,9 +17,10 @@ import numpy as np
 
 from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from runtime import realtime
+from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest, Transition
 from runtime.flight.events import POLICIES, Event, EventChange
-from runtime.flight.flyer import Decision, Flyer
+from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
 from runtime.link.estimate import StateEstimate

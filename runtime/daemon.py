@@ -23,9 +23,9 @@ from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
 from runtime.flight.composition import Controllers, build_controllers, build_flyer, vehicle_facts, warm_up
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import State, Transition
 from runtime.flight.events import POLICIES, Event, EventChange, Severity
-from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion

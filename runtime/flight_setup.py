@@ -30,9 +30,9 @@ from dynamics.vehicle_file import (
 from dynamics.version import __version__
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, read_bundle
 from runtime.daemon import FlightRequest
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
-from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Origin, Plan
 from runtime.link.connection import parse_endpoint

@@ -10,7 +10,8 @@ from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.flight.composition import build_controllers, build_flyer
-from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.decision import Decision, FlyerSettings
+from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import THRUST_CURVE

@@ -22,9 +22,10 @@ from dynamics.vehicle import EffectUse, Vehicle
 from flights.log import Log, Provenance, Stream
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers, build_flyer
+from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.events import Fallback
-from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import StateEstimate

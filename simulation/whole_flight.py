@@ -20,9 +20,10 @@ from dynamics.state import ATTITUDE, POSITION
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers, build_flyer
+from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest
 from runtime.flight.events import Event
-from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits, estimator_health
 from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate

@@ -25,6 +25,7 @@ class FlownTrack:
     position, reference: (n, 3) world, m.
     position_rmse, position_max: distance to the reference, m.
     speed_max: m/s.
+    px4_rmse: as position_rmse, on PX4's estimate and by it; None where it was not flown to its end.
     """
 
     time: Floats
@@ -33,6 +34,7 @@ class FlownTrack:
     position_rmse: float
     position_max: float
     speed_max: float
+    px4_rmse: float | None = None
 
 
 @dataclass(frozen=True, eq=False)

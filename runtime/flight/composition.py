@@ -10,7 +10,8 @@ from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
 from runtime.control.controller import Controller, ControllerOptions
-from runtime.flight.flyer import Flyer, FlyerSettings
+from runtime.flight.decision import FlyerSettings
+from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Mission, Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap

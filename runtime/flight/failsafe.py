@@ -14,9 +14,9 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
+from runtime.flight.contact import UP, uprightness
 from runtime.flight.events import POLICIES, Event, Fallback, event_text
 
-UP = np.array([0.0, 0.0, 1.0])
 _SUSTAINED = (Fallback.NONE, Fallback.NOMINAL_MODEL)  # what may be flown without end
 
 
@@ -178,7 +178,7 @@ def level_thrust(attitude: Floats, weight: float, *, max_gain: float = 1.5) -> f
 
     attitude: (4,). weight: N. max_gain: limit of thrust per weight, for large tilts.
     """
-    cosine = float(quaternion.rotate(attitude, UP)[2])
+    cosine = uprightness(attitude)
     if cosine <= 0.0:
         return 0.0
     return weight * min(1.0 / cosine, max_gain)

@@ -6,29 +6,28 @@ it from the link, the replay from a recording, and both get the same setpoints.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from math import degrees, inf, isnan, radians
 
 import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Command, Controller
 from runtime.flight.consistent_velocity import ConsistentVelocity
-from runtime.flight.contact import ForceMeter, Ground, GroundProbe, LandingContact, tilt_of
-from runtime.flight.crash import CrashDetector
-from runtime.flight.engagement import AutopilotRequest, Engagement, EngagementSettings, Facts, State, Transition
+from runtime.flight.contact import Ground, GroundProbe, tilt_of
+from runtime.flight.decision import Decision, Ending, FlyerSettings
+from runtime.flight.engagement import AutopilotRequest, Engagement, Facts, State
 from runtime.flight.events import POLICIES, Event, EventChange, EventMonitor, Fallback
-from runtime.flight.failsafe import FallbackBounds, FallbackChain, LevelHold, level_rate
-from runtime.flight.health import FlightHealth, FrozenEstimate, HealthLimits
+from runtime.flight.failsafe import FallbackChain, LevelHold, level_rate
+from runtime.flight.ground_contact import GroundContact
+from runtime.flight.health import FlightHealth, FrozenEstimate
 from runtime.flight.mission import LANDING, Mission, Phase
 from runtime.flight.shifted import ShiftedSolution
 from runtime.flight.start_pose import StartPose
-from runtime.flight.takeoff import HandOver, LandingDetector, TakeoffRamp
-from runtime.flight.thrust import EffectivenessEstimator, EffectivenessSettings, ThrustMap, specific_force_z
+from runtime.flight.takeoff import HandOver, TakeoffRamp
+from runtime.flight.thrust import EffectivenessEstimator, ThrustMap, specific_force_z
 from runtime.link.estimate import StateEstimate
 from runtime.record.records import ObservationRecord
 
@@ -37,61 +36,15 @@ SHUTDOWN_TIME = 0.3  # s in which thrust is ramped to zero on the ground
 DISARM_PATIENCE = 10.0  # s until the autopilot is requested to land and disarm
 DISARM_PERIOD = 0.5  # s between requests to disarm: PX4 refuses the first ones, until its own land detector agrees
 STALE_SOLUTION = 0.2  # s without a solution after which the solver is reset
-TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
 ON_THE_GROUND = (Phase.TOUCHDOWN, Phase.CONTACT, Phase.SHUTDOWN)  # where disarming is expected
 SETTLING = (Phase.CONTACT, Phase.SHUTDOWN)  # where thrust goes away, whatever happens
 MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
-SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
 LEVELLING_SHARE = 0.6  # of the weight, from which on a take-off levels: it would leave a slope sideways
 START_GAIN, START_LIMIT = 3.0, 0.5  # 1/s and rad/s, of that
 LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contact
-SLOW_DESCENT = 0.4  # m/s
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
-
-
-class FlyerSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How a flight is flown, besides vehicle, controller and mission.
-
-    period: of the control thread, s.
-    engagement: how control is taken.
-    bounds: of the fallbacks.
-    health: limits of the health checks.
-    thrust: of the effectiveness filter.
-    """
-
-    period: float = CONTROL_PERIOD
-    engagement: EngagementSettings = EngagementSettings()
-    bounds: FallbackBounds = FallbackBounds()
-    health: HealthLimits = HealthLimits()
-    thrust: EffectivenessSettings = EffectivenessSettings()
-
-
-@dataclass
-class Decision:
-    """The outcome of a tick.
-
-    rate_body: (3,) rad/s; None: nothing may be sent.
-    thrust: 0..1, as it is sent.
-    collective_thrust: N, that it stands for.
-    fallback: that is flown.
-    solver_status: 0 is success, -1 no solution was computed.
-    feedback_seconds: of the solver.
-    requests: for the autopilot.
-    transitions: of the engagement.
-    event_changes: events raised and cleared.
-    """
-
-    rate_body: Floats | None = None
-    thrust: float = 0.0
-    collective_thrust: float = 0.0
-    fallback: Fallback = Fallback.NONE
-    solver_status: int = -1
-    feedback_seconds: float = 0.0
-    requests: tuple[AutopilotRequest, ...] = ()
-    transitions: list[Transition] = field(default_factory=list)
-    event_changes: list[EventChange] = field(default_factory=list)
 
 
 class Flyer:
@@ -126,13 +79,11 @@ class Flyer:
         self._health, self._frozen = FlightHealth(vehicle, settings.health), FrozenEstimate()
         self._hold = LevelHold(vehicle.weight)
         self._ramp = TakeoffRamp(vehicle.weight, thrust_map.thrust_max)
-        self._landing = LandingDetector(vehicle.weight)
+        self._ground = GroundContact(vehicle, settings.period)
         self._start_pose = StartPose()
-        self._meter, self._contact, self._crash = ForceMeter(), LandingContact(), CrashDetector()
         self._probe: GroundProbe | None = None
         self._probe_cause = ""
-        self._touch_down_since: float | None = None
-        self._crashed = self._not_flown = ""
+        self._ending = Ending()
         self._shifted = ShiftedSolution()
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
@@ -144,7 +95,6 @@ class Flyer:
         self._solution: tuple[float, Command, Controller] | None = None
         self._failed: Controller | None = None
         self._state: Floats | None = None
-        self._reference: Floats | None = None
         self._last_setpoint: tuple[Floats, float] = (ZERO_RATE, 0.0)
         self._last_disarm_request = -inf
         self._prepared = False
@@ -158,19 +108,7 @@ class Flyer:
     @property
     def landed(self) -> bool:
         """Whether the flight ended on the ground, by its own landing."""
-        return self.over and self.mission.phase is Phase.SHUTDOWN and self._ending == "landed"
-
-    @property
-    def _ending(self) -> str:
-        """How the flight ends on the ground."""
-        if self._crashed:
-            return "crashed"
-        return "did not take off" if self._not_flown else "landed"
-
-    @property
-    def _why(self) -> str:
-        reason = self._crashed or self._not_flown
-        return f": {reason}" if reason else ""
+        return self.over and self.mission.phase is Phase.SHUTDOWN and self._ending.landed
 
     @property
     def model_ratio(self) -> float:
@@ -214,8 +152,8 @@ class Flyer:
             return
         self._after_departure(time)
         self.mission.update(self._state, time)
-        self._reference, window = self._window(time)
-        self._measure_force(time, self._reference)
+        reference, window = self._window(time)
+        self._measure_force(time, reference)
         if time - self._last_solution > STALE_SOLUTION:
             self._controller.reset(self._state, time)
         if self._estimate is not None and self._nominal is not None and self._flying is self._nominal:
@@ -296,28 +234,13 @@ class Flyer:
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
 
     def _measure_force(self, time: float, reference: Floats | None) -> None:
-        """Update the external force, and in flight the events that it and the motion show.
-
-        reference: its state (13,) at this time, None where none is tracked.
-        """
-        phase, estimate = self.mission.phase, self._estimate
-        if not self.engagement.flying or estimate is None or phase in (Phase.GROUND, Phase.RAMP):
-            self._meter.clear()
-            self._crash.reset()
+        """Update the external force, and the events that it shows. reference: state (13,) at this time, or None."""
+        estimate = self._estimate
+        if not self.engagement.flying or estimate is None or self.mission.phase in (Phase.GROUND, Phase.RAMP):
+            self._ground.clear()
             return
         thrust = self.effectiveness.thrust(time) / self._vehicle.body.mass
-        velocity = (estimate.time, estimate.velocity_world)
-        self._meter.update(self._force, thrust, estimate.attitude, velocity, time)
-        settled = phase is not Phase.CLIMB or time - self.mission.phase_started > SETTLED_START
-        if phase in LANDING or reference is None or not settled:
-            self._crash.reset()
-            return
-        self._meter.learn(self._settings.period)
-        distance = 0.0
-        if phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
-            distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
-        self._pending |= self._crash.force(self._meter, estimate.velocity_world, time)
-        self._pending |= self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
+        self._pending |= self._ground.measure(self.mission, estimate, reference, self._force, thrust, time)
 
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
         present, self._pending = self._pending, {}
@@ -362,7 +285,7 @@ class Flyer:
         was_flying = self.engagement.flying
         if was_flying and self.mission.phase in ON_THE_GROUND and not observation.armed:
             self.mission.shut_down(observation.time)  # the autopilot noticed the landing first and disarmed by itself
-            decision.transitions += self.engagement.release(f"{self._ending} and disarmed{self._why}", observation.time)
+            decision.transitions += self.engagement.release(self._ending.describe("and disarmed"), observation.time)
         facts = Facts(
             connected=observation.connected,
             armed=observation.armed,
@@ -408,7 +331,7 @@ class Flyer:
         """Cut the flight short after an event, or a take-off before it leaves the ground."""
         assert self._state is not None
         if self.mission.phase is Phase.RAMP:
-            self._not_flown = reason
+            self._ending.not_flown = reason
         self.mission.land(reason, self._state, time)
 
     # --- setpoint
@@ -429,7 +352,7 @@ class Flyer:
         if self.engagement.flying and self.mission.airborne and decision.rate_body is None:
             self._fly(observation, decision)
         if self.engagement.flying:
-            self._watch_ground(observation, decision.collective_thrust)
+            self._look_for_ground(observation, decision.collective_thrust)
         self._finish(observation, decision)
 
     def _stand_by(self, decision: Decision) -> None:
@@ -471,7 +394,7 @@ class Flyer:
         decision.collective_thrust = share * min(self._last_setpoint[1], 0.5 * self._vehicle.weight)
         if since > DISARM_PATIENCE:
             decision.requests = (AutopilotRequest.LAND,)
-            reason = f"{self._ending}, left to the autopilot to disarm{self._why}"
+            reason = self._ending.describe("and left to the autopilot to disarm")
             decision.transitions += self.engagement.release(reason, observation.time)
         elif since > SHUTDOWN_TIME and observation.time - self._last_disarm_request > DISARM_PERIOD:
             self._last_disarm_request = observation.time
@@ -502,10 +425,10 @@ class Flyer:
         limit = min(self._rate_limit[:2]) if self._probe_cause else LEVEL_LIMIT
         decision.rate_body = level_rate(attitude, gain=LEVEL_GAIN, limit=limit) if current else ZERO_RATE
         decision.collective_thrust = self._probe.thrust(time)
-        match self._probe.update(self._meter.force, self._meter.thrust, attitude, time):
+        match self._probe.update(self._ground.meter.force, self._ground.meter.thrust, attitude, time):
             case Ground.CARRIES:
                 if self._probe_cause:
-                    self._crashed = self._pending[Event.CRASHED] = self._probe_cause
+                    self._ending.crashed = self._pending[Event.CRASHED] = self._probe_cause
                 self.mission.shut_down(time)
             case Ground.ABSENT:
                 self._pending[Event.CONTACT_LOST] = ""
@@ -547,26 +470,15 @@ class Flyer:
         self._last_solution = time
         return command.rate_body, command.collective_thrust
 
-    def _watch_ground(self, observation: ObservationRecord, collective_thrust: float) -> None:
-        """Look for the ground while landing."""
-        phase, time = self.mission.phase, observation.time
-        if phase not in LANDING or self._state is None:
-            self._touch_down_since = None
+    def _look_for_ground(self, observation: ObservationRecord, collective_thrust: float) -> None:
+        """Take thrust away once a landing has reached the ground."""
+        if self._state is None:
             return
-        touching_down = phase is Phase.TOUCHDOWN
-        if touching_down and self._touch_down_since is None:
-            self._touch_down_since = time
-        still = self._landing.update(
-            time,
-            float(self._state[VELOCITY][2]),
-            collective_thrust,
-            reported_landed=observation.landed and touching_down,
-        )
-        slow = touching_down or (self._reference is not None and self._reference[VELOCITY][2] > -SLOW_DESCENT)
-        if self._contact.update(self._meter, time, slow=slow) or still:
+        phase, time, reported = self.mission.phase, observation.time, observation.landed
+        if self._ground.has_landed(phase, self._state, collective_thrust, time, reported_landed=reported):
             self._take_thrust_away(time)
-        elif self._touch_down_since is not None and time - self._touch_down_since > TOUCHDOWN_PATIENCE:
-            self._pending[Event.SETPOINT_REFUSED] = f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"
+        else:
+            self._pending |= self._ground.missing_ground(time)
 
     def _finish(self, observation: ObservationRecord, decision: Decision) -> None:
         """Clip the setpoint to the vehicle's limits and convert its thrust to the autopilot's 0..1."""

@@ -17,9 +17,11 @@ from dynamics.references import check_feasibility, named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
 from runtime.control.controller import Controller
 from runtime.daemon import Daemon
+from runtime.flight.composition import Controllers
 from runtime.flight.mission import Plan
 from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.mock_process import mock_process
+from sitl_mock.mock import MockOptions
 from studies.demo.result import FlownManoeuvre
 from studies.paper import TRACKING_LEARNED, TRACKING_NOMINAL
 
@@ -135,6 +137,25 @@ def _in_lockstep(name: str, vehicle: str, model: str, options: DemoOptions) -> F
     speed = float(np.nanmax(np.linalg.norm(flight["velocity"], axis=1)))
     errors = (speed, float(np.sqrt(np.nanmean(error**2))), float(np.nanmax(error)))
     return FlownManoeuvre(name, *errors, _paper(reference.name, model), str(path))
+
+
+def rmse_on_px4_estimate(name: str, vehicle: str, options: DemoOptions) -> float | None:
+    """Position RMSE by the estimate of a flight from the ground to the ground in lockstep, m; None if it ended early.
+
+    The demo's own flights have the estimate that suits the vehicle; PX4's own errs by far more (docs/px4.md).
+    name: of the manoeuvre. vehicle: the controller's file.
+    """
+    from simulation.whole_flight import fly_whole
+
+    model = read_vehicle(find_vehicle(vehicle))
+    mock = MockOptions(find_vehicle(options.vehicle), effects=options.effects, estimator="px4", seed=options.seed)
+    flight = fly_whole(
+        mock,
+        named_reference(name, model, duration=options.seconds),
+        plan=msgspec.structs.replace(BRISK, duration=options.seconds),
+        controllers=Controllers(Controller.build(model)),
+    )
+    return flight.tracking_error(flight.estimate) if flight.landed and not flight.landing_reason else None
 
 
 def _paper(reference: str, model: str) -> float | None:

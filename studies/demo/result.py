@@ -14,6 +14,7 @@ class FlownManoeuvre(msgspec.Struct, frozen=True):
     position_rmse, position_max: against the reference, m.
     paper_rmse: the paper's with its model of the same kind, m.
     recording: path.
+    px4_rmse: position_rmse of the same flight on PX4's estimate, by the estimate, m; None where it ended early.
     """
 
     name: str
@@ -22,6 +23,7 @@ class FlownManoeuvre(msgspec.Struct, frozen=True):
     position_max: float
     paper_rmse: float | None
     recording: str
+    px4_rmse: float | None = None
 
 
 class PredictionError(msgspec.Struct, frozen=True):

@@ -15,7 +15,7 @@ from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
-from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot
+from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot, rmse_on_px4_estimate
 from studies.demo.result import DemoReport, FlownManoeuvre
 
 if TYPE_CHECKING:
@@ -92,5 +92,6 @@ def _fly_all(
     with pilot(options, announce) as fly:
         for name in options.manoeuvres:
             started(f"{name}, {model}")
-            flown.append(fly(name, vehicle, model))
+            flight = fly(name, vehicle, model)
+            flown.append(msgspec.structs.replace(flight, px4_rmse=rmse_on_px4_estimate(name, vehicle, options)))
     return tuple(flown)

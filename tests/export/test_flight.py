@@ -91,7 +91,6 @@ def test_the_network_itself_keeps_a_speed_and_body_rates_that_the_reference_leav
     assert np.abs(commanded[:, :2]).max() <= 1.05 * limits.rate[0]
 
 
-@pytest.mark.xfail(strict=True, reason="braking at both limits, the solver fails for 50 ms (status 1) and is replaced")
 def test_no_solution_fails_at_the_limits(narrow: Story) -> None:
     assert Event.SOLVER_FAILED not in narrow.raised
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from runtime.control_thread import MAX_DEFECTS, ControlThread, Requests
+from runtime.flight.decision import Decision
 from runtime.flight.engagement import AutopilotRequest, State
 from runtime.flight.events import Event
-from runtime.flight.flyer import Decision
 from runtime.flight.mission import Phase
 from runtime.link.estimate import StateEstimate
 from runtime.link.telemetry import LinkEvent, VehicleStatus

@@ -25,9 +25,9 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime import daemon as daemon_module
 from runtime.daemon import Daemon, FlightReport, FlightRequest
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
 from runtime.flight.failsafe import FallbackBounds
-from runtime.flight.flyer import FlyerSettings
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer

@@ -12,7 +12,7 @@ import pytest
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
 from runtime.control.controller import Controller
-from runtime.flight.flyer import FlyerSettings
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
 from runtime.record.recorder import Recorder

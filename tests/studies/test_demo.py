@@ -94,6 +94,8 @@ def test_the_same_manoeuvres_are_tracked_better_with_what_was_found(learned) -> 
     assert [after.name for after in report.learned.flown] == [before.name for before in report.nominal]
     for before, after in report.pairs:
         assert before.position_rmse > 2 * after.position_rmse
+        assert before.position_rmse < before.px4_rmse < 0.3
+        assert after.px4_rmse < before.px4_rmse + 0.02
 
 
 def test_the_next_vehicle_file_knows_the_effects_and_where_they_come_from(learned) -> None:

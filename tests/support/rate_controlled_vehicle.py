@@ -17,9 +17,10 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 from dynamics.vehicle import GRAVITY, Vehicle
 from runtime.control.controller import Controller
+from runtime.flight.decision import Decision, FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, State, Transition
 from runtime.flight.events import Event, EventChange
-from runtime.flight.flyer import Decision, Flyer, FlyerSettings
+from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Mission, Phase, Plan
 from runtime.flight.motion import Motion
 from runtime.flight.thrust import ThrustMap

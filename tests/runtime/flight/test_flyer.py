@@ -15,9 +15,9 @@ from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Command, Controller
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
-from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Phase, Plan
 from runtime.flight.motion import Transfer
 from tests.support.px4_estimate import Px4Estimate

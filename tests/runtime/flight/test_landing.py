@@ -10,9 +10,9 @@ from dynamics.vehicle import GRAVITY, Vehicle
 from dynamics.vehicle_file import read_vehicle
 from runtime.control.controller import Controller
 from runtime.flight.contact import tilt_of
+from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event
-from runtime.flight.flyer import FlyerSettings
 from runtime.flight.mission import Phase
 from runtime.flight.motion import Transfer
 from tests.support.drifting_estimate import DriftingEstimate

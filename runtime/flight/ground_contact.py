@@ -1,0 +1,93 @@
+"""What the external force shows of a flight: that it lands, has met something, or that there is no ground. Pure."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, POSITION, VELOCITY
+from dynamics.vehicle import Vehicle
+from runtime.flight.contact import ForceMeter, LandingContact
+from runtime.flight.crash import CrashDetector
+from runtime.flight.events import Event
+from runtime.flight.mission import LANDING, Mission, Phase
+from runtime.flight.takeoff import LandingDetector
+from runtime.link.estimate import StateEstimate
+
+TOUCHDOWN_PATIENCE = 30.0  # s of descending at touch-down speed
+SETTLED_START = 1.0  # s of a climb after which the external force is judged: lift-off itself is one
+SLOW_DESCENT = 0.4  # m/s
+
+
+class GroundContact:
+    """The external force of a flight and what follows from it, phase by phase.
+
+    meter: of the external force.
+    """
+
+    def __init__(self, vehicle: Vehicle, period: float) -> None:
+        """period: of the control thread, s."""
+        self.meter = ForceMeter()
+        self._period = period
+        self._contact, self._crash = LandingContact(), CrashDetector()
+        self._standing = LandingDetector(vehicle.weight)
+        self._reference: Floats | None = None
+        self._touch_down_since: float | None = None
+
+    def clear(self) -> None:
+        """Start again, as on the ground."""
+        self.meter.clear()
+        self._crash.reset()
+
+    def measure(
+        self,
+        mission: Mission,
+        estimate: StateEstimate,
+        reference: Floats | None,
+        specific_force: Floats,
+        thrust: float,
+        time: float,
+    ) -> dict[Event, str]:
+        """Take one tick of a flight. Returns the events of a crash that force and motion show.
+
+        reference: its state (13,) at this time, None where none is tracked. specific_force: (3,) m/s^2, body.
+        thrust: modelled, per mass, m/s^2. time: s.
+        """
+        self._reference = reference
+        velocity = (estimate.time, estimate.velocity_world)
+        self.meter.update(specific_force, thrust, estimate.attitude, velocity, time)
+        settled = mission.phase is not Phase.CLIMB or time - mission.phase_started > SETTLED_START
+        if mission.phase in LANDING or reference is None or not settled:
+            self._crash.reset()
+            return {}
+        self.meter.learn(self._period)
+        distance = 0.0
+        if mission.phase is not Phase.BRAKE:  # its reference is where the vehicle will come to rest
+            distance = float(np.linalg.norm(estimate.position_world - reference[POSITION]))
+        present = self._crash.force(self.meter, estimate.velocity_world, time)
+        return present | self._crash.motion(estimate.attitude, reference[ATTITUDE], distance, time)
+
+    def has_landed(
+        self, phase: Phase, state: Floats, collective_thrust: float, time: float, *, reported_landed: bool
+    ) -> bool:
+        """Whether a landing has reached the ground.
+
+        state: (13,). collective_thrust: setpoint, N. time: s. reported_landed: by the autopilot.
+        """
+        if phase not in LANDING:
+            self._touch_down_since = None
+            return False
+        touching_down = phase is Phase.TOUCHDOWN
+        if touching_down and self._touch_down_since is None:
+            self._touch_down_since = time
+        reported = reported_landed and touching_down
+        climb_rate = float(state[VELOCITY][2])
+        still = self._standing.update(time, climb_rate, collective_thrust, reported_landed=reported)
+        slow = touching_down or (self._reference is not None and self._reference[VELOCITY][2] > -SLOW_DESCENT)
+        return self._contact.update(self.meter, time, slow=slow) or still
+
+    def missing_ground(self, time: float) -> dict[Event, str]:
+        """The event of a touch-down that takes too long, if it does. time: s."""
+        if self._touch_down_since is None or time - self._touch_down_since <= TOUCHDOWN_PATIENCE:
+            return {}
+        return {Event.SETPOINT_REFUSED: f"no ground after {TOUCHDOWN_PATIENCE:g} s of descent"}
