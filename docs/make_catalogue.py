@@ -27,7 +27,7 @@ def page() -> str:
     from dynamics.vehicle_file import find_vehicle, read_vehicle
 
     def section(place: int, card: EffectCard) -> str:
-        lines = [f"## {card.name}", f"{card.summary}{', of one rotor' * card.per_rotor}."]
+        lines = [f"## {card.effect.name}", f"{card.effect.summary}{', of one rotor' * card.effect.per_rotor}."]
         lines.append("\n".join(f"    {line}" for line in card.formula))
         lines.append(_parameters([cards[place] for cards in of_vehicles]))
         facts = {
@@ -36,7 +36,7 @@ def page() -> str:
             "Fly": card.fly,
             "To separate it": card.separate,
             "Looks like": ", ".join(f"[{name}](#{name})" for name in card.confounded_with),
-            "Source": card.source,
+            "Source": card.effect.source,
         }
         lines.append("\n".join(f"- {heading}: {text}" for heading, text in facts.items() if text))
         return "\n\n".join(lines)
@@ -44,9 +44,9 @@ def page() -> str:
     def _parameters(cards: list[EffectCard]) -> str:
         rows = [f"| parameter | unit | meaning | bounds | none at | usual: {' | '.join(VEHICLES)} |"]
         rows.append("| --- " * (5 + len(VEHICLES)) + "|")
-        for parameters in zip(*(card.parameters for card in cards), strict=True):
-            first = parameters[0]
-            usual = " | ".join(f"{p.usual:.3g} +- {p.usual_deviation:.2g}" for p in parameters)
+        for first in cards[0].effect.parameters:
+            priors = [prior for card in cards if (prior := card.usual(first)) is not None]
+            usual = " | ".join(f"{prior.mean:.3g} +- {prior.std:.2g}" for prior in priors)
             bounds = f"{first.lower:g} to {first.upper:g}"
             rows.append(f"| `{first.name}` | {first.unit} | {first.meaning} | {bounds} | {first.neutral:g} | {usual} |")
         return "\n".join(rows)

@@ -46,7 +46,7 @@ def describe_effects(
 
     Example:
         (card,) = alula.describe_effects(["rotor_drag"], "arpl_250g")
-        print(card.formula, card.parameters[0].usual, card.confounded_with)
+        print(card.formula, card.usual(card.effect.parameters[0]), card.confounded_with)
     """
     from dynamics.effect_card import effect_cards
     from dynamics.own_effects import catalogue_of
@@ -59,7 +59,7 @@ def describe_effects(
             names_of_all = ", ".join(catalogue)
             raise RequestError(f"unknown effect {name!r}{nearest(name, catalogue)}. Known: {names_of_all}.")
     cards = effect_cards(loaded, catalogue=catalogue)
-    return tuple(card for card in cards if not names or card.name in names)
+    return tuple(card for card in cards if not names or card.effect.name in names)
 
 
 def read_flight(log: str | Path, *, mapping: str | Path | None = None, rate: float | None = None) -> Flight:

@@ -14,7 +14,8 @@ from alula.cli.options import Effects
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
-    from dynamics.effect_card import EffectCard, ParameterCard
+    from dynamics.effect import Parameter, Prior
+    from dynamics.effect_card import EffectCard
 
 
 def effects(
@@ -28,7 +29,7 @@ def effects(
     """List the effects that Alula knows: formula, units, usual size, what to fly to see one, what looks like it."""
     cards = alula.describe_effects(names or (), vehicle, effect_files=effects or ())
     if json is not None:
-        write_json(cards, json)
+        write_json([card.as_json for card in cards], json)
     if json == STANDARD_OUTPUT:
         return
     console = Console()
@@ -42,25 +43,26 @@ def effects(
 def _print_list(cards: tuple[EffectCard, ...], console: Console) -> None:
     table = Table("effect", "what it does", "parameters", box=None, pad_edge=False)
     for card in cards:
-        table.add_row(card.name, card.summary, ", ".join(f"{p.name} {_unit(p)}".strip() for p in card.parameters))
+        effect = card.effect
+        table.add_row(effect.name, effect.summary, ", ".join(f"{p.name} {_unit(p)}".strip() for p in effect.parameters))
     console.print(table)
     console.print("next: alula effects NAME --vehicle VEHICLE.toml", highlight=False)
 
 
 def _print_card(card: EffectCard, console: Console) -> None:
-    console.print(f"[bold]{card.name}[/bold]: {card.summary}", highlight=False)
+    console.print(f"[bold]{card.effect.name}[/bold]: {card.effect.summary}", highlight=False)
     for line in card.formula:
         console.print(f"  {line}", highlight=False, markup=False)
-    for parameter in card.parameters:
-        console.print(f"  {_described(parameter)}", highlight=False, markup=False)
+    for parameter in card.effect.parameters:
+        console.print(f"  {_described(parameter, card.usual(parameter))}", highlight=False, markup=False)
     lines = {
-        "acts on": "one rotor" * card.per_rotor,
+        "acts on": "one rotor" * card.effect.per_rotor,
         "needs in the log": "; ".join(" or ".join(group) for group in card.needs),
         "shows well from": card.shows_from,
         "fly": card.fly,
         "to separate it": card.separate,
         "looks like": ", ".join(card.confounded_with),
-        "source": card.source,
+        "source": card.effect.source,
     }
     for heading, text in lines.items():
         if text:
@@ -68,15 +70,13 @@ def _print_card(card: EffectCard, console: Console) -> None:
     console.print()
 
 
-def _described(parameter: ParameterCard) -> str:
+def _described(parameter: Parameter, prior: Prior | None) -> str:
     """A parameter in one line."""
-    usual = ""
-    if parameter.usual is not None:
-        usual = f"usually {parameter.usual:.3g} +- {parameter.usual_deviation:.2g}, "
+    usual = "" if prior is None else f"usually {prior.mean:.3g} +- {prior.std:.2g}, "
     bounds = f"from {parameter.lower:g} to {parameter.upper:g}"
     name = f"{parameter.name} {_unit(parameter)}".strip()
     return f"{name}: {parameter.meaning}; {usual}{bounds}, none at {parameter.neutral:g}"
 
 
-def _unit(parameter: ParameterCard) -> str:
+def _unit(parameter: Parameter) -> str:
     return "" if parameter.unit == "1" else f"({parameter.unit})"

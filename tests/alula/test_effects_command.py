@@ -22,16 +22,17 @@ def effects(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 def test_every_effect_has_formula_source_and_something_to_fly() -> None:
     for card in alula.describe_effects(vehicle="arpl_250g"):
-        assert card.formula, card.name
-        assert card.source, card.name
-        assert card.fly, card.name
-        assert card.needs, card.name
-        assert all(p.lower <= p.neutral <= p.upper or p.neutral == 0.0 for p in card.parameters), card.name
-        assert all(p.usual is not None for p in card.parameters)
+        name, parameters = card.effect.name, card.effect.parameters
+        assert card.formula, name
+        assert card.effect.source, name
+        assert card.fly, name
+        assert card.needs, name
+        assert all(p.lower <= p.neutral <= p.upper or p.neutral == 0.0 for p in parameters), name
+        assert all(card.usual(p) is not None for p in parameters)
 
 
 def test_what_looks_alike_does_so_both_ways() -> None:
-    alike = {card.name: set(card.confounded_with) for card in alula.describe_effects()}
+    alike = {card.effect.name: set(card.confounded_with) for card in alula.describe_effects()}
     assert all(name in alike[other] for name, others in alike.items() for other in others)
 
 
@@ -51,7 +52,7 @@ def test_one_effect_is_described_for_a_vehicle_and_as_json() -> None:
 
 
 def test_effects_of_ones_own_are_listed() -> None:
-    names = {card.name for card in alula.describe_effects(effect_files=[OWN])} - set(CATALOGUE)
+    names = {card.effect.name for card in alula.describe_effects(effect_files=[OWN])} - set(CATALOGUE)
     assert names
     done = effects(next(iter(names)), "--effects", str(OWN))
     assert done.returncode == 0, done.stderr
