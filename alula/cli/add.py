@@ -12,6 +12,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, HoldOut, Mapping, Pose, VehicleOption
+from alula.cli.output import print_next
 from dynamics.effects import CATALOGUE
 from dynamics.files import STANDARD_OUTPUT, write_json
 
@@ -46,6 +47,7 @@ def add(
         write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
     if json != STANDARD_OUTPUT:
         _print(result.details, path, Console())
+        print_next("fly", "--vehicle", path, "--reference", "Lemniscate", "--record", "recordings")
 
 
 def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:

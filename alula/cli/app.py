@@ -10,6 +10,8 @@ import ast
 import importlib
 import inspect
 import sys
+import textwrap
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -17,9 +19,20 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 
 from alula import __version__
+from alula.cli.output import split_output, terminal_width
 from dynamics.errors import AlulaError, RequestError
 
 INTERRUPTED = 130  # exit code after Ctrl-C
+SUMMARY = "Identifies what a quadrotor's dynamics model is missing, and flies the better model."
+OPTIONS = {
+    "-v, --verbose": "Versions, time and exit code at the end, and the traceback of an error.",
+    "-q, --quiet": "Errors and JSON alone.",
+    "--log-file FILE": "Append everything that is printed to this file, with time, command and exit code.",
+    "--version": "Show the version and exit.",
+    "--install-completion": "Install completion of commands and options for this shell.",
+    "--show-completion": "Show it, to copy or to change it.",
+    "-h, --help": "Show this message and exit; alula COMMAND --help shows the options of a command.",
+}
 
 COMMANDS = (
     "vehicle",
@@ -58,10 +71,20 @@ class LazyGroup(TyperGroup):
         return name, load(name) if name in COMMANDS else command, rest
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """The help of the command line, with a line for every command."""
-        for name, command in self.commands.items():
-            command.help = command.help or summary(name)
-        super().format_help(ctx, formatter)
+        """The help of the command line, with a line for every command; in plain text, which needs no library."""
+        print("\n".join(help_lines(terminal_width())))
+
+
+def help_lines(width: int) -> Iterator[str]:
+    """The help of the command line. width: of a line, characters."""
+    yield from ("", " Usage: alula [-v | -q] [--log-file FILE] COMMAND ...", "", f" {SUMMARY}", "")
+    for title, rows in (("Options", OPTIONS), ("Commands", {name: summary(name) for name in COMMANDS})):
+        yield f"╭─ {title} {'─' * (width - len(title) - 5)}╮"
+        column = max(map(len, rows)) + 2
+        for name, text in rows.items():
+            for place, line in enumerate(textwrap.wrap(" ".join(text.split()), width - column - 4)):
+                yield f"│ {name if place == 0 else '':<{column}}{line:<{width - column - 4}} │"
+        yield f"╰{'─' * (width - 2)}╯"
 
 
 def load(name: str) -> Any:
@@ -84,9 +107,8 @@ def summary(name: str) -> str:
 app = typer.Typer(
     name="alula",
     cls=LazyGroup,
-    help="Identifies what a quadrotor's dynamics model is missing, and flies the better model.",
+    help=SUMMARY,
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
@@ -109,18 +131,28 @@ def _options(
 
 def main() -> None:
     """Run the command line; an error that a user can cause ends with its message and exit code, not a traceback."""
+    words, output = split_output(sys.argv[1:])
+    sys.argv[1:] = words
+    try:
+        output.start(words)
+    except OSError as error:
+        print(f"alula: cannot write the log file {output.log_file!r}: {error.strerror or error}.", file=sys.stderr)
+        sys.exit(RequestError.exit_code)
     try:
         app()
     except AlulaError as error:
         print(f"alula: {error}", file=sys.stderr)
+        output.finish(error.exit_code, error)
         sys.exit(error.exit_code)
     except SystemExit as end:
         if end.code == INTERRUPTED:
             print("alula: interrupted. Files are written whole or not at all.", file=sys.stderr)
+        output.finish(end.code)
         raise
     except ModuleNotFoundError as error:
         advice = "Commands of the workbench need it: pip install 'alula[workbench]'."
         print(f"alula: {error.name} is not installed. {advice}", file=sys.stderr)
+        output.finish(RequestError.exit_code, error)
         sys.exit(RequestError.exit_code)
 
 

@@ -11,6 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from alula.cli.options import Effects
+from alula.cli.output import print_next
 from alula.workbench import workbench
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -79,6 +80,7 @@ def campaign(
         write_json(manifest, STANDARD_OUTPUT)
     else:
         _print(manifest, out, console)
+        print_next("train", out, "--vehicle", vehicle, "--model", "pi_tcn", "--out", "pi_tcn.pt")
 
 
 def _print(manifest: CampaignManifest, out: Path, console: Console) -> None:

@@ -11,6 +11,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, Logs, Mapping, Page, Pose, VehicleOption
+from alula.cli.output import options, print_next
 from dynamics.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -34,6 +35,8 @@ def compare(
         result.write_html(html)
     if json != STANDARD_OUTPUT:
         _print(result.report, Console())
+        shared = options([("--effects", effects), ("--mapping", mapping), ("--pose", pose)])
+        print_next("diagnose", *logs, "--vehicle", vehicle, *shared)
 
 
 def _print(comparison: Comparison, console: Console) -> None:

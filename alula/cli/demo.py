@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from alula.cli.output import print_next
 from dynamics.command import command_line
 from dynamics.files import STANDARD_OUTPUT, write_json
 from studies.demo import report as demo_report
@@ -75,6 +76,7 @@ def demo(
         write_json(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
+        print_next("diagnose", out / "recordings", "--vehicle", vehicle)
 
 
 @contextmanager

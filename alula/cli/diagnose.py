@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,6 +13,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, Pose, VehicleOption
+from alula.cli.output import options, print_next
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
@@ -46,14 +48,28 @@ def diagnose(
     result = alula.diagnose(logs, vehicle, hold_out=hold_out, effect_files=effects or (), mapping=mapping, pose=pose)
     if json is not None:
         result.write_json(json)
+    shared = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
     if html is not None:
         from studio.report import add_command
 
-        options = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
-        command = add_command(result.report, logs, vehicle, options, result.details.regression.catalogue)
-        result.write_html(html, add_command=command)
+        adding = add_command(result.report, logs, vehicle, shared, result.details.regression.catalogue)
+        result.write_html(html, add_command=adding)
     if json != STANDARD_OUTPUT:
         _print(result, Console(file=sys.stdout))
+        print_next(*_following(result, logs, vehicle, tuple(shared.items())))
+
+
+def _following(
+    result: DiagnosisResult, logs: list[Path], vehicle: str, shared: Sequence[tuple[str, object]]
+) -> list[object]:
+    """What to run next: add what a vehicle file can hold, fly what is explained, look where nothing fits."""
+    catalogue = result.details.regression.catalogue
+    if any(not catalogue[effect.name].stochastic for effect in result.report.effects):
+        return ["add", *logs, "--vehicle", vehicle, *options(shared)]
+    if result.report.verdict == "unknown":
+        own = options((name, value) for name, value in shared if name != "--hold-out")
+        return ["compare", *logs, "--vehicle", vehicle, *own, "--html", "comparison.html"]
+    return ["fly", "--vehicle", vehicle, "--reference", "Lemniscate", "--record", "recordings"]
 
 
 def _compare_hover(logs: list[Path], normal: list[Path], vehicle: str, mapping: Path | None, json: Path | None) -> None:
@@ -62,6 +78,7 @@ def _compare_hover(logs: list[Path], normal: list[Path], vehicle: str, mapping: 
         write_json(comparison, json)
     if json != STANDARD_OUTPUT:
         _print_hover(comparison, Console(file=sys.stdout))
+        print_next("diagnose", *logs, "--vehicle", vehicle, *options([("--mapping", mapping)]))
 
 
 def _print_hover(comparison: TrimComparison, console: Console) -> None:

@@ -11,6 +11,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects
+from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
@@ -38,6 +39,7 @@ def effects(
         return
     for card in cards:
         _print_card(card, console)
+    print_next("mock", "--vehicle", vehicle or "arpl_250g", "--effect", _hidden(cards[-1]))
 
 
 def _print_list(cards: tuple[EffectCard, ...], console: Console) -> None:
@@ -46,7 +48,14 @@ def _print_list(cards: tuple[EffectCard, ...], console: Console) -> None:
         effect = card.effect
         table.add_row(effect.name, effect.summary, ", ".join(f"{p.name} {_unit(p)}".strip() for p in effect.parameters))
     console.print(table)
-    console.print("next: alula effects NAME --vehicle VEHICLE.toml", highlight=False)
+    print_next("effects", cards[0].effect.name, "--vehicle", "arpl_250g")
+
+
+def _hidden(card: EffectCard) -> str:
+    """An effect as the mock hides it: of its usual size where the vehicle is known."""
+    usual = {p.name: prior.mean for p in card.effect.parameters if (prior := card.usual(p)) is not None}
+    values = [f"{name}={value:.3g}" for name, value in usual.items()] + ["rotor=0"] * card.effect.per_rotor
+    return card.effect.name + (":" + ",".join(values) if values else "")
 
 
 def _print_card(card: EffectCard, console: Console) -> None:

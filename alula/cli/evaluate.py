@@ -10,6 +10,7 @@ from rich.console import Console
 
 import alula
 from alula.cli.options import Effects
+from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT
 from studies.tables import terminal_table
 
@@ -66,3 +67,12 @@ def evaluate(
         written.append(html)
     for path in written:
         console.print(f"written: {path}", highlight=False)
+    if json_file != STANDARD_OUTPUT:
+        print_next(*_following(models, logs, vehicle))
+
+
+def _following(models: list[Path], logs: list[Path], vehicle: str | None) -> list[object]:
+    """What to run next: export the first model, or train one."""
+    if models:
+        return ["export", models[0], "--out", models[0].with_suffix("")]
+    return ["train", *logs, "--vehicle", vehicle, "--model", "pi_tcn", "--out", "pi_tcn.pt"]

@@ -9,6 +9,7 @@ import typer
 
 import alula
 from alula.cli.options import Effects
+from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.control.bundle import Integrator
 from runtime.control.rti.processor import PROCESSORS
@@ -65,3 +66,4 @@ def export(
     print("\n".join(result.summary))
     if (check := result.flight_check) is not None:
         print(f"warning: {check.warning}" if check.warning else f"flight check: {check.text}")
+    print_next("fly", "--bundle", out, "--reference", "hover", "--record", "recordings")

@@ -12,6 +12,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
+from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
 
@@ -86,10 +87,21 @@ def fly(
         write_json(report, STANDARD_OUTPUT)
     else:
         _print(report, console)
+        print_next(*_following(report, vehicle, bundle, record, [reference, link]))
     if not report.landed:
         raise VehicleError(f"The flight did not end with a landing: {report.outcome}.")
     if not report.completed:
         raise VehicleError(f"The flight was cut short and landed: {report.landing_reason}.")
+
+
+def _following(
+    report: FlightReport, vehicle: str | None, bundle: Path | None, record: Path | None, flown: list[str]
+) -> list[object]:
+    """What to run next: diagnose the recording, or fly once more and record."""
+    if record is not None and report.recording:
+        return ["diagnose", report.recording, "--vehicle", vehicle or f"{bundle}/vehicle.toml"]
+    again = options([("--vehicle", vehicle), ("--bundle", bundle), ("--reference", flown[0]), ("--link", flown[1])])
+    return ["fly", *again, "--record", "recordings"]
 
 
 def _announce(console: Console, text: str) -> None:

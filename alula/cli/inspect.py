@@ -14,6 +14,7 @@ from rich.table import Table
 import alula
 from alula.api.inputs import log_paths
 from alula.cli.options import Effects, Mapping, Pose
+from alula.cli.output import print_next
 from dynamics.errors import AlulaError, DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from studio.provenance import origin
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from flights.quality import Inspection
     from studio.inspected import Section
 
+AUTOPILOTS = ("PX4 ULog", "ArduPilot DataFlash log")  # formats whose logs state the layout of rotors
 MINOR = (
     "armed",
     "landed",
@@ -86,6 +88,9 @@ def inspect(
         write_page(inspection_page(sections, origin=origin(hashes)), html)
         print(f"written: {html}", file=sys.stderr)
     _end(inspections, refused)
+    if not as_json:
+        states_layout = any(inspection.format in AUTOPILOTS for inspection in inspections)
+        print_next(*(["vehicle", "from-log", *log] if states_layout else ["vehicle", "new"]))
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
+from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from dynamics.model import build_model
@@ -62,8 +63,18 @@ def link(
         write_json(_as_plain(report), STANDARD_OUTPUT)
     else:
         _print(report, Console())
+        print_next(*_following(report, link, vehicle))
     if not report.is_ready:
         raise VehicleError(f"A flight over {report.endpoint} would not be engaged; the reasons are in the report.")
+
+
+def _following(report: LinkReport, link: str, vehicle: str | None) -> list[object]:
+    """What to run next: fly, check again when the reasons are gone, or make a vehicle file."""
+    if not report.is_ready:
+        return ["link", "--link", link, *options([("--vehicle", vehicle)])]
+    if vehicle is None:
+        return ["vehicle", "new"]
+    return ["fly", "--link", link, "--vehicle", vehicle, "--reference", "hover", "--record", "recordings"]
 
 
 def _facts(vehicle: str, effects: Sequence[Path]) -> VehicleFacts:

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 
 from alula.cli.options import Effects
+from alula.cli.output import command
 from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
@@ -112,6 +113,9 @@ def mock(
     links = _links(link or [], gcs_link or [], instance)
     pace: Pace = "lockstep" if lockstep else "realtime"
     print(f"mock of {vehicle} on {', '.join(spec.name for spec in links)}; Ctrl-C ends it", file=sys.stderr, flush=True)
+    if not link:
+        following = command("fly", "--vehicle", vehicle, "--reference", "hover", "--record", "recordings")
+        print(f"next, in another terminal: {following}", file=sys.stderr, flush=True)
     server = serve(options, links, pace=pace, speed=speed)
     if server.slipped > 1.0:
         print(f"this machine was too slow, by {server.slipped:.1f} s of simulated time", file=sys.stderr)

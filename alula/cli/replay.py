@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from alula.cli.options import Effects
+from alula.cli.output import print_next
 from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
@@ -38,6 +39,8 @@ def replay(
         write_json(report, STANDARD_OUTPUT)
     else:
         print(_text(report))
+        file = vehicle or (None if bundle is None else f"{bundle}/vehicle.toml")
+        print_next(*(["inspect", recording] if file is None else ["diagnose", recording, "--vehicle", file]))
     if tolerance is not None:
         _require_agreement(report, tolerance)
 

@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from alula.cli.options import Effects, Mapping, VehicleOption
+from alula.cli.output import print_next
 from alula.workbench import workbench
 from dynamics.files import STANDARD_OUTPUT
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES
@@ -116,6 +117,8 @@ def sweep(
     outcomes = _outcomes(made, console)
     show(made, outcomes, console, json_file=json_file, csv=csv, pictures=pictures, html=html)
     require_all_trained(outcomes)
+    if json_file != STANDARD_OUTPUT:
+        print_next("train", *logs, "--vehicle", vehicle, "--model", model, "--out", f"{model}.pt")
 
 
 def _outcomes(made: Sweep, console: Console) -> tuple[Outcome, ...]:

@@ -15,6 +15,7 @@ from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, Mapping, VehicleOption
+from alula.cli.output import print_next
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from training.config import ModelConfig
@@ -205,6 +206,7 @@ def train(
         write_json(result.report, STANDARD_OUTPUT)
     else:
         _print(result.model, out, console)
+        print_next("export", out, "--out", out.with_suffix(""))
 
 
 @contextmanager

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shlex
 import sys
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +15,7 @@ from rich.table import Table
 import alula
 from alula.cli.options import Effects, Logs, VehicleOption
 from alula.cli.options import Mapping as MappingOption
+from alula.cli.output import command, options, print_next
 from dynamics.autopilot_frames import FRAMES
 from dynamics.errors import DataError, RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -61,8 +61,8 @@ def new(
     json: Json = None,
 ) -> None:
     """Make a vehicle file by rules of thumb, from what is written on the parts; asks for what is not given."""
-    options = {"mass": mass, "arm": arm, "propeller": propeller, "kv": kv, "cells": cells}
-    numbers = {key: quantity(text, key) for key, text in _answered(options).items()}
+    answers = {"mass": mass, "arm": arm, "propeller": propeller, "kv": kv, "cells": cells}
+    numbers = {key: quantity(text, key) for key, text in _answered(answers).items()}
     draft = alula.new_vehicle(
         name,
         mass=numbers["mass"],
@@ -75,7 +75,7 @@ def new(
     )
     path = out or Path(f"{name}.toml")
     write_vehicle_text(draft.toml if draft.vehicle else "", path)
-    _report(draft, path, json, f"alula vehicle show {shlex.quote(str(path))}")
+    _report(draft, path, json, ["vehicle", "show", path])
 
 
 @commands.command("from-log")
@@ -105,13 +105,13 @@ def from_log(
         speed_max=speed_max,
         mapping=mapping,
     )
-    quoted = shlex.join(str(log) for log in logs)
     if not made.draft.is_complete:
-        _report(made.draft, None, json, f"alula vehicle from-log {quoted} --name {shlex.quote(name)} --mass KG")
+        words = ["vehicle", "from-log", *logs, "--name", name, "--mass", "KG", *options([("--arm", arm)])]
+        _report(made.draft, None, json, words)
         return
     path = out or Path(f"{name}.toml")
     write_vehicle_text(made.draft.toml if made.draft.vehicle else "", path)
-    _report(made.draft, path, json, f"alula diagnose {quoted} --vehicle {shlex.quote(str(path))}")
+    _report(made.draft, path, json, ["diagnose", *logs, "--vehicle", path])
 
 
 @commands.command()
@@ -123,7 +123,7 @@ def check(
     if json is not None:
         write_json(answer, json)
     if json != STANDARD_OUTPUT:
-        _print_check(answer, shlex.join(str(log) for log in logs), vehicle)
+        _print_check(answer, logs, vehicle)
     if all(number.answer == "open" for number in answer.numbers):
         raise DataError(f"these logs say nothing of {vehicle}. Fly rolls, pitches and yaw steps, and log the motors.")
 
@@ -161,7 +161,7 @@ def show(
         f"hover at {loaded.hover_speed:.4g} rad/s; full thrust is {thrust:.2f} times the weight", highlight=False
     )
     console.print(f"written: {path}", highlight=False)
-    _next(f"alula mock --vehicle {shlex.quote(vehicle)}")
+    print_next("mock", "--vehicle", vehicle)
 
 
 def quantity(text: str, name: str) -> float:
@@ -179,17 +179,17 @@ def quantity(text: str, name: str) -> float:
     return number * UNITS[match.group(2)]
 
 
-def _answered(options: Mapping[str, str | None]) -> dict[str, str]:
+def _answered(answers: Mapping[str, str | None]) -> dict[str, str]:
     """What was given, and answers to questions for the rest. Raises RequestError where nobody can be asked."""
-    missing = [f"--{name}" for name, text in options.items() if text is None]
+    missing = [f"--{name}" for name, text in answers.items() if text is None]
     if missing and not sys.stdin.isatty():
         raise RequestError(f"{', '.join(missing)} missing: give them, or run this in a terminal, which asks for them.")
-    return {name: typer.prompt(QUESTIONS[name]) if text is None else text for name, text in options.items()}
+    return {name: typer.prompt(QUESTIONS[name]) if text is None else text for name, text in answers.items()}
 
 
-def _report(draft: Draft, path: Path | None, json: Path | None, following: str) -> None:
+def _report(draft: Draft, path: Path | None, json: Path | None, following: list[object]) -> None:
     if json is not None:
-        write_json({"path": None if path is None else str(path), "draft": draft, "next": following}, json)
+        write_json({"path": None if path is None else str(path), "draft": draft, "next": command(*following)}, json)
     if json == STANDARD_OUTPUT:
         return
     console = Console()
@@ -204,7 +204,7 @@ def _report(draft: Draft, path: Path | None, json: Path | None, following: str) 
         console.print(f"note: {note}", highlight=False, markup=False)
     if path is not None:
         console.print(f"written: {path}", highlight=False, markup=False)
-    _next(following)
+    print_next(*following)
 
 
 def _shown(value: object) -> str:
@@ -213,7 +213,7 @@ def _shown(value: object) -> str:
     return f"{value:.4g}" if isinstance(value, float) else str(value)
 
 
-def _print_check(answer: VehicleCheck, logs: str, vehicle: str) -> None:
+def _print_check(answer: VehicleCheck, logs: list[Path], vehicle: str) -> None:
     console = Console()
     colours = {"agrees": "green", "disagrees": "red", "open": "yellow"}
     for number in answer.numbers:
@@ -225,11 +225,7 @@ def _print_check(answer: VehicleCheck, logs: str, vehicle: str) -> None:
     console.print(
         f"{wrong} of {len(answer.numbers)} numbers disagree" if wrong else "nothing disagrees", highlight=False
     )
-    following = "vehicle from-log" if wrong else "diagnose"
-    options = f" --vehicle {shlex.quote(vehicle)}" if not wrong else " --mass KG --arm M"
-    _next(f"alula {following} {logs}{options}")
-
-
-def _next(command: str) -> None:
-    """The last line of every command: what to run now."""
-    print(f"next: {command}")
+    if wrong:
+        print_next("vehicle", "from-log", *logs, "--mass", "KG", "--arm", "M")
+    else:
+        print_next("diagnose", *logs, "--vehicle", vehicle)
