@@ -131,7 +131,7 @@ def _fitted(
         values, last, left = _settle(problem, values)
         chi_square = problem.chi_square(values)
     covariance = last.covariance + np.outer(left, left)
-    covariance += np.diag([clock_variance(c.effect, name, regression.segments[0].rate) for c, name in problem.free])
+    covariance += problem.clock_covariance(values, last)
     settled = last.is_small(left, regression.thresholds.equation_error.max_unsettled) & np.isfinite(last.cost)
     deviation = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     estimates: dict[tuple[str, str], ParameterEstimate] = {}
@@ -380,13 +380,32 @@ class _EquationErrorProblem:
     def _named(self, values: Floats) -> dict[str, float]:
         return dict(zip(self.names, values.tolist(), strict=True))
 
-    def step(self, values: Floats) -> _Step:
+    def clock_covariance(self, values: Floats, here: _Step) -> Floats:
+        """(k, k) covariance that the commands' clock adds: a lag's own, or what one that is not fitted moves.
+
+        here: the step from these values.
+        """
+        rate, model = self._regression.segments[0].rate, self._predictor.model
+        result = np.diag([clock_variance(c.effect, name, rate) for c, name in self.free])
+        fitted = {c.key for c in self._candidates}
+        lags = [item for item in model.effects if item.effect.rotor_speed is not None and item.key not in fitted]
+        for item in lags if np.isfinite(here.cost) else ():
+            for name in item.effect.time_constants:
+                key, deviation = f"{item.key}.{name}", np.sqrt(clock_variance(item.effect, name, rate))
+                late = float(model.parameter_values[model.parameter_index(key)] + deviation)
+                moved = self.step(values, {key: late})
+                if np.isfinite(moved.cost):
+                    result += np.outer(moved.change - here.change, moved.change - here.change)
+        return np.asarray(result)
+
+    def step(self, values: Floats, others: Mapping[str, float] | None = None) -> _Step:
         """The step from some values; every flight's biases are integrated out.
 
         The covariance is that of blocks of residuals (White, 1980), of few blocks also the noise model's.
+        others: changed parameters that are not fitted, by name.
         """
         count = len(self.free)
-        equations = self._equations(self._named(values))
+        equations = self._equations({**self._named(values), **(others or {})})
         if equations is None:
             return _Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
@@ -610,11 +629,11 @@ def clock_variance(effect: Effect, name: str, rate: float) -> float:
     """Variance, s^2, that a lag of the rotors behind their commands has by the commands' clock, 0 for other parameters.
 
     Commands are as old as clocks are apart, and are held for a time between none and a row: half of it is their mean
-    age, of which the logs show nothing. rate: of the rows, Hz.
+    age, of which the logs show nothing and the estimate takes none. rate: of the rows, Hz.
     """
     if effect.rotor_speed is None or name not in effect.time_constants:
         return 0.0
-    return float(CLOCK_OFFSET**2 + (0.5 / rate) ** 2 / 12)
+    return float(CLOCK_OFFSET**2 + (0.5 / rate) ** 2 / 3)
 
 
 def bounds(effect: Effect, name: str) -> tuple[float, float]:

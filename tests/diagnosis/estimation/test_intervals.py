@@ -42,6 +42,23 @@ def test_commands_that_answer_turbulence_do_not_enlarge_the_inertia(arpl_250g):
         assert ratio.value == pytest.approx(1.0, abs=min(0.25, 2 * ratio.std))
 
 
+def test_what_the_age_of_the_commands_moves_is_in_the_interval(arpl_250g):
+    """A lag of the vehicle file that is 3 ms off: as much as commands may be older than their rows at 100 Hz."""
+    hidden = [EffectUse("motor_lag", {"time_constant": 0.03}), EffectUse("rotational_damping", {"coefficient": 5e-4})]
+    manoeuvres = ("line:laps=3,ramp=1", "bob:laps=4,ramp=1,height=0.25", "Lemniscate:laps=4,ramp=1.5,speed=0.9")
+    flights = compiled_flights(
+        arpl_250g, hidden, catalogue=CATALOGUE, seed=3, noise=0.3, commands=True, manoeuvres=manoeuvres
+    )
+    right, late = (
+        fitted(with_lag, flights, "rotational_damping", "motor_lag")[0]["coefficient"]
+        for with_lag in (
+            arpl_250g.with_effects(EffectUse("motor_lag", {"time_constant": lag})) for lag in (0.03, 0.033)
+        )
+    )
+    assert right.value == pytest.approx(5e-4, abs=right.std)
+    assert 0.5 * right.std < abs(late.value - right.value) < right.std
+
+
 def test_each_flight_has_a_clock_of_its_own_beside_the_delay_of_all(arpl_250g):
     late = [EffectUse("time_delay", {"delay": 0.03})]
     flights = compiled_flights(arpl_250g, late, catalogue=CATALOGUE, seed=1, manoeuvres=MANOEUVRES)
