@@ -372,8 +372,7 @@ class _EquationErrorProblem:
     def chi_square(self, values: Floats) -> float:
         """Reduced, at some values, by the regression's noise."""
         weighted, self._noise = self._noise, self._regression.noise
-        self._errors.clear()
-        result = self.step(values).cost / self._regression.total
+        result = self.step(values).cost / self._regression.total  # in which noise of the columns has no part
         self._noise = weighted
         return result
 
