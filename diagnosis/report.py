@@ -9,6 +9,7 @@ from typing import Literal
 import msgspec
 
 from diagnosis.estimation.refusal import Refused, reason_of
+from diagnosis.models.channels import channel_name
 from diagnosis.regimes import Failure
 
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
@@ -141,7 +142,8 @@ def _ground(errors: Mapping[str, ChannelError]) -> str:
     fast = [kind for kind, error in errors.items() if not error.at_sensors]
     if not fast:
         return "the sensors' noise"
-    return f"what no effect of the catalogue makes; in {' and '.join(fast)} that is mostly fast and no sensor's noise"
+    names = " and ".join(map(channel_name, fast))
+    return f"what no effect of the catalogue makes; in {names} that is mostly fast and no sensor's noise"
 
 
 def sentence(diagnosis: Diagnosis) -> str:
@@ -182,7 +184,7 @@ def remains(leftover: Leftover) -> str:
 def leftover_sentence(leftover: Leftover) -> str:
     """What a test of the residuals found, in which channel and how large, without a full stop."""
     return (
-        f"{remains(leftover)}, in {leftover.channel} {leftover.rms:.2g} {leftover.unit} RMS or "
+        f"{remains(leftover)}, in {channel_name(leftover.channel)} {leftover.rms:.2g} {leftover.unit} RMS or "
         f"{leftover.over_floor:.2g} times its floor"
     )
 

@@ -48,7 +48,7 @@ def terminal_table(table: Table) -> RichTable:
     made = RichTable(title=table.title, title_justify="left", caption=table.note or None, caption_justify="left")
     for place, heading in enumerate(table.headings):
         numeric = all(not isinstance(row[place], str) for row in table.rows)
-        made.add_column(heading, justify="right" if numeric else "left")
+        made.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for row in table.rows:
         made.add_row(*(shown(cell, table.digits) for cell in row))
     return made

@@ -9,7 +9,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from diagnosis.comparison import AxisError
-from diagnosis.models.channels import AXES, KINDS, UNITS
+from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.search import IMPOSSIBLE, Scored
 from diagnosis.spectrum import Spectrum
@@ -17,18 +17,7 @@ from studio.evidence import Agreement, Likeness, Overlay, by_kind
 from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Choice, Picture, choosing, line, picture
 from studio.numbers import unit_shown
 
-NAMES = {
-    "imu": "specific force (accelerometer)",
-    "mocap": "specific force (acceleration of the pose)",
-    "angular": "angular acceleration",
-    "attitude_rate": "rate of the attitude less the gyro",
-}
-NAMES_WRAPPED = {
-    "imu": "specific force<br>(accelerometer)",
-    "mocap": "specific force<br>(pose)",
-    "angular": "angular<br>acceleration",
-    "attitude_rate": "attitude's rate<br>less the gyro",
-}
+NAMES_WRAPPED = {kind: name.replace(" ", "<br>") for kind, name in NAMES.items()}
 AXIS_NAMES = "xyz"
 HEADROOM = 1.15  # axis range over the longest bar, for the number behind it
 

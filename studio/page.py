@@ -15,6 +15,7 @@ from typing import Any
 import jinja2
 from plotly import offline
 
+from diagnosis.models.channels import channel_name
 from diagnosis.report import refusal_sentence, remains
 from dynamics.files import write_whole
 from studio.numbers import quantity_shown, shown, unit_shown
@@ -71,6 +72,7 @@ def _environment() -> jinja2.Environment:
     environment.filters["unit"] = unit_shown
     environment.filters["quantity"] = quantity_shown
     environment.filters["filename"] = lambda path: Path(path).name
+    environment.filters["channel"] = channel_name
     environment.filters["remains"] = remains
     environment.filters["refusal"] = refusal_sentence
     return environment

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 
-from diagnosis.models.channels import KINDS
+from diagnosis.models.channels import KINDS, NAMES
 from diagnosis.regimes import Plane, Regime
 from dynamics.arrays import Floats
-from studio.diagnosed import NAMES
 from studio.figure import UNFLOWN, Choice, Picture, choosing, picture
 from studio.numbers import quantity_shown
 

@@ -10,6 +10,7 @@ from typing import Any
 from diagnosis.comparison import ComparisonDetails
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
+from diagnosis.models.channels import NAMES
 from diagnosis.regimes import regime_maps, regime_planes
 from diagnosis.report import Diagnosis, sentence
 from diagnosis.selection.regression import Regression
@@ -48,7 +49,7 @@ def comparison_page(compared: ComparisonDetails, dataset: Dataset, vehicle: Vehi
         origin=origin,
         vehicle=vehicle,
         compared=compared.comparison,
-        names=pictures.NAMES,
+        names=NAMES,
         bars=pictures.axis_bars(compared.comparison.axes),
         view=view,
         lines=pictures.overlay_lines(view, improved=False),
@@ -122,7 +123,7 @@ def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> 
         "diagnosis": result.diagnosis,
         "sentence": sentence(result.diagnosis),
         "notes": result.notes,
-        "names": pictures.NAMES,
+        "names": NAMES,
         "bars": pictures.channel_bars(result.diagnosis.channels),
         "view": view,
         "lines": pictures.overlay_lines(view, improved=improved),

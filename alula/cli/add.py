@@ -59,12 +59,14 @@ def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
 
 
 def _print(addition: Addition, path: Path, console: Console) -> None:
+    from diagnosis.models.channels import NAMES
+
     for (key, name), estimate in addition.estimates.items():
         interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
         console.print(f"{key}.{name} = {interval}", highlight=False)
     for kind, error in addition.channels.items():
         console.print(
-            f"{kind}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit} "
+            f"{NAMES[kind]}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit} "
             f"({100 * (error.after / error.before - 1):+.1f} %), floor {error.floor:.4g}",
             highlight=False,
         )

@@ -40,12 +40,14 @@ def compare(
 
 
 def _print(comparison: Comparison, console: Console) -> None:
+    from diagnosis.models.channels import NAMES
+
     table = Table("channel", title="measured less modelled", title_justify="left")
     for heading in ("RMS", "floor", "over floor", "sensors", "unit"):
         table.add_column(heading, justify="right")
     for axis in comparison.axes:
         figures = (axis.rms, axis.floor, axis.rms / axis.floor, axis.sensors)
-        table.add_row(f"{axis.kind} {axis.axis}", *(f"{value:.3g}" for value in figures), axis.unit)
+        table.add_row(f"{NAMES[axis.kind]} {axis.axis}", *(f"{value:.3g}" for value in figures), axis.unit)
     console.print(table)
     open_loop = Table("open loop, s", title="prediction error, RMS", title_justify="left")
     for heading in ("position m", "velocity m/s", "attitude rad", "rate rad/s"):
@@ -56,7 +58,9 @@ def _print(comparison: Comparison, console: Console) -> None:
         console.print(open_loop)
     for cell in comparison.fails_where:
         where = f"{cell.regime} from {cell.low:g} to {cell.high:g}"
-        console.print(f"fails at {where}: {cell.channel} {cell.rms_over_floor:g} times its floor", highlight=False)
+        console.print(
+            f"fails at {where}: {NAMES[cell.channel]} {cell.rms_over_floor:g} times its floor", highlight=False
+        )
     worst = comparison.worst
     console.print(
         f"worst two seconds: {worst.flight} from {worst.start:g} s, {worst.rms_over_floor:g} times the floor",

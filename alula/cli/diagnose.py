@@ -99,6 +99,7 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
 
 
 def _print(result: DiagnosisResult, console: Console) -> None:
+    from diagnosis.models.channels import NAMES
     from diagnosis.report import evidence_sentence, leftover_sentence, refusal_sentence
 
     diagnosis = result.report
@@ -110,12 +111,12 @@ def _print(result: DiagnosisResult, console: Console) -> None:
         table.add_column(heading, justify="right")
     for kind, error in diagnosis.channels.items():
         figures = (error.before, error.after, error.floor, error.sensors)
-        table.add_row(kind, *(f"{value:.4g}" for value in figures), error.unit)
+        table.add_row(NAMES[kind], *(f"{value:.4g}" for value in figures), error.unit)
     console.print(table)
-    for cell in diagnosis.fails_where:
+    for cell in diagnosis.fails_where if diagnosis.verdict != "explained" else ():
         console.print(
-            f"fails at {cell.regime} from {cell.low:g} to {cell.high:g}: {cell.channel} {cell.rms_over_floor:g} times "
-            "its floor",
+            f"fails at {cell.regime} from {cell.low:g} to {cell.high:g}: {NAMES[cell.channel]} {cell.rms_over_floor:g} "
+            "times its floor",
             highlight=False,
         )
     for left in diagnosis.leftover:

@@ -24,6 +24,12 @@ from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY
 
 KINDS = ("imu", "mocap", "angular", "attitude_rate")
+NAMES = {  # for people; KINDS are the keys of JSON
+    "imu": "accelerometer",
+    "mocap": "pose acceleration",
+    "angular": "angular acceleration",
+    "attitude_rate": "attitude rate",
+}
 UNITS = {"imu": "m/s^2", "mocap": "m/s^2", "angular": "rad/s^2", "attitude_rate": "rad/s"}
 AXES = 3
 CHANNELS = len(KINDS) * AXES
@@ -113,6 +119,12 @@ def norms(residuals: Sequence[Floats]) -> dict[str, float]:
     """RMS norm over the three axes of each kind, over all residuals (m, 12)."""
     squares = squared_by_kind(np.vstack(residuals))
     return {kind: float(np.sqrt(np.mean(squares[:, i]))) for i, kind in enumerate(KINDS)}
+
+
+def channel_name(channel: str) -> str:
+    """The name of a kind of channel, or of one with its axis, as "imu x", for people."""
+    kind, _, axis = channel.partition(" ")
+    return " ".join(filter(None, (NAMES.get(kind, kind), axis)))
 
 
 def squared_by_kind(values: Floats) -> Floats:
