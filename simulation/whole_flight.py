@@ -44,7 +44,7 @@ from sitl_mock.wire.streams import TOLERANCE
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
 ESTIMATOR_PERIOD = 0.5  # s between two ESTIMATOR_STATUS
 WAITING = 3.0  # s that the vehicle stands before it is engaged
-ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN, Phase.DESCEND)
+ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
 NO_STEP = ResetStep(np.zeros(3), np.zeros(3), 0.0)
 CARRIED = 0.05  # of the weight, from which on the ground counts as touched
 

@@ -153,7 +153,7 @@ class LandingContact:
 
     SHARE, SHARE_FAST, HOLD = 0.2, 0.35, 0.1  # of the weight; s
     SIDEWAYS = 0.6  # the part of a force in any direction that counts: friction holds a vehicle that leans in wind
-    IMPULSE, IMPULSE_FAST = 0.35, 0.5  # of the weight over MEAN_TIME: a descent of 0.35 and 0.5 m/s that ends
+    IMPULSE, IMPULSE_FAST = 0.25, 0.5  # of the weight over MEAN_TIME: a descent of 0.25 and 0.5 m/s that ends
 
     def __init__(self) -> None:
         self._slow, self._fast = Persistence(self.HOLD), Persistence(self.HOLD)

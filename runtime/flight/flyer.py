@@ -42,6 +42,7 @@ MAX_LEANING = radians(15.0)  # change of tilt on the ground that ends a take-off
 LEVELLING_SHARE = 0.6  # of the weight, from which on a take-off levels: it would leave a slope sideways
 START_GAIN, START_LIMIT = 3.0, 0.5  # 1/s and rad/s, of that
 LEVEL_GAIN, LEVEL_LIMIT = 6.0, 2.0  # 1/s and rad/s, of levelling after a contact
+TOUCHDOWN_RATE = 0.4  # rad/s of tilting: what a soft contact lets it tilt until it is noticed
 SINK_SHARE = 0.95  # of the weight, thrust of a level hold while landing
 CATCH_TIME = 0.15  # s in which the controller takes over after a contact that was none
 _UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE, Event.CLOCK_BACKWARDS)
@@ -449,6 +450,8 @@ class Flyer:
         else:
             decision.fallback = max(decision.fallback, Fallback.LEVEL_HOLD)
             decision.rate_body, decision.collective_thrust = self._hold.command(self._settings.period)
+        if self.mission.phase is Phase.TOUCHDOWN:
+            decision.rate_body[:2] = np.clip(decision.rate_body[:2], -TOUCHDOWN_RATE, TOUCHDOWN_RATE)
         if self._hand_over is not None:
             decision.collective_thrust = self._hand_over.blend(decision.collective_thrust, observation.time)
 
