@@ -258,6 +258,9 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
     sensor_share: of the log's rate, at which that band ends at the latest. [formula: central differences see little
     beyond]
     sensor_rows: of a periodogram of the unfiltered residual. [not derived yet]
+    min_sensor_band: ratio of that band's ends, over which white noise and the tail of motion, 1 / f^2, can be told
+    apart. [formula: the tail falls to a quarter]
+    reweightings: of the likeliest spectrum. [formula: it has converged then]
     torque_redness: factor on that cap for torques, which the rotors' turbulence reddens. [decisions: the noise floor]
     """
 
@@ -269,6 +272,8 @@ class NoiseThresholds(ThresholdGroup, frozen=True):
     sensor_band: Range = (1.25, 3.0)
     sensor_share: Share = 0.3
     sensor_rows: Annotated[int, Meta(ge=64)] = 256
+    min_sensor_band: Factor = 2.0
+    reweightings: Count = 5
     torque_redness: Factor = 1.5
 
 
@@ -381,6 +386,8 @@ class GustThresholds(ThresholdGroup, frozen=True):
     intensity: range of its strength that is tried, m/s. [definition: from nothing to a storm]
     strengths: that are tried in it. [formula: neighbours differ by a third]
     part: of a segment whose air is independent of that of the others, s. [formula: many correlation times]
+    over_error: by which it must exceed an estimator's error of velocity, which is in several channels at once.
+    [benchmarks/verdicts.py: that error looks like gusts of 0.5 to 1.7 times its size]
     """
 
     max_frequency: Positive = 0.7
@@ -388,12 +395,15 @@ class GustThresholds(ThresholdGroup, frozen=True):
     intensity: tuple[Positive, Positive] = (0.01, 15.0)
     strengths: Annotated[int, Meta(ge=3)] = 26
     part: Positive = 30.0
+    over_error: Factor = 2.0
 
 
 class ResidualTestThresholds(ThresholdGroup, frozen=True):
     """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
 
     features: random Fourier features of state or position. [not derived yet]
+    chances: residuals from elsewhere, of which the most predictable shows what chance predicts. [formula: one in nine
+    exceeds all of eight]
     state_fineness: of a feature of the state, over the standard deviation of the state. [not derived yet]
     velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [not derived yet]
     position_fineness: the same of position alone, where a field of air repeats. [not derived yet]
@@ -406,6 +416,7 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     line_surroundings: bins over which a line's surroundings are the median. [not derived yet]
     """
 
+    chances: Count = 8
     features: Count = 120
     state_fineness: Positive = 0.35
     velocity_fineness: Positive = 1.5

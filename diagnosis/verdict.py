@@ -11,6 +11,7 @@ from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.estimation.refusal import Refused
 from diagnosis.models import channels
+from diagnosis.models.command_effects import seen_as
 from diagnosis.report import ChannelError, Considered, MissingEffect, Outcome, ParameterValue, Verdict
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, marginal
@@ -60,6 +61,8 @@ def missing_effects(
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
         near = [s.candidates[-1].effect.name for s in near_rivals(search, others, rivals)]
+        if regression.segments[0].rotor_source == "command":
+            near += seen_as([candidate.effect.name, *near], regression.catalogue)
         effects.append(
             MissingEffect(
                 name=candidate.effect.name,

@@ -297,15 +297,24 @@ def _unit_of_position(moved: Floats, velocity: Floats) -> Contradiction | None:
 
 
 def _exchanged_axes(one: Floats, other: Floats, smallest: float) -> str:
-    """Pairs of axes that agree while equal axes do not, for people; empty if there are none. Both: (n, 3)."""
-    pairs = []
-    for axis, place in itertools.permutations(range(3), 2):
-        a, own, b = one[:, axis], other[:, axis], other[:, place]
-        if min(_rms(a), _rms(b)) < smallest or _rms(own) == 0.0:
-            continue
-        if abs(_agreement(a, b)) > max(_CLEAR_AGREEMENT, abs(_agreement(a, own)) + _CLEARER):
-            pairs.append(f"{'xyz'[axis]} and {'xyz'[place]}: {_agreement(a, b):.2f}")
-    return ", ".join(pairs)
+    """Pairs of axes that agree while equal axes do not, for people; empty if there are none. Both: (n, 3).
+
+    All axes that an order of the columns displaces must say so: one that errs by more than it moves resembles another
+    axis along which the vehicle moves with it.
+    """
+    for order in itertools.permutations(range(3)):
+        moving = [(i, j) for i, j in enumerate(order) if i != j and max(_rms(one[:, i]), _rms(other[:, j])) >= smallest]
+        if moving and all(_is_another_axis(one[:, i], other[:, i], other[:, j]) for i, j in moving):
+            return ", ".join(f"{'xyz'[i]} and {'xyz'[j]}: {_agreement(one[:, i], other[:, j]):.2f}" for i, j in moving)
+    return ""
+
+
+def _is_another_axis(one: Floats, own: Floats, another: Floats) -> bool:
+    """Whether a motion agrees with what was logged along another axis, and not with its own. All: (n,)."""
+    if 0.0 in (_rms(one), _rms(own), _rms(another)):
+        return False
+    agreement = abs(_agreement(one, another))
+    return agreement > max(_CLEAR_AGREEMENT, abs(_agreement(one, own)) + _CLEARER)
 
 
 def _tilt_against_acceleration(on_grid: dict[str, Floats]) -> Contradiction | None:

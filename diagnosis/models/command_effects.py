@@ -10,7 +10,7 @@ A wrong mass then shows where it differs from a wrong gain: in drag over mass an
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import casadi as ca
@@ -70,6 +70,15 @@ BEND = Effect(
     wrench=bent_thrust,
 )
 COMMAND_EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in (GAIN, MOTOR, BEND)}
+BESIDE_THE_GAIN: Mapping[str, str] = {"thrust_constant": "torque_constant"}
+
+
+def seen_as(names: Collection[str], catalogue: Mapping[str, Effect]) -> list[str]:
+    """Effects of a catalogue of which no more can be seen beside the free gain than one of these effects.
+
+    With less thrust at a command the gain is greater, and the torque with it.
+    """
+    return [name for name, other in BESIDE_THE_GAIN.items() if other in names and name in catalogue]
 
 
 def _carried(reference: float) -> Effect:

@@ -28,7 +28,7 @@ class PoseErrors:
 
     slopes: (12,) of the channels in an error of velocity, RMS over its three axes, 1/s or 1/(s m); None where the pose
         has no errors of its own.
-    velocity: standard deviation of that error, m/s; what looks like a gust no stronger than it is the estimator's.
+    velocity: standard deviation of that error, m/s.
     """
 
     slopes: Floats | None
@@ -52,6 +52,16 @@ class PoseErrors:
         density[channels.POSE_ACCELERATION] += squared * velocity + GRAVITY**2 * tilt
         density[channels.ATTITUDE_RATE] += squared * tilt
         return np.asarray(density)
+
+    def as_gust(self, corner: float) -> float:
+        """Intensity, m/s, of a gust with this corner, Hz, that is as dense as the velocity's error at low frequencies.
+
+        There both are greatest, and the likelihood of a gust depends on little else.
+        """
+        limits = self.thresholds
+        of_error = _shape(np.zeros(1), limits.velocity_time, limits.smooth_time)[0]
+        of_gust = 1 / (np.pi * corner)  # two-sided, of a first-order spectrum with unit variance
+        return float(self.velocity * np.sqrt(of_error / of_gust))
 
 
 NO_ERRORS = PoseErrors(None)

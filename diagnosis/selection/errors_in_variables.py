@@ -7,24 +7,25 @@ order, the bias that the sensors' noise had caused in them (SIMEX).
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.pose_errors import velocity_error
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.thresholds import DEFAULT, PoseThresholds
+from diagnosis.selection.noise import sensors_band, white_density
+from diagnosis.thresholds import DEFAULT, NoiseThresholds, PoseThresholds, Thresholds
 from dynamics import quaternion
 from dynamics.arrays import Floats
 
 SEED = 1  # of the added noise, so that the same flights have the same answer
 
 
-def noisier_segments(segments: Sequence[Segment], pose: PoseThresholds = DEFAULT.pose) -> list[Segment]:
+def noisier_segments(segments: Sequence[Segment], thresholds: Thresholds = DEFAULT) -> list[Segment]:
     """Each segment with noise added, the same whenever it is called."""
-    random = np.random.default_rng(SEED)
-    return [perturbed(segment, random, pose) for segment in segments]
+    random, levels = np.random.default_rng(SEED), inertial_levels(segments, thresholds.noise)
+    return [perturbed(segment, random, levels, thresholds.pose) for segment in segments]
 
 
 def design_errors(
@@ -40,33 +41,70 @@ def design_errors(
         yield noisier_y - y, noisier_x - x
 
 
-def perturbed(segment: Segment, random: np.random.Generator, pose: PoseThresholds = DEFAULT.pose) -> Segment:
-    """The segment with white noise of its sensors' estimated levels added, and an estimator's slow error of velocity.
+@dataclass(frozen=True, eq=False)
+class InertialLevels:
+    """(3,) standard deviations of white noise as dense as a gyro's, rad/s, and an accelerometer's, m/s^2."""
+
+    gyro: Floats
+    specific_force: Floats
+
+
+def perturbed(
+    segment: Segment, random: np.random.Generator, levels: InertialLevels, pose: PoseThresholds = DEFAULT.pose
+) -> Segment:
+    """The segment with white noise of its sensors' levels added, and an estimator's slow error of velocity.
 
     pose: size and correlation time of the latter.
     """
 
-    def noisier(values: Floats) -> Floats:
-        return values + white_level(values) * random.standard_normal(values.shape)
+    def noisier(values: Floats, level: Floats) -> Floats:
+        return values + level * random.standard_normal(values.shape)
 
     attitude = segment.attitude
     step = quaternion.logarithm(quaternion.multiply(quaternion.conjugate(attitude[:-1]), attitude[1:]))
-    level = float(np.std(np.diff(step, 2, axis=0))) / np.sqrt(20.0)
+    level = np.std(np.diff(step, 2, axis=0), axis=0) / np.sqrt(20.0)
     turned = quaternion.multiply(attitude, quaternion.exponential(level * random.standard_normal((len(segment), 3))))
-    velocity = noisier(segment.velocity)
+    velocity = noisier(segment.velocity, white_level(segment.velocity))
     if segment.pose_source == "estimator":
         velocity = velocity + velocity_error(segment, random, pose)
+    speed = segment.rotor_speed
     return replace(
         segment,
-        position=noisier(segment.position),
+        position=noisier(segment.position, white_level(segment.position)),
         velocity=velocity,
         attitude=np.asarray(turned),
-        gyro=None if segment.gyro is None else noisier(segment.gyro),
-        specific_force=None if segment.specific_force is None else noisier(segment.specific_force),
-        rotor_speed=noisier(segment.rotor_speed) if segment.rotor_source == "measured" else segment.rotor_speed,
+        gyro=None if segment.gyro is None else noisier(segment.gyro, levels.gyro),
+        specific_force=None
+        if segment.specific_force is None
+        else noisier(segment.specific_force, levels.specific_force),
+        rotor_speed=noisier(speed, white_level(speed)) if segment.rotor_source == "measured" else speed,
     )
 
 
-def white_level(values: Floats) -> float:
-    """Standard deviation of white noise in smooth signals (n, k), from third differences."""
-    return float(np.std(np.diff(values, 3, axis=0), axis=0).mean() / np.sqrt(20.0))
+def white_level(values: Floats) -> Floats:
+    """(k,) standard deviations of white noise in smooth signals (n, k), from third differences."""
+    return np.asarray(np.std(np.diff(values, 3, axis=0), axis=0) / np.sqrt(20.0))
+
+
+def inertial_levels(segments: Sequence[Segment], thresholds: NoiseThresholds = DEFAULT.noise) -> InertialLevels:
+    """The levels of all segments' gyros and accelerometers together; zeros without one.
+
+    Autopilots log means and filtered values, whose noise is densest at low frequencies, so that differences from row to
+    row, as `white_level` takes them, show little of it. The density is sought where no motion reaches, and where a
+    slow log has no such frequencies the differences must do.
+    """
+    rate, filters = segments[0].rate, segments[0].filters
+    low, high = sensors_band(rate, filters, thresholds)
+
+    def level(parts: Sequence[Floats]) -> Floats:
+        long = [x - x.mean(axis=0) for x in parts if len(x) >= thresholds.sensor_rows]
+        if not parts:
+            return np.zeros(3)
+        if not long or high < thresholds.min_sensor_band * low:
+            return np.asarray(
+                np.sqrt(np.average([white_level(x) ** 2 for x in parts], axis=0, weights=[len(x) for x in parts]))
+            )
+        return np.sqrt([white_density([x[:, i] for x in long], rate, (low, high), thresholds) * rate for i in range(3)])
+
+    gyros, forces = [s.gyro for s in segments], [s.specific_force for s in segments]
+    return InertialLevels(level([x for x in gyros if x is not None]), level([x for x in forces if x is not None]))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from diagnosis.selection.regression import GustProfile, Regression
-from diagnosis.thresholds import GustThresholds
+from diagnosis.thresholds import DEFAULT, GustThresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 
@@ -23,6 +23,7 @@ class Gust:
         where it is measured.
     std: of the intensity, m/s, from the likelihood's profile.
     share: of flight resamples in which a gust is more likely than none.
+    corner: of its likeliest spectrum, Hz.
     effect: the catalogue's stochastic effect; None where it holds none, or no wind to regress.
     """
 
@@ -31,6 +32,7 @@ class Gust:
     intensity: float = 0.0
     std: float = 0.0
     share: float = 0.0
+    corner: float = DEFAULT.gust.corners[0]
     effect: Effect | None = None
 
     @property
@@ -55,11 +57,13 @@ def gust_beside(regression: Regression, chosen: Sequence[int], *, measured: bool
     gain, intensity, std = _peak(strengths, gains)
     penalty = _penalty(regression, thresholds)
     if not measured or not intensity:
-        return Gust(gain, gain - penalty, intensity, std, 0.0, effect)
+        return Gust(gain, gain - penalty, intensity, std, effect=effect)
     others = [regression.gust_profile(chosen, variances, corner) for corner in range(1, len(thresholds.corners))]
-    _, intensity, std = _peak(strengths, np.max([gains, *map(_over_still_air, others)], axis=0))
+    of_corners = np.array([gains, *map(_over_still_air, others)])
+    _, intensity, std = _peak(strengths, of_corners.max(axis=0))
     share = _share(profile, penalty, regression.thresholds.verdict.resamples)
-    return Gust(gain, gain - penalty, intensity, std, share, effect)
+    corner = thresholds.corners[int(np.argmax(of_corners.max(axis=1)))]
+    return Gust(gain, gain - penalty, intensity, std, share, corner, effect)
 
 
 def _over_still_air(profile: GustProfile) -> Floats:

@@ -169,7 +169,7 @@ def sensor_floor(
     falls as 1 / f^2; the first two are continued below it.
     rows: (n, 12) unfiltered residuals at rate Hz, differentiated by central differences.
     """
-    band = _sensors_band(rate, filters, thresholds)
+    band = sensors_band(rate, filters, thresholds)
     frequency: Floats = np.asarray(np.fft.rfftfreq(thresholds.sensor_rows, 1 / rate), dtype=float)
     inside = (frequency >= band[0]) & (frequency <= band[1])
     response = np.sinc(2 * frequency / rate) ** 2  # of central differences; Simpson's weights are much the same
@@ -188,7 +188,24 @@ def sensor_floor(
     return floor
 
 
-def _sensors_band(rate: float, filters: FilterThresholds, thresholds: NoiseThresholds) -> tuple[float, float]:
+def white_density(
+    columns: Sequence[Floats], rate: float, band: tuple[float, float], thresholds: NoiseThresholds = DEFAULT.noise
+) -> float:
+    """Two-sided power density of white noise in a band, Hz, beside the tail of motion, which falls as 1 / f^2.
+
+    columns: (n,) each, at rate Hz. The likeliest of spectral lines that are exponentially distributed.
+    """
+    frequency, power = _spectrum(columns, rate, thresholds.sensor_rows)
+    inside = (frequency >= band[0]) & (frequency <= band[1])
+    shapes, lines = np.column_stack([np.ones(np.count_nonzero(inside)), frequency[inside] ** -2.0]), power[inside]
+    expected, white = np.full(len(lines), lines.mean()), 0.0
+    for _ in range(thresholds.reweightings if lines.all() else 0):
+        (white, tail), _ = nnls(shapes / expected[:, None], lines / expected)
+        expected = shapes @ [white, tail]
+    return float(white)
+
+
+def sensors_band(rate: float, filters: FilterThresholds, thresholds: NoiseThresholds) -> tuple[float, float]:
     """Frequencies that only sensors reach, Hz."""
     low, high = (factor * filters.cutoff for factor in thresholds.sensor_band)
     return low, min(high, thresholds.sensor_share * rate)

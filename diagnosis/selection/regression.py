@@ -333,7 +333,7 @@ def make_regression(
     design, rows, columns = evaluated.matrix, evaluated.rows, evaluated.columns
     candidates = tuple(c for c in evaluated.candidates if c.effect.name not in COMMAND_EFFECTS)
     nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
-    noisier = noisier_segments(segments, thresholds.pose)
+    noisier = noisier_segments(segments, thresholds)
     errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
     pose = pose_errors(segments, design.present, thresholds.pose)
     noise, everything = _noise(segments, rows, columns, pose, thresholds)

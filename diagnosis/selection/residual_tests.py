@@ -61,7 +61,8 @@ class ResidualTests:
     low_frequency_agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid
         frequencies.
     predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
-        velocity, gains on flights left out, over the number of whitened residuals.
+        velocity, gains on flights left out, over the number of whitened residuals; beside an estimator's slow errors,
+        less what the state gains at most in residuals from elsewhere, with which it has nothing to do.
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -93,18 +94,22 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     states = [_state(s) for s in regression.segments]
     features = _features(states, thresholds.state_fineness, thresholds.features)
     fine_in_velocity = _features([x[:, :AXES] for x in states], thresholds.velocity_fineness, thresholds.features)
-    predictable, of_state = max(
-        (_predictable(regression, x, rows, regression.flight_of) for x in (features, fine_in_velocity)),
-        key=lambda gain_and_parts: gain_and_parts[0],
-    )
-    findings = [_largest("predictable_from_state", of_state, regression.noise.floor)]
+    elsewhere = [_rolled(rows, n / (thresholds.chances + 1)) for n in range(1, thresholds.chances + 1)]
+    tried = [
+        _predictable(regression, x, rows, regression.flight_of, elsewhere if regression.pose.there else ())
+        for x in (features, fine_in_velocity)
+    ]
+    best = max(tried, key=lambda one: one.gain)
+    predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
+    findings = [_largest("predictable_from_state", best.parts, regression.noise.floor)]
     repeating = 0.0
     if by_position:
         positions = [s.smooth[s.decimated, POSITION] for s in regression.segments]
         fine = _features(positions, thresholds.position_fineness, thresholds.features)
         features, parts = ([half for x in whole_flights for half in _halves(x)] for whole_flights in (fine, rows))
-        repeating, of_halves = _predictable(regression, features, parts, range(len(parts)))
-        of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.items()}
+        of_halves = _predictable(regression, features, parts, range(len(parts)))
+        repeating = of_halves.gain
+        of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.parts.items()}
         findings.append(_largest("position_dependent", of_place, regression.noise.floor))
     line, tone = _line(rows, regression, thresholds)
     return ResidualTests(
@@ -252,49 +257,96 @@ def _features(states: Sequence[Floats], fineness: float, count: int) -> list[Flo
     return [np.hstack([np.cos(z @ directions + phase), z, np.ones((len(z), 1))]) for z in scaled]
 
 
+def _rolled(rows: Sequence[Floats], share: float) -> list[Floats]:
+    """Residuals (m, 12) from elsewhere for each segment: all of them in a row, later by a share of their time."""
+    everything = np.vstack(rows)
+    later = np.roll(everything, round(share * len(everything)), axis=0)
+    return np.split(later, np.cumsum([len(r) for r in rows])[:-1])
+
+
 def _halves(rows: Floats) -> tuple[Floats, Floats]:
     return rows[: len(rows) // 2], rows[len(rows) // 2 :]
 
 
-def _predictable(
-    regression: Regression, features: Sequence[Floats], rows: Sequence[Floats], group_of: Sequence[int]
-) -> tuple[float, dict[int, tuple[float, tuple[Floats, ...]]]]:
-    """Gain of features (m, k) in residuals (m, 12), leaving one group out, summed over channels.
+@dataclass(frozen=True, eq=False)
+class _Prediction:
+    """What features predict of residuals on groups left out.
 
-    Also, by channel, the RMS and the values of what the features predict on the group left out.
+    gain: in twice the log-likelihood, summed over channels.
+    by_chance: the greatest such gain in residuals from elsewhere; 0 without any.
+    parts: by channel, the RMS and the values of what is predicted.
     """
-    total, noise = 0.0, regression.noise
+
+    gain: float
+    by_chance: float
+    parts: dict[int, tuple[float, tuple[Floats, ...]]]
+
+
+@dataclass(frozen=True, eq=False)
+class _LeaveOneOut:
+    """Ridge regression of residuals in one channel on the same features, leaving one group out.
+
+    white: (m, k) whitened features of each segment. grams: (k, k), a group each.
+    """
+
+    noise: NoiseModel
+    place: int
+    group_of: Sequence[int]
+    white: list[Floats]
+    grams: list[Floats]
+
+    @classmethod
+    def on(cls, features: Sequence[Floats], noise: NoiseModel, place: int, group_of: Sequence[int]) -> _LeaveOneOut:
+        """On features (m, k), in the active channel at a place."""
+        white = [noise.whiten_one(place, x) for x in features]
+        return cls(noise, place, group_of, white, _by_group([x.T @ x for x in white], group_of))
+
+    def products(self, rows: Sequence[Floats]) -> list[Floats]:
+        """(k,) of the features and residuals (m, 12), a group each."""
+        channel = self.noise.active[self.place]
+        values = [self.noise.whiten_one(self.place, r[:, channel]) for r in rows]
+        return _by_group([x.T @ y for x, y in zip(self.white, values, strict=True)], self.group_of)
+
+    def best(self, products: Sequence[Floats], ridges: Sequence[float]) -> tuple[float, float]:
+        """The greatest gain, 0 if there is none, and its ridge."""
+        return max((max(cross_validated_gain(self.grams, products, ridge), 0.0), ridge) for ridge in ridges)
+
+
+def _predictable(
+    regression: Regression,
+    features: Sequence[Floats],
+    rows: Sequence[Floats],
+    group_of: Sequence[int],
+    elsewhere: Sequence[Sequence[Floats]] = (),
+) -> _Prediction:
+    """What features (m, k) predict of residuals (m, 12), leaving one group out. elsewhere: others of their size."""
+    total, by_chance, noise = 0.0, np.zeros(len(elsewhere)), regression.noise
+    ridges = regression.thresholds.residual_tests.ridges
     parts: dict[int, tuple[float, tuple[Floats, ...]]] = {}
     for place, channel in enumerate(noise.active):
         if channel >= MOTION.stop:
             continue
-        values = [r[:, channel] for r in rows]
-        grams, products = _per_group(noise, place, features, values, group_of)
-        ridges = regression.thresholds.residual_tests.ridges
-        gains = {ridge: cross_validated_gain(grams, products, ridge) for ridge in ridges}
-        best = max(gains, key=lambda ridge: gains[ridge])
-        if gains[best] <= 0:
+        fits = _LeaveOneOut.on(features, noise, place, group_of)
+        by_chance += [fits.best(fits.products(other), ridges)[0] for other in elsewhere]
+        products = fits.products(rows)
+        gain, ridge = fits.best(products, ridges)
+        if gain == 0.0:
             continue
-        total += gains[best]
-        left_out = coefficients_without(grams, products, best)
+        total += gain
+        left_out = coefficients_without(fits.grams, products, ridge)
         part = tuple(x @ left_out[group] for x, group in zip(features, group_of, strict=True))
-        predicted = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, grams, strict=True))
-        confirmed = min(1.0, gains[best] / predicted) if predicted > 0 else 0.0
+        predicted = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, fits.grams, strict=True))
+        confirmed = min(1.0, gain / predicted) if predicted > 0 else 0.0
         parts[channel] = (float(np.sqrt(confirmed * np.mean(np.concatenate(part) ** 2))), part)
-    return total, parts
+    return _Prediction(total, float(np.max(by_chance, initial=0.0)), parts)
 
 
-def _per_group(
-    noise: NoiseModel, place: int, features: Sequence[Floats], values: Sequence[Floats], group_of: Sequence[int]
-) -> tuple[list[Floats], list[Floats]]:
-    """Whitened normal equations of features (m, k) in values (m,) of the active channel at a place."""
-    width, count = features[0].shape[1], max(group_of) + 1
-    grams, products = [np.zeros((width, width)) for _ in range(count)], [np.zeros(width) for _ in range(count)]
-    for x, y, group in zip(features, values, group_of, strict=True):
-        white_x = noise.whiten_one(place, x)
-        grams[group] += white_x.T @ white_x
-        products[group] += white_x.T @ noise.whiten_one(place, y)
-    return grams, products
+def _by_group(values: Sequence[Floats], group_of: Sequence[int]) -> list[Floats]:
+    """Sums over the segments of each group."""
+    sums = [np.zeros_like(values[0]) for _ in range(max(group_of) + 1)]
+    for value, group in zip(values, group_of, strict=True):
+        sums[group] += value
+    return sums
 
 
 def coefficients_without(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> list[Floats]:

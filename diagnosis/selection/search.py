@@ -367,13 +367,15 @@ def _relevant(regression: Regression) -> float:
 
 
 def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
-    """Whether random air motion is a gust: clear in most resamples, and more than an estimator's error of velocity.
+    """Whether random air motion is a gust: clear in most resamples, and surely denser than an estimator's error.
 
     One as strong as the strongest that was tried stands in for a force that is none of the air.
     """
-    limits, strongest = regression.thresholds.relevance, regression.thresholds.gust.intensity[1]
-    clear = gust.intensity > limits.deviations * gust.std and gust.share >= limits.min_agreement
-    air = regression.pose.velocity < gust.intensity < (1 - 1e-6) * strongest
+    limits, of_gust = regression.thresholds.relevance, regression.thresholds.gust
+    surely = gust.intensity - limits.deviations * gust.std
+    clear = surely > 0.0 and gust.share >= limits.min_agreement
+    air = of_gust.over_error * regression.pose.as_gust(gust.corner) < surely
+    air &= gust.intensity < (1 - 1e-6) * of_gust.intensity[1]
     return clear and air and gust.score >= max(_relevant(regression), min_score)
 
 

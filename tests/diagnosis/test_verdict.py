@@ -88,7 +88,7 @@ def test_a_gust_may_leave_slow_residuals():
 
 def test_what_state_or_place_predict_is_no_gust(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
-    air = Gust(float(of_all.total), 100.0, 0.5, 0.01, 1.0, CATALOGUE["gust"])
+    air = Gust(float(of_all.total), 100.0, 0.5, 0.01, 1.0, effect=CATALOGUE["gust"])
     selection = Selection(Scored((), 0.0, 0.0), (), air, air, True)
     share = LIMITS.max_gust_predictable
     assert gust_refusal(of_all, selection, results(state=0.9 * share, place=0.5 * share)) is None

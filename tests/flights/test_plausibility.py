@@ -109,6 +109,20 @@ def test_wrong_units_and_frames_of_a_real_flight_are_refused(
         read_log(wrong.to_csv(tmp_path / "wrong.csv"))
 
 
+def climbing(error: float) -> list[Stream]:
+    """60 s up and down a steep line in z and y; the velocity along y errs by `error` m/s, slowly, as an estimator's."""
+    time = np.arange(0.0, 60.0, 0.02)
+    velocity = np.outer(np.sin(0.8 * time), [0.0, 0.3, 1.0])
+    position = np.cumsum(velocity, axis=0) * 0.02
+    estimated = velocity + error * np.outer(np.cos(0.8 * time), [0.0, 1.0, 0.0])
+    return [Stream("position", time, position, ""), Stream("velocity", time, estimated, "")]
+
+
+def test_an_estimators_error_is_no_exchange_of_axes() -> None:
+    """Along y it moves by less than the estimate errs, so that y resembles z, along which it moves."""
+    assert plausibility.check(climbing(0.5)) == ()
+
+
 def tumbling(fall: float) -> list[Stream]:
     """10 s in which a vehicle rolls over once a second and falls by `fall` m/s^2, air drag and thrust as they come."""
     time = np.arange(0.0, 10.0, 0.005)

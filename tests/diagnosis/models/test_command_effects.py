@@ -10,6 +10,7 @@ import pytest
 from diagnosis.data.segment import Segment, segments
 from diagnosis.models.command_effects import (
     COMMAND_EFFECTS,
+    seen_as,
     with_command_effects,
     without_command_effects,
 )
@@ -44,6 +45,17 @@ def test_a_gain_scales_forces_and_moments(commanded: Segment, arpl_250g: Vehicle
     force, _ = predicted(arpl_250g, commanded)
     more, _ = predicted(arpl_250g, commanded, command_gain__ratio=1.1)
     np.testing.assert_allclose(more, 1.1 * force, atol=1e-9)
+
+
+def test_beside_the_gain_less_thrust_is_more_torque(commanded: Segment, arpl_250g: Vehicle) -> None:
+    with_both = arpl_250g.with_effects(
+        EffectUse("thrust_constant", {"ratio": 1.0}), EffectUse("torque_constant", {"ratio": 1.0})
+    )
+    weak = predicted(with_both, commanded, thrust_constant__ratio=0.9, command_gain__ratio=1 / 0.9)
+    twisting = predicted(with_both, commanded, torque_constant__ratio=1 / 0.9)
+    np.testing.assert_allclose(weak, twisting, atol=1e-9)
+    assert seen_as(["inertia", "torque_constant"], CATALOGUE) == ["thrust_constant"]
+    assert seen_as(["inertia"], CATALOGUE) == []
 
 
 def test_one_motors_gain_leaves_the_sum(commanded: Segment, arpl_250g: Vehicle) -> None:

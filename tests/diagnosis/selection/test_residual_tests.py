@@ -5,7 +5,10 @@ import dataclasses
 import msgspec
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
+from diagnosis.models.channels import POSE_ACCELERATION
+from diagnosis.models.pose_errors import PoseErrors
 from diagnosis.selection.residual_tests import low_frequency_agreement, run_residual_tests, spectral_line
 from diagnosis.thresholds import DEFAULT
 from dynamics.state import VELOCITY
@@ -138,3 +141,37 @@ def test_a_force_that_bends_sharply_with_the_velocity_is_predictable(of_noise, s
     for y, segment in zip(rows, segments, strict=True):
         y[:, 0] += 0.6 * np.sign(segment.smooth[segment.decimated, VELOCITY][:, 0])
     assert "predictable_from_state" in fires(run_residual_tests(of_all, rows))
+
+
+def slow(random, shape, poles):
+    """Gauss-Markov processes of unit variance along the first axis. poles: the correlation from row to row, each."""
+    values = random.standard_normal((shape[0] + 1000, *shape[1:]))
+    for pole in poles:
+        values = lfilter([1.0], [1.0, -pole], values, axis=0)
+    return values[1000:] / np.std(values[1000:])
+
+
+def test_an_estimators_slow_errors_resemble_some_function_of_the_state_by_chance(arpl_250g):
+    """Short flights visit few independent states, and errors that last as long fit one function of them or another."""
+    flown = []
+    for i, still in enumerate(hovering(arpl_250g, mass_ratio=1.0, seed=0, count=7, duration=12.0)):
+        velocity = slow(np.random.default_rng(50 + i), still.velocity.shape, poles=(0.98, 0.98))
+        flown.append(dataclasses.replace(still, velocity=velocity))
+    fooled = {"by chance": 0, "less what chance gives": 0}
+    for seed in range(4):
+        random = np.random.default_rng(seed)
+        rows = [random.standard_normal((len(s.smooth[s.decimated]), CHANNELS)) for s in flown]
+        for y in rows:
+            y[:, POSE_ACCELERATION] += 2 * slow(random, y[:, POSE_ACCELERATION].shape, poles=(0.98,))
+        columns = [np.ones((len(y), CHANNELS, 1)) for y in rows]
+        of_all = regression(
+            arpl_250g, [candidate(effect("a"), 0)], columns, rows, segments=tuple(flown), thresholds=FEW
+        )
+        fooled["by chance"] += "predictable_from_state" in fires(run_residual_tests(of_all, rows))
+        estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
+        fooled["less what chance gives"] += "predictable_from_state" in fires(run_residual_tests(estimated, rows))
+    assert fooled["by chance"] >= 2
+    assert fooled["less what chance gives"] == 0
+    for y, segment in zip(rows, flown, strict=True):  # what does depend on it is found beside them
+        y[:, 0] += np.abs(segment.smooth[segment.decimated, VELOCITY][:, 0])
+    assert "predictable_from_state" in fires(run_residual_tests(estimated, rows))

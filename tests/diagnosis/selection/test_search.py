@@ -84,11 +84,14 @@ def test_a_fixed_shape_comes_with_its_own_size(arpl_250g):
 def test_air_motion_within_the_estimators_own_error_is_no_gust(arpl_250g):
     of_all = planted(arpl_250g, [0.0], seed=0)
     estimated = dataclasses.replace(of_all, pose=PoseErrors(np.ones(CHANNELS), 0.2))
-    weak, strong = (Gust(100.0, 90.0, intensity, 0.02, 1.0) for intensity in (0.15, 0.4))
+    weak, strong = (Gust(100.0, 90.0, intensity, 0.02, 1.0) for intensity in (0.15, 0.8))
     assert _is_gust(weak, of_all, 40.0)
     assert not _is_gust(weak, estimated, 40.0)
     assert _is_gust(strong, estimated, 40.0)
     assert not _is_gust(strong, estimated, 95.0)
+    fast = dataclasses.replace(strong, corner=0.3)  # spreads its strength over more frequencies than the error
+    assert _is_gust(fast, of_all, 40.0)
+    assert not _is_gust(fast, estimated, 40.0)
 
 
 def test_a_gust_that_few_resamples_show_or_whose_interval_holds_nothing_is_none(arpl_250g):
