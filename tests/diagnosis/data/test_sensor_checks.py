@@ -1,5 +1,7 @@
 """A velocity that is not the derivative of the position, and a range that clips, are refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -57,5 +59,9 @@ def test_estimators_may_err_and_nothing_is_judged_without_a_position(plain_fligh
     random = np.random.default_rng(0)
     errors = [with_columns(f, {"velocity_x": f["velocity_x"] + 0.3 * random.standard_normal()}) for f in plain_flights]
     require_velocity(flown(errors, arpl_250g), LIMITS)
+    large = [with_columns(f, {"velocity_x": f["velocity_x"] + 0.75}) for f in plain_flights[:1]]
+    with pytest.raises(DataError, match=r"differ by 0.75 m/s"):
+        require_velocity(flown(large, arpl_250g), LIMITS)
+    require_velocity([replace(part, pose_source="estimator") for part in flown(large, arpl_250g)], LIMITS)
     bare = [with_columns(f, {f"position_{axis}": None for axis in "xyz"}) for f in plain_flights]
     require_velocity(flown(bare, arpl_250g), LIMITS)
