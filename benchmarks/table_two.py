@@ -75,7 +75,11 @@ def main() -> None:
         )
     results = [_read(_file(arguments.keep, run)) for run in runs if _file(arguments.keep, run).exists()]
     if arguments.estimates:
-        write_result("table_two_px4", "Tracking on PX4's estimate, hidden effects", estimates_body(results))
+        write_result(
+            "table_two_px4",
+            "Tracking on PX4's estimate, hidden effects",
+            estimates_body(results, _effects_file(arguments.keep)),
+        )
         return
     if arguments.lockstep:
         print(body(results, [], _effects_file(arguments.keep)))

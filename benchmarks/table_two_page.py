@@ -48,17 +48,22 @@ def body(flights: Sequence[Flown], quick: Sequence[Flown], effects: Path) -> str
     ]
     if quick:
         parts += ["## The same in lockstep, without link, threads and clocks", _errors(quick)]
-    if effects.exists():
-        effects_added = read_vehicle(effects).effects
-        listed = "; ".join(
-            f"{use.name} ({', '.join(f'{k} {v:.3g}' for k, v in use.parameters.items())})" for use in effects_added
-        )
-        parts += [f"Diagnosed and added: {listed}."]
-    return "\n\n".join(parts)
+    return "\n\n".join([*parts, *_added(effects)])
 
 
-def estimates_body(flights: Sequence[Flown]) -> str:
-    """Errors of whole flights in lockstep, in motion capture and on PX4's estimate."""
+def _added(effects: Path) -> list[str]:
+    """The effects in the second model's vehicle file, in a sentence; none without the file."""
+    if not effects.exists():
+        return []
+    listed = "; ".join(
+        f"{use.name} ({', '.join(f'{k} {v:.3g}' for k, v in use.parameters.items())})"
+        for use in read_vehicle(effects).effects
+    )
+    return [f"Diagnosed and added: {listed}."]
+
+
+def estimates_body(flights: Sequence[Flown], effects: Path) -> str:
+    """Errors of whole flights in lockstep, in motion capture and on PX4's estimate. effects: as in `body`."""
     models = _models(flights)
     paces = {"mocap": "motion capture", "px4": "PX4's estimate"}
     heads = [f"{NAMES[model]}, {title}" for model in models for title in paces.values()]
@@ -66,11 +71,12 @@ def estimates_body(flights: Sequence[Flown]) -> str:
     rows = [
         [name, *(_cell(by_pace[pace], model, name) for model in models for pace in paces)] for name in TRACKING_NOMINAL
     ]
-    return (
+    text = (
         f"Position RMSE by the estimate in m, mean ± standard deviation over runs; {DURATION - RAMP:g} s of each "
         f"flight from the ground to the ground in lockstep, after the ramp of {RAMP:g} s; ratio: nominal over it. "
         f"Lowest point of each manoeuvre {HEIGHT:g} m.\n\n{_table(['manoeuvre', *heads], rows)}"
     )
+    return "\n\n".join([text, *_added(effects)])
 
 
 def _models(flights: Sequence[Flown]) -> list[str]:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 from math import radians
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from dynamics.references import named_reference
+from dynamics.vehicle_file import read_vehicle
+from runtime.control.controller import Controller
 from runtime.flight.composition import Controllers
 from runtime.flight.mission import Phase, Plan
 from simulation.whole_flight import WholeFlight, fly_whole
@@ -66,3 +69,19 @@ def test_it_takes_off_from_and_lands_on_whatever_it_stands_on(controllers: Contr
     flight = fly(controllers, scenario=Scenario(ground=ground), seed=24)
     assert flight.landed, flight.outcome
     assert flight.tilt_after_contact - ground.slope < STEEPEST
+
+
+@pytest.mark.slow
+def test_a_small_vehicle_with_motors_of_90_ms_hovers_with_a_price_on_its_body_rates(tmp_path: Path) -> None:
+    """Its rate loop follows 0.2 s late; with the usual weight the controller outruns it."""
+    file = tmp_path / "arpl_250g.toml"
+    lag = '[[effects]]\nname = "motor_lag"\n[effects.parameters]\ntime_constant = 0.09\n'
+    price = "[controller]\nrate_weight = [1.0, 1.0, 0.05]\n"
+    file.write_text(f"{(FOLDER / 'arpl_250g.toml').read_text()}\n{price}\n{lag}")
+    vehicle = read_vehicle(file)
+    reference = named_reference("hover", vehicle)
+    flight = fly_whole(
+        MockOptions(file, seed=26), reference, plan=SHORT, controllers=Controllers(Controller.build(vehicle))
+    )
+    assert flight.landed, flight.outcome
+    assert flight.tracking_error(flight.truth) < 0.05
