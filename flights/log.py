@@ -15,6 +15,8 @@ import numpy as np
 from dynamics.arrays import Floats
 from flights.quantities import QUANTITIES, Quantity
 
+DAMAGE = ("torn_gzip", "torn_rows", "torn_end", "damaged_messages")  # names of repairs that leave something out
+
 
 @dataclass(frozen=True)
 class Repair:
@@ -124,6 +126,11 @@ class Provenance:
     reader: str
     notes: tuple[str, ...] = ()
     repairs: tuple[Repair, ...] = ()
+
+    @property
+    def damage(self) -> tuple[str, ...]:
+        """What of the file is lost: cut off, torn or damaged."""
+        return tuple(repair.detail for repair in self.repairs if repair.name in DAMAGE)
 
 
 @dataclass(frozen=True, eq=False)

@@ -9,6 +9,7 @@ from pathlib import Path
 from dynamics.errors import AlulaError, DataError, RequestError
 from flights import plausibility, pose_source
 from flights.log import Log, LogContent, Provenance, Stream
+from flights.quantities import quantity_of
 from flights.readers import (
     betaflight,
     crazyflie,
@@ -22,6 +23,7 @@ from flights.readers import (
     ulog,
 )
 from flights.source import Source, TimeSpan, opened, sha256
+from flights.tables import TIME
 
 
 @dataclass(frozen=True)
@@ -165,6 +167,12 @@ def sniff(source: Source) -> str:
     if source.is_folder:
         raise RequestError(
             f"{source.path} is a folder, and not a bag of ROS 2. Give one log, or read it with flights.read_folder."
+        )
+    separated = csv.names_of(source.first_line(), ";")
+    if TIME in separated and any(quantity_of(name) is not None for name in separated):
+        raise RequestError(
+            f"{source.path} separates its cells by semicolons, as programs do that write decimal commas. Wanted commas "
+            "between cells and points in numbers: replace , by . first, then ; by , in the whole file."
         )
     columns = mapped_csv.header_of(source)
     if columns:

@@ -154,10 +154,13 @@ def add_effect(
         from diagnosis.addition import add_effect as add_to_vehicle
         from diagnosis.addition_report import report
     from dynamics.own_effects import catalogue_of
-    from dynamics.vehicle_file import find_vehicle
+    from dynamics.vehicle import EffectUse
+    from dynamics.vehicle_file import check_effect, find_vehicle
 
     loaded = vehicle_of(vehicle, effect_files)
     catalogue = catalogue_of(loaded)
+    if effect is not None and effect in catalogue and rotor is not None:
+        check_effect(EffectUse(effect, {}, rotor), loaded.rotors.count, catalogue=catalogue)
     dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
     details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)

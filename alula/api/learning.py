@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 
+from alula.api.inputs import log_paths
 from alula.api.results import EvaluationResult, ExportResult, TrainingResult
 from alula.workbench import workbench
 from dynamics.command import command_line
@@ -161,7 +162,7 @@ def export(
     model: checkpoint (.pt), or a vehicle file or name for its physics.
     out: folder to write.
     effect_files: Python files with effects of your own, beside those that a vehicle file names; the bundle holds them.
-    logs: flights whose windows the backends are compared on; by default the paper's references.
+    logs: flights whose windows the backends are compared on, or folders of them; by default the paper's references.
     member: member of an ensemble that flies.
     processor: instruction set of the kernel: "native", "avx512", "avx2", "sse2" or "neon".
     integrator: "hold", "adams_bashforth" or "rk4"; by default what fits the model's labels.
@@ -193,7 +194,7 @@ def export(
     options = ExportOptions(
         problem,
         named_processor(processor),
-        _paths(logs),
+        tuple(log_paths(logs)) if logs else (),
         windows,
         seed,
         overwrite,

@@ -17,6 +17,7 @@ from rich.table import Table
 
 from alula.cli.output import print_next
 from dynamics.command import command_line
+from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from studies.demo import report as demo_report
 from studies.demo.flights import DemoOptions
@@ -57,6 +58,10 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,
 ) -> None:
     """Fly the nominal model on a vehicle that hides an effect, diagnose it, add what is missing, fly again."""
+    if no_effects and effect:
+        raise RequestError("--no-effects and --effect contradict each other. Give one of them.")
+    if every and manoeuvre:
+        raise RequestError("--all and --manoeuvre contradict each other. Give one of them.")
     names = tuple(TRACKING_NOMINAL) if every else tuple(manoeuvre or DEFAULT.manoeuvres)
     effects = () if no_effects else DEFAULT.effects if effect is None else tuple(effect)
     options = DemoOptions(out, vehicle, effects, names, duration, rate, seed, lockstep, learn)

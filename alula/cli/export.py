@@ -21,7 +21,10 @@ def export(
     effects: Effects = None,
     logs: Annotated[
         list[Path] | None,
-        typer.Option("--log", help="Flight whose windows the backends are compared on; repeatable; else references."),
+        typer.Option(
+            "--log",
+            help="Flight or folder of flights whose windows the backends are compared on; repeatable; else references.",
+        ),
     ] = None,
     member: Annotated[int, typer.Option(min=0, help="Member of an ensemble that flies.")] = 0,
     processor: Annotated[str, typer.Option(help=f"Of the kernel: native, {', '.join(PROCESSORS)}.")] = "native",

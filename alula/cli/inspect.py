@@ -111,6 +111,8 @@ def _end(inspections: list[Inspection], refused: list[AlulaError]) -> None:
 
 
 def _print(inspection: Inspection, console: Console, *, everything: bool) -> None:
+    from flights.log import DAMAGE
+
     colour = COLOURS[inspection.verdict]
     console.rule(inspection.path, align="left")
     console.print(f"[bold {colour}]{inspection.sentence}[/]", highlight=False)
@@ -119,6 +121,9 @@ def _print(inspection: Inspection, console: Console, *, everything: bool) -> Non
         f"{len(inspection.segments)} segments",
         highlight=False,
     )
+    for repair in inspection.repairs:
+        if repair.name in DAMAGE:
+            console.print(f"[{COLOURS['warning']}]damaged[/]: {repair.detail}", highlight=False)
     if inspection.pose_source != "unknown":
         console.print(f"pose: {POSES[inspection.pose_source]}", highlight=False)
     for item in inspection.exclusions:

@@ -40,6 +40,8 @@ class Output:
     def start(self, words: Sequence[str]) -> None:
         """Print as requested from now on. Raises OSError for a log file that cannot be written."""
         if self.log_file is not None:
+            if not self.log_file or self.log_file.startswith("-"):
+                raise OSError(0, "no name was given behind --log-file")
             log = Path(self.log_file).open("a", encoding="utf-8")  # noqa: SIM115
             self._log = self._stack.enter_context(log)  # until `finish`
             self._log.write(f"# {time.strftime('%Y-%m-%d %H:%M:%S %z')} {shlex.join(['alula', *words])}\n")

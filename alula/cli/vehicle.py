@@ -63,6 +63,8 @@ def new(
     """Make a vehicle file by rules of thumb, from what is written on the parts; asks for what is not given."""
     answers = {"mass": mass, "arm": arm, "propeller": propeller, "kv": kv, "cells": cells}
     numbers = {key: quantity(text, key) for key, text in _answered(answers).items()}
+    if not numbers["cells"].is_integer():
+        raise RequestError(f"--cells {numbers['cells']:g} is no whole number.")
     draft = alula.new_vehicle(
         name,
         mass=numbers["mass"],

@@ -105,6 +105,7 @@ def make_dataset(
     notes += _left_out(flights, [flight for flight, _ in flown], thresholds.segment.min_duration, findings)
     notes += [finding.text for finding in findings if finding.name in NOTED]
     _require_one_source([parts for _, parts in flown])
+    notes += [f"{f.provenance.path}: {damage}" for f in flights for damage in f.provenance.damage]
     notes += _missing(flights, thresholds.segment)
     limits = thresholds.dataset
     fitted, judged, held = _held_out(flown, hold_out, notes, thresholds)

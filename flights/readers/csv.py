@@ -72,14 +72,14 @@ class Layout:
 
 def matches(source: Source) -> bool:
     """Whether it is text whose first line names the time and a column of a flight."""
-    names = _names(source.first_line())
+    names = names_of(source.first_line())
     return TIME in names and any(quantity_of(name) is not None for name in names)
 
 
 def read(source: Source) -> LogContent:
     """The streams of a flight CSV. Raises DataError for an inconsistent one."""
     assembly = Assembly()
-    names = _names(source.first_line())
+    names = names_of(source.first_line())
     _refuse_duplicates(names)
     used = [name for name in names if name == TIME or quantity_of(name) is not None]
     layout = Layout(names, cut=None if source.span is None else Cut(source.span, TIME))
@@ -204,10 +204,10 @@ def _sections(file: Path, layout: Layout) -> Iterator[tuple[int, Path | pa.Buffe
             place += sum(map(len, lines))
 
 
-def _names(line: str) -> list[str]:
+def names_of(line: str, delimiter: str = ",") -> list[str]:
     """Column names of a header, which some tools write as a comment."""
     line = line.removeprefix("#")
-    return [name.strip().strip('"') for name in line.split(",")]
+    return [name.strip().strip('"') for name in line.split(delimiter)]
 
 
 def _refuse_duplicates(names: Sequence[str]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import re
 import shutil
@@ -69,6 +70,13 @@ def test_a_log_that_cannot_answer_ends_with_3_and_the_reason(inspect: Inspect, p
     assert "This log is unusable" in done.out
     assert "neither rotor speeds nor commands" in done.err
     assert "Traceback" not in done.err
+
+
+def test_a_cut_log_is_said_to_be_cut(inspect: Inspect, good: Path, tmp_path: Path) -> None:
+    packed = gzip.compress(good.read_bytes())
+    path = tmp_path / "cut.csv.gz"
+    path.write_bytes(packed[: len(packed) * 3 // 4])
+    assert "damaged: the gzip file ends early" in inspect(path).out
 
 
 def test_json_is_a_list_of_verdicts_even_when_one_cannot_answer(inspect: Inspect, good: Path, poor: Path) -> None:

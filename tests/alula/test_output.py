@@ -99,3 +99,17 @@ def test_commands_and_options_are_completed(line: str, word: str) -> None:
     count = str(len(line.split()) - 1)
     done = alula(_ALULA_COMPLETE="complete_bash", COMP_WORDS=line, COMP_CWORD=count)
     assert done.stdout.split() == [word]
+
+
+@pytest.mark.parametrize("words", [("--no-effects", "--effect", "mass"), ("--all", "--manoeuvre", "Lemniscate")])
+def test_a_demo_of_contradictory_options_is_refused(words: tuple[str, ...]) -> None:
+    done = alula("demo", *words)
+    assert done.returncode == 2
+    assert "contradict each other" in done.stderr
+
+
+def test_a_rotor_that_is_not_there_is_a_wrong_request() -> None:
+    log = "tests/data/px4_sih_flights/textbook_1_circle.ulg.gz"
+    done = alula("add", "weak_rotor", log, "--vehicle", "px4_sih", "--rotor", "9")
+    assert done.returncode == 2
+    assert "give rotor = 0 to 3, not 9" in done.stderr

@@ -358,3 +358,15 @@ def test_a_folder_of_mixed_formats_gives_each_file_or_its_reason(truth: Truth, t
     assert isinstance(results["b.ulg"], AlulaError)
     with pytest.raises(RequestError, match="read_folder"):
         Flight.read(tmp_path)
+
+
+def test_semicolons_and_decimal_commas_are_named_for_what_they_are(tmp_path: Path, lines: list[str]) -> None:
+    changed = [line.replace(",", ";").replace(".", ",") for line in lines]
+    with pytest.raises(RequestError, match="decimal commas"):
+        _read(tmp_path, changed)
+
+
+def test_what_is_cut_off_or_torn_is_damage(tmp_path: Path, lines: list[str]) -> None:
+    assert _read(tmp_path, lines).provenance.damage == ()
+    lines[100] += ",1.0"
+    assert "1 rows with 22 instead of 21 cells dropped" in _read(tmp_path, lines).provenance.damage
