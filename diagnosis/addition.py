@@ -14,8 +14,9 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
+from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.output_error import refit
 from diagnosis.estimation.paired_errors import relative_rise

@@ -10,7 +10,7 @@ from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import Accepted, accepted_fit, drifting_effects, without
 from diagnosis.estimation.command_gain import command_gain
-from diagnosis.estimation.equation_error import Fit, fit
+from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
     reduced_chi_square,
     residuals_in,
@@ -18,6 +18,7 @@ from diagnosis.estimation.evaluation import (
     telling_channels,
     typical_chi_square,
 )
+from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover, with_typical_window

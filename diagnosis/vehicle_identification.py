@@ -21,7 +21,8 @@ from scipy.special import ndtri
 from diagnosis.data.command_curve import lagged
 from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.command_gain import command_gain
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.models.command_effects import BEND
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression, make_regression

@@ -7,8 +7,8 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from diagnosis.estimation.acceptance import Accepted
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import floor_norms
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.refusal import Refused
 from diagnosis.models import channels
 from diagnosis.models.command_effects import seen_as

@@ -28,8 +28,8 @@ def require_velocity(segments: Sequence[Segment], limits: DataChecks) -> None:
             _rms(np.vstack([s.velocity - s.velocity.mean(axis=0) for s in own])),
         )
         estimated = any(s.pose_source == "estimator" for s in own)
-        most = limits.max_estimator_error if estimated else limits.max_velocity_error
-        if error > max(most, limits.max_velocity_share * speed):
+        largest = limits.max_estimator_error if estimated else limits.max_velocity_error
+        if error > max(largest, limits.max_velocity_share * speed):
             raise DataError(
                 f"{Path(flight).name}: velocity and the change of position differ by {error:.2f} m/s RMS at "
                 f"{speed:.2f} m/s: they are not of one vehicle, axis or clock, or one is clipped. Check the columns, "

@@ -16,8 +16,9 @@ import numpy as np
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.consistency import drifts
-from diagnosis.estimation.equation_error import Fit, fit, left_out, neutral_values, with_candidates
+from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
+from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
 from diagnosis.estimation.paired_errors import ErrorChange, total_change
 from diagnosis.estimation.refusal import Reason, Refused

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.models.command_effects import GAIN
 from dynamics.effects.mass import EFFECT as MASS
 

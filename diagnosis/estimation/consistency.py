@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimation.equation_error import Fit
+from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression

@@ -5,8 +5,8 @@ import pytest
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.acceptance import accepted_fit, at_its_bounds
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.paired_errors import channel_changes, total_change
 from diagnosis.selection.regression import make_regression
 from diagnosis.selection.rivals import rivals_of

@@ -3,7 +3,7 @@
 import pytest
 
 from diagnosis.estimation.command_gain import GAIN_KEY, MASS_KEY, command_gain
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from dynamics.effects.mass import EFFECT as MASS
 from dynamics.vehicle import EffectUse
 from tests.diagnosis.synthetic import candidate

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.estimation.consistency import drifts
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate
+from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.thresholds import DEFAULT
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, regression

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import _EquationErrorProblem, bounds, fit, with_candidates
+from diagnosis.estimation.equation_error import _EquationErrorProblem, fit
+from diagnosis.estimation.fitted import bounds, with_candidates
 from diagnosis.selection.regression import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import make_dataset
-from diagnosis.estimation.equation_error import Fit, ParameterEstimate, fit, with_candidates
+from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
 from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import open_loop_errors
 from diagnosis.models.prediction import Predictor
