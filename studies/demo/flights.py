@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -11,7 +12,7 @@ from typing import Protocol
 import msgspec
 import numpy as np
 
-from dynamics.errors import VehicleError
+from dynamics.errors import RequestError, VehicleError
 from dynamics.own_effects import catalogue_of
 from dynamics.references import check_feasibility, named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
@@ -31,6 +32,7 @@ BRISK = Plan(height=1.2, speed=2.5, acceleration=3.0, settle=0.5, descent=1.0, o
 FINDING_PATIENCE = 30.0  # s for the vehicle's first heartbeat
 OVER_LINK, IN_LOCKSTEP = 10.0, 24.0  # s of a manoeuvre by default
 NOMINAL, LEARNED = "nominal", "learned"  # the model of a flight, part of its file name
+OWN_RECORDING = re.compile(rf"\d{{8}}-\d{{6}}_({NOMINAL}|{LEARNED})_")
 PAPER: Mapping[str, Mapping[str, tuple[float, float]]] = {NOMINAL: TRACKING_NOMINAL, LEARNED: TRACKING_LEARNED}
 
 
@@ -166,6 +168,20 @@ def _paper(reference: str, model: str) -> float | None:
 
 def _recordings(options: DemoOptions) -> Path:
     return options.folder / "recordings"
+
+
+def clear_old_files(options: DemoOptions) -> None:
+    """Delete what an earlier demo has left in the folder: its recordings and vehicle files, nothing else.
+
+    Raises RequestError when a file cannot be deleted.
+    """
+    stem = find_vehicle(options.vehicle).stem
+    recordings = (path for path in _recordings(options).glob("*") if OWN_RECORDING.match(path.name))
+    try:
+        for path in (*recordings, *options.folder.glob(f"{stem}.v*.toml")):
+            path.unlink()
+    except OSError as error:
+        raise RequestError(f"cannot delete an earlier demo's {error.filename}: {error.strerror}.") from None
 
 
 def _file_name(name: str, model: str) -> str:

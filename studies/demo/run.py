@@ -15,7 +15,7 @@ from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
 from dynamics.references import named_reference
 from dynamics.vehicle_file import find_vehicle, parse_effect, read_vehicle
-from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, pilot, rmse_on_px4_estimate
+from studies.demo.flights import LEARNED, NOMINAL, Announce, DemoOptions, clear_old_files, pilot, rmse_on_px4_estimate
 from studies.demo.result import DemoReport, FlownManoeuvre
 
 if TYPE_CHECKING:
@@ -66,6 +66,7 @@ def run_demo(
     when the flights cannot be diagnosed.
     """
     check_options(options)
+    clear_old_files(options)
     nominal = _fly_all(options, str(find_vehicle(options.vehicle)), NOMINAL, announce, started)
     absent = absent_libraries() if options.learn else ()
     report = DemoReport(

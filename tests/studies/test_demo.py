@@ -15,7 +15,7 @@ from runtime.flight_setup import FlightSetup, prepare_flight
 from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process
 from studies.demo import run as demo_module
-from studies.demo.flights import DemoOptions
+from studies.demo.flights import DemoOptions, clear_old_files
 from studies.demo.report import closing_lines, tracked, write_report
 from studies.demo.result import DemoReport, FlownManoeuvre
 from studies.demo.run import check_options, run_demo
@@ -218,3 +218,17 @@ def test_a_mock_that_does_not_start_is_an_error_with_its_message() -> None:
         mock_process("--effect", "rotor_dragg", vehicle="arpl_250g"),
     ):
         pass
+
+
+def test_an_earlier_demos_files_are_cleared_and_others_stay(tmp_path: Path) -> None:
+    old = [
+        "recordings/20260101-120000_nominal_line.mcap",
+        "recordings/20260101-120100_learned_line.tlog",
+        "arpl_250g.v2.toml",
+    ]
+    others = ["recordings/mine.mcap", "my.toml"]
+    (tmp_path / "recordings").mkdir()
+    for name in (*old, *others):
+        (tmp_path / name).touch()
+    clear_old_files(DemoOptions(tmp_path))
+    assert {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file()} == set(others)
