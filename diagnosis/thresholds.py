@@ -635,7 +635,7 @@ class VehicleThresholds(ThresholdGroup, frozen=True):
     max_rounds: of correcting the vehicle and fitting again. [PX4's simulated flights: two to five]
     converged: correction over half of an interval below which it is none. [definition]
     model_error: half of an interval over the value that the model's own errors add.
-    [docs/vehicle.md: six sets of PX4's simulated flights]
+    [benchmarks/vehicle_from_logs.py: five sets of PX4's simulated flights]
     max_interval: half of an interval over the value beyond which a value is not given. [convention]
     min_loaded: squared speeds over usual ones below which a row is not in flight. [definition: half of the weight]
     max_lag: of speeds behind signals that is tried, s. [command_curve.max_lag and a third]
