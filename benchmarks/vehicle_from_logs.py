@@ -2,8 +2,8 @@
 
 PX4's simulated quadrotor of known constants (tests/data/px4_sih_flights: real firmware, commands alone), and flights of
 the mock's 250 g vehicle with inertia, lag and drag drawn at random, with measured rotor speeds. The estimation starts
-from the rules of `alula vehicle new`. The PX4 sets are those that the 5 % of model error were taken from; the mock's
-are fresh.
+from the rules of `alula vehicle new`. The PX4 sets are those that the model error in every interval was taken from;
+the mock's are fresh.
 
     python -m benchmarks.vehicle_from_logs [--seeds 6] [--first-seed 500]
 """

@@ -636,6 +636,7 @@ class VehicleThresholds(ThresholdGroup, frozen=True):
     converged: correction over half of an interval below which it is none. [definition]
     model_error: half of an interval over the value that the model's own errors add.
     [benchmarks/vehicle_from_logs.py: five sets of PX4's simulated flights]
+    lag_error: the same of the motors' lag. [benchmarks/vehicle_from_logs.py: the same, and each flight by itself]
     max_interval: half of an interval over the value beyond which a value is not given. [convention]
     min_loaded: squared speeds over usual ones below which a row is not in flight. [definition: half of the weight]
     max_lag: of speeds behind signals that is tried, s. [command_curve.max_lag and a third]
@@ -652,7 +653,8 @@ class VehicleThresholds(ThresholdGroup, frozen=True):
 
     max_rounds: Count = 5
     converged: Share = 0.2
-    model_error: Share = 0.05
+    model_error: Share = 0.07
+    lag_error: Share = 0.1
     max_interval: Share = 0.5
     min_loaded: Share = 0.5
     max_lag: Positive = 0.2

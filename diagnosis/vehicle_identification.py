@@ -369,7 +369,7 @@ def _curve_and_lag(
     lag = fitted.estimates.get((MOTOR_LAG.name, "time_constant"))
     if lag is None:
         return curve, None
-    return curve, Constant(lag.value, math.hypot(NORMAL * lag.std, LIMITS.model_error * lag.value), "s")
+    return curve, Constant(lag.value, math.hypot(NORMAL * lag.std, LIMITS.lag_error * lag.value), "s")
 
 
 def _extrapolation(vehicle: Vehicle, curve: Constant | None) -> float:
