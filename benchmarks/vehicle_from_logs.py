@@ -54,7 +54,7 @@ def of_px4() -> Iterator[tuple[str, dict[str, Pair]]]:
     file = read_vehicle(find_vehicle("px4_sih"))
     for name, (mass, lag) in SETS.items():
         identified = identify_vehicle(read_flights(sorted(LOGS.glob(f"{name}_*.ulg.gz"))), started(file, mass))
-        pairs = {"thrust": (identified.thrust, 20.0), **_pairs(identified, (0.025, 0.025), 1e-7 / 0.03)}
+        pairs = {"thrust": (identified.thrust, 20.0), **_pairs(identified, (0.025, 0.025, 0.03), 1e-7 / 0.03)}
         if identified.motor_lag is not None:
             pairs["motor lag"] = (identified.motor_lag, lag)
         yield f"PX4, {name}", pairs
@@ -83,7 +83,7 @@ def of_mock(seeds: Sequence[int]) -> Iterator[tuple[str, dict[str, Pair]]]:
             [Flight.from_log(_measured(flown.log), rate=100.0)], started(file, file.body.mass)
         )
         x, y, z = (own * ratio for own, ratio in zip(file.body.inertia, ratios.values(), strict=True))
-        pairs = _pairs(identified, (x, y), file.rotors.torque_constant / z)
+        pairs = _pairs(identified, (x, y, z), file.rotors.torque_constant / z)
         yield (
             f"mock, seed {seed}",
             {"thrust constant": (identified.thrust_constant, file.rotors.thrust_constant), **pairs},
@@ -97,11 +97,11 @@ def _measured(log: Log) -> Log:
     )
 
 
-def _pairs(identified: Identification, inertia: tuple[float, float], yaw_gain: float) -> dict[str, Pair]:
-    tilt = {
-        f"inertia {axis}": pair for axis, pair in zip("xy", zip(identified.inertia, inertia, strict=True), strict=True)
-    }
-    return {**tilt, "yaw gain": (identified.yaw_gain, yaw_gain)}
+def _pairs(identified: Identification, inertia: tuple[float, float, float], yaw_gain: float) -> dict[str, Pair]:
+    estimates = (*identified.inertia, identified.yaw_inertia)
+    about = zip("xyz", estimates, inertia, strict=True)
+    inertias = {f"inertia {axis}": (own, truth) for axis, own, truth in about if own is not None}
+    return {**inertias, "yaw gain": (identified.yaw_gain, yaw_gain)}
 
 
 def table(results: Mapping[str, Mapping[str, Pair]]) -> str:

@@ -138,6 +138,8 @@ def _constants(identified: Identification, vehicle: Vehicle) -> Iterator[Checked
         identified.yaw_gain,
         "",
     )
+    if identified.yaw_inertia is not None:
+        yield _compared("body.inertia about z", body.inertia[2], identified.yaw_inertia, mass)
     lags = [use.parameters.get("time_constant") for use in vehicle.effects if use.name == MOTOR_LAG.name]
     if identified.motor_lag is not None:
         own_lag = next((lag for lag in lags if lag is not None), 0.0)

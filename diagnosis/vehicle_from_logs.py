@@ -131,6 +131,8 @@ def _identified(flights: Sequence[Flight], start: Vehicle) -> tuple[Identificati
         identified = identify_vehicle(flights, start)
     except DataError as error:
         return None, str(error)
+    if identified.yaw_inertia is not None:
+        return identified, ""
     tilt = identified.vehicle.body.inertia[:2]
     return with_yaw_inertia(identified, YAW_INERTIA * sum(tilt)), ""
 
@@ -171,11 +173,14 @@ def _inertia(identified: Identification | None, start: Vehicle, per_mass: str) -
         arm = max(math.hypot(x, y) for x, y, _ in start.rotors.position)
         rule = inertia_entry(start.body.mass, arm)
         return Entry(rule.key, rule.value, rule.unit, "rule", f"{rule.origin}{per_mass}", rule.uncertainty)
-    x, y = identified.inertia
-    yaw = identified.vehicle.body.inertia[2]
-    widths = (x.half_width, y.half_width, YAW_SPREAD * yaw)
-    origin = f"relative to the mass{per_mass}; about z {YAW_INERTIA:g} of the sum of the others, by rule"
-    return Entry("body.inertia", [x.value, y.value, yaw], "kg m^2, diagonal", "flights", origin, widths)
+    (x, y), yaw = identified.inertia, identified.yaw_inertia
+    ruled = identified.vehicle.body.inertia[2]
+    widths = (x.half_width, y.half_width, YAW_SPREAD * ruled if yaw is None else yaw.half_width)
+    by_rule = f"; about z {YAW_INERTIA:g} of the sum of the others, by rule" if yaw is None else ""
+    values = [x.value, y.value, ruled]
+    return Entry(
+        "body.inertia", values, "kg m^2, diagonal", "flights", f"relative to the mass{per_mass}{by_rule}", widths
+    )
 
 
 def _thrust_entries(identified: Identification | None, rotors: Rotors, per_mass: str) -> Iterator[Entry]:
@@ -188,7 +193,8 @@ def _thrust_entries(identified: Identification | None, rotors: Rotors, per_mass:
     yield _of(identified.thrust_constant, "rotors.thrust_constant", f"carries the weight{per_mass} in hover")
     gain = identified.yaw_gain
     yaw = identified.vehicle.body.inertia[2]
-    width = rotors.torque_constant * math.hypot(gain.half_width / gain.value, YAW_SPREAD)
+    spread = YAW_SPREAD if identified.yaw_inertia is None else identified.yaw_inertia.half_width / yaw
+    width = rotors.torque_constant * math.hypot(gain.half_width / gain.value, spread)
     origin = f"{gain.value:.4g} +- {gain.half_width:.2g} times the inertia about z of {yaw:.3g}"
     yield Entry("rotors.torque_constant", rotors.torque_constant, "N m s^2/rad^2", "flights", origin, (width,))
     if identified.thrust_curve is not None:
@@ -224,10 +230,11 @@ def _open(
         yield "the inertia: these flights turn too gently; fly rolls and pitches of 30 degrees back and forth"
     if not identified.yaw_gain.is_usable:
         yield "the torque constant: these flights yaw too gently; fly yaw steps of 90 degrees both ways"
-    yield (
-        "torque constant and yaw inertia apart: flights show their ratio alone; a bifilar pendulum or a thrust stand "
-        "tells one of them"
-    )
+    if identified.yaw_inertia is None:
+        yield (
+            "torque constant and yaw inertia apart: these flights show their ratio alone; fly rolls and pitches while "
+            "the vehicle yaws fast, or measure one of them with a bifilar pendulum or a thrust stand"
+        )
     if identified.speed_max is None and speed is None:
         yield (
             "the rotors' speed: log esc_status (DShot telemetry), or give --speed-max; until then speeds and the "

@@ -1,9 +1,10 @@
 """A vehicle's constants from its flights: thrust, inertia, yaw authority, the motors' lag, each with an interval.
 
 Everything is relative to the mass, which flights cannot show: the rotors carry the weight in hover, and forces and
-moments scale with it. Torque constant and yaw inertia show as their ratio alone. The estimates are those of the joint
-fit behind `alula diagnose`, with the drags that fast flight has beside them, from a vehicle that is corrected until
-the fit changes it no more.
+moments scale with it. Torque constant and yaw inertia show as their ratio, and apart only where the vehicle turns about
+several axes at once: there (J_z - J_y) omega_y omega_z is a moment about x. The estimates are those of the joint fit
+behind `alula diagnose`, with the drags that fast flight has beside them, from a vehicle that is corrected until the fit
+changes it no more.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from dynamics.effects.linear_drag import EFFECT as LINEAR_DRAG
 from dynamics.effects.motor_lag import EFFECT as MOTOR_LAG
 from dynamics.effects.rotor_drag import EFFECT as ROTOR_DRAG
 from dynamics.effects.thrust_constant import EFFECT as THRUST_CONSTANT
+from dynamics.effects.torque_constant import EFFECT as TORQUE_CONSTANT
 from dynamics.errors import DataError
 from dynamics.vehicle import GRAVITY, Vehicle
 from flights import Flight
@@ -88,6 +90,7 @@ class Identification:
     thrust_curve: of the motor signal; None where no signal was logged.
     inertia: about body x and y, kg m^2.
     yaw_gain: torque constant over yaw inertia, from squared rotor speed to yaw acceleration, 1/rad.
+    yaw_inertia: kg m^2; None where the flights show that ratio alone, and the vehicle's was assumed.
     motor_lag: s; None where neither signals nor commands were logged.
     speed_max: rad/s; None where no rotor speed was measured.
     drag: the drag that was fitted beside them.
@@ -103,6 +106,7 @@ class Identification:
     thrust_curve: Constant | None
     inertia: tuple[Constant, Constant]
     yaw_gain: Constant
+    yaw_inertia: Constant | None
     motor_lag: Constant | None
     speed_max: Constant | None
     drag: str
@@ -176,7 +180,9 @@ def _with_rotors(vehicle: Vehicle, **changed: float) -> Vehicle:
 
 def _regression(dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> Regression:
     """Of the effects that stand for constants, and those of the vehicle file, on all segments."""
-    names = {effect.name for effect in (*CONSTANTS, *DRAGS, DAMPING)} | {use.name for use in vehicle.effects}
+    names = {effect.name for effect in (*CONSTANTS, TORQUE_CONSTANT, *DRAGS, DAMPING)} | {
+        use.name for use in vehicle.effects
+    }
     effects = {name: effect for name, effect in {**catalogue, DAMPING.name: DAMPING}.items() if name in names}
     last = max(dataset.flight_of, default=-1) + 1
     logs = list(dict.fromkeys(s.flight for s in dataset.held_out))
@@ -197,8 +203,31 @@ def _drags(regression: Regression) -> list[Effect]:
 
 
 def _fitted(regression: Regression, drag: Effect) -> Fit:
+    """The joint fit, with a torque constant of its own where it can be told from the yaw inertia."""
     effects = [*CONSTANTS, drag, DAMPING]
-    return fit(regression, [c for effect in effects if (c := _candidate(regression, effect)) is not None])
+    candidates = [c for effect in effects if (c := _candidate(regression, effect)) is not None]
+    torque = _candidate(regression, TORQUE_CONSTANT)
+    if torque is not None:
+        fitted = fit(regression, [*candidates, torque])
+        ratio = _torque_ratio(fitted)
+        if ratio is not None and not fitted.unsettled and ratio.std <= LIMITS.max_torque_deviation * ratio.value:
+            return fitted
+    return fit(regression, candidates)
+
+
+def _torque_ratio(fitted: Fit) -> ParameterEstimate | None:
+    """Torque constant over that of the vehicle that was fitted; None where the yaw inertia was assumed."""
+    return fitted.estimates.get((TORQUE_CONSTANT.name, "ratio"))
+
+
+def _yaw_gain_deviation(fitted: Fit) -> float:
+    """Standard deviation of torque constant over yaw inertia, over it."""
+    places = {key: place for place, key in enumerate(fitted.estimates)}
+    slopes = np.zeros(len(fitted.covariance))
+    for key, sign in (((INERTIA.name, "ratio_z"), -1.0), ((TORQUE_CONSTANT.name, "ratio"), 1.0)):
+        if key in places:
+            slopes[places[key]] = sign / fitted.estimates[key].value
+    return math.sqrt(max(float(slopes @ fitted.covariance @ slopes), 0.0))
 
 
 def _candidate(regression: Regression, effect: Effect) -> Candidate | None:
@@ -212,16 +241,22 @@ def _corrected(start: Vehicle, fitted: Fit, dataset: Dataset, *, fit_curve: bool
     ratios = [fitted.estimates[INERTIA.name, f"ratio_{axis}"] for axis in "xyz"]
     x, y, z = start.body.inertia
     tilt = (x * ratios[0].value, y * ratios[1].value)
-    yaw = min(max(z, *(1.001 * abs(tilt[0] - tilt[1]),)), 0.999 * sum(tilt))
+    torque = _torque_ratio(fitted)
+    yaw = min(max(z if torque is None else z * ratios[2].value, 1.001 * abs(tilt[0] - tilt[1])), 0.999 * sum(tilt))
     thrust = _thrust_ratio(fitted, dataset)
-    gain = start.rotors.torque_constant * thrust.value / (z * ratios[2].value)
+    twist = thrust.value * (1.0 if torque is None else torque.value)
+    gain = start.rotors.torque_constant * twist / (z * ratios[2].value)
     constant = start.rotors.thrust_constant * thrust.value
     changed = {"thrust_constant": constant, "torque_constant": gain * yaw}
     curve = _curve(start, fitted, dataset) if fit_curve else None
     if curve is not None and abs(curve.value - start.rotors.thrust_curve) > NORMAL * curve.std:
         changed["thrust_curve"] = min(max(curve.value, 0.0), 1.0)
     body = msgspec.structs.replace(start.body, inertia=(*tilt, yaw))
-    moved = [e for e in ratios if abs(e.value - 1.0) > LIMITS.converged * NORMAL * e.std]
+    moved = [
+        e
+        for e in (*ratios, *([] if torque is None else [torque]))
+        if abs(e.value - 1.0) > LIMITS.converged * NORMAL * e.std
+    ]
     return _with_rotors(msgspec.structs.replace(start, body=body), **changed), bool(moved)
 
 
@@ -336,7 +371,11 @@ def _identification(
     thrust = _thrust_ratio(fitted, dataset)
     is_settled, deviation = math.isfinite(thrust.std), thrust.std / thrust.value
     constant = constant_of(vehicle.rotors.thrust_constant, deviation, "N s^2/rad^2", settled=is_settled)
-    gain = start.rotors.torque_constant * thrust.value / z.value
+    torque = _torque_ratio(fitted)
+    twist = thrust.value * (1.0 if torque is None else torque.value)
+    gain = constant_of(
+        start.rotors.torque_constant * twist / z.value, _yaw_gain_deviation(fitted), "1/rad", settled=not unsettled
+    )
     curve, lag = _curve_and_lag(start, fitted, dataset, signal)
     full = math.hypot(deviation, _extrapolation(vehicle, curve) / NORMAL)
     return Identification(
@@ -345,7 +384,8 @@ def _identification(
         thrust_constant=constant,
         thrust_curve=curve,
         inertia=(x, y),
-        yaw_gain=Constant(gain, gain * z.half_width / z.value, "1/rad"),
+        yaw_gain=gain,
+        yaw_inertia=None if torque is None else z,
         motor_lag=lag,
         speed_max=None if signal is None else signal.speed_max,
         drag=drag.name,

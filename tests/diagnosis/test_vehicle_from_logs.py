@@ -84,6 +84,18 @@ def test_a_check_names_what_disagrees_and_by_how_much() -> None:
     }
 
 
+def test_yaw_inertia_and_torque_constant_are_told_apart_where_the_vehicle_turns_about_several_axes() -> None:
+    vehicle = read_vehicle(find_vehicle("px4_sih"))
+    body = msgspec.structs.replace(vehicle.body, inertia=(0.025, 0.025, 0.04))
+    rotors = msgspec.structs.replace(vehicle.rotors, torque_constant=vehicle.rotors.torque_constant * 4 / 3)
+    scaled = msgspec.structs.replace(vehicle, body=body, rotors=rotors)  # the ratio is right
+    checked = check_vehicle([SIH / "nothing_3_warped_ellipse_2.ulg.gz"], scaled)
+    yaw = next(number for number in checked.numbers if number.name == "body.inertia about z")
+    assert yaw.answer == "disagrees"
+    assert yaw.logs == pytest.approx(0.03, rel=0.06)
+    assert {n.name for n in checked.numbers if n.answer == "disagrees"} == {yaw.name}
+
+
 def test_measured_rotor_speeds_give_the_thrust_constant() -> None:
     truth = read_vehicle(find_vehicle("arpl_250g"))
     body = msgspec.structs.replace(truth.body, inertia=(6.6e-4, 5.4e-4, 1.1e-3))
