@@ -102,7 +102,9 @@ def flights_table(flown: Sequence[Tracked]) -> str:
                 f"| {goal:g} | {true:.3f} | {own:.3f} | {true / own:.2f} "
                 f"| {ON_PX4[name] if estimator == 'px4' else ''} |"
             )
-    others = [f"- {one.name} on {one.estimator}: {one.outcome}" for one in flown if one.outcome != "landed and disarmed"]
+    others = [
+        f"- {one.name} on {one.estimator}: {one.outcome}" for one in flown if one.outcome != "landed and disarmed"
+    ]
     return "\n".join([*lines, "", f"Flights that did not end as planned: {len(others)}.", *others])
 
 

@@ -20,6 +20,8 @@ from diagnosis.data.segment import Segment
 from diagnosis.thresholds import CommandCurveThresholds
 from dynamics.effect import Conditions, Effect, Environment, Parameter, Physics, Prior, Values, Wrench
 from dynamics.effects.mass import EFFECT as MASS
+from dynamics.effects.thrust_constant import EFFECT as THRUST_CONSTANT
+from dynamics.effects.torque_constant import EFFECT as TORQUE_CONSTANT
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 
@@ -70,7 +72,7 @@ BEND = Effect(
     wrench=bent_thrust,
 )
 COMMAND_EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in (GAIN, MOTOR, BEND)}
-BESIDE_THE_GAIN: Mapping[str, str] = {"thrust_constant": "torque_constant"}
+BESIDE_THE_GAIN: Mapping[str, str] = {THRUST_CONSTANT.name: TORQUE_CONSTANT.name}
 
 
 def seen_as(names: Collection[str], catalogue: Mapping[str, Effect]) -> list[str]:
