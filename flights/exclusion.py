@@ -304,7 +304,8 @@ def _touches_down(indicators: _Indicators, row: int) -> bool:
     if indicators.tilt is None or indicators.speed is None:
         return False
     upright = bool(np.all(indicators.tilt[before] < TILT_RESTING) and np.all(indicators.tilt[after] < TILT_FALLEN))
-    fell = indicators.height is not None and float(indicators.height[row] - np.nanmin(indicators.height[after])) > FALL
+    height = indicators.height
+    fell = height is not None and float(height[row] - np.fmin.reduce(height[after])) > FALL
     return upright and bool(np.all(indicators.speed[before] < LANDING_SPEED)) and not fell
 
 

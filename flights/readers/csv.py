@@ -25,6 +25,7 @@ _BLANKS = ["", "nan", "NaN", "NAN", "-nan", "null", "NULL", "None", "NA", "N/A"]
 _BLOCK = 1 << 20
 _SECTION = 8 << 20  # bytes of a long file that are parsed together
 MIN_SLOWER = 10  # rows of a quantity from which on its own rate shows
+MAX_JITTER, MIN_REGULAR = 0.25, 0.9  # of its period; share of its periods that are within
 _MAX_TORN = 0.01  # share of rows with another number of cells than the header
 
 
@@ -118,12 +119,13 @@ def add_table(assembly: Assembly, columns: dict[str, Floats], names: Sequence[st
 def _slower_rows(table: Floats) -> NDArray[np.int64]:
     """The rows of a quantity that was logged less often than the table's other ones, in between which it is blank.
 
-    All rows, if it is blank in fewer than every second one. table: (n, k).
+    All rows, if it is blank in fewer than every second one, or here and there. table: (n, k).
     """
     filled = np.flatnonzero(np.isfinite(table).any(axis=1))
-    if len(filled) < MIN_SLOWER or np.median(np.diff(filled)) < 2:
-        return np.arange(len(table))
-    return filled
+    apart = np.diff(filled)
+    usual = np.median(apart) if len(filled) >= MIN_SLOWER else 0.0
+    regular = usual >= 2 and np.mean(np.abs(apart - usual) <= MAX_JITTER * usual) >= MIN_REGULAR
+    return filled if regular else np.arange(len(table))
 
 
 def read_columns(file: Path, layout: Layout, names: Sequence[str], assembly: Assembly) -> dict[str, Floats]:

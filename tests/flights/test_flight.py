@@ -49,6 +49,15 @@ def test_csv_and_parquet_give_every_bit_back(
     _same(flight, Flight.read(flight.to_parquet(folder / "flight.parquet")))
 
 
+def test_a_quantity_with_many_gaps_here_and_there_is_no_slower_stream(tmp_path: Path) -> None:
+    time = np.arange(60) / 10.0
+    blank = np.random.default_rng(0).random(60) < 0.6
+    voltage = np.where(blank, np.nan, 16.0 - 0.01 * time)
+    assert np.median(np.diff(np.flatnonzero(~blank))) >= 2
+    flight = _flight(time, position_x=time, position_y=time, position_z=time, battery_voltage=voltage)
+    _same(flight, Flight.read(flight.to_csv(tmp_path / "flight.csv")))
+
+
 def test_a_parquet_file_keeps_what_was_known_of_its_source(tmp_path: Path) -> None:
     flight = Flight.read(flight_csv(manoeuvre(), tmp_path / "flight.csv"))
     again = Flight.read(flight.to_parquet(tmp_path / "flight.parquet"))

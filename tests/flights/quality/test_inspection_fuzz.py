@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import msgspec
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from dynamics.errors import AlulaError
@@ -60,6 +60,7 @@ def damaged(stream: Stream, damage: str, seed: int) -> Stream | None:
     seed=st.integers(0, 1000),
     rows=st.sampled_from([5, 60, 700, 2000]),
 )
+@example(damages={"specific_force": "huge", "position": "shift"}, seed=0, rows=5)  # an impact without any height
 @settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 def test_any_damage_is_judged_or_refused_by_name(damages: dict[str, str], seed: int, rows: int) -> None:
     streams: list[Stream] = []
