@@ -155,14 +155,12 @@ class _Program:
 
 
 def _operation(code: int, inputs: list[int]) -> tuple[Operation, list[int]]:
-    """The operation of a code of CasADi's, and which of its inputs it takes."""
+    """The operation of a code of CasADi's that has a counterpart, and which of its inputs it takes."""
     if code == ca.OP_TWICE:
         return np.add, inputs * 2
     if code in UNARY:
         return UNARY[code], inputs[:1]
-    if code in BINARY:
-        return BINARY[code], inputs
-    raise NotImplementedError(f"CasADi's operation {code} on rows of arrays")
+    return BINARY[code], inputs
 
 
 def _has_counterparts(function: ca.Function) -> bool:
