@@ -11,21 +11,18 @@ crash after the true contact.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from benchmarks.provenance import write_result
+from benchmarks.whole_flights import flown, options_of, with_controllers
 from dynamics.errors import RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.references.catalogue import MANOEUVRES
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import find_vehicle, read_vehicle
-from flights.parallel import parallel_map
-from runtime.control.controller import ControllerOptions
-from runtime.flight.composition import Controllers, build_controllers
+from dynamics.vehicle_file import find_vehicle
 from runtime.flight.events import Event
 from runtime.flight.mission import Phase, Plan
 from simulation.whole_flight import Lockstep, fly_whole
@@ -52,7 +49,6 @@ ALARMS = (
     Event.CRASHED,
 )
 NOTICED = (*ALARMS, Event.SETPOINT_REFUSED)  # that a hand holds its attitude as well
-_controllers: dict[str, Controllers] = {}
 
 
 @dataclass(frozen=True)
@@ -97,20 +93,11 @@ def fastest(name: str, vehicle: Vehicle) -> Reference | None:
     return None
 
 
-def controllers(name: str) -> tuple[Vehicle, Controllers]:
-    """The vehicle and its controllers, built once in a process."""
-    vehicle = read_vehicle(find_vehicle(name))
-    if name not in _controllers:
-        options = ControllerOptions.for_vehicle(vehicle, period=0.01)
-        _controllers[name] = build_controllers(vehicle, None, options)
-    return vehicle, _controllers[name]
-
-
 def hard_flight(seed: int) -> Hard | None:
     """One hard flight, None where the vehicle cannot fly the manoeuvre."""
     random = np.random.default_rng(seed)
     name = VEHICLES[seed % len(VEHICLES)]
-    vehicle, built = controllers(name)
+    vehicle, built = with_controllers(name)
     manoeuvre = list(MANOEUVRES)[int(random.integers(len(MANOEUVRES)))]
     hidden = list(HIDDEN)[int(random.integers(len(HIDDEN)))]
     reference = fastest(manoeuvre, vehicle)
@@ -134,7 +121,7 @@ def hard_flight(seed: int) -> Hard | None:
 def crash(seed: int) -> Crash:
     """One crash: into the ground, or into a hand."""
     random = np.random.default_rng(seed)
-    vehicle, built = controllers("px4_sih")
+    vehicle, built = with_controllers("px4_sih")
     seized = seed % 2 == 1
     # the estimate's height at the start, so that a circle at 1 m in its coordinates lies below the ground
     error = 0.0 if seized else float(random.uniform(1.1, 1.6))
@@ -197,21 +184,13 @@ def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
 
 def main() -> None:
     """Fly, crash and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=500)
+    parser = options_of(__doc__, flights=500, first_seed=9000)
     parser.add_argument("--crashes", type=int, default=40)
-    parser.add_argument("--first-seed", type=int, default=9000)
-    parser.add_argument("--jobs", type=int, default=1)
     chosen = parser.parse_args()
     first = chosen.first_seed
-    hard, crashes = [], []
-    for _, done in parallel_map(crash, list(range(first, first + chosen.crashes)), jobs=chosen.jobs):
-        print(done, flush=True)
-        crashes.append(done)
-    for _, flown in parallel_map(hard_flight, list(range(first, first + chosen.flights)), jobs=chosen.jobs):
-        if flown is not None:
-            print(flown, flush=True)
-            hard.append(flown)
+    crashes = flown(crash, range(first, first + chosen.crashes), jobs=chosen.jobs)
+    flights = flown(hard_flight, range(first, first + chosen.flights), jobs=chosen.jobs)
+    hard = [one for one in flights if one is not None]
     write_result("crash_detector", "Crashes noticed, and false alarms", report(hard, crashes))
 
 

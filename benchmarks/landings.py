@@ -10,7 +10,6 @@ and from half a second after it on: in wind a vehicle hovers and touches down le
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import degrees, inf, isfinite, radians
@@ -19,25 +18,21 @@ import msgspec
 import numpy as np
 
 from benchmarks.provenance import write_result
+from benchmarks.whole_flights import flown, options_of, with_controllers
 from dynamics.references import named_reference
-from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
-from runtime.control.controller import ControllerOptions
-from runtime.flight.composition import Controllers, build_controllers
+from dynamics.vehicle_file import find_vehicle
 from runtime.flight.events import Event
 from runtime.flight.mission import Plan
 from simulation.whole_flight import fly_whole
 from sitl_mock.mock import MockOptions
 from sitl_mock.scenario import Scenario
 from sitl_mock.vehicle.ground import Ground
-from vehicles import FOLDER
 
-FILE, REFERENCE, PATIENCE = FOLDER / "px4_sih.toml", "hover:laps=1,height=1.2", 90.0  # s
+VEHICLE, REFERENCE, PATIENCE = "px4_sih", "hover:laps=1,height=1.2", 90.0  # s
 KINDS = ("flat", "windy", "sloped", "hard", "moving deck")
 PLAN = Plan(height=1.2, duration=1.0, speed=2.5, acceleration=3.0, settle=0.3, origin="takeoff")
 HARD = 0.8  # m/s
 STANDING = 0.05  # of the weight, thrust below which the motors count as stopped
-_controllers: list[Controllers] = []
 
 
 @dataclass(frozen=True)
@@ -78,16 +73,14 @@ def surroundings(kind: str, random: np.random.Generator) -> tuple[Ground, tuple[
 
 def land(seed: int) -> Landing:
     """Fly and land once."""
-    vehicle = read_vehicle(FILE)
-    if not _controllers:
-        _controllers.append(build_controllers(vehicle, None, ControllerOptions.for_vehicle(vehicle, period=0.01)))
+    vehicle, controllers = with_controllers(VEHICLE)
     kind = KINDS[seed % len(KINDS)]
     ground, effects = surroundings(kind, np.random.default_rng(seed))
     flight = fly_whole(
-        MockOptions(FILE, effects=effects, scenario=Scenario(ground=ground), seed=seed),
+        MockOptions(find_vehicle(VEHICLE), effects=effects, scenario=Scenario(ground=ground), seed=seed),
         named_reference(REFERENCE, vehicle),
         plan=msgspec.structs.replace(PLAN, touchdown=HARD) if kind == "hard" else PLAN,
-        controllers=_controllers[0],
+        controllers=controllers,
         limit=PATIENCE,
     )
     contact, tilt = min(flight.contact, len(flight.time) - 1), flight.tilt
@@ -132,16 +125,9 @@ def table(landings: Sequence[Landing]) -> str:
 
 def main() -> None:
     """Land many times and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=200)
-    parser.add_argument("--first-seed", type=int, default=7000)
-    parser.add_argument("--jobs", type=int, default=1)
-    chosen = parser.parse_args()
+    chosen = options_of(__doc__, flights=200, first_seed=7000).parse_args()
     seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.flights))
-    landings = []
-    for _, landing in parallel_map(land, seeds, jobs=chosen.jobs):
-        landings.append(landing)
-        print(landing, flush=True)
+    landings = flown(land, seeds, jobs=chosen.jobs)
     before = "Real PX4, before contact by force: 63 landings, median 13, worst 146 degrees."
     note = f"Seeds {seeds[0]} to {seeds[-1]}. {before}"
     write_result("landings", "Landings on PX4's estimate", f"{note}\n\n{table(landings)}")

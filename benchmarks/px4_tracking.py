@@ -10,7 +10,6 @@ Recorded: ULogs of real PX4 firmware with ground truth (SITL, its own EKF).
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,26 +18,22 @@ import numpy as np
 
 from benchmarks.provenance import write_result
 from benchmarks.px4_estimate import NOT_FLOWN, PERIOD, Errors, mock_errors, recorded_errors, root_mean_square
+from benchmarks.whole_flights import flown, options_of, with_controllers
 from dynamics.arrays import Floats
 from dynamics.references import named_reference
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
-from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
-from runtime.control.controller import ControllerOptions
-from runtime.flight.composition import Controllers, build_controllers
+from dynamics.vehicle_file import find_vehicle
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.mission import Phase, Plan
 from runtime.link.estimate import StateEstimate
 from simulation.whole_flight import WholeFlight, fly_whole
 from sitl_mock.mock import MockOptions
 from sitl_mock.vehicle.estimator import Estimator
-from vehicles import FOLDER
 
-FILE = FOLDER / "px4_sih.toml"
+VEHICLE = "px4_sih"
 SECONDS = 20.0
 GOALS = {"hover": 0.09, "Ellipse_1": 0.12, "Lemniscate": 0.12}  # m, by the estimate
 ON_PX4 = {"hover": "0.125 / 0.386", "Ellipse_1": "0.201 / 0.410", "Lemniscate": "0.140 / 0.821"}
-_controllers: list[Controllers] = []
 
 
 @dataclass(frozen=True)
@@ -56,15 +51,12 @@ class Tracked:
 def track(item: tuple[str, Estimator, int]) -> Tracked:
     """Fly one reference once."""
     name, estimator, seed = item
-    vehicle = read_vehicle(FILE)
-    if not _controllers:
-        options = ControllerOptions.for_vehicle(vehicle, period=0.01)
-        _controllers.append(build_controllers(vehicle, None, options))
+    vehicle, controllers = with_controllers(VEHICLE)
     flight = fly_whole(
-        MockOptions(FILE, estimator=estimator, seed=seed),
+        MockOptions(find_vehicle(VEHICLE), estimator=estimator, seed=seed),
         named_reference(name, vehicle, duration=SECONDS),
         plan=Plan(duration=SECONDS, settle=0.3, origin="takeoff"),
-        controllers=_controllers[0],
+        controllers=controllers,
     )
     own = own_error(flight)
     return Tracked(
@@ -138,25 +130,19 @@ def _row(values: Floats) -> str:
 
 def main() -> None:
     """Fly, read the recordings, and write the tables."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = options_of(__doc__, flights=20, first_seed=800)
     parser.add_argument("--recorded", type=Path)
-    parser.add_argument("--flights", type=int, default=20)
-    parser.add_argument("--first-seed", type=int, default=800)
-    parser.add_argument("--jobs", type=int, default=1)
     chosen = parser.parse_args()
     seeds = range(chosen.first_seed, chosen.first_seed + chosen.flights)
     estimators: tuple[Estimator, ...] = ("px4", "mocap")
     items = [(name, estimator, seed) for name in GOALS for estimator in estimators for seed in seeds]
     items = [item for item in items if item[1] == "px4" or item[2] < seeds[0] + 2]  # motion capture: all alike
-    flown = []
-    for _, done in parallel_map(track, items, jobs=chosen.jobs):
-        print(done, flush=True)
-        flown.append(done)
+    tracked = flown(track, items, jobs=chosen.jobs)
     sources: dict[str, Sequence[Errors]] = {"the mock": [mock_errors(seed) for seed in seeds[:10]]}
     if chosen.recorded:
         files = [file for file in sorted(chosen.recorded.glob("*.ulg.gz")) if not file.name.startswith(NOT_FLOWN)]
         sources = {"PX4, recorded": [recorded_errors(file) for file in files]} | sources
-    text = f"Seeds {seeds[0]} to {seeds[-1]}.\n\n{flights_table(flown)}\n\n## Velocity\n\n{velocity_table(sources)}"
+    text = f"Seeds {seeds[0]} to {seeds[-1]}.\n\n{flights_table(tracked)}\n\n## Velocity\n\n{velocity_table(sources)}"
     write_result("px4_tracking", "Tracking on PX4's estimate", text)
 
 

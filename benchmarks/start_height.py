@@ -8,7 +8,6 @@ take-off and lets it wander on by decimetres; the reference counts from where th
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -17,18 +16,14 @@ from math import isfinite
 import numpy as np
 
 from benchmarks.provenance import write_result
+from benchmarks.whole_flights import flown, options_of, with_controllers
 from dynamics.references import named_reference
-from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
-from runtime.control.controller import ControllerOptions
-from runtime.flight.composition import Controllers, build_controllers
+from dynamics.vehicle_file import find_vehicle
 from runtime.flight.mission import Plan
 from simulation.whole_flight import fly_whole
 from sitl_mock.mock import MockOptions
-from vehicles import FOLDER
 
-FILE, SECONDS, WORST = FOLDER / "px4_sih.toml", 5.0, 1.5  # s, m
-_controllers: list[Controllers] = []
+VEHICLE, SECONDS, WORST = "px4_sih", 5.0, 1.5  # s, m
 
 
 @dataclass(frozen=True)
@@ -44,48 +39,42 @@ class Started:
 
 def fly(seed: int, height: float) -> Started:
     """Fly one circle. height: of the reference, m."""
-    vehicle = read_vehicle(FILE)
-    if not _controllers:
-        _controllers.append(build_controllers(vehicle, None, ControllerOptions.for_vehicle(vehicle, period=0.01)))
+    vehicle, controllers = with_controllers(VEHICLE)
     error = float(np.random.default_rng(seed).uniform(-WORST, WORST))
     flight = fly_whole(
-        MockOptions(FILE, seed=seed, start_height_error=error),
+        MockOptions(find_vehicle(VEHICLE), seed=seed, start_height_error=error),
         named_reference(f"circle:height={height:g}", vehicle, duration=SECONDS),
         plan=Plan(height=height, duration=SECONDS, speed=2.5, acceleration=3.0, settle=0.2, origin="takeoff"),
-        controllers=_controllers[0],
+        controllers=controllers,
     )
     lowest = min((flight.clearance[tick] for tick in flight.aloft), default=0.0)
     return Started(seed, error, isfinite(flight.touched), lowest, flight.outcome)
 
 
-def table(flown: Sequence[Started], height: float) -> str:
+def table(flights: Sequence[Started], height: float) -> str:
     """All flights in Markdown."""
-    lowest = np.array([one.lowest for one in flown])
+    lowest = np.array([one.lowest for one in flights])
     lines = [
         "| reference, m | flights | touched the ground | lowest clearance, median, 5 %, worst, m |",
         "| --- | --- | --- | --- |",
-        f"| {height:g} | {len(flown)} | {sum(one.touched for one in flown)} "
+        f"| {height:g} | {len(flights)} | {sum(one.touched for one in flights)} "
         f"| {np.median(lowest):.2f}, {np.quantile(lowest, 0.05):.2f}, {lowest.min():.2f} |",
     ]
-    others = [f"- {one}" for one in flown if one.outcome != "landed and disarmed"]
+    others = [f"- {one}" for one in flights if one.outcome != "landed and disarmed"]
     return "\n".join([*lines, "", f"Flights that did not end as planned: {len(others)}.", *others])
 
 
 def main() -> None:
     """Fly many circles and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=500)
+    parser = options_of(__doc__, flights=500, first_seed=20000)
     parser.add_argument("--height", type=float, default=2.0)
-    parser.add_argument("--first-seed", type=int, default=20000)
-    parser.add_argument("--jobs", type=int, default=1)
     chosen = parser.parse_args()
     seeds = list(range(chosen.first_seed, chosen.first_seed + chosen.flights))
-    flown = []
-    for _, one in parallel_map(partial(fly, height=chosen.height), seeds, jobs=chosen.jobs):
-        print(one, flush=True)
-        flown.append(one)
+    flights = flown(partial(fly, height=chosen.height), seeds, jobs=chosen.jobs)
     note = f"Seeds {seeds[0]} to {seeds[-1]}. Real PX4, before heights counted from the ground: 4 of 86 touched it."
-    write_result("start_height", "Flights with a wrong height at the start", f"{note}\n\n{table(flown, chosen.height)}")
+    write_result(
+        "start_height", "Flights with a wrong height at the start", f"{note}\n\n{table(flights, chosen.height)}"
+    )
 
 
 if __name__ == "__main__":
