@@ -94,11 +94,9 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     states = [_state(s) for s in regression.segments]
     features = _features(states, thresholds.state_fineness, thresholds.features)
     fine_in_velocity = _features([x[:, :AXES] for x in states], thresholds.velocity_fineness, thresholds.features)
-    elsewhere = [_rolled(rows, n / (thresholds.chances + 1)) for n in range(1, thresholds.chances + 1)]
-    tried = [
-        _predictable(regression, x, rows, regression.flight_of, elsewhere if regression.pose.there else ())
-        for x in (features, fine_in_velocity)
-    ]
+    chances = thresholds.chances if regression.pose.there else 0
+    elsewhere = [_rolled(rows, n / (chances + 1)) for n in range(1, chances + 1)]
+    tried = [_predictable(regression, x, rows, regression.flight_of, elsewhere) for x in (features, fine_in_velocity)]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
     findings = [_largest("predictable_from_state", best.parts, regression.noise.floor)]
