@@ -21,7 +21,7 @@ demo: .venv/workbench.stamp
 	$(BIN)/alula demo
 
 test: .venv/development.stamp
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
 
 lint: .venv/development.stamp
 	$(BIN)/ruff check .

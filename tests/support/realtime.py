@@ -99,9 +99,16 @@ class RealtimePlugin:
             for line in self.repeated:
                 terminalreporter.line(line)
 
-    def pytest_sessionfinish(self) -> None:
-        """End the meter's thread."""
+    def pytest_sessionfinish(self, session: pytest.Session) -> None:
+        """End the meter's thread; a worker hands its list to the run."""
         self.meter.stop()
+        if hasattr(session.config, "workeroutput"):
+            session.config.workeroutput["repeated"] = self.repeated
+
+    @pytest.hookimpl(optionalhook=True)
+    def pytest_testnodedown(self, node: Any) -> None:
+        """Take over the list of a worker."""
+        self.repeated += getattr(node, "workeroutput", {}).get("repeated", [])
 
 
 def _repeats(reports: list[Report], starvation: Starvation) -> bool:
