@@ -74,6 +74,7 @@ class ControlThread:
     notifications: for the supervisor.
     first_setpoint: when it was sent, s, monotonic; NaN before.
     defect: the last exception of a tick, empty when there was none.
+    ticks: done so far.
     """
 
     def __init__(
@@ -100,7 +101,7 @@ class ControlThread:
         self._recorder = recorder
         self._estimate: StateEstimate | None = None
         self._free = self._busy_before = self._busy_at_departure = 0.0
-        self._tick = self._defects = 0
+        self.ticks = self._defects = 0
         self._preparation = 0.0
         self._phase = Phase.GROUND
         self._thread = threading.Thread(target=self._run, name="control", daemon=True)
@@ -130,12 +131,12 @@ class ControlThread:
                 self._defects = 0
             except Exception as error:  # a defect of ours must degrade the flight, not end it
                 self._defects += 1
-                self.defect = f"tick {self._tick} failed: {error!r}"
+                self.defect = f"tick {self.ticks} failed: {error!r}"
                 self._put(TextRecord(woken, "daemon", 3, self.defect), woken)
                 if self._defects >= MAX_DEFECTS:
                     self.notifications.put(f"stopped streaming, the autopilot's failsafe acts: {self.defect}")
                     return
-            self._tick += 1
+            self.ticks += 1
             self._busy_before = time.thread_time() - self._busy_at_departure
             self._free = time.monotonic()
 
@@ -181,7 +182,7 @@ class ControlThread:
             findings[Event.DEADLINES_MISSED] = f"{self.deadlines.recent_share:.0%} of the last hundred"
         engage, self._requests.engage = self._requests.engage, False
         return ObservationRecord(
-            tick=self._tick,
+            tick=self.ticks,
             time=now,
             estimate_arrival=self._estimate.received if self._estimate is not None else nan,
             connected=self._link.is_connected(now),
@@ -229,7 +230,7 @@ class ControlThread:
         if decision.rate_body is not None:
             numbers = (decision.collective_thrust, decision.thrust, flyer.effectiveness.value)
             self._put(SetpointRecord(now, decision.rate_body, *numbers), now)
-        if flyer.horizon is not None and self._tick % HORIZON_EVERY == 0:
+        if flyer.horizon is not None and self.ticks % HORIZON_EVERY == 0:
             states, inputs = flyer.horizon
             x, y, z = states[:, 0].copy(), states[:, 1].copy(), states[:, 2].copy()
             self._put(HorizonRecord(now, x, y, z, np.mean(inputs, axis=1)), now)

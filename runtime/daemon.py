@@ -42,6 +42,7 @@ from runtime.link.telemetry import EstimatorSample, VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
+from runtime.service_manager import ServiceManager
 from runtime.stream_requests import StreamRequests
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import TimingReport
@@ -159,6 +160,7 @@ class Daemon:
         self._recorder: Recorder | None = None
         self._telemetry = TelemetryBuffer()
         self._scheduling, self._refusals = realtime.Scheduling(None), 0
+        self._service = ServiceManager()
 
     def _announce(self, text: str, at: float | None = None) -> None:
         """Publish a line. at: when it happened, s, monotonic; None for now."""
@@ -182,6 +184,8 @@ class Daemon:
             if request.record is not None:
                 self._recorder = self._open_recorder(request.record)
                 stack.callback(self._recorder.close)
+            self._service = ServiceManager.from_environment()
+            stack.callback(self._service.close)
             self._telemetry = TelemetryBuffer(self._recorder)
             self._scheduling = stack.enter_context(realtime.Scheduling(request.priority))
             settings = LinkSettings(target_system=request.system, priority=self._scheduling.priority)
@@ -260,6 +264,7 @@ class Daemon:
         self._engagement_requested = True
         self._requests.engage = True
         control.start()
+        self._service.ready()
         self._streams = StreamRequests(partial(request_rates, link), {**rates, **SLOW_STREAMS})
         self._streams.send(time.monotonic())
         return control
@@ -336,6 +341,7 @@ class Daemon:
         self._heard_since = time.monotonic()
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
+            self._service.progress(control.ticks)
             self._requests.slow_findings = self._slow_findings(link, now)
             self._report_refusals()
             self._publish(link, control)
@@ -396,6 +402,7 @@ class Daemon:
             case Transition():
                 refusal = f" ({self._worker.refusal})" if self._worker.refusal else ""
                 self._announce(f"{notification}{refusal}", notification.time)
+                self._service.status(f"{notification}{refusal}")
                 link.send_text(f"alula: {notification.after.value}: {notification.reason}", Severity.NOTICE)
             case EventChange():
                 policy = POLICIES[notification.event]
@@ -415,6 +422,7 @@ class Daemon:
         if not control.join(STOP_PATIENCE):
             link.close()
             self._announce(f"the control thread did not end within {STOP_PATIENCE:g} s: its link was closed")
+        self._service.stopping()
 
     def _left_behind(self, status: VehicleStatus) -> str:
         """What becomes of a vehicle that the flight leaves armed, in brackets; empty for a disarmed one."""

@@ -90,7 +90,29 @@ def scenario(folder: Path, *faults: str) -> list[str]:
     return ["--scenario", str(path)]
 
 
-def test_it_flies_and_its_recording_replays_bit_for_bit(vehicle: Vehicle, tmp_path: Path) -> None:
+@pytest.fixture
+def service_manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[str]]:
+    """What a service manager heard, complete once the flight is over."""
+    messages: list[str] = []
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listener:
+        listener.bind(str(tmp_path / "notify"))
+        monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "notify"))
+        listening = threading.Thread(target=lambda: [*iter(lambda: hear(listener, messages), "")])
+        listening.start()
+        yield messages
+        listener.shutdown(socket.SHUT_RDWR)
+        listening.join()
+
+
+def hear(listener: socket.socket, messages: list[str]) -> str:
+    message = listener.recv(4096).decode()
+    messages.append(message)
+    return message
+
+
+def test_it_flies_and_its_recording_replays_bit_for_bit(
+    vehicle: Vehicle, tmp_path: Path, service_manager: list[str]
+) -> None:
     announcements = Announcements()
     with mock_process(vehicle=VEHICLE_FILE) as mock:
         report = fly(vehicle, announcements, request_for(mock.url, record=tmp_path, name="flight"))
@@ -106,6 +128,11 @@ def test_it_flies_and_its_recording_replays_bit_for_bit(vehicle: Vehicle, tmp_pa
     tlog = (tmp_path / "flight.tlog").read_bytes()
     sent = len(recording.messages["/setpoint"])
     assert tlog.count(b"\xfd") > sent
+    others = [message for message in service_manager if message != "WATCHDOG=1"]
+    assert others[0] == "READY=1"
+    assert any("ENGAGED" in message for message in others)
+    assert others[-1] == "STOPPING=1"
+    assert len(service_manager) - len(others) > report.timing.ticks / 20
 
 
 class SmallDisk:
