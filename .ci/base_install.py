@@ -7,14 +7,17 @@ when they are called.
 import importlib
 import importlib.util
 import pkgutil
-from importlib.resources import files
+from importlib.resources import files as files_of
+from pathlib import Path
 
 import alula
 from alula.cli.app import COMMANDS
 from dynamics.vehicle_file import read_vehicle
 
 ROOMS = ("dynamics", "runtime", "sitl_mock", "vehicles")
-WORKBENCH = ("torch", "scipy", "matplotlib")
+WORKBENCH = ("casadi", "onnxruntime", "torch", "scipy", "matplotlib")
+LIMIT = 250e6  # bytes of what Alula brings, byte code included
+OF_VENV = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
 
 present = [name for name in WORKBENCH if importlib.util.find_spec(name)]
 assert not present, f"the base install must not bring {present}"
@@ -27,8 +30,14 @@ modules = [
 for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS)):
     importlib.import_module(name)
 
-vehicles = [read_vehicle(str(path)).name for path in files("vehicles").iterdir() if path.name.endswith(".toml")]
+vehicles = [read_vehicle(str(path)).name for path in files_of("vehicles").iterdir() if path.name.endswith(".toml")]
 assert "arpl_250g" in vehicles, f"the vehicle files are missing: {vehicles}"
 assert callable(alula.fly), "the base install must fly from Python, too"
 assert alula.load_vehicle("arpl_250g").name == "arpl_250g"
-print(f"base install: {len(modules)} modules, vehicles {', '.join(sorted(vehicles))}")
+
+site = Path(alula.__file__).parents[1]
+brought = [path for path in site.iterdir() if not path.name.startswith(OF_VENV)]
+files = [file for path in brought for file in (path.rglob("*") if path.is_dir() else [path]) if file.is_file()]
+size = sum(file.stat().st_size for file in files)
+assert size <= LIMIT, f"the base install takes {size / 1e6:.0f} MB, at most {LIMIT / 1e6:.0f} MB are allowed"
+print(f"base install: {size / 1e6:.0f} MB, {len(modules)} modules, vehicles {', '.join(sorted(vehicles))}")

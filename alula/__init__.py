@@ -20,7 +20,7 @@ from alula.rooms import require_own_rooms
 if TYPE_CHECKING:
     from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
-    from alula.api.flying import fly, simulate
+    from alula.api.flying import fly, simulate, verify
     from alula.api.learning import evaluate, export, train
     from alula.api.vehicles import check_vehicle, new_vehicle, vehicle_from_logs
     from dynamics.effect import Effect
@@ -60,13 +60,14 @@ __all__ = [
     "simulate",
     "train",
     "vehicle_from_logs",
+    "verify",
     "write_vehicle",
 ]
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
-    "alula.api.flying": ("fly", "simulate"),
+    "alula.api.flying": ("fly", "simulate", "verify"),
     "alula.api.learning": ("evaluate", "export", "train"),
     "alula.api.vehicles": ("check_vehicle", "new_vehicle", "vehicle_from_logs"),
     "dynamics.effect": ("Effect",),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -21,5 +22,12 @@ def workbench(caller: str) -> Iterator[None]:
         if error.name is not None and error.name.split(".")[0] in ("alula", *ROOMS):
             raise
         raise RequestError(
-            f"{caller} needs {error.name}, which the flight computer's install leaves out. Install alula[workbench]."
+            f"{caller} needs {error.name}, which the flight computer's install leaves out: pip install "
+            "'alula[workbench]', here or on a desk."
         ) from error
+
+
+def require_casadi(caller: str) -> None:
+    """Raises RequestError where `caller` cannot build a model, because CasADi is not installed."""
+    with workbench(caller):
+        importlib.import_module("casadi")

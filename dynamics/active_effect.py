@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
+from dynamics import symbolic as ca
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Environment, Expression, Physics, Values
 from dynamics.errors import RequestError
@@ -65,6 +65,11 @@ def activate(
         values = {**effect.defaults(vehicle), **use.parameters}
         active.append(ActiveEffect(effect, key, use.rotor, values, places))
     return tuple(active), np.array(initial, dtype=float)
+
+
+def time_constants(active: Sequence[ActiveEffect]) -> tuple[float, ...]:
+    """Values of the effects' time constants, s."""
+    return tuple(item.values[name] for item in active for name in item.effect.time_constants)
 
 
 def model_parameters(vehicle: Vehicle, active: Sequence[ActiveEffect]) -> dict[str, float]:

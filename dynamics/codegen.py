@@ -20,10 +20,10 @@ from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dynamics import symbolic as ca
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 
@@ -57,16 +57,22 @@ def generate_c(functions: Sequence[ca.Function]) -> str:
 
 
 def build_library(
-    sources: Mapping[str, str], *, flags: Sequence[str] = FLAGS, libraries: Sequence[str] = (), entry: str
+    sources: Mapping[str, str],
+    *,
+    flags: Sequence[str] = FLAGS,
+    libraries: Sequence[str] = (),
+    entry: str,
+    compiler: str | None = None,
 ) -> Path:
     """Path of a shared library compiled from sources (file name -> text), taken from the cache when it is there.
 
     entry: the file to compile; the others are for it to include.
     libraries: arguments for the linker.
+    compiler: instead of this machine's.
 
     Raises RequestError when there is no C compiler or it refuses the code.
     """
-    compiler = find_compiler()
+    compiler = compiler or find_compiler()
     recipe = [_identity(compiler), entry, *flags, *libraries]
     digest = hashlib.sha256(
         "\0".join([*recipe, *(f"{k}\0{v}" for k, v in sorted(sources.items()))]).encode()
@@ -89,10 +95,19 @@ def build_library(
 
 def find_compiler() -> str:
     """The C compiler: $CC, or the first of cc, gcc, clang. Raises RequestError when there is none."""
-    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        if path := shutil.which(name):
-            return path
+    if path := _compiler():
+        return path
     raise RequestError("no C compiler was found (looked for $CC, cc, gcc, clang). Install one, such as Debian's gcc.")
+
+
+def has_compiler() -> bool:
+    """Whether `find_compiler` finds one."""
+    return _compiler() is not None
+
+
+def _compiler() -> str | None:
+    names = filter(None, (os.environ.get("CC"), "cc", "gcc", "clang"))
+    return next(filter(None, map(shutil.which, names)), None)
 
 
 @cache

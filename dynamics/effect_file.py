@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from dynamics import symbolic
 from dynamics.effect import Effect, Span
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
@@ -30,7 +31,8 @@ def with_effects_of(files: Iterable[str | Path], vehicle: Vehicle) -> Mapping[st
         for effect in read_effects(path):
             if effect.name in catalogue:
                 raise RequestError(f"{path}: there is an effect {effect.name!r} already; give yours another name.")
-            _try(effect, vehicle, path)
+            if symbolic.is_installed():  # elsewhere only bundles fly, whose effects were tried at their export
+                _try(effect, vehicle, path)
             catalogue[effect.name] = effect
             own.append((path, effect))
     for path, effect in own:

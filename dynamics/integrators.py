@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Expression
 from dynamics.model import Model
 from dynamics.state import ATTITUDE
@@ -106,7 +105,12 @@ def _phi(z: Expression) -> tuple[Expression, Expression, Expression]:
 
 def required_steps(model: Model, duration: float) -> int:
     """RK4 steps over a duration, s, of which none is longer than the shortest time constant of the model allows."""
-    return max([1, *(math.ceil(duration / (MAX_STEP_IN_LAGS * lag)) for lag in model.time_constants)])
+    return steps_within(model.time_constants, duration)
+
+
+def steps_within(time_constants: Sequence[float], duration: float) -> int:
+    """RK4 steps over a duration, s, of which none is longer than the shortest time constant, s, allows."""
+    return max([1, *(math.ceil(duration / (MAX_STEP_IN_LAGS * lag)) for lag in time_constants)])
 
 
 def with_unit_attitude(x: Expression) -> Expression:

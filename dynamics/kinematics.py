@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.libraries import Expression, concatenate, entries
 from dynamics.state import ATTITUDE, POSITION, RATE, VELOCITY
 

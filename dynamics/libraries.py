@@ -1,7 +1,7 @@
 """Operations common to NumPy arrays, CasADi columns and torch tensors, so that one formula serves all three.
 
-Components lie on the last axis of arrays and tensors, and along the column of CasADi matrices. torch is never imported
-here: a tensor can only come from a process that has imported it.
+Components lie on the last axis of arrays and tensors, and along the column of CasADi matrices. torch and CasADi
+are never imported here: their values can only come from a process that has imported them.
 """
 
 from __future__ import annotations
@@ -10,15 +10,17 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
-import casadi as ca
 import numpy as np
+
+from dynamics import symbolic as ca
 
 Expression = Any  # a NumPy array, casadi.SX or casadi.MX column, or torch.Tensor; CasADi carries no types of its own
 
 
 def is_symbolic(value: Expression) -> bool:
     """Whether a value is a CasADi matrix."""
-    return isinstance(value, (ca.SX, ca.MX, ca.DM))
+    casadi = sys.modules.get("casadi")
+    return casadi is not None and isinstance(value, (casadi.SX, casadi.MX, casadi.DM))
 
 
 def is_tensor(value: Expression) -> bool:

@@ -10,11 +10,11 @@ from __future__ import annotations
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import casadi as ca
 import numpy as np
 
 from dynamics import quaternion
-from dynamics.active_effect import ActiveEffect, activate, changed_physics, model_parameters
+from dynamics import symbolic as ca
+from dynamics.active_effect import ActiveEffect, activate, changed_physics, model_parameters, time_constants
 from dynamics.arrays import Floats
 from dynamics.effect import Conditions, Effect, Environment, Expression, Physics, Reading, Values
 from dynamics.effects import CATALOGUE
@@ -94,7 +94,7 @@ class Model:
     @property
     def time_constants(self) -> tuple[float, ...]:
         """Values of the effects' time constants, s: no step of an integration may be much longer."""
-        return tuple(item.values[name] for item in self.effects for name in item.effect.time_constants)
+        return time_constants(self.effects)
 
     def parameter_index(self, name: str) -> int:
         """Place of a parameter, such as "body.mass" or "rotor_drag.coefficient", in p."""

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping
 from functools import lru_cache
 from pathlib import Path
 
+from dynamics import symbolic
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
@@ -47,7 +48,8 @@ def line_of(error: Exception, path: Path) -> int | None:
 def _effects_in(path: str, _: bytes) -> tuple[Effect, ...]:
     """The effects of a file with some content, the same objects each time."""
     try:
-        names = runpy.run_path(path)
+        with symbolic.importable():
+            names = runpy.run_path(path)
     except Exception as error:  # a user's file may raise anything
         where = f"line {line_of(error, Path(path)) or '?'}"
         raise RequestError(f"{path}, {where}: {type(error).__name__}: {str(error).rstrip('.')}. {EXAMPLE}") from None

@@ -7,10 +7,10 @@ vectors alike; torch tensors use the fewer operations of `dynamics.tensor_quater
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 from numpy.typing import ArrayLike
 
+from dynamics import symbolic as ca
 from dynamics import tensor_quaternion
 from dynamics.arrays import Floats
 from dynamics.libraries import Expression, is_symbolic, is_tensor, join, library_of, split

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import casadi as ca
 import msgspec
 import numpy as np
 
+from dynamics import symbolic as ca
 from dynamics.arrays import Floats
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.vehicle import GRAVITY, Vehicle
@@ -42,25 +42,36 @@ def find_trim(model: Model) -> Trim:
     speeds change as little as possible.
     """
     vehicle = model.vehicle
-    even = np.full(model.input_count, vehicle.hover_speed)
     if not model.effects:
-        return Trim(vehicle, even)
+        return trim_without_effects(vehicle)
     respond = _hover_response(model)
-    speed = even
+    speed = even = trim_without_effects(vehicle).rotor_speed
     for _ in range(ITERATIONS):
         error, slope = (np.array(value) for value in respond(speed))
         step = np.linalg.lstsq(slope, error.ravel(), rcond=None)[0]
         speed = np.maximum(speed - step, 0.1 * vehicle.hover_speed)
     thrust_constants = model.thrust_constants
     mass = float(thrust_constants @ speed**2) / GRAVITY
-    thrust_constant = float(np.mean(thrust_constants))
+    speed = np.where(np.abs(speed - even) > NEGLIGIBLE * even, speed, even)
+    return trim_at(vehicle, mass, float(np.mean(thrust_constants)), speed)
+
+
+def trim_without_effects(vehicle: Vehicle) -> Trim:
+    """Hover of the nominal model: all rotors share the weight."""
+    return Trim(vehicle, np.full(vehicle.rotors.count, vehicle.hover_speed))
+
+
+def trim_at(vehicle: Vehicle, mass: float, thrust_constant: float, rotor_speed: Floats) -> Trim:
+    """The trim of a hover with this mass, kg, and thrust constant, N s^2/rad^2, at rotor speeds (rotors,) rad/s.
+
+    Negligible differences from the vehicle's own constants are dropped.
+    """
     body, rotors = vehicle.body, vehicle.rotors
     if abs(mass - body.mass) > NEGLIGIBLE * body.mass:
         body = msgspec.structs.replace(body, mass=mass)
     if abs(thrust_constant - rotors.thrust_constant) > NEGLIGIBLE * rotors.thrust_constant:
         rotors = msgspec.structs.replace(rotors, thrust_constant=thrust_constant)
-    trimmed = msgspec.structs.replace(vehicle, body=body, rotors=rotors, effects=())
-    return Trim(trimmed, np.where(np.abs(speed - even) > NEGLIGIBLE * even, speed, even))
+    return Trim(msgspec.structs.replace(vehicle, body=body, rotors=rotors, effects=()), rotor_speed)
 
 
 def _hover_response(model: Model) -> ca.Function:

@@ -10,7 +10,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from pathlib import Path
 
@@ -29,12 +29,16 @@ from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function
 from export.symbolic import column_names, column_units, jacobian_function, model_function
+from export.toolchain import toolchain_for
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, VEHICLE, InputRange, Manifest, with_digest
+from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, TICKS, VEHICLE, InputRange, Manifest, with_digest
+from runtime.control.kernel_model import kernel_facts
+from runtime.control.rti.compilation import solver_recipe
 from runtime.control.rti.problem import Problem
-from runtime.control.rti.processor import Processor
-from runtime.control.rti.solver import RtiSolver, solver_recipe
+from runtime.control.rti.processor import PROCESSORS, Processor, native_processor
+from runtime.control.rti.solver import RtiSolver
+from runtime.control.verification import record_ticks
 
 PARITY, SOURCES = "parity.json", "kernel"
 WINDOWS = 1000
@@ -75,30 +79,44 @@ class Exported:
 def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) -> Exported:
     """Write a bundle, under a temporary name until it is whole and proven.
 
+    A kernel for a processor that this machine does not have is proven by one for its own, from the same sources;
+    `alula export --verify` then compares the two where the bundle flies.
+
     Raises RequestError when the folder exists already or there is no compiler, DataError when the backends disagree.
     """
-    if not options.processor.runs_here:
-        raise RequestError(
-            f"this machine cannot run a kernel for {options.processor.name}, so it could not be proven. Export the "
-            "model on the vehicle's computer."
-        )
     _require_free(folder, options)
+    toolchain = toolchain_for(options.processor)
+    here = options if options.processor.runs_here else replace(options, processor=native_processor())
     proto = onnx_model(model, _onnx_metadata(model, options)).SerializeToString()
     texts = c_files(model)
-    recipe = _kernel_recipe(model, options, "float")
-    double = _kernel_recipe(model, options, "double")
-    physics = None if model.network is None else _physics_recipe(build_model(model.vehicle), options)
-    _compile([recipe, double, *([physics] if physics else [])], texts)
-    kernel = build_kernel(recipe)
-    parity = _prove(model, options, proto, texts, kernel, build_kernel(double))
+    proven = _kernels(model, here)
+    flown = proven if here is options else _kernels(model, options)
+    double = _kernel_recipe(model, here, "double")
+    _compile([*proven.values(), double], texts)
+    single = RtiSolver(model.flight_model, options.problem, build_kernel(proven[KERNEL]))
+    parity = _prove(model, options, proto, texts, single, build_kernel(double))
     parity.require()
+    solvers = {KERNEL: single}
+    if PHYSICS in proven:
+        solvers[PHYSICS] = RtiSolver(build_model(model.vehicle), options.problem, build_kernel(proven[PHYSICS]))
     with _appearing(folder) as part:
-        _write_files(part, model, proto, {**texts, **_kernel_texts(recipe)}, kernel, parity)
-        if physics is not None:
-            shutil.copyfile(build_kernel(physics), part / PHYSICS)
+        _write_files(part, model, proto, {**texts, **_kernel_texts(flown[KERNEL])}, parity)
+        (part / TICKS).write_bytes(record_ticks(solvers))
+        for name, recipe in flown.items():
+            shutil.copyfile(build_kernel(recipe, toolchain), part / name)
+        for library in toolchain.hpipm.libraries:
+            shutil.copyfile(library, part / library.name)
         manifest = with_digest(_manifest(model, options, part))
         (part / MANIFEST).write_bytes(msgspec.json.format(msgspec.json.encode(manifest), indent=1) + b"\n")
     return Exported(folder, manifest, parity)
+
+
+def _kernels(model: ExportedModel, options: ExportOptions) -> dict[str, KernelRecipe]:
+    """Of a bundle's kernels, by file name."""
+    kernels = {KERNEL: _kernel_recipe(model, options, "float")}
+    if model.network is not None:
+        kernels[PHYSICS] = _physics_recipe(build_model(model.vehicle), options)
+    return kernels
 
 
 def _compile(recipes: Sequence[KernelRecipe], texts: dict[str, str]) -> None:
@@ -164,9 +182,13 @@ def _physics_recipe(model: Model, options: ExportOptions, field: ca.Function | N
 
 
 def _prove(
-    model: ExportedModel, options: ExportOptions, proto: bytes, texts: dict[str, str], kernel: Path, double_kernel: Path
+    model: ExportedModel,
+    options: ExportOptions,
+    proto: bytes,
+    texts: dict[str, str],
+    single: RtiSolver,
+    double_kernel: Path,
 ) -> Parity:
-    single = RtiSolver(model.flight_model, options.problem, kernel)
     double = RtiSolver(model.flight_model, options.problem, double_kernel)
     backends = Backends(
         model, proto, model_function(model), jacobian_function(model), compiled(model, texts), single, double
@@ -187,14 +209,11 @@ def _kernel_texts(recipe: KernelRecipe) -> dict[str, str]:
     return {f"{SOURCES}/{name}": text for name, text in texts.items()}
 
 
-def _write_files(
-    part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], kernel: Path, parity: Parity
-) -> None:
+def _write_files(part: Path, model: ExportedModel, proto: bytes, texts: Mapping[str, str], parity: Parity) -> None:
     (part / SOURCES).mkdir()
     for name, text in {**texts, **_vehicle_texts(model)}.items():
         (part / name).write_text(text, encoding="utf-8")
     (part / ONNX).write_bytes(proto)
-    shutil.copyfile(kernel, part / KERNEL)
     (part / PARITY).write_bytes(msgspec.json.format(msgspec.json.encode(parity), indent=1) + b"\n")
 
 
@@ -245,6 +264,8 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manif
         shapes=shapes,
         units=dict(zip(column_names(config.rotors), column_units(config.rotors), strict=True)),
         problem=options.problem,
+        kernel_facts=kernel_facts(model.flight_model),
+        vehicle_facts=kernel_facts(build_model(model.vehicle)),
         processor=options.processor.name,
         precision="double" if model.integrator == "rk4" else "float",
         files=files,
@@ -333,4 +354,6 @@ def summary(exported: Exported) -> Sequence[str]:
         f"  {c.backend} against {c.against}, {c.count} {c.windows} windows: {c.error:.1e} (<= {c.tolerance:g})"
         for c in exported.parity.comparisons
     )
+    if manifest.processor not in {processor.name for processor in PROCESSORS.values() if processor.runs_here}:
+        head += ", compared here by one for this processor; run `alula export --verify` where it flies"
     return [head, *compared, *(f"note: {note}" for note in exported.manifest.notes)]

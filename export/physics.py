@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
+from dynamics.effect import Expression
 from dynamics.integrators import required_steps, rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.state import HIDDEN, RATE, VELOCITY
@@ -20,7 +21,7 @@ def physics_function(model: Model, *, dt: float, mean: bool) -> ca.Function:
     p, e = ca.SX.sym("p", model.parameter_values.size), ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
     quiet = ca.SX.zeros(model.hidden_count)
 
-    def field(state: ca.SX) -> ca.SX:
+    def field(state: Expression) -> Expression:
         return model.derivative(state, u, p, e, quiet)
 
     slope = (rk4(field, x, dt, steps=required_steps(model, dt)) - x) / dt if mean else field(x)

@@ -92,7 +92,9 @@ def _on_cluster(
     try:
         from dask import distributed  # the flight computer has none
     except ImportError as error:
-        raise RequestError("--scheduler needs Dask: install alula[workbench], or leave the option out.") from error
+        raise RequestError(
+            "--scheduler needs Dask: pip install 'alula[workbench]', or leave the option out."
+        ) from error
     try:
         client = distributed.Client(address, timeout=5, set_as_default=False)
     except (OSError, ValueError) as error:

@@ -15,9 +15,7 @@ import tomlkit
 
 from dynamics.command import command_line
 from dynamics.errors import DataError, RequestError
-from dynamics.model import build_model
 from dynamics.references import Reference, check_feasibility, named_reference
-from dynamics.trim import find_trim
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import (
     find_vehicle,
@@ -28,7 +26,9 @@ from dynamics.vehicle_file import (
     with_settings,
 )
 from dynamics.version import __version__
-from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, read_bundle
+from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, parse_manifest, read_bundle
+from runtime.control.kernel_model import KernelModel, trim_of
+from runtime.control.rti.prebuilt import flown_model
 from runtime.daemon import FlightRequest
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import EngagementSettings
@@ -108,7 +108,7 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         text = vehicle_toml(vehicle)
     rate = setup.rate or vehicle.controller.rate
     _check_controller(setup, vehicle, bundle, rate)
-    trim = find_trim(build_model(vehicle)).vehicle
+    trim = hovering_vehicle(vehicle, None if bundle is None else bundle.manifest)
     reference = named_reference(setup.reference, trim, duration=setup.duration)
     if not flown_before:
         # the box is checked from the place of take-off, which only the vehicle knows
@@ -151,6 +151,15 @@ def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | Non
                 f"controller.{name} = {value:g}, but the kernel in {bundle.folder} was compiled for {compiled:g}: "
                 "leave it out, or export the model again with it."
             )
+
+
+def hovering_vehicle(vehicle: Vehicle, manifest: Manifest | None = None) -> Vehicle:
+    """The vehicle without effects that has the mass and thrust constant of the vehicle's model in hover.
+
+    manifest: of a bundle with this vehicle file. Raises RequestError where the model needs CasADi, which is not there.
+    """
+    model = flown_model(vehicle) if manifest is None else KernelModel.of(vehicle, manifest.vehicle_facts)
+    return trim_of(model).vehicle
 
 
 def exported_bundle(folder: Path | None) -> Bundle | None:
@@ -212,7 +221,7 @@ def recorded_flight(
     replaced = vehicle is not None or bundle is not None
     recorded = parse_vehicle(_recorded_text(recording.attachments[VEHICLE_TEXT], () if replaced else effect_files))
     _require_recorded_effects(recording, recorded)
-    trim = find_trim(build_model(recorded)).vehicle
+    trim = hovering_vehicle(recorded, _recorded_manifest(recording))
     duration = msgspec.json.decode(recording.metadata["plan"], type=Plan).duration
     # the reference is that of the recorded vehicle, whatever vehicle flies it now
     if (table := recording.attachments.get(REFERENCE_TEXT)) is None:
@@ -231,6 +240,15 @@ def recorded_flight(
     return flown, reference, exported_bundle(bundle)
 
 
+def _recorded_manifest(recording: FlightRecording) -> Manifest | None:
+    """The manifest of the bundle that flew; None without one, or for one of another version."""
+    text = recording.attachments.get(MANIFEST)
+    try:
+        return None if text is None else parse_manifest(text)
+    except msgspec.MsgspecError:
+        return None
+
+
 def _recorded_text(text: str, effect_files: Sequence[str | Path]) -> str:
     """The text of a recorded vehicle file, with other effect files where some are given."""
     if not effect_files:
@@ -247,7 +265,7 @@ def _table_text(path: Path) -> str:
 
 def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]:
     hashes = {f"sha256 of {name}": hashlib.sha256(text.encode()).hexdigest() for name, text in attachments.items()}
-    versions = {f"version of {name}": metadata.version(name) for name in LIBRARIES}
+    versions = {f"version of {name}": version for name in LIBRARIES if (version := _version(name))}
     return {
         "command": command_line(),
         "reference": setup.reference,
@@ -257,3 +275,11 @@ def _metadata(setup: FlightSetup, attachments: dict[str, str]) -> dict[str, str]
         **versions,
         **hashes,
     }
+
+
+def _version(library: str) -> str:
+    """Of an installed library, empty where it is not: a bundle flies without CasADi."""
+    try:
+        return metadata.version(library)
+    except metadata.PackageNotFoundError:
+        return ""

@@ -11,6 +11,7 @@ from alula.workbench import workbench
 
 if TYPE_CHECKING:
     from dynamics.vehicle import EffectUse, Vehicle
+    from runtime.control.verification import Verification
     from runtime.daemon import FlightReport
     from simulation.lockstep import FlownReference
 
@@ -44,18 +45,16 @@ def simulate(
     """
     with workbench("alula.simulate"):
         from simulation.lockstep import fly_reference
-    from dynamics.model import build_model
     from dynamics.own_effects import catalogue_of
     from dynamics.references import check_feasibility, named_reference
-    from dynamics.trim import find_trim
     from dynamics.vehicle_file import parse_effect, parse_vehicle
     from runtime.control.controller import Controller
-    from runtime.flight_setup import exported_bundle, flown_vehicle_text
+    from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
 
     folder = None if bundle is None else Path(bundle)
     flying = parse_vehicle(flown_vehicle_text(_path_or_vehicle(vehicle), folder, effect_files))
     learned = exported_bundle(folder)
-    trim = find_trim(build_model(flying)).vehicle
+    trim = hovering_vehicle(flying)
     path = named_reference(reference, trim, duration=duration)
     check_feasibility(path, trim).require()
     catalogue, count = catalogue_of(flying), flying.rotors.count
@@ -151,6 +150,25 @@ def fly(
     daemon = Daemon(flight.request, flight.vehicle, flight.reference, announce, bundle=flight.bundle)
     with landing_on_signals(daemon.interrupt):
         return daemon.fly()
+
+
+def verify(bundle: str | Path) -> Verification:
+    """Repeat a bundle's recorded ticks with its kernels on this computer, and measure their time.
+
+    bundle: folder of an exported model, such as one that was cross-compiled for this computer.
+
+    Returns a Verification: `agreements` with the answers at the export, `timings`, `lines`; `require()` raises
+    DataError where something does not hold.
+    Raises RequestError for a bundle that is damaged, or built for another processor.
+
+    Example:
+        alula.export("arpl_250g", "bundle", windows=50)
+        alula.verify("bundle").require()
+    """
+    from runtime.control.bundle import read_bundle
+    from runtime.control.verification import verify_bundle
+
+    return verify_bundle(read_bundle(Path(bundle)))
 
 
 def _path_or_vehicle(vehicle: Vehicle | str | Path | None) -> Vehicle | str | None:

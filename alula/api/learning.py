@@ -164,7 +164,8 @@ def export(
     effect_files: Python files with effects of your own, beside those that a vehicle file names; the bundle holds them.
     logs: flights whose windows the backends are compared on, or folders of them; by default the paper's references.
     member: member of an ensemble that flies.
-    processor: instruction set of the kernel: "native", "avx512", "avx2", "sse2" or "neon".
+    processor: instruction set of the kernel: "native", "avx512", "avx2", "sse2" or "neon"; one that this machine does
+        not have is cross-compiled, see `verify`.
     integrator: "hold", "adams_bashforth" or "rk4"; by default what fits the model's labels.
     nodes: nodes of the horizon; by default those of the vehicle's [controller], 20.
     horizon: its length, s; by default the vehicle's, 1.
@@ -201,7 +202,8 @@ def export(
         command_line(),
     )
     exported = export_bundle(trained, Path(out), options)
-    check = check_bundle(exported.folder, exported.manifest) if flight_check else None
+    flown = flight_check and options.processor.runs_here
+    check = check_bundle(exported.folder, exported.manifest) if flown else None
     return ExportResult(exported.folder, exported.manifest, exported.parity, check)
 
 

@@ -16,6 +16,7 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from alula.cli.output import print_next
+from alula.workbench import require_casadi
 from dynamics.command import command_line
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -58,6 +59,7 @@ def demo(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, progress on stderr.")] = False,
 ) -> None:
     """Fly the nominal model on a vehicle that hides an effect, diagnose it, add what is missing, fly again."""
+    require_casadi("alula demo")
     if no_effects and effect:
         raise RequestError("--no-effects and --effect contradict each other. Give one of them.")
     if every and manoeuvre:

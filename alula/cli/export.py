@@ -1,4 +1,4 @@
-"""`alula export`: a trained model, or a vehicle file, as a bundle that flies."""
+"""`alula export`: a trained model, or a vehicle file, as a bundle that flies; and its verification where it flies."""
 
 from __future__ import annotations
 
@@ -10,14 +10,25 @@ import typer
 import alula
 from alula.cli.options import Effects
 from alula.cli.output import print_next
+from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.control.bundle import Integrator
-from runtime.control.rti.processor import PROCESSORS
+from runtime.control.rti.processor import PROCESSORS, named_processor
 
 
 def export(
-    model: Annotated[str, typer.Argument(help="Checkpoint (.pt) of `alula train`, or a vehicle file for its physics.")],
-    out: Annotated[Path, typer.Option(help="Folder to write.")],
+    model: Annotated[
+        str | None, typer.Argument(help="Checkpoint (.pt) of `alula train`, or a vehicle file for its physics.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write.")] = None,
+    verify: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="BUNDLE",
+            help="Instead of exporting: check on this computer that a bundle's kernel answers as at its export, and "
+            "how long a tick takes.",
+        ),
+    ] = None,
     effects: Effects = None,
     logs: Annotated[
         list[Path] | None,
@@ -48,6 +59,11 @@ def export(
     as_json: Annotated[bool, typer.Option("--json", help="Print comparisons and flight check as JSON.")] = False,
 ) -> None:
     """Write ONNX, C and the real-time kernel of a model, and prove that they compute the same."""
+    if verify is not None:
+        _verify(verify, [model, out], as_json=as_json)
+        return
+    if model is None or out is None:
+        raise RequestError("nothing to export: give MODEL and --out FOLDER, or --verify BUNDLE.")
     result = alula.export(
         model,
         out,
@@ -69,4 +85,24 @@ def export(
     print("\n".join(result.summary))
     if (check := result.flight_check) is not None:
         print(f"warning: {check.warning}" if check.warning else f"flight check: {check.text}")
-    print_next("fly", "--bundle", out, "--reference", "hover", "--record", "recordings")
+    if named_processor(processor).runs_here:
+        _print_flight(out)
+    else:
+        print_next("export", "--verify", out)
+
+
+def _verify(bundle: Path, others: list[object], *, as_json: bool) -> None:
+    if any(other is not None for other in others):
+        raise RequestError("--verify checks a bundle that was exported: leave MODEL and --out out.")
+    verification = alula.verify(bundle)
+    if as_json:
+        write_json(verification, STANDARD_OUTPUT)
+    else:
+        print("\n".join(verification.lines))
+    verification.require()
+    if not as_json:
+        _print_flight(bundle)
+
+
+def _print_flight(bundle: Path) -> None:
+    print_next("fly", "--bundle", bundle, "--reference", "hover", "--record", "recordings")

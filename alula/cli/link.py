@@ -16,10 +16,9 @@ from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
 from alula.cli.output import options, print_next
 from dynamics.errors import VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
-from dynamics.model import build_model
-from dynamics.trim import find_trim
-from dynamics.vehicle_file import find_vehicle, read_vehicle
+from dynamics.vehicle_file import parse_vehicle
 from runtime.flight.composition import vehicle_facts
+from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
 from runtime.link.connection import parse_endpoint
 from runtime.link.link_check import check_link
 from runtime.link.link_report import LinkReport
@@ -34,6 +33,9 @@ def link(
     system: System = None,
     vehicle: Annotated[
         str | None, typer.Option(help="Vehicle file that will fly: the autopilot's parameters are compared with it.")
+    ] = None,
+    bundle: Annotated[
+        Path | None, typer.Option(help="Bundle that will fly, instead of --vehicle; its model needs no CasADi.")
     ] = None,
     effects: Effects = None,
     window: Annotated[float, typer.Option(min=0.2, max=WINDOW, help="Seconds of each of two measurements.")] = WINDOW,
@@ -57,30 +59,34 @@ def link(
         streams=streams,
         window=window,
         request_mode=request_mode,
-        vehicle=None if vehicle is None else _facts(vehicle, effects or ()),
+        vehicle=_facts(vehicle, bundle, effects or ()),
     )
     if as_json:
         write_json(_as_plain(report), STANDARD_OUTPUT)
     else:
         _print(report, Console())
-        print_next(*_following(report, link, vehicle))
+        print_next(*_following(report, link, vehicle, bundle))
     if not report.is_ready:
         raise VehicleError(f"A flight over {report.endpoint} would not be engaged; the reasons are in the report.")
 
 
-def _following(report: LinkReport, link: str, vehicle: str | None) -> list[object]:
+def _following(report: LinkReport, link: str, vehicle: str | None, bundle: Path | None) -> list[object]:
     """What to run next: fly, check again when the reasons are gone, or make a vehicle file."""
+    flown = options([("--vehicle", vehicle), ("--bundle", bundle)])
     if not report.is_ready:
-        return ["link", "--link", link, *options([("--vehicle", vehicle)])]
-    if vehicle is None:
+        return ["link", "--link", link, *flown]
+    if not flown:
         return ["vehicle", "new"]
-    return ["fly", "--link", link, "--vehicle", vehicle, "--reference", "hover", "--record", "recordings"]
+    return ["fly", "--link", link, *flown, "--reference", "hover", "--record", "recordings"]
 
 
-def _facts(vehicle: str, effects: Sequence[Path]) -> VehicleFacts:
-    """What the autopilot's parameters are compared with."""
-    model = build_model(read_vehicle(find_vehicle(vehicle), effect_files=effects))
-    return vehicle_facts(find_trim(model).vehicle)
+def _facts(vehicle: str | None, bundle: Path | None, effects: Sequence[Path]) -> VehicleFacts | None:
+    """Of the vehicle or bundle that will fly, None for neither."""
+    if vehicle is None and bundle is None:
+        return None
+    flown = parse_vehicle(flown_vehicle_text(vehicle, bundle, effects))
+    exported = exported_bundle(bundle)
+    return vehicle_facts(hovering_vehicle(flown, None if exported is None else exported.manifest))
 
 
 def _as_plain(report: LinkReport) -> dict[str, object]:

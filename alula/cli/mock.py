@@ -13,6 +13,7 @@ import typer
 
 from alula.cli.options import Effects
 from alula.cli.output import command
+from alula.workbench import require_casadi
 from dynamics.vehicle_file import find_vehicle
 from sitl_mock.autopilot.offboard import Rule
 from sitl_mock.mock import MockOptions, parse_parameter, serve
@@ -90,6 +91,7 @@ def mock(
     ] = False,
 ) -> None:
     """Fly a simulated vehicle behind PX4's side of the link, until interrupted."""
+    require_casadi("alula mock")
     options = MockOptions(
         vehicle=find_vehicle(vehicle),
         effects=tuple(effect or ()),

@@ -1,7 +1,6 @@
 """Axial inflow: a rotor that climbs through the air thrusts less, one that sinks thrusts more."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import FORCE, POSE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle

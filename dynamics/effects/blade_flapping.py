@@ -1,7 +1,6 @@
 """Blade flapping: rotors tilt in crossing air and twist the body."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import DRIVE, POSE, Excitation
 from dynamics.vehicle import Vehicle

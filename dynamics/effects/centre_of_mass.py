@@ -3,8 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Effect, Environment, Expression, Parameter, Physics, Prior, Reading, Span, Values
 from dynamics.excitation import DRIVE, Excitation
 from dynamics.kinematics import lever_arm_acceleration

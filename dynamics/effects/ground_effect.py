@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Span, Values, Wrench
 from dynamics.excitation import FORCE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle

@@ -1,7 +1,6 @@
 """Gust: wind that changes at random, a first-order Gauss-Markov process in each world axis."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Values, Wrench
 from dynamics.effects.wind import COEFFICIENT, push
 from dynamics.excitation import FORCE, Excitation

@@ -3,9 +3,8 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Effect, Parameter, Prior, Reading, Span, Values
 from dynamics.excitation import POSE, Excitation
 from dynamics.vehicle import Vehicle

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Effect, Environment, Parameter, Physics, Prior, Values
 from dynamics.excitation import DRIVE, QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle

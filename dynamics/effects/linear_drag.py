@@ -1,7 +1,6 @@
 """Linear drag: the body's drag at low speed, in proportion to airspeed and alike in all directions."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle

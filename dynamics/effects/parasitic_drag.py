@@ -1,7 +1,6 @@
 """Parasitic drag: the body's drag, quadratic in airspeed."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle

@@ -1,7 +1,6 @@
 """Rotational damping: the air brakes the body's turning."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import DRIVE, QUICK_TURNS, Excitation
 from dynamics.vehicle import Vehicle

@@ -1,7 +1,6 @@
 """Rotor cant: one rotor does not thrust along body z."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import DRIVE, Excitation
 

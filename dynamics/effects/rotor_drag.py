@@ -1,7 +1,6 @@
 """Rotor drag: the in-plane H-force of every rotor, linear in its speed and in the air that crosses it."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import DRIVE, FORCE, POSE, Excitation
 from dynamics.vehicle import Vehicle

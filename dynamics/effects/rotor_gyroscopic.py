@@ -1,7 +1,6 @@
 """Rotor gyroscopics: spinning rotors resist tilting, and twist the body when they speed up."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import DRIVE, Excitation
 from dynamics.vehicle import Vehicle

@@ -2,8 +2,7 @@
 
 from dataclasses import replace
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Effect, Parameter, Prior, Reading, Values
 from dynamics.excitation import COMMAND, Excitation
 

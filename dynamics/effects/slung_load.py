@@ -2,10 +2,10 @@
 
 from collections.abc import Sequence
 
-import casadi as ca
 import numpy as np
 
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Expression, Hidden, Parameter, Prior, Span, Values, Wrench
 from dynamics.excitation import FORCE, Excitation
 from dynamics.vehicle import Vehicle

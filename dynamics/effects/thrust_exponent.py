@@ -1,7 +1,6 @@
 """Thrust exponent: thrust and reaction torque do not grow with the square of the rotor's speed."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Values, Wrench
 from dynamics.excitation import FORCE, WRENCH, Excitation
 from dynamics.vehicle import GRAVITY

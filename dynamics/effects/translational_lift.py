@@ -1,7 +1,6 @@
 """Translational lift: a rotor in crossing air works on more air and thrusts more."""
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench
 from dynamics.excitation import FORCE, POSE, WRENCH, Excitation
 from dynamics.vehicle import Vehicle

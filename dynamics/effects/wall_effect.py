@@ -3,9 +3,8 @@
 import math
 from collections.abc import Sequence
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Span, Values, Wrench
 from dynamics.excitation import FORCE, Excitation
 from dynamics.vehicle import Vehicle

@@ -6,9 +6,8 @@ coefficient of its own there; a flight shows only the product of the two.
 
 from collections.abc import Sequence
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Conditions, Effect, Expression, Parameter, Prior, Span, Values, Wrench
 from dynamics.effects import rotor_drag
 from dynamics.excitation import FORCE, POSE, Excitation

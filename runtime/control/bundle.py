@@ -1,14 +1,14 @@
 """A bundle: a folder with a compiled kernel, its vehicle file, and a manifest with their hashes.
 
-`alula export` writes bundles. A folder with a vehicle file alone is a bundle of that file's model, compiled before it
-flies.
+`alula export` writes bundles. A bundle flies without CasADi and without a compiler: what its kernel must be told of the
+vehicle stands in the manifest, and HPIPM is in the folder. A folder with a vehicle file alone is a bundle of that
+file's model, compiled before it flies.
 """
 
 from __future__ import annotations
 
 import hashlib
 from dataclasses import dataclass
-from importlib import metadata
 from pathlib import Path
 from typing import Literal
 
@@ -17,18 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from dynamics.errors import RequestError
-from dynamics.model import Model, build_model
 from dynamics.network_inputs import Frame
-from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_vehicle
 from dynamics.vehicle_file import vehicle_text as read_vehicle_text
+from runtime.control.kernel_model import FlownModel, KernelFacts, KernelModel
+from runtime.control.rti.hpipm import HPIPM, libraries_in
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS
 
-FORMAT, VERSION = "alula bundle", 1
+FORMAT, VERSION = "alula bundle", 2
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
+TICKS = "ticks.npz"  # recorded ticks of the kernels, which `alula export --verify` repeats
 Integrator = Literal["hold", "adams_bashforth", "rk4"]
 
 
@@ -58,6 +59,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2.
     shapes: of ONNX inputs and outputs.
     problem: the optimal control problem that the kernel was compiled for.
+    kernel_facts: of the kernel's model.
+    vehicle_facts: of the vehicle file's model, from which references and a learned model's fallback follow.
     precision: of the kernel's network.
     files: sha256 by name.
     provenance: of the model, from its training.
@@ -81,6 +84,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     shapes: dict[str, tuple[int | str, ...]]
     units: dict[str, str]
     problem: Problem
+    kernel_facts: KernelFacts
+    vehicle_facts: KernelFacts
     processor: str
     precision: Literal["float", "double"]
     files: dict[str, str]
@@ -105,13 +110,15 @@ class Bundle:
     """A bundle that has passed the checks.
 
     model: states, parameters and vehicle of the kernel's physics.
+    vehicle_model: the same of the vehicle file's model.
     """
 
     folder: Path
     manifest: Manifest
     vehicle: Vehicle
     vehicle_text: str
-    model: Model
+    model: FlownModel
+    vehicle_model: FlownModel
 
     @property
     def kernel(self) -> Path:
@@ -142,7 +149,8 @@ def read_bundle(folder: Path) -> Bundle:
                 f"{folder / name} is not the file that was exported: its sha256 differs from the manifest's. Nothing "
                 "is proven about it; export the model again."
             )
-    for name in (VEHICLE, KERNEL, *([PHYSICS] if manifest.learned else [])):
+    libraries = [path.name for path in libraries_in(folder) or (Path(HPIPM),)]
+    for name in (VEHICLE, KERNEL, *libraries, *([PHYSICS] if manifest.learned else [])):
         if name not in manifest.files:
             raise RequestError(f"{folder / MANIFEST} lists no {name}: it was edited. Export the model again.")
     if manifest.filtered_inputs:
@@ -158,22 +166,23 @@ def read_bundle(folder: Path) -> Bundle:
         )
     text = read_vehicle_text(folder / VEHICLE)
     vehicle = parse_vehicle(text)
-    return Bundle(folder, manifest, vehicle, text, physics_of(vehicle, manifest))
+    return bundle_of(folder, manifest, vehicle, text)
 
 
-def physics_of(vehicle: Vehicle, manifest: Manifest) -> Model:
-    """The nominal or identified model of a bundle: compiled into its kernel, or the source of the solver's shapes."""
-    if manifest.physics != "vehicle":
-        return build_model(vehicle, effects=())
-    measured, catalogue = manifest.motors == "measured", catalogue_of(vehicle)
-    return build_model(
-        vehicle, effects=[use for use in vehicle.effects if not (measured and catalogue[use.name].rotor_speed)]
-    )
+def bundle_of(folder: Path, manifest: Manifest, vehicle: Vehicle, text: str) -> Bundle:
+    """The bundle of a vehicle, which may have other limits and settings than the file's, of which the text is."""
+    models = (KernelModel.of(vehicle, facts) for facts in (manifest.kernel_facts, manifest.vehicle_facts))
+    return Bundle(folder, manifest, vehicle, text, *models)
+
+
+def parse_manifest(text: str | bytes) -> Manifest:
+    """A manifest. Raises MsgspecError for one of another version, or damaged."""
+    return msgspec.json.decode(text, type=Manifest)
 
 
 def _read_manifest(path: Path) -> Manifest:
     try:
-        manifest = msgspec.json.decode(path.read_bytes(), type=Manifest)
+        manifest = parse_manifest(path.read_bytes())
     except OSError as error:
         raise RequestError(f"{path.parent} is no bundle: {error}. Give a folder that `alula export` wrote.") from None
     except msgspec.MsgspecError as error:
@@ -197,12 +206,7 @@ def _require_machine(folder: Path, manifest: Manifest) -> None:
     if processor is None or not processor.runs_here:
         usable = [processor.name for processor in PROCESSORS.values() if processor.runs_here]
         raise RequestError(
-            f"the kernel in {folder} was built for {manifest.processor}, which this processor does not have. Export "
-            f"the model again here, or elsewhere with --processor {usable[0] if usable else 'native'}."
-        )
-    built, here = manifest.versions.get("casadi", ""), metadata.version("casadi")
-    if built != here:
-        raise RequestError(
-            f"the kernel in {folder} was built against the HPIPM of casadi {built}, here is {here}, whose structs may "
-            "differ. Install that version, or export the model again here."
+            f"the kernel in {folder} was built for {manifest.processor}, which this processor does not have: it "
+            "belongs on another computer. Export the model again here, or elsewhere with --processor "
+            f"{usable[0] if usable else 'native'}."
         )

@@ -19,12 +19,13 @@ from dynamics.controller_defaults import lookaheads
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
-from dynamics.model import Model, build_model
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from runtime.control.bundle import Bundle
 from runtime.control.history import ColumnHistory
+from runtime.control.kernel_model import FlownModel
 from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
+from runtime.control.rti.prebuilt import flown_model
 from runtime.control.rti.problem import DEFAULTS, Problem
 from runtime.control.rti.solver import RtiSolver
 
@@ -106,7 +107,7 @@ class Controller:
     """
 
     def __init__(
-        self, model: Model, options: ControllerOptions, bundle: Bundle | None = None, library: Path | None = None
+        self, model: FlownModel, options: ControllerOptions, bundle: Bundle | None = None, library: Path | None = None
     ) -> None:
         """bundle: of the model; its kernel is the solver. library: compiled code of the model, without a bundle."""
         self.model, self.options = model, options
@@ -142,7 +143,7 @@ class Controller:
     ) -> Controller:
         """The controller of a vehicle with the effects of its file in the model; compiles unless cached."""
         return cls(
-            build_model(vehicle, catalogue=catalogue),
+            flown_model(vehicle, catalogue),
             options or ControllerOptions.for_vehicle(vehicle, catalogue=catalogue),
         )
 
@@ -158,7 +159,7 @@ class Controller:
         if not bundle.manifest.learned:
             return None
         options = (options or ControllerOptions.for_vehicle(bundle.vehicle)).for_kernel(bundle.manifest.problem)
-        return cls(build_model(bundle.vehicle), options, library=bundle.physics)
+        return cls(bundle.vehicle_model, options, library=bundle.physics)
 
     @property
     def is_learned(self) -> bool:

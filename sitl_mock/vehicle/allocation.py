@@ -6,8 +6,7 @@ Source: PX4-Autopilot, ControlAllocationSequentialDesaturation.cpp (saturation, 
 
 from __future__ import annotations
 
-import casadi as ca
-
+from dynamics import symbolic as ca
 from dynamics.effect import Expression
 
 YAW_MARGIN = 0.15  # demand of yaw beyond full signal, at the expense of thrust

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import casadi as ca
 import msgspec
 
+from dynamics import symbolic as ca
 from dynamics.effect import Expression, Values
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle

@@ -10,12 +10,12 @@ from __future__ import annotations
 import math
 from typing import Literal
 
-import casadi as ca
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.arrays import Floats
 from dynamics.effect import Expression, Values
 from dynamics.errors import RequestError

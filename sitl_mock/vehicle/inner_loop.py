@@ -6,10 +6,10 @@ ETH Zurich 2013), rate_control.cpp and MulticopterRateControl.cpp, VehicleAngula
 
 from __future__ import annotations
 
-import casadi as ca
 import numpy as np
 
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Expression, Values
 
 INTEGRAL_FADES_AT = np.radians(400.0)  # rate error at which the integrator stops, rad/s

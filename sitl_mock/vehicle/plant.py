@@ -10,9 +10,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-import casadi as ca
-
 from dynamics import quaternion
+from dynamics import symbolic as ca
 from dynamics.effect import Effect, Expression, Values
 from dynamics.effects import CATALOGUE
 from dynamics.effects.motor_lag import rotor_lag

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics import symbolic as ca
 from dynamics.effect import Expression, Values
 
 WANDER_DAMPING = 0.65  # of the estimate's smooth errors

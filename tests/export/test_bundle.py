@@ -23,6 +23,7 @@ from export.bundle import Exported, ExportOptions, export_bundle
 from export.kernel import ENTRY, kernel_recipe
 from export.onnx_file import OPSET
 from export.parity import Comparison, Parity
+from export.toolchain import toolchain_for
 from export.trained import exported, read_model
 from runtime.control.bundle import read_bundle
 from runtime.control.rti.hpipm import find_hpipm
@@ -143,13 +144,14 @@ def test_an_edited_manifest_is_refused(
         read_bundle(folder)
 
 
-def test_a_kernel_against_another_hpipm_is_refused(bundle_folder: Path, tmp_path: Path) -> None:
+def test_two_builds_of_hpipm_are_not_mixed_in_a_process(bundle_folder: Path, tmp_path: Path) -> None:
+    bundle = read_bundle(bundle_folder)
+    RtiSolver(bundle.model, bundle.manifest.problem, bundle.kernel)
     folder = copied(bundle_folder, tmp_path)
-    manifest = json.loads((folder / "manifest.json").read_text())
-    manifest["versions"]["casadi"] = "3.1.0"
-    (folder / "manifest.json").write_text(json.dumps(manifest))
-    with pytest.raises(RequestError, match=r"HPIPM of casadi 3\.1\.0"):
-        read_bundle(folder)
+    with (folder / "libhpipm.so").open("ab") as file:
+        file.write(b"another version")
+    with pytest.raises(RequestError, match=r"another build than .*processes of their own"):
+        RtiSolver(bundle.model, bundle.manifest.problem, folder / "kernel.so")
 
 
 def test_a_missing_file_and_a_folder_that_is_none_are_refused(bundle_folder: Path, tmp_path: Path) -> None:
@@ -308,8 +310,22 @@ def test_a_kernel_that_cannot_be_loaded_is_refused(lagging: Vehicle, tmp_path: P
         RtiSolver(build_model(lagging), Problem(), tmp_path / "kernel.so")
 
 
-def test_a_kernel_that_cannot_run_here_is_not_exported(lagging: Vehicle, tmp_path: Path) -> None:
-    foreign = next(processor for processor in PROCESSORS.values() if not processor.runs_here)
+def test_without_a_cross_compiler_it_says_what_to_install(
+    lagging: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    machine = next(processor for processor in PROCESSORS.values() if processor.machine != native_processor().machine)
+    monkeypatch.setenv("PATH", str(tmp_path))
     model = exported(untrained_model(KINDS["nominal"].config, lagging))
-    with pytest.raises(RequestError, match="could not be proven"):
-        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), foreign))
+    with pytest.raises(RequestError, match=r"install Debian's gcc-|that Alula does not know"):
+        export_bundle(model, tmp_path / "b", ExportOptions(Problem(), machine))
+
+
+def test_hpipm_for_another_machine_that_cannot_be_fetched_is_said(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("export.toolchain.shutil.which", lambda name: f"/usr/bin/{name}")
+    monkeypatch.setattr("export.toolchain.platform.machine", lambda: "x86_64")
+    monkeypatch.setenv("ALULA_CACHE", str(tmp_path))
+    monkeypatch.setenv("PIP_NO_INDEX", "1")
+    with pytest.raises(RequestError, match=r"HPIPM for aarch64 could not be fetched.*ALULA_HPIPM_AARCH64"):
+        toolchain_for(PROCESSORS["neon"])

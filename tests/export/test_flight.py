@@ -1,6 +1,5 @@
 """An exported model flies: through its kernel, back to physics where it does not know, and bit for bit again."""
 
-import dataclasses
 from pathlib import Path
 
 import msgspec
@@ -12,7 +11,7 @@ from dynamics.references import named_reference
 from dynamics.vehicle import Limits, Vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import exported
-from runtime.control.bundle import Bundle, physics_of, read_bundle
+from runtime.control.bundle import Bundle, bundle_of, read_bundle
 from runtime.control.controller import Controller
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
@@ -71,7 +70,7 @@ def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(
 def limited(bundle: Bundle, limits: Limits) -> Bundle:
     """The bundle of a vehicle with other limits, which its kernel is told when it starts."""
     vehicle = msgspec.structs.replace(bundle.vehicle, limits=limits)
-    return dataclasses.replace(bundle, vehicle=vehicle, model=physics_of(vehicle, bundle.manifest))
+    return bundle_of(bundle.folder, bundle.manifest, vehicle, bundle.vehicle_text)
 
 
 NARROW = Limits(rate=(0.4, 0.4, 6.0), speed=1.5)  # free, it flies up to 1.9 m/s and 0.45 rad/s

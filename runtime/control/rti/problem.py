@@ -10,9 +10,9 @@ import msgspec
 
 from dynamics.arrays import Vector3
 from dynamics.controller_settings import ControllerSettings
-from dynamics.model import Model
 from dynamics.state import POSITION, RATE, RIGID_BODY_STATES, VELOCITY
-from dynamics.trim import Trim, find_trim
+from dynamics.trim import Trim
+from runtime.control.kernel_model import FlownModel, trim_of
 
 # Rotors at rest cannot be linearised: thrust goes with the square of the speed, so at zero its derivative vanishes and
 # the solver would never turn them on again. At this share of hover speed a rotor gives 2 % of its hover thrust.
@@ -104,10 +104,10 @@ def options_struct(states: int, inputs: int) -> type[ctypes.Structure]:
     return type("RtiOptions", (ctypes.Structure,), {"_fields_": fields})
 
 
-def fill_options(problem: Problem, model: Model, trim: Trim | None = None) -> ctypes.Structure:
+def fill_options(problem: Problem, model: FlownModel, trim: Trim | None = None) -> ctypes.Structure:
     """The C options of a problem for one model's vehicle. trim: of the model, computed if it is None."""
     vehicle, weights = model.vehicle, problem.weights
-    hover_speed = (trim or find_trim(model)).vehicle.hover_speed
+    hover_speed = (trim or trim_of(model)).vehicle.hover_speed
     states, inputs = model.state_count, model.input_count
     hidden = [0.0] * (states - RIGID_BODY_STATES)
     options = options_struct(states, inputs)()

@@ -3,26 +3,19 @@
 from __future__ import annotations
 
 import ctypes
-from importlib import resources
 from pathlib import Path
-from typing import Any
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from dynamics.codegen import FLAGS, build_library, generate_c
-from dynamics.effect import Expression
 from dynamics.errors import RequestError
-from dynamics.integrators import required_steps, rk4, with_unit_attitude
-from dynamics.model import ENVIRONMENT_DEFAULT, Model
+from dynamics.model import ENVIRONMENT_DEFAULT
 from dynamics.state import RIGID_BODY_STATES
-from dynamics.trim import find_trim
-from runtime.control.rti.hpipm import find_hpipm
+from runtime.control.kernel_model import FlownModel, trim_of
+from runtime.control.rti.hpipm import load_kernel
+from runtime.control.rti.prebuilt import solver_library
 from runtime.control.rti.problem import Problem, fill_options
-from runtime.control.rti.processor import Processor, native_processor
 
-ENTRY = "rti.c"
 KERNEL_DIMENSIONS = (
     "states",
     "inputs",
@@ -63,12 +56,12 @@ class RtiSolver:
     An instance belongs to one thread.
     """
 
-    def __init__(self, model: Model, problem: Problem, library: Path | None = None) -> None:
+    def __init__(self, model: FlownModel, problem: Problem, library: Path | None = None) -> None:
         """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
-        self._code = _load(library or build_solver(model, problem))
+        self._code = load_kernel(library or solver_library(model, problem))
         self._declare()
-        self.trim = find_trim(model)
+        self.trim = trim_of(model)
         options = fill_options(problem, model, self.trim)
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
         self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
@@ -183,86 +176,3 @@ class RtiSolver:
         pointer = getattr(self._code, function)
         pointer.restype, pointer.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
         return np.ctypeslib.as_array(pointer(self._handle), shape=shape)
-
-
-def _load(library: Path) -> ctypes.CDLL:
-    """A compiled solver, with this machine's HPIPM loaded before it, wherever HPIPM was at its build.
-
-    Raises RequestError when it does not fit this machine.
-    """
-    hpipm = find_hpipm()
-    try:
-        for dependency in (hpipm.blasfeo, hpipm.hpipm):
-            ctypes.CDLL(str(dependency))
-        return ctypes.CDLL(str(library))
-    except OSError as error:
-        raise RequestError(f"cannot load {library}: {error}. Export the model again on this machine.") from None
-
-
-def build_solver(model: Model, problem: Problem) -> Path:
-    """Path of the solver's library for a model's structure, compiled unless the cache holds it."""
-    sources, flags = solver_recipe(model, problem, None)
-    hpipm = find_hpipm()
-    return build_library(sources, flags=(*flags, *hpipm.compiler_flags), libraries=hpipm.linker_flags, entry=ENTRY)
-
-
-def solver_recipe(
-    model: Model, problem: Problem, processor: Processor | None, field: ca.Function | None = None
-) -> tuple[dict[str, str], tuple[str, ...]]:
-    """Sources by file name and compiler flags of the solver of a model that RK4 integrates.
-
-    processor: None for this machine's own. field: (x, u, p, e) -> xdot and its derivatives by x and by u, of MX
-    expressions (CasADi's C then has loops), instead of the model's own.
-    """
-    node, step = _functions(model, field or _field(model))
-    defines: dict[str, int | str] = {
-        "NX": model.state_count,
-        "NU": model.input_count,
-        "NODES": problem.nodes,
-        "NP": model.parameter_values.size,
-        "NE": ENVIRONMENT_DEFAULT.size,
-        "SUBSTEPS": required_steps(model, problem.node),
-        "VECTOR_BYTES": (processor or native_processor()).vector,
-        "LOOPS": int(node.is_a("MXFunction")),
-    }
-    for name, function in (("NODE", node), ("STEP", step)):
-        defines |= {
-            name: function.name(),
-            f"{name}_ARG": function.sz_arg(),
-            f"{name}_RES": function.sz_res(),
-            f"{name}_IW": function.sz_iw(),
-            f"{name}_W": function.sz_w(),
-        }
-    folder = resources.files("runtime.control.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "box_qp.h", "dense_qp.h")}
-    sources["model.c"] = generate_c([node, step])
-    flags = FLAGS if processor is None else processor.compiler_flags
-    return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))
-
-
-def _field(model: Model) -> ca.Function:
-    x, u = ca.SX.sym("x", model.state_count), ca.SX.sym("u", model.input_count)
-    p, e = ca.SX.sym("p", model.parameter_values.size), ca.SX.sym("e", ENVIRONMENT_DEFAULT.size)
-    rate = model.derivative(x, u, p, e, ca.SX.zeros(model.hidden_count))
-    return ca.Function("field", [x, u, p, e], [rate, ca.jacobian(rate, x), ca.jacobian(rate, u)])
-
-
-def _functions(model: Model, field: ca.Function) -> tuple[ca.Function, ca.Function]:
-    """One RK4 step with its Jacobians, propagated through the stages for less code than by AD, and one without."""
-    kind: Any = ca.MX if field.is_a("MXFunction") else ca.SX
-    x, u, p, e = (kind.sym(field.name_in(i), field.size1_in(i)) for i in range(4))
-    dt = kind.sym("dt")
-
-    def with_sensitivity(state: Expression) -> Expression:
-        """d/dt of [x, dx/dx0, dx/du] laid side by side."""
-        slope, by_state, by_input = field(state[:, 0], u, p, e)
-        forced = ca.horzcat(kind(model.state_count, model.state_count), by_input)
-        return ca.horzcat(slope, by_state @ state[:, 1:] + forced)
-
-    start = ca.horzcat(x, kind.eye(model.state_count), kind(model.state_count, model.input_count))
-    after = ca.cse(ca.densify(rk4(with_sensitivity, start, dt)))
-    parts = ca.horzsplit(after, [0, 1, 1 + model.state_count, 1 + model.state_count + model.input_count])
-    node = ca.Function("alula_node", [x, u, p, e, dt], parts)
-    plain = rk4(lambda state: field(state, u, p, e)[0], x, dt)
-    step = ca.Function("alula_step", [x, u, p, e, dt], [ca.densify(with_unit_attitude(plain))])
-    return node, step
