@@ -45,9 +45,9 @@ def _cross_compiler(processor: Processor) -> str:
     name, package = CROSS_COMPILERS.get(processor.machine, ("", ""))
     if path := shutil.which(name):
         return path
-    wanted = f"{name}: install {package}, or" if name else "a cross compiler that Alula does not know:"
+    advice = f"{name}: install {package}, or" if name else "a cross compiler that Alula does not know:"
     raise RequestError(
-        f"a kernel for {processor.name} ({processor.machine}) needs, on this {platform.machine()}, {wanted} export the "
+        f"a kernel for {processor.name} ({processor.machine}) needs, on this {platform.machine()}, {advice} export the "
         "model on that computer."
     )
 
@@ -68,8 +68,8 @@ def _foreign_hpipm(machine: str) -> HpipmBuild:
 def _fetch(version: str, machine: str, folder: Path, variable: str) -> None:
     """Put the libraries of CasADi's wheel for a machine into a folder."""
     with tempfile.TemporaryDirectory(prefix="alula-") as temporary:
-        wanted = ["--no-deps", "--only-binary=:all:", f"--platform=manylinux2014_{machine}", f"--dest={temporary}"]
-        command = [sys.executable, "-m", "pip", "download", "--quiet", *wanted, f"casadi=={version}"]
+        options = ["--no-deps", "--only-binary=:all:", f"--platform=manylinux2014_{machine}", f"--dest={temporary}"]
+        command = [sys.executable, "-m", "pip", "download", "--quiet", *options, f"casadi=={version}"]
         try:
             done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
             wheels = list(Path(temporary).glob("*.whl"))
