@@ -71,7 +71,7 @@ EFFECT = Effect(
     derivative=derivative,
     grid=grid,
     refine=("length",),
-    confounded_with=("mass",),
+    confounded_with=("mass", "thrust_constant"),
     excitation=Excitation(
         (FORCE, ("attitude",)),
         measure="acceleration",
