@@ -37,11 +37,14 @@ class Regime:
     name: of the quantity, with its unit.
     edges: (b + 1,) of the cells.
     over_floor: (4, b) RMS of each kind of channel over its noise floor, NaN where not flown.
+    rank: (4,) place of the quantity among those that the error depends on: 0 for the one that explains most of each
+        kind, then the one that explains most of what is left. What merely moves with a cause comes late.
     """
 
     name: str
     edges: Floats
     over_floor: Floats
+    rank: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,11 +90,41 @@ def regime_maps(
 ) -> tuple[Regime, ...]:
     """Error over floor of each kind of channel along each quantity. rows: (m, 12) residuals; floor: (12,)."""
     squares = _over_floor(rows, floor)
+    values = _common(segments, vehicle, thresholds)
+    placed = [_placed(one, thresholds) for one in values.values()]
+    places = np.array([place for _, place in placed])
+    ranks = np.array([causes_first(squares[:, kind], places, thresholds.bins) for kind in range(len(KINDS))]).T
     return tuple(
-        Regime(name, edges, _cells(squares, place, len(edges) - 1, thresholds.min_rows))
-        for name, values in _common(segments, vehicle, thresholds).items()
-        for edges, place in [_placed(values, thresholds)]
+        Regime(name, edges, _cells(squares, place, len(edges) - 1, thresholds.min_rows), rank)
+        for name, (edges, place), rank in zip(values, placed, ranks, strict=True)
     )
+
+
+def causes_first(squares: Floats, places: NDArray[np.intp], bins: int) -> NDArray[np.intp]:
+    """(q,) rank of each quantity by what it explains of squared errors that those before it do not.
+
+    Forward selection of main effects: the means of the cells of the quantity that explains most are taken off, and the
+    next one is judged by what is left. Quantities that move together with a cause then explain little.
+
+    squares: (m,); NaN where there is no such channel. places: (q, m) cell of each row in each quantity, -1 for none.
+    """
+    left, ranks = squares - np.nanmean(squares) if np.isfinite(squares).any() else squares, np.zeros(len(places), int)
+    open_ones = list(range(len(places)))
+    for rank in range(len(places)):
+        means = {q: _cell_means(left, places[q], bins) for q in open_ones}
+        best = max(open_ones, key=lambda q: np.nansum(means[q] ** 2))
+        ranks[best] = rank
+        left = left - means[best]
+        open_ones.remove(best)
+    return ranks
+
+
+def _cell_means(values: Floats, place: NDArray[np.intp], bins: int) -> Floats:
+    """(m,) mean of the values in each row's cell, 0 for rows without one or without a value."""
+    here = (place >= 0) & np.isfinite(values)
+    count = np.bincount(place[here], minlength=bins)
+    mean = np.bincount(place[here], values[here], minlength=bins) / np.maximum(count, 1)
+    return np.where(here, mean[np.maximum(place, 0)], 0.0)
 
 
 def regime_planes(
@@ -129,18 +162,19 @@ def plane_cells(plane: Plane) -> PlaneCells:
 def worst_cells(
     maps: Sequence[Regime], thresholds: RegimeThresholds = DEFAULT.regimes, *, count: int = 5
 ) -> tuple[Failure, ...]:
-    """The cells that stand out most, at most one of each regime and channel, worst first."""
+    """The cells that stand out most, at most one of each regime and channel: causes first, among these the worst."""
     failures = []
     for regime in maps:
-        for kind, cells in zip(KINDS, regime.over_floor, strict=True):
+        for kind, cells, rank in zip(KINDS, regime.over_floor, regime.rank.tolist(), strict=True):
             if np.count_nonzero(np.isfinite(cells)) < 2:
                 continue
             place = int(np.nanargmax(cells))
             worst, usual = float(cells[place]), float(np.nanmedian(cells))
             if worst > thresholds.min_failing and worst > thresholds.min_failing_share * usual:
                 low, high = float(regime.edges[place]), float(regime.edges[place + 1])
-                failures.append(Failure(regime.name, round(low, 3), round(high, 3), kind, round(worst, 2)))
-    return tuple(sorted(failures, key=lambda f: -f.rms_over_floor)[:count])
+                failure = Failure(regime.name, round(low, 3), round(high, 3), kind, round(worst, 2))
+                failures.append((rank, -worst, failure))
+    return tuple(failure for *_, failure in sorted(failures, key=lambda found: found[:2])[:count])
 
 
 def _over_floor(rows: Sequence[Floats], floor: Floats) -> Floats:

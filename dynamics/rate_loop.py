@@ -20,6 +20,7 @@ import numpy as np
 from dynamics.allocation import torque_authority
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
+from dynamics.effects.motor_lag import rotor_lag
 from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 
@@ -85,6 +86,13 @@ def rate_loop(
 def motor_time_constant(effects: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> float:
     """Lag that the last effect on the rotors' speed gives the motors, s, or the default where none has a value."""
     return modelled_motor_lag(effects, catalogue) or DEFAULT_MOTOR_LAG
+
+
+def with_motor_lag(uses: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> tuple[EffectUse, ...]:
+    """These effects and, where none of them acts on the rotors' speed, the lag that every real motor has."""
+    if any(catalogue[use.name].rotor_speed is not None for use in uses):
+        return tuple(uses)
+    return (*uses, rotor_lag(DEFAULT_MOTOR_LAG))
 
 
 def modelled_motor_lag(effects: Sequence[EffectUse], catalogue: Mapping[str, Effect] = CATALOGUE) -> float:

@@ -14,6 +14,7 @@ from dynamics.arrays import Floats
 from studio.figure import AFTER, BEFORE, Picture, line, picture, thinned
 
 MAX_POINTS = 1200  # of a line
+OBLIQUE, DISTANCE = 0.25, 2.2  # of the view on a path in space; distance in sizes of the path
 REFERENCE = "#9ca3af"
 
 
@@ -98,9 +99,20 @@ def flight_in_space(flown: FlownComparison) -> Picture:
     for name, colour, (track,) in _sides([flown]):
         figure.add_trace(_curve(track.position, name, colour, 3))
     axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": "#d1d5db"} for axis in "xyz"}
-    away = {"eye": {"x": 1.8, "y": 1.8, "z": 1.4}}
-    figure.update_layout(scene={**axes, "aspectmode": "data", "camera": away})
+    eye = dict(zip("xyz", best_view(flown.before.reference).tolist(), strict=True))
+    camera = {"eye": eye, "projection": {"type": "orthographic"}}
+    figure.update_layout(scene={**axes, "aspectmode": "data", "camera": camera})
     return picture(figure, 420, f"{flown.name} in three dimensions.")
+
+
+def best_view(position: Floats) -> Floats:
+    """(3,) where to stand to see a path (n, 3) in the plane in which it is widest, from above and a little aslant."""
+    _, _, axes = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
+    widest, across = axes[0], axes[2]
+    across = across if across[2] >= 0 else -across
+    # not along the vertical, which is up in the picture, nor along the axes of the plane
+    view = across + OBLIQUE * (widest + np.array([0.0, 0.0, 1.0]))
+    return np.asarray(DISTANCE * view / np.linalg.norm(view))
 
 
 def _sides(flown: Sequence[FlownComparison]) -> tuple[tuple[str, str, list[FlownTrack]], ...]:

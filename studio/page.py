@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
@@ -32,12 +32,14 @@ class Origin:
     made: date and time, UTC.
     inputs: sha256 of each file that was read, by path.
     add: the command that adds the named effect, empty where there is none to add.
+    held_out: those of the files that nothing was fitted to.
     """
 
     command: str = ""
     made: str = ""
     inputs: Mapping[str, str] = field(default_factory=dict)
     add: str = ""
+    held_out: Collection[str] = ()
 
 
 def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
 from dynamics.own_effects import catalogue_of
+from dynamics.rate_loop import with_motor_lag
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect
@@ -36,7 +37,9 @@ def campaign_of(logs: tuple[Path, ...]) -> Path | None:
 
 
 def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
-    """The vehicle that really flew: body and rotors of the file with what the campaign hid, noise left out.
+    """The vehicle that really flew: body and rotors of the file with what the campaign hid, and every motor's lag.
+
+    Noise is left out.
 
     Raises DataError when the campaign does not name what it hid.
     """
@@ -49,7 +52,7 @@ def hidden_plant(campaign: Path, vehicle: Vehicle) -> Vehicle:
     catalogue = catalogue_of(vehicle)
     uses = [parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in texts]
     bare = msgspec.structs.replace(vehicle, effects=())
-    return bare.with_effects(*[use for use in uses if not catalogue[use.name].stochastic])
+    return bare.with_effects(*with_motor_lag([use for use in uses if not catalogue[use.name].stochastic], catalogue))
 
 
 def true_label(data: LabelledRows, campaign: Path, *, dt: float) -> Floats:

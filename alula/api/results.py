@@ -51,10 +51,10 @@ class ComparisonResult:
     def write_html(self, path: str | Path) -> None:
         """Write a page with all pictures, one file. Raises RequestError when it cannot be written."""
         from studio.page import write_page
-        from studio.provenance import origin
+        from studio.provenance import dataset_origin
         from studio.report import comparison_page
 
-        page = comparison_page(self.details, self.dataset, self.vehicle, origin=origin(self.dataset.hashes))
+        page = comparison_page(self.details, self.dataset, self.vehicle, origin=dataset_origin(self.dataset))
         write_page(page, Path(path))
 
 
@@ -90,10 +90,10 @@ class DiagnosisResult:
         add_command: what the page recommends to run next.
         """
         from studio.page import write_page
-        from studio.provenance import origin
+        from studio.provenance import dataset_origin
         from studio.report import diagnosis_page
 
-        source = origin(self.dataset.hashes, add_command)
+        source = dataset_origin(self.dataset, add_command)
         write_page(diagnosis_page(self.details, self.dataset, self.vehicle, origin=source), Path(path))
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +30,7 @@ class Dataset:
     flight_of: the flight of each, numbered from 0.
     held_out: segments that models are judged on.
     hashes: sha256 of the logs that were fitted, by path.
+    held_hashes: the same of logs that were held out whole.
     notes: what the user should know of the data.
     findings: of inspection, about the flights that were used.
     curve: thrust over command, where only commands were logged.
@@ -42,6 +43,7 @@ class Dataset:
     notes: tuple[str, ...]
     findings: tuple[Finding, ...] = ()
     curve: CommandCurve | None = None
+    held_hashes: dict[str, str] = field(default_factory=dict)
 
     @property
     def everything(self) -> tuple[Segment, ...]:
@@ -110,7 +112,10 @@ def make_dataset(
     limits = thresholds.dataset
     fitted, judged, held = _held_out(flown, hold_out, notes, thresholds)
     fitted = _enough_groups(fitted, limits)
-    hashes = {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if i not in held}
+    hashes, held_hashes = (
+        {f.provenance.path: f.provenance.sha256 for i, (f, _) in enumerate(flown) if (i in held) is is_held}
+        for is_held in (False, True)
+    )
     flight_of = tuple(i for i, group in enumerate(fitted) for _ in group)
     to_fit, held_out = tuple(s for group in fitted for s in group), tuple(judged)
     curve = None
@@ -118,7 +123,7 @@ def make_dataset(
         curve = fit_command_curve(to_fit, held_out, vehicle, thresholds.command_curve)
         notes.append(curve.note())
         to_fit, held_out = (tuple(curve.applied(s) for s in part) for part in (to_fit, held_out))
-    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings, curve)
+    return Dataset(to_fit, flight_of, held_out, hashes, tuple(notes), findings, curve, held_hashes)
 
 
 def _flight(log: Log, thresholds: SegmentThresholds) -> Flight:

@@ -14,11 +14,10 @@ from dynamics import quaternion
 from dynamics import symbolic as ca
 from dynamics.effect import Effect, Expression, Values
 from dynamics.effects import CATALOGUE
-from dynamics.effects.motor_lag import rotor_lag
 from dynamics.integrators import required_steps, rk4, with_unit_attitude
 from dynamics.model import Model, build_model
 from dynamics.own_effects import catalogue_of
-from dynamics.rate_loop import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
+from dynamics.rate_loop import ACTUATION_DELAY, with_motor_lag
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from sitl_mock.vehicle import allocation, battery, ground, inner_loop
@@ -56,9 +55,7 @@ def plant_effects(
     """Effects of the vehicle file, those hidden from it in their place or beside them, and always some motor lag."""
     catalogue = catalogue_of(vehicle, catalogue)
     merged = {(use.name, use.rotor): use for use in (*vehicle.effects, *hidden)}
-    if any(catalogue[use.name].rotor_speed is not None for use in merged.values()):
-        return tuple(merged.values())
-    return (*merged.values(), rotor_lag(DEFAULT_MOTOR_LAG))
+    return with_motor_lag(tuple(merged.values()), catalogue)
 
 
 def build_plant(

@@ -193,7 +193,8 @@ def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
     origin = Origin(
         command=history[-1].command if history else "",
         made=datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds"),
-        inputs=learning.dataset.hashes,
+        inputs={**learning.dataset.hashes, **learning.dataset.held_hashes},
+        held_out=tuple(learning.dataset.held_hashes),
     )
     first, dataset = learning.completion.first, learning.dataset
     if flown:

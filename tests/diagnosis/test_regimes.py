@@ -6,7 +6,7 @@ import pytest
 
 from diagnosis.comparison import compare_dataset
 from diagnosis.data.dataset import make_dataset
-from diagnosis.regimes import plane_cells, regime_maps, regime_planes
+from diagnosis.regimes import causes_first, plane_cells, regime_maps, regime_planes, worst_cells
 from diagnosis.selection.noise import estimate_noise
 from diagnosis.spectrum import residual_spectrum
 from diagnosis.thresholds import DEFAULT
@@ -34,10 +34,10 @@ def segments(plain_flights, arpl_250g):
     return make_dataset(plain_flights, arpl_250g).everything
 
 
-def failing_fast(segment):
-    """Residuals at their floor of 1, five times as large in the accelerometer above 1.5 m/s."""
+def failing_fast(segment, above=1.5):
+    """Residuals at their floor of 1, five times as large in the accelerometer above a speed, m/s."""
     rows = segment.decimated
-    fast = np.linalg.norm(segment.smooth[rows, VELOCITY], axis=1) > 1.5
+    fast = np.linalg.norm(segment.smooth[rows, VELOCITY], axis=1) > above
     rows_of_one = np.ones((len(fast), 12))
     rows_of_one[fast, 0:3] *= 5
     return rows_of_one
@@ -88,3 +88,22 @@ def test_the_comparison_as_json_holds_maps_planes_and_spectrum(plain_flights, ar
     assert any(None in row for plane in written["planes"] for row in plane["over_floor"]["imu"])
     assert set(written["spectrum"]["power"]) == set(written["spectrum"]["noise"])
     assert len(written["spectrum"]["frequency"]) == len(written["spectrum"]["power"]["imu x"])
+
+
+def test_a_cause_is_named_before_what_merely_moves_with_it():
+    """The error grows with speed; thrust follows speed half of the time, height not at all."""
+    random = np.random.default_rng(3)
+    speed = random.integers(0, 8, 20000)
+    thrust = np.where(random.random(len(speed)) < 0.6, speed, random.integers(0, 8, len(speed)))
+    height = random.integers(0, 8, len(speed))
+    squares = (1.0 + speed**2) * random.chisquare(3, len(speed)) / 3
+    assert causes_first(squares, np.array([thrust, height, speed]), 8)[2] == 0
+    # what thrust alone would show is left of nothing once speed is known
+    both = causes_first(squares + 0.2 * height * random.chisquare(3, len(speed)), np.array([thrust, height, speed]), 8)
+    assert both.tolist() == [2, 1, 0]
+
+
+def test_the_failures_of_a_diagnosis_begin_with_their_cause(segments, arpl_250g):
+    rows = [failing_fast(s, above=2.2) for s in segments]
+    first, *_ = worst_cells(regime_maps(segments, rows, np.ones(12), arpl_250g))
+    assert (first.regime, first.channel) == ("speed m/s", "imu")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import re
 import shutil
@@ -17,9 +18,10 @@ from diagnosis.diagnose import DiagnosisDetails
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from studio.evidence import likeness, overlay
-from studio.flown import FlownComparison, FlownTrack
+from studio.flown import FlownComparison, FlownTrack, best_view
 from studio.numbers import quantity_shown, shown
 from studio.page import Origin, write_page
+from studio.provenance import dataset_origin
 from studio.report import add_command, comparison_page, demo_page, diagnosis_page
 
 MAX_SIZE = 5_000_000  # bytes
@@ -182,3 +184,24 @@ def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
     assert drawn == pictures > 5
     assert wide <= 390
     assert failed == 0
+
+
+@pytest.mark.parametrize("normal", [(0, 0, 1), (0, 1, 0), (1, -1, 0.2), (-0.3, 0.5, -1)])
+def test_a_path_in_space_is_seen_where_it_is_widest(normal: tuple[float, float, float]) -> None:
+    """From the side to which its plane faces, within 30 degrees, never from below, and never along the vertical."""
+    across = np.array(normal) / np.linalg.norm(normal)
+    along = np.linalg.svd(across[None])[2][1:]
+    turn = np.linspace(0, 2 * np.pi, 200)[:, None]
+    view = best_view(2.0 * np.cos(turn) * along[0] + np.sin(turn) * along[1] + [3.0, 1.0, 2.0])
+    view = view / np.linalg.norm(view)
+    assert abs(view @ across) > np.cos(np.radians(30))
+    assert 0 < view[2] < np.cos(np.radians(5))
+
+
+def test_files_that_nothing_was_fitted_to_are_marked(
+    findings: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle
+) -> None:
+    marked = dataclasses.replace(dataset, hashes={"a.csv": "1" * 64}, held_hashes={"b.csv": "2" * 64})
+    page = diagnosis_page(findings, dataset, vehicle, origin=dataset_origin(marked))
+    assert "<td>a.csv</td>" in page
+    assert "<td>b.csv (held out)</td>" in page

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from pathlib import Path
 
 import msgspec
@@ -12,12 +13,14 @@ import pytest
 from dynamics.errors import DataError, RequestError
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
+from dynamics.vehicle_file import parse_effect
+from sitl_mock.vehicle.plant import plant_effects
 from tests.support.small_campaign import fly_campaign
 from tests.support.trained import untrained_model
 from training.calibration import auroc, calibration
 from training.checkpoint import Reliability, TrainedModel
 from training.data.features import outputs_from
-from training.data.logged_flights import LoggedFlight, read_logged_flights
+from training.data.logged_flights import CAMPAIGN, LoggedFlight, read_logged_flights
 from training.evaluation import NOMINAL, PLANT, NamedModel, evaluate, physical_model, rows_for
 from training.ground_truth import campaign_of, hidden_plant, true_label
 from training.models import named_kind
@@ -51,6 +54,14 @@ def test_the_plant_is_known_from_what_the_campaign_hid(campaign: Path, arpl_250g
     assert campaign_of((*logs, Path(__file__))) is None
     named = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 1e-5}))
     assert [use.name for use in hidden_plant(campaign, named).effects] == ["motor_lag", "rotor_drag"]
+
+
+def test_the_plant_has_the_lag_that_the_mock_gives_every_motor(tmp_path: Path, arpl_250g: Vehicle) -> None:
+    drag = "rotor_drag:coefficient=1e-5"
+    (tmp_path / CAMPAIGN).write_text(json.dumps({"effects": [drag]}))
+    flown = plant_effects(arpl_250g, [parse_effect(drag, arpl_250g.rotors.count)])
+    assert hidden_plant(tmp_path, arpl_250g).effects == flown
+    assert {use.name for use in flown} == {"rotor_drag", "motor_lag"}
 
 
 def test_against_the_truth_the_plant_errs_by_sensor_noise_alone(
