@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate, verify
     from alula.api.learning import evaluate, export, train
+    from alula.api.planning import plan_flight
     from alula.api.vehicles import check_vehicle, new_vehicle, vehicle_from_logs
     from dynamics.effect import Effect
     from dynamics.errors import AlulaError, DataError, RequestError, VehicleError
@@ -53,6 +54,7 @@ __all__ = [
     "inspect",
     "load_vehicle",
     "new_vehicle",
+    "plan_flight",
     "read_flight",
     "read_flights",
     "read_folder",
@@ -69,6 +71,7 @@ _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate", "verify"),
     "alula.api.learning": ("evaluate", "export", "train"),
+    "alula.api.planning": ("plan_flight",),
     "alula.api.vehicles": ("check_vehicle", "new_vehicle", "vehicle_from_logs"),
     "dynamics.effect": ("Effect",),
     "dynamics.errors": ("AlulaError", "DataError", "RequestError", "VehicleError"),

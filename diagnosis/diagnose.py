@@ -23,7 +23,7 @@ from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import without_command_effects
-from diagnosis.next_flight import next_flight
+from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis
 from diagnosis.selection.regression import Regression, make_regression
@@ -108,6 +108,7 @@ def diagnose_dataset(
         candidates=considered(selection, effects, refused),
         leftover=left,
         rotors=rotor_names(vehicle),
+        next_reference=next_reference(effects, refused, quiet, catalogue),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from diagnosis.estimation.refusal import Refused
 from diagnosis.report import Leftover, MissingEffect
 from dynamics.effect import Effect
+from dynamics.references.catalogue import IDENTIFY
 
 OTHERWISE = "more aggressive flight"
 NOTHING = "nothing is open; fly again after the next change of the vehicle"
@@ -31,6 +32,29 @@ def next_flight(
     if not advice and not_excited:
         advice.append(f"to see {not_excited[0]}: {_manoeuvre(catalogue[not_excited[0]])}")
     return ". ".join(advice[:MAX_ADVICE]) or NOTHING
+
+
+def next_reference(
+    effects: Sequence[MissingEffect],
+    refused: Sequence[Refused],
+    not_excited: Sequence[str],
+    catalogue: Mapping[str, Effect],
+) -> str:
+    """The reference of an identification flight for the effects that are open, empty where none is.
+
+    Look-alikes and hints, else what was not excited; not what no manoeuvre shows.
+    """
+    names = [name for e in effects if e.ambiguous_with for name in (e.name, *e.ambiguous_with)]
+    names += [one.name for one in refused if one.is_hint]
+    plannable = [name for name in dict.fromkeys(names or not_excited) if _shows_in_a_manoeuvre(catalogue[name])]
+    return f"{IDENTIFY}:for={'+'.join(plannable)}" if plannable else ""
+
+
+def _shows_in_a_manoeuvre(effect: Effect) -> bool:
+    excitation = effect.excitation
+    return not effect.stochastic and (
+        excitation is None or excitation.measure not in ("", "voltage_drop", "low_flight")
+    )
 
 
 def _telling_apart(names: Sequence[str], catalogue: Mapping[str, Effect]) -> str:

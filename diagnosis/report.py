@@ -119,6 +119,8 @@ class Diagnosis(msgspec.Struct, frozen=True):
     not_excited: effects that would not have shown at their usual size.
     fails_where: cells in which the model fails most.
     next_flight: the manoeuvre to fly next.
+    next_reference: of the identification flight for the effects that are open, as `alula fly --reference` takes it;
+        empty where none is.
     refused: effects that were selected and are not named, each with its reason.
     candidates: what was tried, the best first.
     leftover: what no effect of the catalogue explains, the largest first.
@@ -135,6 +137,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     candidates: tuple[Considered, ...] = ()
     leftover: tuple[Leftover, ...] = ()
     rotors: tuple[str, ...] = ()
+    next_reference: str = ""
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).with_name("api.md")
-ROOMS = ("vehicles", "flights", "diagnosis", "learning", "flying")  # of alula.api, in the order of the loop
+ROOMS = ("vehicles", "flights", "diagnosis", "learning", "planning", "flying")  # of alula.api, in the order of the loop
 REPORTS = (  # that functions return as they are
     ("flights.quality.inspection", "Inspection"),
     ("dynamics.vehicle_draft", "Draft"),
@@ -25,6 +25,9 @@ REPORTS = (  # that functions return as they are
     ("diagnosis.vehicle_identification", "Identification"),
     ("diagnosis.vehicle_check", "VehicleCheck"),
     ("diagnosis.hover_trim", "TrimComparison"),
+    ("diagnosis.experiment.planning", "PlannedFlight"),
+    ("diagnosis.experiment.expectation", "ExpectedInterval"),
+    ("simulation.trial_flight", "TrialFlight"),
     ("simulation.lockstep", "FlownReference"),
     ("runtime.daemon", "FlightReport"),
 )

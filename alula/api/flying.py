@@ -6,6 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from alula.api.planning import plan_flight
+from alula.api.reference_file import planned_reference
 from alula.api.signals import landing_on_signals
 from alula.workbench import workbench
 
@@ -28,7 +30,8 @@ def simulate(
 ) -> FlownReference:
     """Track a reference on a simulated vehicle in lockstep: simulated time, no link, the same bits for the same seed.
 
-    reference: name, "NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3", or a CSV file of your own.
+    reference: name, "NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3", a CSV file of your own, or what `plan_flight`
+        takes, "identify:for=drag".
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
     bundle: folder of an exported model that flies, instead of a vehicle.
     hidden: effects of the simulated vehicle that the controller's model lacks: "name:key=value,...".
@@ -46,7 +49,7 @@ def simulate(
     with workbench("alula.simulate"):
         from simulation.lockstep import fly_reference
     from dynamics.own_effects import catalogue_of
-    from dynamics.references import check_feasibility, named_reference
+    from dynamics.references import check_feasibility, is_identification, named_reference
     from dynamics.vehicle_file import parse_effect, parse_vehicle
     from runtime.control.controller import Controller
     from runtime.flight_setup import exported_bundle, flown_vehicle_text, hovering_vehicle
@@ -55,7 +58,10 @@ def simulate(
     flying = parse_vehicle(flown_vehicle_text(_path_or_vehicle(vehicle), folder, effect_files))
     learned = exported_bundle(folder)
     trim = hovering_vehicle(flying)
-    path = named_reference(reference, trim, duration=duration)
+    if is_identification(reference):
+        path = plan_flight(flying, reference, trial=False).plan.reference
+    else:
+        path = named_reference(reference, trim, duration=duration)
     check_feasibility(path, trim).require()
     catalogue, count = catalogue_of(flying), flying.rotors.count
     uses = [parse_effect(use, count, catalogue=catalogue) if isinstance(use, str) else use for use in hidden]
@@ -121,10 +127,16 @@ def fly(
         report = alula.fly("Lemniscate", vehicle="px4_sih", duration=20.0, record="recordings")
         print(report.completed, report.tracking.position_rmse)
     """
+    from dynamics.references import is_identification
     from runtime.daemon import Daemon
     from runtime.flight_setup import FlightSetup, prepare_flight
     from simulation.flight_check import read_check
 
+    if is_identification(reference):
+        place = bundle if vehicle is None else vehicle
+        planned = planned_reference(reference, place, effect_files=effect_files, duration=duration, folder=record)
+        announce(planned.text)
+        reference = planned.file
     setup = FlightSetup(
         link=link,
         vehicle=_path_or_vehicle(vehicle),

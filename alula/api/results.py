@@ -17,16 +17,20 @@ if TYPE_CHECKING:
     from diagnosis.comparison import Comparison, ComparisonDetails
     from diagnosis.data.dataset import Dataset
     from diagnosis.diagnose import DiagnosisDetails
+    from diagnosis.experiment import ExpectedInterval, PlannedFlight
     from diagnosis.report import Diagnosis
     from dynamics.effect import Effect
     from dynamics.vehicle import Vehicle
     from export.parity import Parity
     from runtime.control.bundle import Manifest
     from simulation.flight_check import FlightCheck
+    from simulation.trial_flight import TrialFlight
     from studies.evaluation.run import EvaluationAnswer, Results
     from studies.tables import Table
     from training.card import Card
     from training.checkpoint import TrainedModel
+
+SHOWN_PARAMETERS = 5  # of a planned flight, in a terminal
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +99,45 @@ class DiagnosisResult:
 
         source = dataset_origin(self.dataset, add_command)
         write_page(diagnosis_page(self.details, self.dataset, self.vehicle, origin=source), Path(path))
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationFlight:
+    """A manoeuvre that shows much of the effects' parameters, as the mock of the vehicle can fly it.
+
+    plan: the reference, and the intervals that it lets expect.
+    pace: factor on the speed that was planned first.
+    trial: the flight on the mock; None where it was not flown there.
+    """
+
+    plan: PlannedFlight
+    pace: float
+    trial: TrialFlight | None
+
+    @property
+    def text(self) -> str:
+        """What was planned, three lines for a terminal."""
+        import numpy as np
+
+        from dynamics.state import POSITION, VELOCITY
+
+        motion = self.plan.reference.states(np.arange(0.0, self.plan.reference.duration, 0.05))
+        sides = " x ".join(f"{side:.1f}" for side in np.ptp(motion[:, POSITION], axis=0))
+        fastest = np.linalg.norm(motion[:, VELOCITY], axis=1).max()
+        paced = "" if self.pace == 1.0 else f" ({self.pace:g} of what was planned first)"
+        lines = [f"planned: {self.plan.reference.duration:g} s in {sides} m, up to {fastest:.1f} m/s{paced}"]
+        shown = sorted(self.plan.expected, key=lambda one: one.std / one.prior)[:SHOWN_PARAMETERS]
+        listed = ", ".join(f"{one.name} {one.prior:.2g} to {one.std:.2g}{_unit(one)}" for one in shown)
+        lines.append(f"standard deviations before and after: {listed}")
+        return "\n".join(lines if self.trial is None else [*lines, f"on the mock: {self.trial.text}"])
+
+    def write_csv(self, path: str | Path) -> Path:
+        """Write the reference as a file that `fly` takes. Raises RequestError when it cannot be written."""
+        return self.plan.write_csv(path)
+
+
+def _unit(interval: ExpectedInterval) -> str:
+    return "" if interval.unit == "1" else f" {interval.unit}"
 
 
 @dataclass(frozen=True, eq=False)

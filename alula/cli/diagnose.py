@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
@@ -14,7 +14,9 @@ from rich.table import Table
 import alula
 from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, Pose, VehicleOption
 from alula.cli.output import options, print_next
+from alula.cli.planning import planning_progress
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.references.catalogue import IDENTIFY
 
 if TYPE_CHECKING:
     from alula.api.results import DiagnosisResult
@@ -36,6 +38,10 @@ def diagnose(
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
     html: Page = None,
+    next_flight: Annotated[
+        Path | None,
+        typer.Option(help="Plan the flight for the effects that are open, and write it to this file (CSV) for `fly`."),
+    ] = None,
 ) -> None:
     """Name the physical effect that is missing from a vehicle's model, or report that the model explains the flights.
 
@@ -54,22 +60,39 @@ def diagnose(
 
         adding = add_command(result.report, logs, vehicle, shared, result.details.regression.catalogue)
         result.write_html(html, add_command=adding)
+    if next_flight is not None:
+        _write_next_flight(result, next_flight)
     if json != STANDARD_OUTPUT:
         _print(result, Console(file=sys.stdout))
-        print_next(*_following(result, logs, vehicle, tuple(shared.items())))
+        following = _following(result, logs, vehicle, tuple(shared.items()))
+        print_next(*(following if next_flight is None else _flying(vehicle, next_flight, effects)))
+
+
+def _write_next_flight(result: DiagnosisResult, path: Path) -> None:
+    with planning_progress(Console(stderr=True)) as progress:
+        flight = alula.plan_flight(result.vehicle, result.report.next_reference or IDENTIFY, progress=progress)
+    flight.write_csv(path)
+
+
+def _flying(vehicle: str, reference: object, effects: list[Path] | None) -> list[object]:
+    own = options([("--effects", effects)])
+    return ["fly", "--vehicle", vehicle, *own, "--reference", reference, "--record", "recordings"]
 
 
 def _following(
-    result: DiagnosisResult, logs: list[Path], vehicle: str, shared: Sequence[tuple[str, object]]
+    result: DiagnosisResult, logs: list[Path], vehicle: str, shared: Sequence[tuple[str, Any]]
 ) -> list[object]:
-    """What to run next: add what a vehicle file can hold, fly what is explained, look where nothing fits."""
-    catalogue = result.details.regression.catalogue
-    if any(not catalogue[effect.name].stochastic for effect in result.report.effects):
+    """What to run next: add what a vehicle file can hold, fly for what is open, look where nothing fits."""
+    catalogue, report = result.details.regression.catalogue, result.report
+    own_effects = next(value for name, value in shared if name == "--effects")
+    if report.verdict == "ambiguous" and report.next_reference:
+        return _flying(vehicle, report.next_reference, own_effects)
+    if any(not catalogue[effect.name].stochastic for effect in report.effects):
         return ["add", *logs, "--vehicle", vehicle, *options(shared)]
-    if result.report.verdict == "unknown":
+    if report.verdict == "unknown":
         own = options((name, value) for name, value in shared if name != "--hold-out")
         return ["compare", *logs, "--vehicle", vehicle, *own, "--html", "comparison.html"]
-    return ["fly", "--vehicle", vehicle, "--reference", "Lemniscate", "--record", "recordings"]
+    return _flying(vehicle, report.next_reference or "Lemniscate", own_effects)
 
 
 def _compare_hover(logs: list[Path], normal: list[Path], vehicle: str, mapping: Path | None, json: Path | None) -> None:

@@ -11,10 +11,13 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
+from alula.api.reference_file import planned_reference
 from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
 from alula.cli.output import options, print_next
-from dynamics.errors import VehicleError
+from alula.cli.planning import planning_progress
+from dynamics.errors import RequestError, VehicleError
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.references import is_identification
 
 if TYPE_CHECKING:
     from runtime.daemon import FlightReport
@@ -24,9 +27,19 @@ REALTIME_PRIORITY = 50
 
 def fly(
     reference: Annotated[
-        str, typer.Option(help="NAME or NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3, or a CSV file of your own.")
+        str,
+        typer.Option(
+            help="NAME or NAME:speed=0.8,size=1.2,plane=yz,height=1,laps=3, or a CSV file of your own, or "
+            "identify[:duration=60,box=4x4x2.5,speed=5,for=drag+lag] for a flight planned to show the most."
+        ),
     ],
     link: LinkOption = LINK,
+    for_effects: Annotated[
+        str | None,
+        typer.Option(
+            "--for", help="With --reference identify: the effects to show, as drag,inertia,lag.", metavar="EFFECTS"
+        ),
+    ] = None,
     vehicle: Annotated[str | None, typer.Option(help="Vehicle file (TOML), or the name of a bundled one.")] = None,
     effects: Effects = None,
     bundle: Annotated[Path | None, typer.Option(help="Bundle of a learned model, instead of --vehicle.")] = None,
@@ -63,6 +76,20 @@ def fly(
 ) -> None:
     """Take off, track a reference, land. SIGINT or SIGTERM lands, a second one stops streaming at once."""
     console = Console(stderr=as_json)
+    if for_effects is not None:
+        reference = _for(reference, for_effects)
+    if is_identification(reference):
+        with planning_progress(console) as progress:
+            planned = planned_reference(
+                reference,
+                vehicle if bundle is None else bundle,
+                effect_files=effects or (),
+                duration=duration,
+                folder=record,
+                progress=progress,
+            )
+        reference = planned.file
+        _announce(console, planned.text)
     report = alula.fly(
         reference,
         vehicle=vehicle,
@@ -92,6 +119,16 @@ def fly(
         raise VehicleError(f"The flight did not end with a landing: {report.outcome}.")
     if not report.completed:
         raise VehicleError(f"The flight was cut short and landed: {report.landing_reason}.")
+
+
+def _for(reference: str, effects: str) -> str:
+    """The reference with the effects that it is to show. Raises RequestError where it is none that is planned."""
+    if not is_identification(reference):
+        raise RequestError(
+            f"--for {effects} belongs to --reference identify, not {reference}: that manoeuvre is what it is."
+        )
+    words = "+".join(filter(None, effects.replace(",", "+").split("+")))
+    return f"{reference}{',' if ':' in reference else ':'}for={words}"
 
 
 def _following(

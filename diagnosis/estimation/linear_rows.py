@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Protocol
 
 import numpy as np
 
@@ -12,9 +13,34 @@ from diagnosis.estimation.fitted import with_candidates
 from diagnosis.models import channels
 from diagnosis.models.prediction import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
-from diagnosis.selection.regression import Regression
+from diagnosis.thresholds import Thresholds
 from dynamics.arrays import Floats
+from dynamics.effect import Effect
 from dynamics.vehicle import EffectUse, Vehicle
+
+
+class Fitted(Protocol):
+    """What is fitted: a regression's segments on its vehicle, or a planned flight."""
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The vehicle whose model is completed."""
+        ...
+
+    @property
+    def catalogue(self) -> Mapping[str, Effect]:
+        """All effects by name."""
+        ...
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        """Of which the first has the kinds of channel that all have."""
+        ...
+
+    @property
+    def thresholds(self) -> Thresholds:
+        """Of prediction and fit."""
+        ...
 
 
 class LinearRows:
@@ -24,7 +50,7 @@ class LinearRows:
     of_commands: whether rotor speeds follow from commands.
     """
 
-    def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
+    def __init__(self, regression: Fitted, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
         self._regression, self._vehicle = regression, vehicle
         self.free = [(c, name) for c in candidates for name in _free(c)]
         self.names = [f"{c.key}.{name}" for c, name in self.free]

@@ -17,6 +17,7 @@ from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import nearest
 
 MANOEUVRES = {**PAPER, **PLAIN}
+IDENTIFY = "identify"
 _EXAMPLE = "Write NAME or NAME:key=value,..., as in lemniscate:plane=yz,speed=0.8"
 _SPELLINGS = {name.lower().replace("_", ""): name for name in MANOEUVRES}
 
@@ -46,12 +47,23 @@ def named_reference(text: str, vehicle: Vehicle, *, duration: float | None = Non
     """
     if text.lower().endswith((".csv", ".csv.gz")) or Path(text).is_file():
         return read_table(Path(text), vehicle)
+    if is_identification(text):
+        raise RequestError(
+            f"reference {text!r} is planned first, which `alula fly` does: give this command the file that it writes."
+        )
     name, _, rest = text.partition(":")
     manoeuvre = _SPELLINGS.get(name.strip().lower().replace("_", "").replace("-", "").replace(" ", ""))
     if manoeuvre is None:
         names = ", ".join(MANOEUVRES)
-        raise RequestError(f"unknown reference {name!r}{nearest(name, MANOEUVRES)}. Known: {names}, or a .csv file.")
+        raise RequestError(
+            f"unknown reference {name!r}{nearest(name, MANOEUVRES)}. Known: {names}, identify, or a .csv file."
+        )
     return make_reference(manoeuvre, _parse_shape(text, rest), vehicle, duration=duration)
+
+
+def is_identification(text: str) -> bool:
+    """Whether a reference's name asks for an identification flight, which has to be planned first."""
+    return text.partition(":")[0].strip().lower() == IDENTIFY
 
 
 def make_reference(name: str, shape: Shape, vehicle: Vehicle, *, duration: float | None = None) -> Reference:

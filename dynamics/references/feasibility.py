@@ -68,7 +68,7 @@ class Feasibility:
 
 def check_feasibility(reference: Reference, vehicle: Vehicle, *, ground: float = 0.0) -> Feasibility:
     """Check a reference every 10 ms: rotor thrusts, body rates, speed, height over ground (m), position box."""
-    excesses = _excesses(_samples(reference), vehicle, ground)
+    excesses = exceeded_limits(_samples(reference), vehicle, ground)
     slower = _feasible_speed(reference, vehicle, ground) if excesses else None
     return Feasibility(reference.name, excesses, slower, _advise(reference, slower) if excesses else "")
 
@@ -99,7 +99,7 @@ def _feasible_speed(reference: Reference, vehicle: Vehicle, ground: float) -> fl
     """The greatest factor of speed at which every limit is kept, None when it is below a twentieth."""
 
     def fits(speed: float) -> bool:
-        return not _excesses(_samples(slowed(reference, speed)), vehicle, ground)
+        return not exceeded_limits(_samples(slowed(reference, speed)), vehicle, ground)
 
     return _bisect(fits, 0.05, 1.0)
 
@@ -114,7 +114,8 @@ def _bisect(fits: Callable[[float], bool], low: float, high: float) -> float | N
     return int(100 * low) / 100
 
 
-def _excesses(motion: ReferenceSamples, vehicle: Vehicle, ground: float) -> tuple[Excess, ...]:
+def exceeded_limits(motion: ReferenceSamples, vehicle: Vehicle, ground: float) -> tuple[Excess, ...]:
+    """The worst instant of every limit of a vehicle that a motion exceeds. ground: height, m."""
     rotors, limits = vehicle.rotors, vehicle.limits
     full = rotors.thrust_constant * rotors.speed_max**2
     idle = rotors.thrust_constant * rotors.speed_min**2

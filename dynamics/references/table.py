@@ -11,6 +11,7 @@ from __future__ import annotations
 import csv
 import gzip
 import math
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +19,7 @@ import numpy as np
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
+from dynamics.files import write_whole
 from dynamics.references.curve import DERIVATIVES, FLAT, PiecewisePolynomial
 from dynamics.references.reference import Reference
 from dynamics.references.time_law import TimeLaw
@@ -28,6 +30,7 @@ MIN_ROWS = 7
 WINDOW, DEGREE = 9, 6  # of the local fits: rows, and degree of the polynomial
 AT_REST = 0.05  # m/s or rad/s
 RAMP = 2.0  # s
+WRITTEN_STEP = 0.02  # s between the rows of a table that is written
 MAX_SPEED = 50.0  # m/s between two rows; beyond it the unit is wrong or the table jumps
 _COLUMNS = "Required: columns t (s), position_x, position_y, position_z (m), optionally yaw (rad) or attitude_w..z"
 
@@ -45,6 +48,20 @@ def read_table(path: Path, vehicle: Vehicle) -> Reference:
     ramp = min(RAMP, times[-1] / 2) if moving else 0.0
     law = TimeLaw(1.0, ramp, float(times[-1]) + ramp)
     return Reference(path.name, _joined(times, derivatives), law, vehicle)
+
+
+def write_table(reference: Reference, path: Path, notes: Sequence[str] = ()) -> Path:
+    """Write position and yaw of a reference every 20 ms, notes above them. Raises RequestError."""
+    motion = reference.sample(np.append(np.arange(0.0, reference.duration, WRITTEN_STEP), reference.duration))
+    rows = np.column_stack([motion.time, motion.position, motion.yaw])
+
+    def write(part: Path) -> None:
+        with part.open("w", encoding="utf-8", newline="") as file:
+            file.writelines(f"# {note}\n" for note in notes)
+            file.write(",".join((*REQUIRED, "yaw")) + "\n")
+            np.savetxt(file, rows, fmt="%.7f", delimiter=",")
+
+    return write_whole(path, write, advice="Give a file in a folder that can be written.")
 
 
 def _local_fits(times: Floats, values: Floats) -> Floats:

@@ -58,6 +58,8 @@ def test_a_reference_that_the_vehicle_cannot_fly_is_refused_before_anything_is_s
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        (["--reference", "hover", "--for", "drag"], "--for drag belongs to --reference identify"),
+        (["--reference", "identify:box=4x4", "--vehicle", "px4_sih"], "WIDTHxDEPTHxTOP"),
         (["--reference", "hover"], "--vehicle"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--set", "controller.horizn=1"], "did you mean 'horizon'"),
         (["--reference", "hover", "--vehicle", "px4_sih", "--set", "controller.horizon=0.2"], "Give at least 0.25 s"),

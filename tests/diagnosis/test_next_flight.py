@@ -3,7 +3,7 @@
 import pytest
 
 from diagnosis.estimation.refusal import Refused
-from diagnosis.next_flight import MAX_ADVICE, NOTHING, next_flight
+from diagnosis.next_flight import MAX_ADVICE, NOTHING, next_flight, next_reference
 from diagnosis.regimes import Failure
 from diagnosis.report import REMAINS, Leftover, MissingEffect, Seconds, evidence_sentence, leftover_sentence
 from dynamics.effects import CATALOGUE
@@ -48,6 +48,16 @@ def test_look_alikes_come_first_and_hints_last():
     assert text.index("to tell mass from thrust_constant") < text.index("about what the state predicts")
     assert text.index("about what the state predicts") < text.index("to confirm axial_inflow")
     assert "wind" not in text
+
+
+def test_the_reference_is_for_what_is_open_and_a_manoeuvre_shows():
+    alike = MissingEffect("mass", None, {}, 1.0, ("thrust_constant",))
+    sure = MissingEffect("rotor_drag", None, {}, 1.0, ())
+    hint = Refused("axial_inflow", None, "interval_holds_neutral", {"deviations": 1.0, "required": 2.0})
+    reference = next_reference([sure, alike], [hint], ["inertia"], CATALOGUE)
+    assert reference == "identify:for=mass+thrust_constant+axial_inflow"
+    assert next_reference([], [], ["gust", "wall_effect", "inertia"], CATALOGUE) == "identify:for=inertia"
+    assert next_reference([sure], [], [], CATALOGUE) == ""
 
 
 def test_there_are_never_more_than_a_few():

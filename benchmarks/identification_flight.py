@@ -1,0 +1,242 @@
+"""Does an identification flight halve the intervals of the parameters, against a Lemniscate of equal length?
+
+One vehicle in lockstep on the mock hides several effects of random size; each seed is other sizes and other sensor
+noise. The same vehicle flies the paper's Lemniscate and planned manoeuvres, 60 s each: in the Lemniscate's room, which
+limits the speed of both, and on a field, for the hidden effects by name and for the whole catalogue. The hidden
+effects are fitted jointly as a known set, from motor commands alone (as PX4 logs them, with the motors' lag among the
+unknown) and from measured rotor speeds. Ratio: the fit's standard deviation over that of the Lemniscate's.
+
+    python -m benchmarks.identification_flight --first-seed 5000 --flights 4
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.interval_coverage import known_set
+from benchmarks.provenance import write_result
+from benchmarks.whole_flights import flown, options_of
+from diagnosis.data.dataset import make_dataset
+from diagnosis.estimation.equation_error import fit
+from diagnosis.experiment import PlannedFlight, parse_request, plan_flight
+from diagnosis.selection.regression import make_regression
+from dynamics.effects import CATALOGUE
+from dynamics.errors import VehicleError
+from dynamics.references import Reference, check_feasibility, named_reference
+from dynamics.references.feasibility import slowed
+from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import read_vehicle
+from flights import Flight
+from flights.log import Log
+from simulation.campaign_flight import SPEEDS
+from simulation.lockstep import FlownReference, fly_reference
+from sitl_mock.vehicle.vehicle import VehicleOptions
+
+VEHICLE, SECONDS, ROOM, FIELD = "arpl_250g", 60.0, "box=4x4x3", "box=10x10x5"
+LEMNISCATE = "Lemniscate:ramp=3,height=1.5"
+HEALTHY = ("imu_bias", "gyro_bias", "time_delay")  # sensors' errors that every fit holds
+SETS: Mapping[str, tuple[str, ...]] = {
+    "drag, inertia, lag": ("rotor_drag", "linear_drag", "parasitic_drag", "inertia", "motor_lag"),
+    "moments": ("inertia", "torque_constant", "centre_of_mass", "rotational_damping"),
+}
+LOGGED = {"drag, inertia, lag": ("commands", "speeds"), "moments": ("speeds",)}
+PLANNED = {
+    "drag, inertia, lag": (
+        f"identify:{ROOM},for=drag+inertia+lag",
+        f"identify:{FIELD},for=drag+inertia+lag",
+        f"identify:{ROOM}",
+    ),
+    "moments": (f"identify:{ROOM},for=inertia+torque_constant+centre_of_mass+rotational_damping",),
+}
+Row = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What is hidden, and the seed of its size and of the sensors."""
+
+    hidden: str
+    seed: int
+
+
+@cache
+def vehicle() -> Vehicle:
+    """The nominal vehicle."""
+    return read_vehicle(f"vehicles/{VEHICLE}.toml")
+
+
+@cache
+def planned(text: str) -> tuple[PlannedFlight, float]:
+    """An identification flight, and the processor's time that planning took, s."""
+    began = time.process_time()
+    request = parse_request(f"{text},duration={SECONDS:g}")
+    return plan_flight(vehicle(), request, CATALOGUE), time.process_time() - began
+
+
+def reference(text: str) -> Reference:
+    """The reference of a name, of equal length; the Lemniscate as fast as the vehicle can fly it."""
+    if text.startswith("identify"):
+        return planned(text)[0].reference
+    path = named_reference(text, vehicle(), duration=SECONDS)
+    verdict = check_feasibility(path, vehicle())
+    return path if verdict.is_feasible else slowed(path, verdict.feasible_speed or 1.0)
+
+
+def sizes(trial: Trial) -> list[EffectUse]:
+    """The hidden effects, of 0.5 to 1.5 times their usual size."""
+    random = np.random.default_rng([*trial.hidden.encode(), trial.seed])
+    uses = []
+    for name in SETS[trial.hidden]:
+        values = {}
+        for parameter in CATALOGUE[name].parameters:
+            prior = parameter.prior(vehicle())
+            size = prior.mean - parameter.neutral or prior.std * random.choice([-1.0, 1.0])
+            values[parameter.name] = float(parameter.neutral + size * random.uniform(0.5, 1.5))
+        uses.append(EffectUse(name, values))
+    return uses
+
+
+def measure(trial: Trial) -> list[Row]:
+    """A row for each manoeuvre, kind of log and parameter."""
+    rows: list[Row] = []
+    uses = sizes(trial)
+    for text in (LEMNISCATE, *PLANNED[trial.hidden]):
+        result, speed = fly(text, uses, trial.seed)
+        about = {"hidden": trial.hidden, "seed": trial.seed, "manoeuvre": text, "seconds": result.seconds}
+        about |= {"rmse": result.position_rmse, "speed": speed}
+        for logged in LOGGED[trial.hidden]:
+            rows += [{**about, "logged": logged, **row} for row in fitted(result.log, uses, logged)]
+    return rows
+
+
+def fly(text: str, uses: Sequence[EffectUse], seed: int) -> tuple[FlownReference, float]:
+    """A flight of SECONDS, slower where the hidden effects are too strong for full speed, and its factor of speed."""
+    for speed in SPEEDS:
+        path = reference(text)
+        if speed < 1.0:
+            path = slowed(path, speed)
+            law = replace(path.law, duration=SECONDS)  # as long, fewer laps
+            path = replace(path, law=law)
+        start = path.states(np.zeros(1))[0]
+        yaw = float(2 * np.arctan2(start[9], start[6]))
+        options = VehicleOptions(position=(float(start[0]), float(start[1])), yaw=yaw)
+        result = fly_reference(vehicle(), path, effects=uses, options=options, seed=seed, name=text)
+        if not result.aborted:
+            return result, speed
+    raise VehicleError(f"{text} cannot be flown even at {SPEEDS[-1]:g} of its speed: {result.aborted}.")
+
+
+def fitted(log: Log, uses: Sequence[EffectUse], logged: str) -> list[Row]:
+    """A row for each parameter of the hidden effects that such a log can show."""
+    if logged == "commands":
+        streams = tuple(stream for stream in log.streams if stream.name != "rotor_speed")
+        log = Log(streams, log.provenance)
+    else:
+        uses = [use for use in uses if CATALOGUE[use.name].rotor_speed is None]
+    dataset = make_dataset([Flight.from_log(log, rate=100.0)], vehicle())
+    catalogue = {name: CATALOGUE[name] for name in (*(use.name for use in uses), *HEALTHY)}
+    regression = make_regression(vehicle(), catalogue, dataset.fitted, dataset.flight_of)
+    chosen = known_set(regression, {use.name: use.parameters for use in uses})
+    estimates = fit(regression, chosen).estimates
+    true = {(use.name, name): value for use in uses for name, value in use.parameters.items()}
+    return [
+        {"parameter": f"{key}.{name}", "true": true[key, name], "value": e.value, "std": e.std}
+        for (key, name), e in estimates.items()
+    ]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """A line for each parameter, the medians over the seeds."""
+    lines = [
+        "| hidden | logged | parameter | Lemniscate, % | planned | % | ratio | range | held, L. | held, planned |",
+        "|" + " --- |" * 10,
+    ]
+    ratios: dict[tuple[str, str, str], list[float]] = {}
+    groups = dict.fromkeys((r["hidden"], r["logged"], r["parameter"]) for r in rows)
+    for hidden, logged, parameter in groups:
+        own = [r for r in rows if (r["hidden"], r["logged"], r["parameter"]) == (hidden, logged, parameter)]
+        before = {r["seed"]: r for r in own if r["manoeuvre"] == LEMNISCATE}
+        for text in PLANNED[hidden]:
+            after = {r["seed"]: r for r in own if r["manoeuvre"] == text}
+            both = sorted(set(before) & set(after))
+            ratio = [after[s]["std"] / before[s]["std"] for s in both]
+            ratios.setdefault((hidden, logged, text), []).append(float(np.median(ratio)))
+            cells = [
+                hidden, logged, parameter, _percent(before.values()), _short(text),
+                _percent(after.values()), f"{np.median(ratio):.2f}", f"{min(ratio):.2f} to {max(ratio):.2f}",
+                _held(before.values()), _held(after.values()),
+            ]  # fmt: skip
+            lines.append("| " + " | ".join(cells) + " |")
+    lines += ["", "| hidden | logged | planned | parameters | median ratio | at least halved |", "|" + " --- |" * 6]
+    for (hidden, logged, text), values in ratios.items():
+        halved = sum(value <= 0.5 for value in values)
+        lines.append(
+            f"| {hidden} | {logged} | {_short(text)} | {len(values)} | {np.median(values):.2f} "
+            f"| {halved} of {len(values)} |"
+        )
+    return "\n".join(lines)
+
+
+def _short(text: str) -> str:
+    """A request's room, and whether the hidden effects were named in it."""
+    room = text.partition("box=")[2].partition(",")[0]
+    return f"{room}, {'named' if 'for=' in text else 'whole catalogue'}"
+
+
+def _percent(rows: Any) -> str:
+    """Median interval of 95 %, of the true value."""
+    return f"{np.median([196 * r['std'] / abs(r['true']) for r in rows]):.2g}"
+
+
+def _held(rows: Any) -> str:
+    inside = [abs(r["value"] - r["true"]) <= 1.96 * r["std"] for r in rows]
+    return f"{sum(inside)} of {len(inside)}"
+
+
+def flights_table(rows: Sequence[Row]) -> str:
+    """How each manoeuvre was flown."""
+    lines = ["| manoeuvre | flights | s | tracking RMS, m | speeds |", "|" + " --- |" * 5]
+    for text in dict.fromkeys(row["manoeuvre"] for row in rows):
+        own = {(r["hidden"], r["seed"]): r for r in rows if r["manoeuvre"] == text}.values()
+        errors = [r["rmse"] for r in own]
+        cells = [text, len(own), f"{np.median([r['seconds'] for r in own]):.1f}", f"{np.median(errors):.3f}"]
+        lines.append("| " + " | ".join(map(str, (*cells, ", ".join(f"{r['speed']:g}" for r in own)))) + " |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Fly, fit, and write the table."""
+    parser = options_of(__doc__, flights=4, first_seed=5000)
+    parser.add_argument("--hidden", nargs="*", default=list(SETS))
+    parser.add_argument("--rows", type=Path, help="file for the rows, JSON lines")
+    parser.add_argument("--table", action=argparse.BooleanOptionalAction, default=True)
+    chosen = parser.parse_args()
+    seeds = range(chosen.first_seed, chosen.first_seed + chosen.flights)
+    trials = [Trial(hidden, seed) for seed in seeds for hidden in chosen.hidden]
+    rows = [row for result in flown(measure, trials, jobs=chosen.jobs) for row in result]
+    if chosen.rows is not None:
+        chosen.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    times = ", ".join(f"{text} {planned(text)[1]:.0f} s" for text in dict.fromkeys(sum(PLANNED.values(), ())))
+    note = (
+        f"{(__doc__ or '').split(chr(10) * 2)[1]}\n\nVehicle {VEHICLE}, seeds {seeds[0]} to {seeds[-1]}. "
+        f"Processor's time of planning: {times}. Intervals of 95 % in per cent of the true value; "
+        "held: how often they contain it."
+    )
+    text = f"{note}\n\n{flights_table(rows)}\n\n{table(rows)}"
+    if chosen.table:
+        write_result("identification_flight", "Intervals after an identification flight", text)
+    else:
+        print(text)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,215 @@
+"""The search for the manoeuvre that shows most, and the flight that comes out of it.
+
+Random proportions first, then an evolution strategy from the best of them: Ros and Hansen, "A Simple Modification in
+CMA-ES Achieving Linear Time and Space Complexity" (2008). Same request, same seed, same flight.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from diagnosis.experiment.expectation import Expectation, ExpectedInterval, lap_times
+from diagnosis.experiment.multisine import Family, Lap
+from diagnosis.experiment.request import ExperimentRequest, named_effects, volume
+from dynamics.arrays import Floats
+from dynamics.effect import Effect
+from dynamics.errors import RequestError
+from dynamics.model import build_model
+from dynamics.references.feasibility import check_feasibility
+from dynamics.references.reference import Reference
+from dynamics.references.table import write_table
+from dynamics.trim import find_trim
+from dynamics.vehicle import Vehicle
+
+START_SHARE = 0.25  # of the trials that are random proportions
+CHILDREN = 12  # of a generation
+MAX_TRIES = 60  # random proportions that are tried for any that can be flown
+STEP = 0.15  # of the strategy at its start, over a leading sine
+SLOWER, MAX_SLOWER = 0.95, 14  # pace of a lap whose ramps exceed a limit that it keeps itself
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedFlight:
+    """An identification flight.
+
+    request: what was asked for.
+    reference: to fly, on the vehicle's trim. lap: that it repeats.
+    effects: names of what it is to show.
+    expected: intervals of their parameters after it.
+    gain: mean of ln(prior / expected standard deviation) over the effects.
+    family, expectation: that it was chosen from, and by.
+    """
+
+    request: ExperimentRequest
+    reference: Reference
+    lap: Lap
+    effects: tuple[str, ...]
+    expected: tuple[ExpectedInterval, ...]
+    gain: float
+    family: Family
+    expectation: Expectation
+
+    def at_pace(self, pace: float) -> PlannedFlight:
+        """The same path at another factor of the speed, with what that lets expect."""
+        return _planned(self.request, self.family, self.expectation, self.lap.at_pace(pace), self.effects)
+
+    def write_csv(self, path: str | Path) -> Path:
+        """Write the reference as a table that `alula fly --reference` takes. Raises RequestError."""
+        vehicle = self.reference.vehicle.name
+        notes = [f"alula fly --reference {self.request.text} for {vehicle}"]
+        notes += [f"{one.name}: {one.usual:.4g} +- {one.std:.2g} {one.unit} expected" for one in self.expected]
+        return write_table(self.reference, Path(path), notes)
+
+
+def plan_flight(
+    vehicle: Vehicle,
+    request: ExperimentRequest,
+    catalogue: Mapping[str, Effect],
+    progress: Progress = lambda _: None,
+) -> PlannedFlight:
+    """The manoeuvre of the family that shows the most of the effects. progress: called with the share that is done.
+
+    Raises RequestError for unknown effects, and where the vehicle cannot fly anything in its volume.
+    """
+    effects = named_effects(request.effects, catalogue)
+    low, high = volume(request, vehicle)
+    limit = vehicle.limits.speed if request.speed is None else request.speed
+    trim = find_trim(build_model(vehicle, catalogue=catalogue)).vehicle
+    family = Family(trim, low, high, request.duration, limit)
+    search = _Search(family, request.seed)
+    example = search.example()
+    expectation = Expectation(vehicle, catalogue, effects, family.motion(example, lap_times(example.duration)))
+    best: Lap | None = None
+    for done, lap in search.run(expectation):
+        best = lap
+        progress(done)
+    if best is None:
+        raise _impossible(family)
+    return _planned(request, family, expectation, best, effects)
+
+
+def _planned(
+    request: ExperimentRequest, family: Family, expectation: Expectation, lap: Lap, effects: tuple[str, ...]
+) -> PlannedFlight:
+    lap, reference = _within_limits(family, lap, request.text)
+    motion, laps = family.motion(lap, lap_times(lap.duration)), family.laps(lap)
+    intervals, gain = expectation.intervals(motion, laps), expectation.gain(motion, laps)
+    names = effects or tuple(dict.fromkeys(one.effect for one in intervals))
+    return PlannedFlight(request, reference, lap, names, intervals, gain, family, expectation)
+
+
+class _Search:
+    """The best lap of a family so far, from random proportions and an evolution strategy."""
+
+    def __init__(self, family: Family, seed: int) -> None:
+        self._family, self._random = family, np.random.default_rng(seed)
+
+    def example(self) -> Lap:
+        """Any lap that the vehicle can fly. Raises RequestError where there is none."""
+        random = np.random.default_rng(0)
+        for _ in range(MAX_TRIES):
+            lap = self._family.lap(self._family.drawn(random))
+            if lap is not None:
+                return lap
+        raise _impossible(self._family)
+
+    def run(self, expectation: Expectation) -> Iterator[tuple[float, Lap | None]]:
+        """(share that is done, best lap) after every trial."""
+        starts = round(START_SHARE * expectation.trials)
+        generations = (expectation.trials - starts) // CHILDREN
+        total = starts + generations * CHILDREN
+        best, best_gain, mean = None, -np.inf, np.zeros(self._family.size)
+        for trial in range(starts):
+            drawn = self._family.drawn(self._random)
+            lap, value = self._evaluated(drawn, expectation)
+            if value > best_gain:
+                best, best_gain, mean = lap, value, drawn
+            yield (trial + 1) / total, best
+        strategy = _Strategy(mean, STEP)
+        for generation in range(generations):
+            children = [strategy.drawn(self._random) for _ in range(CHILDREN)]
+            values = np.empty(CHILDREN)
+            for place, child in enumerate(children):
+                lap, values[place] = self._evaluated(child, expectation)
+                if values[place] > best_gain:
+                    best, best_gain = lap, values[place]
+                yield (starts + generation * CHILDREN + place + 1) / total, best
+            strategy.select([children[i] for i in np.argsort(-values, kind="stable")])
+
+    def _evaluated(self, proportions: Floats, expectation: Expectation) -> tuple[Lap | None, float]:
+        lap = self._family.lap(proportions)
+        if lap is None:
+            return None, -np.inf
+        return lap, expectation.gain(self._family.motion(lap, lap_times(lap.duration)), self._family.laps(lap))
+
+
+class _Strategy:
+    """Separable CMA-ES: a normal distribution with a standard deviation for every coefficient."""
+
+    def __init__(self, mean: Floats, step: float) -> None:
+        count = len(mean)
+        parents = CHILDREN // 2
+        weights = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
+        self._weights = weights / weights.sum()
+        effective = 1 / np.sum(self._weights**2)
+        self._effective = effective
+        self._path_rate = (effective + 2) / (count + effective + 5)
+        self._damping = 1 + 2 * max(0.0, np.sqrt((effective - 1) / (count + 1)) - 1) + self._path_rate
+        self._long_rate = (4 + effective / count) / (count + 4 + 2 * effective / count)
+        faster = (count + 2) / 3  # the separable form learns its fewer entries faster
+        self._rank_one = min(1.0, faster * 2 / ((count + 1.3) ** 2 + effective))
+        rank = faster * 2 * (effective - 2 + 1 / effective) / ((count + 2) ** 2 + effective)
+        self._rank_many = min(1 - self._rank_one, rank)
+        self._length = np.sqrt(count) * (1 - 1 / (4 * count) + 1 / (21 * count**2))  # of a standard normal vector
+        self._mean, self._step = mean, step
+        self._variance = np.ones(count)
+        self._path, self._long_path = np.zeros(count), np.zeros(count)
+
+    def drawn(self, random: np.random.Generator) -> Floats:
+        """A child."""
+        return np.asarray(self._mean + self._step * np.sqrt(self._variance) * random.standard_normal(len(self._mean)))
+
+    def select(self, children: list[Floats]) -> None:
+        """Move towards the better half. children: the best first."""
+        steps = (np.array(children[: len(self._weights)]) - self._mean) / self._step
+        moved = self._weights @ steps
+        self._mean = self._mean + self._step * moved
+        rate = self._path_rate
+        self._path = (1 - rate) * self._path + np.sqrt(rate * (2 - rate) * self._effective) * moved / np.sqrt(
+            self._variance
+        )
+        rate = self._long_rate
+        self._long_path = (1 - rate) * self._long_path + np.sqrt(rate * (2 - rate) * self._effective) * moved
+        held = 1 - self._rank_one - self._rank_many
+        spread = self._weights @ steps**2
+        self._variance = held * self._variance + self._rank_one * self._long_path**2 + self._rank_many * spread
+        growth = np.linalg.norm(self._path) / self._length - 1
+        self._step *= float(np.exp(min(1.0, self._path_rate / self._damping * growth)))
+
+
+def _within_limits(family: Family, lap: Lap, name: str) -> tuple[Lap, Reference]:
+    """The reference of a lap, slower where its ramps exceed a limit. Raises RequestError where that does not help."""
+    reference = family.reference(lap, name)
+    for _ in range(MAX_SLOWER):
+        verdict = check_feasibility(reference, family.vehicle)
+        if verdict.is_feasible:
+            break
+        lap = lap.at_pace(SLOWER)
+        reference = family.reference(lap, name)
+    check_feasibility(reference, family.vehicle).require()
+    return lap, reference
+
+
+def _impossible(family: Family) -> RequestError:
+    sides = " x ".join(f"{side:.2f}" for side in family.high - family.low)
+    limits = family.vehicle.limits
+    return RequestError(
+        f"{family.vehicle.name} can fly no identification flight in {sides} m at {family.speed:g} m/s with body rates "
+        f"up to {limits.rate} rad/s and rotors up to {family.vehicle.rotors.speed_max:g} rad/s. Give a larger box or "
+        "speed, or check the limits in the vehicle file."
+    )

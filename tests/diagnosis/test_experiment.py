@@ -1,0 +1,105 @@
+"""Identification flights: what is planned can be flown, shows more than a plain flight, and is the same again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+
+from diagnosis.experiment import PlannedFlight, parse_request, plan_flight
+from diagnosis.experiment.expectation import TRIALS, Expectation, lap_times
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.references import check_feasibility, named_reference
+from dynamics.vehicle import Limits, Vehicle
+
+REQUEST = "identify:duration=20,box=4x4x3,for=rotor_drag+inertia"
+
+
+@pytest.fixture(autouse=True)
+def few_trials(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("diagnosis.experiment.expectation.TRIALS", (24, 24))
+    assert TRIALS[1] > 24
+
+
+def planned(vehicle: Vehicle, text: str = REQUEST) -> PlannedFlight:
+    return plan_flight(vehicle, parse_request(text), CATALOGUE)
+
+
+def test_a_planned_flight_stays_within_volume_speed_and_limits(arpl_250g: Vehicle) -> None:
+    flight = planned(arpl_250g, f"{REQUEST},speed=3")
+    motion = flight.reference.sample(np.arange(0.0, flight.reference.duration, 0.01))
+    assert flight.reference.duration == 20.0
+    assert np.abs(motion.position[:, :2]).max() < 2.0
+    assert 0.5 < motion.position[:, 2].min() < motion.position[:, 2].max() < 3.0
+    assert np.linalg.norm(motion.velocity, axis=1).max() < 3.0
+    assert check_feasibility(flight.reference, arpl_250g).is_feasible
+
+
+def test_it_shows_more_than_a_circle_of_the_same_length(arpl_250g: Vehicle) -> None:
+    flight = planned(arpl_250g)
+    circle = named_reference("circle", arpl_250g)
+    lap = 2 * np.pi / circle.law.rate
+    motion = circle.sample(5.0 + lap_times(lap))
+    others = flight.expectation.intervals(motion, flight.family.duration / lap)
+    assert {one.effect for one in flight.expected} == {"rotor_drag", "inertia"}
+    assert flight.gain > flight.expectation.gain(motion, flight.family.duration / lap)
+    assert all(one.std < one.prior for one in flight.expected)
+    assert [one.name for one in others] == [one.name for one in flight.expected]
+
+
+def test_twice_the_laps_halve_the_variance_of_what_a_flight_shows_well(arpl_250g: Vehicle) -> None:
+    circle = named_reference("circle", arpl_250g)
+    motion = circle.sample(5.0 + lap_times(2 * np.pi / circle.law.rate))
+    expectation = Expectation(arpl_250g, CATALOGUE, ["rotor_drag"], motion)
+    once, twice = (expectation.intervals(motion, laps)[0].std for laps in (2.0, 4.0))
+    assert twice == pytest.approx(once / np.sqrt(2), rel=0.01)
+
+
+def test_same_seed_same_flight(arpl_250g: Vehicle) -> None:
+    first, again, other = (planned(arpl_250g, text) for text in (REQUEST, REQUEST, f"{REQUEST},seed=1"))
+    times = np.linspace(0.0, 20.0, 7)
+    np.testing.assert_array_equal(first.reference.states(times), again.reference.states(times))
+    assert np.abs(first.reference.states(times) - other.reference.states(times)).max() > 0.01
+
+
+def test_the_table_that_is_written_is_flown_as_planned(arpl_250g: Vehicle, tmp_path: Path) -> None:
+    flight = planned(arpl_250g)
+    table = named_reference(str(flight.write_csv(tmp_path / "next.csv")), arpl_250g)
+    times = np.arange(0.0, 20.0, 0.013)
+    exact, read = flight.reference.sample(times), table.sample(times)
+    np.testing.assert_allclose(read.position, exact.position, atol=1e-5)
+    np.testing.assert_allclose(read.rate_body, exact.rate_body, atol=0.05)
+    assert check_feasibility(table, arpl_250g).is_feasible
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("identify:sped=2", "unknown key 'sped'.*speed"),
+        ("identify:duration=90", "duration = 90 is outside of 10 to 60"),
+        ("identify:box=4x4", "WIDTHxDEPTHxTOP"),
+        ("identify:box=4x4x0.8", "has no room"),
+        ("identify:speed=fast", "not a number"),
+        ("identify:for=dragg", "no effect is called 'dragg'"),
+        ("identify:for=gust", "no manoeuvre shows gust"),
+    ],
+)
+def test_requests_that_make_no_sense_are_refused_with_what_to_do(arpl_250g: Vehicle, text: str, message: str) -> None:
+    with pytest.raises(RequestError, match=message):
+        planned(arpl_250g, text)
+
+
+def test_a_vehicle_that_can_hardly_move_gets_no_flight(arpl_250g: Vehicle) -> None:
+    slow = msgspec.structs.replace(arpl_250g, limits=Limits(rate=(0.01, 0.01, 0.01)))
+    with pytest.raises(RequestError, match="can fly no identification flight"):
+        planned(slow)
+
+
+def test_the_vehicles_own_box_holds_too(arpl_250g: Vehicle) -> None:
+    boxed = msgspec.structs.replace(arpl_250g, limits=Limits(rate=(12, 12, 6), box=((-1.0, 0.0, 0.0), (1.0, 2.0, 2.0))))
+    motion = planned(boxed, "identify:duration=15,for=inertia").reference.sample(np.arange(0.0, 15.0, 0.02))
+    assert motion.position[:, 1].min() > 0.0
+    assert np.abs(motion.position[:, 0]).max() < 1.0
