@@ -4,6 +4,7 @@
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
+# make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
 # make is needed beforehand.
@@ -14,11 +15,14 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 RECIPE := pyproject.toml constraints.txt
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 
-.PHONY: demo test lint study study-public conformance clean $(STUDIES)
+.PHONY: demo hour test lint study study-public conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
 	$(BIN)/alula demo
+
+hour: .venv/workbench.stamp
+	$(BIN)/python examples/whole_hour.py --out "$$(mktemp -d)/whole_hour"
 
 test: .venv/development.stamp
 	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
