@@ -1,6 +1,7 @@
 # make demo   fly the mock, diagnose its hidden effect, write the report
 # make test   the whole test suite
 # make lint   ruff, mypy, import-linter, the glossary's rule for identifiers
+# make docs   the documentation as a site in build/site; a warning is an error
 # make study  the slow measurements in benchmarks/, each of which writes its own table; -k continues after a failure,
 #             and make benchmarks/NAME.py takes one measurement alone
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
@@ -15,7 +16,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --co
 RECIPE := pyproject.toml constraints.txt
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
 
-.PHONY: demo hour test lint study study-public conformance clean $(STUDIES)
+.PHONY: demo hour test lint docs study study-public conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -33,6 +34,9 @@ lint: .venv/development.stamp
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/python .ci/identifiers.py
+
+docs: .venv/docs.stamp
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 
 study: $(STUDIES) conformance
 
@@ -58,6 +62,10 @@ $(STUDIES): .venv/workbench.stamp
 
 .venv/development.stamp: .venv/workbench.stamp
 	$(INSTALL) --editable '.[workbench,test,lint]'
+	touch $@
+
+.venv/docs.stamp: .venv/python.stamp $(RECIPE)
+	$(INSTALL) --editable '.[docs]'
 	touch $@
 
 clean:

@@ -29,10 +29,16 @@ from fixtures.planted import planted_flights
 from tests.support.small_campaign import fly_campaign
 
 ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")])
+TUTORIALS = ROOT / "docs" / "tutorials"  # are followed whole, by tests of their own
+PAGES = sorted(
+    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]
+)
+UNITS = sorted((ROOT / "examples").rglob("*.service"))
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 INDENTED = re.compile(r"^(?: {4}.*\n?)+", re.MULTILINE)
-COMMAND = re.compile(r"^(?:\$ )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*)$")
+COMMAND = re.compile(
+    r"^(?:\$ )?(?:# shorter: )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*?)(?: &)?$"
+)
 SLOW = ("train", "evaluate", "export", "fly", "vehicle_from_logs", "check_vehicle")  # or need an autopilot's log
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
 
@@ -51,6 +57,14 @@ def commands_in_blocks() -> list[tuple[str, str]]:
     return [(page.name, match.group(1)) for page, match in matches if match]
 
 
+def commands_of_units() -> list[tuple[str, str]]:
+    """What the units of examples/deploy start, without the folder of the program."""
+    lines = ((unit, unit.read_text(encoding="utf-8").replace("\\\n", " ")) for unit in UNITS)
+    return [
+        (unit.name, start) for unit, text in lines for start in re.findall(r"^ExecStart=\S*/(alula .*)$", text, re.M)
+    ]
+
+
 def commands_in_sentences() -> list[tuple[str, str]]:
     texts = ((page, FENCED.sub("", page.read_text(encoding="utf-8"))) for page in PAGES)
     return [(page.name, command) for page, text in texts for command in re.findall(r"`(alula [^`]+)`", text)]
@@ -60,6 +74,7 @@ def python_blocks() -> list[Any]:
     blocks = (
         (page, body)
         for page in PAGES
+        if page.parent != TUTORIALS
         for language, body in FENCED.findall(page.read_text(encoding="utf-8"))
         if language == "python"
     )
@@ -72,7 +87,7 @@ def command_of(name: str, words: list[str]) -> Any:
     return command.commands[words.pop(0)] if words and words[0] in getattr(command, "commands", {}) else command
 
 
-@pytest.mark.parametrize(("page", "command"), commands_in_blocks())
+@pytest.mark.parametrize(("page", "command"), [*commands_in_blocks(), *commands_of_units()])
 def test_a_command_in_a_block_is_taken_by_the_command_line(page: str, command: str) -> None:
     name, *arguments = shlex.split(command, comments=True)[1:]
     if "..." in arguments:  # stands for what a line above shows

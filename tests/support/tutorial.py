@@ -1,0 +1,90 @@
+"""Follows a tutorial of docs/tutorials as a reader does: every command and snippet, in order, in a folder of its own.
+
+A comment `# shorter: COMMAND` below a command, which readers see as well, is what runs in its place. A block of text
+that follows shows lines of the output; numbers may differ, and so may spaces and folding.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+TUTORIALS = ROOT / "docs" / "tutorials"
+FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+SHORTER = "# shorter: "
+NUMBER = re.compile(r"[-+]?\d[\d.]*(e[-+]?\d+)?")
+PATIENCE = 280.0  # s for one block
+
+
+def blocks(name: str) -> list[tuple[str, str, list[str]]]:
+    """Language, text and shown output of each block of a tutorial."""
+    found: list[tuple[str, str, list[str]]] = []
+    for language, text in FENCED.findall((TUTORIALS / name).read_text(encoding="utf-8")):
+        if language == "text":
+            found[-1][2].extend(text.splitlines())
+        else:
+            found.append((language, text, []))
+    return found
+
+
+def needs_clock(text: str) -> bool:
+    """Whether a block flies against the clock."""
+    return "alula mock" in text
+
+
+def prepare(folder: Path) -> None:
+    """What a reader has: the repository."""
+    for name in ("tests", "vehicles", "examples"):
+        (folder / name).symlink_to(ROOT / name)
+
+
+def follow(name: str, folder: Path, *, against_clock: bool) -> None:
+    """Run the blocks that fly against the clock, or all others; fails where a command or a line of output differs."""
+    for language, text, shown in blocks(name):
+        if needs_clock(text) == against_clock:
+            output = run(language, text, folder)
+            plain = without_numbers(output)
+            missing = [line for line in shown if without_numbers(line) not in plain]
+            assert missing == [], f"{name} shows {missing}, which is not in:\n{output}"
+
+
+def run(language: str, text: str, folder: Path) -> str:
+    """Output of a block. What it starts in the background ends with it."""
+    script = "\n".join(shortened(text.splitlines()))
+    command = [sys.executable, "-c", script] if language == "python" else ["bash", "-ec", script]
+    path = f"{Path(sys.executable).parent}:{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT), "COLUMNS": "80", "OMP_NUM_THREADS": "1"}
+    log = folder / "output.txt"
+    with log.open("wb") as output:
+        process = subprocess.Popen(
+            command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        try:
+            code = process.wait(PATIENCE)
+        finally:
+            with suppress(ProcessLookupError):  # nothing runs in the background
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    printed = log.read_text(encoding="utf-8")
+    assert code == 0, f"{script}\nended with {code}:\n{printed}"
+    return printed
+
+
+def shortened(lines: list[str]) -> Iterator[str]:
+    """Commands, the shorter one where there are two."""
+    for place, line in enumerate(lines):
+        following = lines[place + 1] if place + 1 < len(lines) else ""
+        if not following.startswith(SHORTER):
+            yield line.removeprefix(SHORTER)
+
+
+def without_numbers(text: str) -> str:
+    """Text with every number the same, without spaces and the lines of tables."""
+    return NUMBER.sub("#", re.sub(r"[\s│┃]+", "", text))
