@@ -25,13 +25,13 @@ PATIENCE = 280.0  # s for one block
 
 def blocks(name: str) -> list[tuple[str, str, list[str]]]:
     """Language, text and shown output of each block of a tutorial."""
-    found: list[tuple[str, str, list[str]]] = []
+    steps: list[tuple[str, str, list[str]]] = []
     for language, text in FENCED.findall((TUTORIALS / name).read_text(encoding="utf-8")):
         if language == "text":
-            found[-1][2].extend(text.splitlines())
+            steps[-1][2].extend(text.splitlines())
         else:
-            found.append((language, text, []))
-    return found
+            steps.append((language, text, []))
+    return steps
 
 
 def needs_clock(text: str) -> bool:
