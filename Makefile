@@ -36,7 +36,7 @@ lint: .venv/development.stamp
 	$(BIN)/python .ci/identifiers.py
 
 docs: .venv/docs.stamp
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 study: $(STUDIES) conformance
 

@@ -126,6 +126,12 @@ def test_links_to_files_lead_somewhere(page: Path) -> None:
     assert [link for link in links if not (page.parent / link).exists()] == []
 
 
+def test_every_page_is_in_the_menu_of_the_site() -> None:
+    menu = (ROOT / "mkdocs.yml").read_text(encoding="utf-8").split("\nnav:\n")[1]
+    pages = {page.relative_to(ROOT / "docs").as_posix() for page in (ROOT / "docs").rglob("*.md")}
+    assert pages - set(re.findall(r"(\S+\.md)$", menu, re.MULTILINE)) == set(), "add them to nav in mkdocs.yml"
+
+
 @pytest.mark.parametrize("script", ["docs/make_api.py", "docs/make_catalogue.py"])
 def test_a_page_that_is_made_from_the_code_is_up_to_date(script: str) -> None:
     command = [sys.executable, script, "--check"]
