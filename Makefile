@@ -6,6 +6,7 @@
 #             and make benchmarks/NAME.py takes one measurement alone
 # make study-public DIR=FOLDER  scores the public data sets that a user has downloaded into a folder (SETS="nanobench idsia")
 # make hour   from PX4's logs of a drone to a flown, identified model, with the time of each step
+# make wheel  wheels for the flight computer, with compiled controllers of the bundled vehicles: dist/
 # make conformance  the mock against PX4's measured behaviour from outside, the long flights among it; part of study
 # Everything is installed into .venv at the versions of constraints.txt; nothing but Python 3.11+, a C compiler and
 # make is needed beforehand.
@@ -15,8 +16,9 @@ BIN := .venv/bin
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check --constraint constraints.txt
 RECIPE := pyproject.toml constraints.txt
 STUDIES := $(filter-out %_worker.py benchmarks/public_sets.py,$(shell grep -l __main__ benchmarks/*.py))
+MACHINES ?= x86_64 aarch64
 
-.PHONY: demo hour test lint docs study study-public conformance clean $(STUDIES)
+.PHONY: demo hour test lint docs study study-public wheel conformance clean $(STUDIES)
 .NOTPARALLEL:
 
 demo: .venv/workbench.stamp
@@ -46,6 +48,9 @@ study-public: .venv/workbench.stamp
 
 conformance: .venv/development.stamp
 	$(BIN)/python -m pytest -m "slow or not slow" tests/conformance
+
+wheel: .venv/workbench.stamp
+	bash .ci/wheels dist $(MACHINES)
 
 $(STUDIES): .venv/workbench.stamp
 	$(BIN)/python -m $(subst /,.,$(basename $@))

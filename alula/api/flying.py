@@ -174,8 +174,8 @@ def verify(bundle: str | Path) -> Verification:
     Raises RequestError for a bundle that is damaged, or built for another processor.
 
     Example:
-        alula.export("arpl_250g", "bundle", windows=50)
-        alula.verify("bundle").require()
+        exported = alula.export("arpl_250g", "bundle", windows=50)
+        alula.verify(exported.folder).require()
     """
     from runtime.control.bundle import read_bundle
     from runtime.control.verification import verify_bundle
