@@ -151,9 +151,14 @@ def lap_times(lap: float) -> Floats:
 
 
 def _is_planned_for(effect: Effect) -> bool:
-    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, nor for what depends on
-    things that no log holds."""
-    return effect.moves_vehicle and not (effect.excitation is not None and effect.excitation.unlogged)
+    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, for what depends on things
+    that no log holds, nor for what swings by itself, whose resonance would be sought."""
+    unlogged = effect.excitation is not None and effect.excitation.unlogged
+    return effect.moves_vehicle and not unlogged and not _swings(effect)
+
+
+def _swings(effect: Effect) -> bool:
+    return bool(effect.hidden) and effect.rotor_speed is None
 
 
 def _candidates(effect: Effect, vehicle: Vehicle) -> list[Candidate]:
@@ -175,7 +180,7 @@ def _values(rows: LinearRows) -> dict[str, float]:
 
 def _groups(candidates: Sequence[Candidate]) -> list[list[Candidate]]:
     """Candidates that share a model: all but those that swing by themselves, whose motion the others would drive."""
-    swinging = [c for c in candidates if c.effect.hidden and c.effect.rotor_speed is None]
+    swinging = [c for c in candidates if _swings(c.effect)]
     return [[c for c in candidates if c not in swinging], *([c] for c in swinging)]
 
 

@@ -1,6 +1,7 @@
 """compare, diagnose and add as a user meets them: on CSV files, with exit codes and the next vehicle file."""
 
 import json
+import shlex
 import shutil
 import sys
 from pathlib import Path
@@ -9,9 +10,11 @@ import msgspec
 import pytest
 
 from alula.cli import app
+from dynamics.references import named_reference
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from fixtures.planted import planted_flights
 from flights import Flight
+from simulation.trial_flight import TrialFlight
 from vehicles import FOLDER
 
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
@@ -48,6 +51,21 @@ def run(monkeypatch, capsys, logs):
         return caught.value.code, *capsys.readouterr()
 
     return ended
+
+
+def test_the_next_flight_is_a_file_and_the_last_line_flies_it(run, logs, tmp_path, monkeypatch):
+    monkeypatch.setattr("diagnosis.experiment.expectation.TRIALS", (8, 8))
+    monkeypatch.setattr("simulation.trial_flight.fly_trial", lambda *_: TrialFlight(0.02, 0.05))
+    verdict, table = tmp_path / "verdict.json", tmp_path / "next flight.csv"
+    code, shown, _ = run("diagnose", "--json", str(verdict), "--next-flight", str(table), vehicle="right.toml")
+    assert code == 0
+    last = shlex.split(shown.splitlines()[-1].removeprefix("next: alula "))
+    vehicle = str(logs / "right.toml")
+    assert last == ["fly", "--vehicle", vehicle, "--reference", str(table), "--record", "recordings"]
+    flown = named_reference(str(table), read_vehicle(vehicle))
+    assert flown.duration == pytest.approx(60.0)
+    request = json.loads(verdict.read_text())["next_reference"]
+    assert table.read_text().startswith(f"# alula fly --reference {request or 'identify'} for ")
 
 
 def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path):
