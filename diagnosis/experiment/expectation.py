@@ -151,8 +151,8 @@ def lap_times(lap: float) -> Floats:
 
 
 def _is_planned_for(effect: Effect) -> bool:
-    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, for what depends on things
-    that no log holds, nor for what swings by itself, whose resonance would be sought."""
+    """Whether a flight is planned for an effect that nobody named: not for faults of sensors, not for what depends on
+    things that no log holds, not for what swings by itself, whose resonance would be sought."""
     unlogged = effect.excitation is not None and effect.excitation.unlogged
     return effect.moves_vehicle and not unlogged and not _swings(effect)
 
