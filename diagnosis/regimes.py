@@ -174,7 +174,7 @@ def worst_cells(
                 low, high = float(regime.edges[place]), float(regime.edges[place + 1])
                 failure = Failure(regime.name, round(low, 3), round(high, 3), kind, round(worst, 2))
                 failures.append((rank, -worst, failure))
-    return tuple(failure for *_, failure in sorted(failures, key=lambda found: found[:2])[:count])
+    return tuple(failure for *_, failure in sorted(failures, key=lambda failure: failure[:2])[:count])
 
 
 def _over_floor(rows: Sequence[Floats], floor: Floats) -> Floats:
