@@ -39,7 +39,16 @@ INDENTED = re.compile(r"^(?: {4}.*\n?)+", re.MULTILINE)
 COMMAND = re.compile(
     r"^(?:\$ )?(?:# shorter: )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*?)(?: &)?$"
 )
-SLOW = ("train", "evaluate", "export", "verify", "fly", "vehicle_from_logs", "check_vehicle")  # or need a bundle, a log
+SLOW = (
+    "train",
+    "evaluate",
+    "export",
+    "verify",
+    "plan_flight",
+    "fly",
+    "vehicle_from_logs",
+    "check_vehicle",
+)  # or need a bundle, a log
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
 
 
