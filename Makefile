@@ -39,6 +39,7 @@ lint: .venv/development.stamp
 
 docs: .venv/docs.stamp
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
+	@! grep -rnoE '(src="https?:|<link[^>]*href="https?:)[^"]*"' build/site --include='*.html' # it loads nothing from a network
 
 study: $(STUDIES) conformance
 
