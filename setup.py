@@ -1,10 +1,13 @@
-"""Packaging beyond pyproject.toml: $ALULA_KERNELS names a folder of `export.prebuilt` that the wheel shall carry.
+"""Packaging beyond pyproject.toml: pymavlink's messages, and kernels.
 
-With kernels the wheel is for their machine alone, else for any.
+A wheel carries the one module of messages that the link needs, as pymavlink has generated it (generated code is under
+the MIT licence): the package with all its dialects and what it requires takes 108 MB. $ALULA_KERNELS names a folder
+of `export.prebuilt` that the wheel carries as well; it is then for their machine alone, else for any.
 """
 
 import os
 import shutil
+from importlib import metadata, util
 from pathlib import Path
 
 from setuptools import setup
@@ -14,14 +17,30 @@ from setuptools.command.build_py import build_py
 KERNELS = os.environ.get("ALULA_KERNELS", "")
 
 
-class BuildWithKernels(build_py):
-    """Copies the kernels to where the runtime looks for them."""
+DIALECT = "pymavlink/dialects/v20/development.py"
+
+
+class BuildForFlight(build_py):
+    """Copies messages and kernels to where the runtime looks for them."""
 
     def run(self) -> None:
-        """Build as always, then copy."""
+        """Build as always, then copy; an editable install has pymavlink, from the workbench, and compiles kernels."""
         super().run()
-        if KERNELS and not self.editable_mode:
+        if self.editable_mode:
+            return
+        origin = f"# From pymavlink {metadata.version('pymavlink')}, {DIALECT}.\n"
+        target = Path(self.build_lib, "runtime/link/mavlink_messages.py")
+        target.write_text(origin + _pymavlink(DIALECT).read_text(encoding="utf-8"), encoding="utf-8")
+        if KERNELS:
             shutil.copytree(KERNELS, Path(self.build_lib, "runtime/control/rti/kernels"), dirs_exist_ok=True)
+
+
+def _pymavlink(path: str) -> Path:
+    """A file of pymavlink, which is not imported: that would need what it requires."""
+    spec = util.find_spec("pymavlink")
+    if spec is None or spec.origin is None:
+        raise SystemExit("building Alula needs pymavlink: pip install pymavlink, or build with pip's isolation")
+    return Path(spec.origin).parent.parent / path
 
 
 class WheelOfItsMachine(bdist_wheel):
@@ -35,4 +54,4 @@ class WheelOfItsMachine(bdist_wheel):
         return "py3", "none", f"manylinux_2_17_{machine}.manylinux2014_{machine}"
 
 
-setup(cmdclass={"build_py": BuildWithKernels, "bdist_wheel": WheelOfItsMachine})
+setup(cmdclass={"build_py": BuildForFlight, "bdist_wheel": WheelOfItsMachine})

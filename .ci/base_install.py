@@ -14,9 +14,10 @@ import alula
 from alula.cli.app import COMMANDS
 from dynamics.vehicle_file import read_vehicle
 
-ROOMS = ("dynamics", "runtime", "sitl_mock", "vehicles")
-WORKBENCH = ("casadi", "onnxruntime", "torch", "scipy", "matplotlib")
-LIMIT = 250e6  # bytes of what Alula brings, byte code included
+ROOMS = ("dynamics", "runtime", "vehicles")
+ON_A_DESK = ("mock", "demo")  # commands that simulate PX4, with all of pymavlink
+WORKBENCH = ("casadi", "onnxruntime", "pymavlink", "torch", "scipy", "matplotlib")
+LIMIT = 150e6  # bytes of what Alula brings, byte code included
 OF_VENV = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
 
 present = [name for name in WORKBENCH if importlib.util.find_spec(name)]
@@ -27,7 +28,7 @@ modules = [
     for room in ROOMS
     for module_info in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
 ]
-for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS)):
+for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS if command not in ON_A_DESK)):
     importlib.import_module(name)
 
 vehicles = [read_vehicle(str(path)).name for path in files_of("vehicles").iterdir() if path.name.endswith(".toml")]

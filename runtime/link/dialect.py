@@ -1,17 +1,23 @@
 """The MAVLink dialect: pymavlink's messages, and those that PX4 sends and pymavlink lacks.
 
 pymavlink is generated from ArduPilot's definitions; the messages added here are from MAVLink's common.xml. This is the
-only file that accesses pymavlink's tables.
+only file that accesses pymavlink's tables. Where pymavlink is not installed they are those of the module that setup.py
+takes out of it into a wheel.
 """
 
 from __future__ import annotations
 
+import importlib
 import struct
+from importlib import util
 from typing import Any
 
 import msgspec
-from pymavlink.dialects.v20 import development as mavlink
-from pymavlink.generator.mavcrc import x25crc
+
+mavlink: Any = importlib.import_module(
+    "pymavlink.dialects.v20.development" if util.find_spec("pymavlink") else "runtime.link.mavlink_messages"
+)
+x25crc = mavlink.x25crc
 
 __all__ = ["MESSAGE_IDS", "Definition", "Field", "Message", "mavlink", "message_class", "x25crc"]
 
