@@ -15,7 +15,7 @@ from alula.cli.app import COMMANDS
 from dynamics.vehicle_file import read_vehicle
 
 ROOMS = ("dynamics", "runtime", "vehicles")
-ON_A_DESK = ("mock", "demo")  # commands that simulate PX4, with all of pymavlink
+OF_THE_WORKBENCH = ("mock", "demo")  # commands that simulate PX4, with all of pymavlink
 WORKBENCH = ("casadi", "onnxruntime", "pymavlink", "torch", "scipy", "matplotlib")
 LIMIT = 150e6  # bytes of what Alula brings, byte code included
 OF_VENV = ("pip", "setuptools", "pkg_resources", "_distutils_hack")
@@ -28,7 +28,7 @@ modules = [
     for room in ROOMS
     for module_info in pkgutil.walk_packages(importlib.import_module(room).__path__, prefix=f"{room}.")
 ]
-for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS if command not in ON_A_DESK)):
+for name in (*modules, *(f"alula.cli.{command}" for command in COMMANDS if command not in OF_THE_WORKBENCH)):
     importlib.import_module(name)
 
 vehicles = [read_vehicle(str(path)).name for path in files_of("vehicles").iterdir() if path.name.endswith(".toml")]

@@ -23,7 +23,7 @@ def workbench(caller: str) -> Iterator[None]:
             raise
         raise RequestError(
             f"{caller} needs {error.name}, which the flight computer's install leaves out: pip install "
-            "'alula[workbench]', here or on a desk."
+            "'alula[workbench]', here or on a workbench."
         ) from error
 
 

@@ -22,8 +22,8 @@ def __getattr__(name: str) -> Any:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     if not is_installed():
         raise RequestError(
-            "building a model needs CasADi, which the flight computer's install leaves out. Run this on a desk with "
-            "pip install 'alula[workbench]'; to fly here, `alula export` the model there and give `--bundle B`."
+            "building a model needs CasADi, which the flight computer's install leaves out. Run this on a workbench "
+            "(pip install 'alula[workbench]'); to fly here, `alula export` the model there and give `--bundle B`."
         )
     value = getattr(importlib.import_module("casadi"), name)
     globals()[name] = value

@@ -70,7 +70,7 @@ def casadi_hpipm() -> HpipmBuild:
     if casadi is None or casadi.origin is None:
         raise RequestError(
             "compiling a kernel needs CasADi's HPIPM, which the flight computer's install leaves out: pip install "
-            "'alula[workbench]', or `alula export` the model on a desk and give `--bundle B` here."
+            "'alula[workbench]', or `alula export` the model on a workbench and give `--bundle B` here."
         )
     root = Path(casadi.origin).parent
     build = _build_in(root / "include", root)

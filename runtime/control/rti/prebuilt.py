@@ -29,7 +29,7 @@ from runtime.control.rti.processor import PROCESSORS, Processor
 
 FOLDER = Path(str(resources.files("runtime.control.rti"))) / "kernels"
 FACTS = "facts.json"
-EXPORT = "`alula export` the model on a desk, with --processor of this computer, and give `--bundle B` here"
+EXPORT = "`alula export` the model on a workbench, with --processor of this computer, and give `--bundle B` here"
 
 
 def flown_model(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> FlownModel:
