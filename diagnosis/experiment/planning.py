@@ -1,7 +1,7 @@
 """The search for the manoeuvre that shows most, and the flight that comes out of it.
 
-Random proportions first, then an evolution strategy from the best of them: Ros and Hansen, "A Simple Modification in
-CMA-ES Achieving Linear Time and Space Complexity" (2008). Same request, same seed, same flight.
+Random proportions first, then an evolution strategy from the best of them: separable CMA-ES (Ros and Hansen, "A Simple
+Modification in CMA-ES Achieving Linear Time and Space Complexity", 2008). Same request, same seed, same flight.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from cmaes import SepCMA
 
 from diagnosis.experiment.expectation import Expectation, ExpectedInterval, lap_times
 from diagnosis.experiment.multisine import Family, Lap
@@ -130,66 +131,23 @@ class _Search:
             if value > best_gain:
                 best, best_gain, mean = lap, value, drawn
             yield (trial + 1) / total, best
-        strategy = _Strategy(mean, STEP)
+        strategy = SepCMA(mean, STEP, population_size=CHILDREN, seed=int(self._random.integers(2**31)))
         for generation in range(generations):
-            children = [strategy.drawn(self._random) for _ in range(CHILDREN)]
-            values = np.empty(CHILDREN)
-            for place, child in enumerate(children):
-                lap, values[place] = self._evaluated(child, expectation)
-                if values[place] > best_gain:
-                    best, best_gain = lap, values[place]
+            judged: list[tuple[Floats, float]] = []
+            for place in range(CHILDREN):
+                child = strategy.ask()
+                lap, value = self._evaluated(child, expectation)
+                judged.append((child, -value))
+                if value > best_gain:
+                    best, best_gain = lap, value
                 yield (starts + generation * CHILDREN + place + 1) / total, best
-            strategy.select([children[i] for i in np.argsort(-values, kind="stable")])
+            strategy.tell(judged)
 
     def _evaluated(self, proportions: Floats, expectation: Expectation) -> tuple[Lap | None, float]:
         lap = self._family.lap(proportions)
         if lap is None:
             return None, -np.inf
         return lap, expectation.gain(self._family.motion(lap, lap_times(lap.duration)), self._family.laps(lap))
-
-
-class _Strategy:
-    """Separable CMA-ES: a normal distribution with a standard deviation for every coefficient."""
-
-    def __init__(self, mean: Floats, step: float) -> None:
-        count = len(mean)
-        parents = CHILDREN // 2
-        weights = np.log(parents + 0.5) - np.log(np.arange(1, parents + 1))
-        self._weights = weights / weights.sum()
-        effective = 1 / np.sum(self._weights**2)
-        self._effective = effective
-        self._path_rate = (effective + 2) / (count + effective + 5)
-        self._damping = 1 + 2 * max(0.0, np.sqrt((effective - 1) / (count + 1)) - 1) + self._path_rate
-        self._long_rate = (4 + effective / count) / (count + 4 + 2 * effective / count)
-        faster = (count + 2) / 3  # the separable form learns its fewer entries faster
-        self._rank_one = min(1.0, faster * 2 / ((count + 1.3) ** 2 + effective))
-        rank = faster * 2 * (effective - 2 + 1 / effective) / ((count + 2) ** 2 + effective)
-        self._rank_many = min(1 - self._rank_one, rank)
-        self._length = np.sqrt(count) * (1 - 1 / (4 * count) + 1 / (21 * count**2))  # of a standard normal vector
-        self._mean, self._step = mean, step
-        self._variance = np.ones(count)
-        self._path, self._long_path = np.zeros(count), np.zeros(count)
-
-    def drawn(self, random: np.random.Generator) -> Floats:
-        """A child."""
-        return np.asarray(self._mean + self._step * np.sqrt(self._variance) * random.standard_normal(len(self._mean)))
-
-    def select(self, children: list[Floats]) -> None:
-        """Move towards the better half. children: the best first."""
-        steps = (np.array(children[: len(self._weights)]) - self._mean) / self._step
-        moved = self._weights @ steps
-        self._mean = self._mean + self._step * moved
-        rate = self._path_rate
-        self._path = (1 - rate) * self._path + np.sqrt(rate * (2 - rate) * self._effective) * moved / np.sqrt(
-            self._variance
-        )
-        rate = self._long_rate
-        self._long_path = (1 - rate) * self._long_path + np.sqrt(rate * (2 - rate) * self._effective) * moved
-        held = 1 - self._rank_one - self._rank_many
-        spread = self._weights @ steps**2
-        self._variance = held * self._variance + self._rank_one * self._long_path**2 + self._rank_many * spread
-        growth = np.linalg.norm(self._path) / self._length - 1
-        self._step *= float(np.exp(min(1.0, self._path_rate / self._damping * growth)))
 
 
 def _within_limits(family: Family, lap: Lap, name: str) -> tuple[Lap, Reference]:
