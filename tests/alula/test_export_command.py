@@ -35,3 +35,23 @@ def test_what_is_no_model_is_refused(run: Run, tmp_path: Path) -> None:
     code, _, wrong = run("export", "arpl_250g", "--out", tmp_path / "b", "--processor", "abacus")
     assert code == 2
     assert "unknown processor" in wrong
+
+
+def test_a_bundle_is_verified_where_it_lies(run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("runtime.control.verification.Timing.holds", True)  # a busy machine is slow
+    out = tmp_path / "bundle"
+    assert run("export", "arpl_250g", "--out", out, "--windows", "10")[0] == 0
+    code, shown, wrong = run("export", "--verify", out)
+    assert code == 0, wrong
+    assert "kernel.so: solution as at the export to 0.0e+00" in shown
+    assert "next: alula fly --bundle" in shown
+    with (out / "ticks.npz").open("ab") as file:
+        file.write(b"edited")
+    for arguments, message in (
+        (("--verify", out), "ticks.npz is not the file that was exported"),
+        (("arpl_250g", "--verify", out), "leave MODEL and --out out"),
+        (("arpl_250g",), "give MODEL and --out FOLDER, or --verify BUNDLE"),
+    ):
+        code, _, wrong = run("export", *arguments)
+        assert code == 2
+        assert message in wrong
