@@ -92,7 +92,7 @@ VEHICLES: dict[str, tuple[Callable[[str], str], str]] = {
         "rotor",
     ),
     "twice": (lambda t: t + 2 * '\n[[effects]]\nname = "mass"\n[effects.parameters]\nratio = 1.1\n', "mass"),
-    "empty": (lambda _: "", "body"),
+    "empty": (lambda _: "", "name"),
     "no_toml": (lambda t: t.replace("[body]", "[body"), "toml"),
     "no_effect_file": (lambda t: t.replace("[body]", 'effect_files = ["gone.py"]\n[body]'), "gone.py"),
     "broken_effect_file": (lambda t: t.replace("[body]", 'effect_files = ["broken.py"]\n[body]'), "broken.py"),
@@ -126,10 +126,8 @@ COLUMNS: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "millimetres": (scaled(1e3, "position_x", "position_y", "position_z"), "position"),
     "degrees": (scaled(57.3, "rate_x", "rate_y", "rate_z"), "rate"),
     "in_g": (scaled(1 / 9.81, "specific_force"), "specific"),
-    "no_attitude": (without("attitude_w", "attitude_x", "attitude_y", "attitude_z"), "attitude"),
-    "no_gyro": (without("rate_x", "rate_y", "rate_z"), "rate"),
+    "neither_pose_nor_gyro": (without("attitude_", "rate_x", "rate_y", "rate_z"), "attitude"),
     "no_rotors": (without("rotor"), "rotor"),
-    "no_time": (without("t"), "time"),
     "rotors_reversed": (renamed(ROTORS), "rotor"),
     "scalar_last": (
         renamed(
@@ -144,7 +142,6 @@ COLUMNS: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     ),
     "axes_swapped": (renamed({"rate_x": "rate_y", "rate_y": "rate_x"}), "rate"),
     "other_sign": (scaled(-1.0, "velocity_x", "velocity_y", "velocity_z"), "velocity"),
-    "attitude_of_zeros": (filled(0.0, "attitude"), "attitude"),
     "all_nan": (filled(np.nan, "position", "velocity", "attitude", "rate", "specific", "rotor"), ""),
     "infinite": (filled(np.inf, "specific_force_z"), "specific"),
     "rotors_stand": (filled(0.0, "rotor_speed"), "rotor"),
@@ -156,20 +153,21 @@ COLUMNS: dict[str, tuple[Callable[[Columns], Columns], str]] = {
     "no_rows": (lambda c: {k: v[:0] for k, v in c.items()}, "row"),
 }
 
-TEXTS: dict[str, tuple[Callable[[bytes], bytes], str]] = {
-    "empty.csv": (lambda _: b"", "empty"),
-    "prose.csv": (lambda _: b"Dear all,\nhere is the flight.\nRegards\n", "column"),
-    "bytes.csv": (lambda _: bytes(range(256)) * 20, ""),
-    "ragged.csv": (lambda t: t.replace(b"\n", b",1,2\n", 40).replace(b",1,2\n", b"\n", 20), "row"),
-    "decimal_comma.csv": (lambda t: t.replace(b",", b";").replace(b".", b","), "comma"),
-    "words.csv": (lambda t: re.sub(rb"\n0\.5,[^,]*", b"\n0.5,north", t, count=1), "north"),
-    "cut.csv.gz": (lambda t: gzip.compress(t)[:4000], "cut"),
-    "no_gzip.csv.gz": (lambda t: t[:4000], "gz"),
-    "cut.ulg": (lambda _: b"ULog\x01\x12\x35\x01" + bytes(8), "ulg"),
-    "no_ulog.ulg": (lambda _: b"hello, world" * 50, "ulog"),
-    "no_parquet.parquet": (lambda _: b"PAR1 and nothing more", "parquet"),
-    "no_mcap.mcap": (lambda _: b"\x89MCAP0\r\n and nothing more", "mcap"),
-    "flight.docx": (lambda t: t, "docx"),
+# files, the code that each is refused with, and what the message names: 2 for what is no log at all
+TEXTS: dict[str, tuple[Callable[[bytes], bytes], int, str]] = {
+    "empty.csv": (lambda _: b"", DATA, "empty"),
+    "prose.csv": (lambda _: b"Dear all,\nhere is the flight.\nRegards\n", REQUEST, "column"),
+    "bytes.csv": (lambda _: bytes(range(256)) * 20, REQUEST, ""),
+    "ragged.csv": (lambda t: t.replace(b"\n", b",1,2\n", 40).replace(b",1,2\n", b"\n", 20), DATA, "row"),
+    "decimal_comma.csv": (lambda t: t.replace(b",", b";").replace(b".", b","), REQUEST, "comma"),
+    "words.csv": (lambda t: re.sub(rb"\n0\.5,[^,]*", b"\n0.5,north", t, count=1), DATA, "north"),
+    "cut.csv.gz": (lambda t: gzip.compress(t)[:4000], DATA, "cut"),
+    "no_gzip.csv.gz": (lambda t: t[:4000], REQUEST, "gz"),
+    "cut.ulg": (lambda _: b"ULog\x01\x12\x35\x01" + bytes(8), DATA, "ulg"),
+    "no_ulog.ulg": (lambda _: b"hello, world" * 50, REQUEST, "ulog"),
+    "no_parquet.parquet": (lambda _: b"PAR1 and nothing more", REQUEST, "parquet"),
+    "no_mcap.mcap": (lambda _: b"\x89MCAP0\r\n and nothing more", REQUEST, "mcap"),
+    "no_time.csv": (lambda t: t.replace(b"t,", b"", 1), REQUEST, "column"),
 }
 
 # --- command lines ------------------------------------------------------------------------------------------------
@@ -200,9 +198,8 @@ LINES: tuple[Case, ...] = (
     Case("adding", ("add", "warp", GOOD, *V, "--out", "{here}/out.toml"), REQUEST, "warp"),
     Case("adding", ("add", "weak_rotor", GOOD, *V, "--rotor", "9", "--out", "{here}/out.toml"), REQUEST, "rotor"),
     Case("adding", ("add", "rotor_drag", GOOD, *V, "--rotor", "1", "--out", "{here}/out.toml"), REQUEST, "rotor"),
-    Case("adding", ("add", "gust", GOOD, *V, "--out", "{here}/out.toml"), REQUEST, "gust"),
+    Case("adding", ("add", "gust", GOOD, *V, "--out", "{here}/out.toml"), DATA, "gust"),
     Case("adding", ("add", "rotor_drag", *V, "--out", "{here}/out.toml"), REQUEST, "log"),
-    Case("adding", ("add", GOOD, *V, "--out", "{here}/no/such/folder/out.toml"), REQUEST, "out.toml"),
     Case("vehicle", ("vehicle", "new", "x", "--mass", "-1", "--arm", "0.2", "--propeller", "10in", "--kv", "900",
                      "--cells", "4", "--frame", "quad_x", "--out", "{here}/out.toml"), REQUEST, "mass"),
     Case("vehicle", ("vehicle", "new", "x", "--mass", "1 stone", "--arm", "0.2", "--propeller", "10in", "--kv", "900",
@@ -254,8 +251,6 @@ LINES: tuple[Case, ...] = (
          "soup"),
     Case("learning", ("train", GOOD, *V, "--model", "pi_tcn", "--device", "cuda:7", "--out", "{here}/out.pt"),
          REQUEST, "cuda:7"),
-    Case("learning", ("train", GOOD, *V, "--model", "pi_tcn", "--resume", "--out", "{here}/out.pt"), REQUEST,
-         "out.pt"),
     Case("learning", ("evaluate", "{here}/gone.pt", GOOD), REQUEST, "gone.pt"),
     Case("learning", ("evaluate", "{here}/broken.pt", GOOD), REQUEST, "broken.pt"),
     Case("learning", ("evaluate", GOOD), REQUEST, "model"),
@@ -276,7 +271,7 @@ def cases() -> list[Case]:
         for name, (_, word) in VEHICLES.items()
     ]
     made += [Case("log", ("diagnose", f"{{here}}/{name}", *V), DATA, word) for name, (_, word) in COLUMNS.items()]
-    made += [Case("log", ("diagnose", f"{{here}}/{name}", *V), DATA, word) for name, (_, word) in TEXTS.items()]
+    made += [Case("log", ("diagnose", f"{{here}}/{name}", *V), code, word) for name, (_, code, word) in TEXTS.items()]
     return [*made, *LINES]
 
 
@@ -296,7 +291,7 @@ def prepare(here: Path) -> None:
         for number, flight in enumerate(flights):
             spoilt(flight, COLUMNS.get(folder, (dict, ""))[0], here / folder / f"flight_{number}.csv")
     good = (here / "good" / "flight_0.csv").read_bytes()
-    for name, (change, _) in TEXTS.items():
+    for name, (change, *_) in TEXTS.items():
         (here / name).write_bytes(change(good))
 
 

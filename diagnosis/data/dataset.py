@@ -18,6 +18,7 @@ from dynamics.vehicle import Vehicle
 from flights import Flight, Log, read_log
 from flights.hold_out import matching
 from flights.quality.findings import Finding
+from flights.quantities import MOTION
 
 NOTED = ("frozen_channel", "battery_unmeasured")  # findings that change what is used
 
@@ -88,8 +89,12 @@ def read_flights(
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
     streams = [read_log(path, mapping=mapping, pose=pose) for path in logs]
     flights = [_flight(log, thresholds) for log in streams]
-    rate = round(min(flight.rate for flight in flights), 3)
-    same = [abs(flight.rate - rate) < 0.01 * rate for flight in flights]
+    rates = [flight.rate for flight in flights if flight.rate > 0]
+    if not rates:
+        names = ", ".join(flight.provenance.path for flight in flights[:3])
+        raise DataError(f"{names}: one row is no flight. Fly at least 20 s in the air without gaps.")
+    rate = round(min(rates), 3)
+    same = [abs(flight.rate - rate) < 0.01 * rate or not flight.rate for flight in flights]
     return [
         flight if good else Flight.from_log(log, rate=rate)
         for log, flight, good in zip(streams, flights, same, strict=True)
@@ -138,6 +143,7 @@ def _left_out(
     empty = [f.provenance.path for f in flights if not any(f is other for other in flown)]
     if not flown:
         reasons = "".join(f" {finding.text}." for finding in findings if finding.name == "frozen_channel")
+        reasons += _mostly_missing(flights[0])
         raise DataError(
             f"{', '.join(empty[:3])}: nowhere {min_duration:g} s of uninterrupted flight.{reasons} Fly at least 20 s "
             "in the air without gaps."
@@ -145,6 +151,14 @@ def _left_out(
     if not empty:
         return []
     return [f"left out, for there are no {min_duration:g} s of uninterrupted flight in them: {', '.join(empty)}"]
+
+
+def _mostly_missing(flight: Flight) -> str:
+    """Which quantities of motion have no number in most rows of a flight, in words."""
+    shares = {name: float(np.mean(~np.isfinite(flight[name]).all(axis=1))) for name in MOTION if flight.has(name)}
+    return "".join(
+        f" {name} holds no number in {share:.0%} of the rows." for name, share in shares.items() if share > 0.5
+    )
 
 
 def _distinct(flights: Sequence[Flight]) -> tuple[list[Flight], list[str]]:

@@ -173,6 +173,8 @@ def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT)
 
     Raises DataError when the flight lacks motion or rotors, or was logged too slowly.
     """
+    if len(flight) < 2:
+        return ()
     if flight.rate < thresholds.segment.min_rate_share * MIN_ROTOR_RATE:
         raise DataError(
             f"{flight.provenance.path} has {flight.rate:.0f} rows a second. Wanted {MIN_ROTOR_RATE:.0f} Hz or more "
@@ -228,8 +230,9 @@ def _unusable(flight: Flight, speed: Floats, thresholds: SegmentThresholds) -> N
     if flight.has("rotor_speed"):
         unusable |= dropout_rows(flight)
     unusable |= excluded_rows(flight, find_exclusions(flight))
-    width = 2 * round(thresholds.margin * flight.rate) + 1
-    return np.asarray(np.convolve(unusable, np.ones(width), mode="same") > 0)
+    margin = round(thresholds.margin * flight.rate)
+    near = np.convolve(unusable, np.ones(2 * margin + 1))[margin : margin + len(unusable)]
+    return np.asarray(near > 0)
 
 
 def _segment(part: Flight, vehicle: Vehicle, thresholds: Thresholds) -> Segment:

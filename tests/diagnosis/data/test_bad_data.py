@@ -148,6 +148,24 @@ def test_of_one_flight_the_last_fifth_is_held_out(plain_flights, arpl_250g):
     assert any("one flight only" in note for note in dataset.notes)
 
 
+@pytest.mark.parametrize("rows", [1, 2, 100])
+def test_a_log_of_a_second_and_less_holds_no_flight(plain_flights, arpl_250g, tmp_path, rows):
+    short = [flight.rows(0, rows).to_csv(tmp_path / f"short_{i}.csv") for i, flight in enumerate(plain_flights[:2])]
+    with pytest.raises(DataError, match=r"short_0\.csv.*(uninterrupted flight|row)"):
+        read_dataset(short, arpl_250g)
+    whole = [flight.to_csv(tmp_path / f"whole_{i}.csv") for i, flight in enumerate(plain_flights)]
+    dataset = read_dataset([*short, *whole], arpl_250g)
+    assert any("left out" in note and "short_1.csv" in note for note in dataset.notes)
+    assert set(dataset.hashes) | set(dataset.held_hashes) == {str(path) for path in whole}
+
+
+def test_a_quantity_without_numbers_is_named(changed, arpl_250g, tmp_path):
+    infinite = changed(specific_force_z=lambda z: np.full_like(z, np.inf))
+    logs = [flight.to_csv(tmp_path / f"flight_{i}.csv") for i, flight in enumerate(infinite)]
+    with pytest.raises(DataError, match=r"specific_force holds no number in 100% of the rows"):
+        read_dataset(logs, arpl_250g)
+
+
 def test_a_pattern_selects_the_flights_that_are_held_out(plain_flights, arpl_250g, tmp_path):
     paths = [flight.to_csv(tmp_path / f"flight_{i}.csv") for i, flight in enumerate(plain_flights[:3])]
     dataset = read_dataset(paths, arpl_250g, hold_out="flight_0*")
