@@ -259,8 +259,9 @@ LINES: tuple[Case, ...] = (
     Case("learning", ("export", "arpl_250g", "--processor", "abacus", "--out", "{here}/out"), REQUEST, "abacus"),
     Case("learning", ("export", "arpl_250g", "--nodes", "1", "--out", "{here}/out"), REQUEST, "--nodes"),
     Case("learning", ("export", "--verify", "{here}/gone"), REQUEST, "gone"),
-    Case("learning", ("sweep", "soup", GOOD, *V, "--out", "{here}/out"), REQUEST, "soup"),
-    Case("learning", ("sweep", "grid", GOOD, *V, "--grid", "colour=1,2", "--out", "{here}/out"), REQUEST, "colour"),
+    Case("learning", ("sweep", "soup", GOOD, *V, "--test", GOOD, "--out", "{here}/out"), REQUEST, "soup"),
+    Case("learning", ("sweep", "grid", GOOD, *V, "--test", GOOD, "--grid", "colour=1,2", "--out", "{here}/out"),
+         REQUEST, "colour"),
 )  # fmt: skip
 
 

@@ -87,7 +87,7 @@ class CommandCurve:
             f"gives for their commands{interval}, rotor by rotor {each} of that, followed with a lag of about "
             f"{1e3 * self.lag:.0f} ms ({100 * self.without_lag:.0f} % of the vertical force explained without lag, "
             f"{100 * self.explained:.0f} % with it). thrust_constant cannot be distinguished from such a gain, mass "
-            "only where inertia and drag of the file are right, and a weak rotor not from a motor's own"
+            "only where inertia and drag of the file are right, and a weak rotor not from its motor's own gain"
         )
 
 

@@ -153,10 +153,10 @@ def test_a_log_of_a_second_and_less_holds_no_flight(plain_flights, arpl_250g, tm
     short = [flight.rows(0, rows).to_csv(tmp_path / f"short_{i}.csv") for i, flight in enumerate(plain_flights[:2])]
     with pytest.raises(DataError, match=r"short_0\.csv.*(uninterrupted flight|row)"):
         read_dataset(short, arpl_250g)
-    whole = [flight.to_csv(tmp_path / f"whole_{i}.csv") for i, flight in enumerate(plain_flights)]
-    dataset = read_dataset([*short, *whole], arpl_250g)
+    long = [flight.to_csv(tmp_path / f"long_{i}.csv") for i, flight in enumerate(plain_flights)]
+    dataset = read_dataset([*short, *long], arpl_250g)
     assert any("left out" in note and "short_1.csv" in note for note in dataset.notes)
-    assert set(dataset.hashes) | set(dataset.held_hashes) == {str(path) for path in whole}
+    assert set(dataset.hashes) | set(dataset.held_hashes) == {str(path) for path in long}
 
 
 def test_a_quantity_without_numbers_is_named(changed, arpl_250g, tmp_path):
