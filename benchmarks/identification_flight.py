@@ -28,7 +28,7 @@ from benchmarks.whole_flights import flown, options_of
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.experiment import PlannedFlight, parse_request, plan_flight
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.errors import VehicleError
 from dynamics.references import Reference, check_feasibility, named_reference

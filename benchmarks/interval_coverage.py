@@ -28,7 +28,8 @@ from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.joint_search import about_values
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import gust_beside
-from diagnosis.selection.regression import Regression, about_fit, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import about_fit, make_regression
 from diagnosis.selection.search import Search
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.effects import CATALOGUE

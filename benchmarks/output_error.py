@@ -20,7 +20,7 @@ from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals
 from diagnosis.estimation.output_error import refit
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError

@@ -17,7 +17,8 @@ from diagnosis.estimation.evaluation import floor_norms
 from diagnosis.models import channels
 from diagnosis.selection.candidates import Candidate, make_predictor
 from diagnosis.selection.design_matrix import DesignMatrix
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.arrays import Floats
 from dynamics.effect import Parameter
 from dynamics.effects import CATALOGUE

@@ -25,7 +25,8 @@ from diagnosis.models.command_effects import without_command_effects
 from diagnosis.models.open_loop import HorizonError, horizon_error
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.search import IMPOSSIBLE, Search
 from diagnosis.thresholds import DEFAULT, RelevanceThresholds, Thresholds
 from diagnosis.verdict import channel_errors

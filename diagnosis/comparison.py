@@ -26,7 +26,8 @@ from diagnosis.regimes import (
     regime_planes,
     worst_cells,
 )
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.spectrum import Spectrum, SpectrumLines, residual_spectrum, spectrum_lines
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats

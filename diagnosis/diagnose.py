@@ -26,7 +26,8 @@ from diagnosis.models.command_effects import without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
 from diagnosis.report import Diagnosis
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection, with_gust_beside
 from diagnosis.thresholds import DEFAULT, Thresholds

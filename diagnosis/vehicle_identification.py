@@ -26,7 +26,8 @@ from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.models.command_effects import BEND
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression, make_regression
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from dynamics.effect import Conditions, Effect, Parameter, Prior, Values, Wrench

@@ -11,7 +11,8 @@ from collections.abc import Mapping, Sequence
 
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.regression import Regression, about_fit
+from diagnosis.selection.regression import Regression
+from diagnosis.selection.regression_of_flights import about_fit
 from diagnosis.selection.search import Selection, select, select_from
 
 

@@ -13,22 +13,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.segment import Segment
-from diagnosis.models import channels
-from diagnosis.models.command_effects import COMMAND_EFFECTS, GAIN, prior_deviation, with_command_effects
-from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors
-from diagnosis.selection.air_motion import Waves, Whitened, make_waves
+from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors
+from diagnosis.selection.air_motion import Waves
 from diagnosis.selection.candidates import Candidate
-from diagnosis.selection.design_matrix import DesignMatrix, evaluate_design
-from diagnosis.selection.errors_in_variables import design_errors, noisier_segments
-from diagnosis.selection.noise import NoiseModel, estimate_noise
-from diagnosis.selection.sensor_errors import NO_BIASES, Biases, SensorErrors, sensor_biases
-from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, GustThresholds, Thresholds
+from diagnosis.selection.design_matrix import DesignMatrix
+from diagnosis.selection.noise import NoiseModel
+from diagnosis.selection.sensor_errors import NO_BIASES, Biases, SensorErrors
+from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.vehicle import Vehicle
@@ -229,11 +225,11 @@ class Regression:
             return self
         everywhere = range(len(self.product[0]))
         (joint_gram, joint_product), plain = (
-            _unzipped(one.beside_gust(variance, everywhere, corrected=corrected) for one in self.equations)
+            unzipped(one.beside_gust(variance, everywhere, corrected=corrected) for one in self.equations)
             for corrected in (True, False)
         )
-        gram, product = _marginals(joint_gram, joint_product, self.biases)
-        plain_gram, plain_product = _marginals(*plain, self.biases)
+        gram, product = marginals(joint_gram, joint_product, self.biases)
+        plain_gram, plain_product = marginals(*plain, self.biases)
         return replace(
             self,
             gram=gram,
@@ -320,168 +316,13 @@ def solved(gram: Floats, product: Floats) -> tuple[Floats, Floats]:
     return theta, np.sum(theta * product, axis=-1)
 
 
-def make_regression(
-    vehicle: Vehicle,
-    catalogue: Mapping[str, Effect],
-    segments: Sequence[Segment],
-    flight_of: Sequence[int],
-    thresholds: Thresholds = DEFAULT,
-) -> Regression:
-    """The regression of all candidates over segments of flights numbered from 0."""
-    vehicle, catalogue = with_command_effects(vehicle, catalogue, segments)
-    evaluated = evaluate_design(vehicle, catalogue, segments, thresholds.prediction)
-    design, rows, columns = evaluated.matrix, evaluated.rows, evaluated.columns
-    candidates = tuple(c for c in evaluated.candidates if c.effect.name not in COMMAND_EFFECTS)
-    nuisances = tuple(c for c in evaluated.candidates if c.effect.name in COMMAND_EFFECTS)
-    noisier = noisier_segments(segments, thresholds)
-    errors = [(y, x.astype(np.float32)) for y, x in design_errors(noisier, design, rows, columns)]
-    pose = pose_errors(segments, design.present, thresholds.pose)
-    noise, everything = _noise(segments, rows, columns, pose, thresholds)
-    equations = _equations(candidates, flight_of, noise, rows, columns, errors, segments[0].decimated_rate, thresholds)
-    observations = [0] * len(equations)
-    for flight, y in zip(flight_of, rows, strict=True):
-        observations[flight] += (len(y) - noise.order) * len(noise.active)
-    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
-    return Regression(
-        vehicle=vehicle,
-        catalogue=catalogue,
-        segments=segments,
-        flight_of=flight_of,
-        candidates=candidates,
-        noise=noise,
-        rows=rows,
-        columns=columns,
-        **_still_air(equations, biases),
-        observations=observations,
-        rate=segments[0].decimated_rate,
-        biases=biases,
-        design=design,
-        everything=everything,
-        equations=equations,
-        pose=pose,
-        errors=errors,
-        noisier=noisier,
-        thresholds=thresholds,
-        not_followed=evaluated.not_followed,
-        nuisances=nuisances,
-        shared=shared_unknowns(nuisances, thresholds.command_curve),
-    )
+def marginals(grams: Sequence[Floats], products: Sequence[Floats], biases: Biases) -> tuple[list[Floats], list[Floats]]:
+    """`marginal` of each flight."""
+    return unzipped(marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True))
 
 
-def about_fit(
-    regression: Regression, candidates: tuple[Candidate, ...], nuisances: tuple[Candidate, ...]
-) -> Regression | None:
-    """The regression about a fit of some candidates, which hold its values; None where that cannot be followed.
-
-    Made again are the rows, and the columns of what the fit holds, of air and of what shares a model with them. Other
-    columns change by as little as those effects change the vehicle, and so do the errors in variables.
-    """
-    r, thresholds = regression, regression.thresholds
-    design = DesignMatrix(r.vehicle, r.catalogue, (*candidates, *nuisances), r.segments[0], thresholds.prediction)
-    again = [design.again(segment, columns) for segment, columns in zip(r.segments, r.columns, strict=True)]
-    rows, columns = _unzipped(again)
-    if not all(np.isfinite(y).all() and np.isfinite(x).all() for y, x in again):
-        return None
-    pose = pose_errors(r.segments, design.present, thresholds.pose)
-    noise, _ = _noise(r.segments, rows, columns, pose, thresholds)
-    equations = _equations(candidates, r.flight_of, noise, rows, columns, r.errors, r.rate, thresholds)
-    biases = flight_biases(candidates, nuisances, thresholds.command_curve)
-    return replace(
-        r,
-        candidates=candidates,
-        nuisances=nuisances,
-        noise=noise,
-        pose=pose,
-        rows=rows,
-        columns=columns,
-        **_still_air(equations, biases),
-        biases=biases,
-        shared=shared_unknowns(nuisances, thresholds.command_curve),
-        equations=equations,
-        gust_variance=0.0,
-    )
-
-
-def _still_air(equations: Sequence[FlightEquations], biases: Biases) -> dict[str, Any]:
-    """The fields of a regression with its normal equations, without a gust."""
-    joint_gram, joint_product = [one.gram for one in equations], [one.product for one in equations]
-    gram, product = _marginals(joint_gram, joint_product, biases)
-    plain = [one.plain_gram for one in equations], [one.plain_product for one in equations]
-    plain_gram, plain_product = _marginals(*plain, biases)
-    return {
-        "gram": gram,
-        "product": product,
-        "plain_gram": plain_gram,
-        "plain_product": plain_product,
-        "joint_gram": joint_gram,
-        "joint_product": joint_product,
-    }
-
-
-def _equations(
-    candidates: Sequence[Candidate],
-    flight_of: Sequence[int],
-    noise: NoiseModel,
-    rows: Sequence[Floats],
-    columns: Sequence[Floats],
-    errors: Iterable[tuple[Floats, NDArray[np.floating]]],
-    rate: float,
-    thresholds: Thresholds,
-) -> list[FlightEquations]:
-    """The normal equations of each flight. errors: of rows (m, 12) and columns (m, 12, k), a segment each."""
-    wind = next((list(c.columns) for c in candidates if c.effect.wind is not None), None)
-    flights: list[list[tuple[Whitened, Floats]]] = [[] for _ in range(max(flight_of) + 1)]
-    for flight, y, x, (y_error, x_error) in zip(flight_of, rows, columns, errors, strict=True):
-        white_errors = noise.whiten(np.asarray(x_error, dtype=float)), noise.whiten(y_error)
-        white = Whitened(noise.whiten(x), noise.whiten(y), *white_errors)
-        flights[flight].append((white, x[:, :, wind or []]))
-    return [
-        flight_equations([one for one, _ in parts], [air for _, air in parts], noise, rate, thresholds.gust)
-        for parts in flights
-    ]
-
-
-def flight_equations(
-    segments: Sequence[Whitened], wind: Sequence[Floats], noise: NoiseModel, rate: float, thresholds: GustThresholds
-) -> FlightEquations:
-    """The normal equations of one flight. wind: (m, 12, a) regressors of a steady wind, a segment each."""
-    width = segments[0].columns.shape[2]
-    gram, correction = np.zeros((width, width)), np.zeros((width, width))
-    product, product_correction = np.zeros(width), np.zeros(width)
-    for segment in segments:
-        x, y, x_error, y_error = segment.flat()
-        gram += x.T @ x
-        product += x.T @ y
-        correction += x_error.T @ x_error
-        product_correction += x_error.T @ y_error
-    waves = make_waves(segments, wind, noise, rate, thresholds) if wind[0].shape[2] else ()
-    return FlightEquations(gram - correction, product - product_correction, gram, product, waves)
-
-
-def _noise(
-    segments: Sequence[Segment],
-    rows: Sequence[Floats],
-    columns: Sequence[Floats],
-    pose: PoseErrors,
-    thresholds: Thresholds,
-) -> tuple[NoiseModel, Floats]:
-    """The noise, from the residuals after all columns at once, and the coefficients (k,) of these."""
-    kinds = np.all([channels.present(s) for s in segments], axis=0)
-    active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
-    everything = _everything(rows, columns, active, thresholds.regression.ridge)
-    residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
-    # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
-    mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
-    return estimate_noise(residuals, rate, active, mixed=mixed, pose=pose, thresholds=thresholds.noise), everything
-
-
-def _marginals(
-    grams: Sequence[Floats], products: Sequence[Floats], biases: Biases
-) -> tuple[list[Floats], list[Floats]]:
-    return _unzipped(marginal(gram, product, biases) for gram, product in zip(grams, products, strict=True))
-
-
-def _unzipped(pairs: Iterable[tuple[Floats, Floats]]) -> tuple[list[Floats], list[Floats]]:
+def unzipped(pairs: Iterable[tuple[Floats, Floats]]) -> tuple[list[Floats], list[Floats]]:
+    """Two lists of a list of pairs."""
     first, second = zip(*pairs, strict=True)
     return list(first), list(second)
 
@@ -506,32 +347,3 @@ def explained_by_biases(gram: Floats, product: Floats, biases: Biases) -> Floats
     inner = gram[..., places, :][..., places] + np.diag(biases.information)
     estimates = np.linalg.solve(inner, product[..., places, None])[..., 0]
     return np.asarray(np.sum(product[..., places] * estimates, axis=-1) - np.linalg.slogdet(inner)[1])
-
-
-def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:
-    """(k,) coefficients of a ridge regression on all columns, whose residuals are mostly noise."""
-    scale = np.sqrt(np.mean(np.vstack(rows) ** 2, axis=0)) + 1e-12
-    some = list(active)
-    x = np.vstack([(c[:, some] / scale[some, None]).reshape(-1, c.shape[2]) for c in columns])
-    y = np.concatenate([(r[:, some] / scale[some]).ravel() for r in rows])
-    size = np.sqrt(np.mean(x**2, axis=0)) + 1e-12
-    x = x / size
-    return np.asarray(np.linalg.solve(x.T @ x + ridge * len(y) * np.eye(x.shape[1]), x.T @ y) / size)
-
-
-def flight_biases(
-    candidates: Sequence[Candidate], nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds
-) -> Biases:
-    """Each flight's own sensor errors and its own deviation from the gain of commands that all flights share."""
-    sensors = sensor_biases(candidates)
-    gains = [column for c in nuisances if c.effect is GAIN for column in c.columns]
-    information = np.full(len(gains), thresholds.flight_gain_std**-2)
-    return Biases((*sensors.columns, *gains), np.concatenate([sensors.information, information]))
-
-
-def shared_unknowns(nuisances: Sequence[Candidate], thresholds: CommandCurveThresholds) -> Biases:
-    """The gain, the motors' gains and the curve's bend, about their neutral values."""
-    columns = [column for c in nuisances for column in c.columns]
-    deviations = [prior_deviation(c.effect, thresholds) for c in nuisances]
-    expected = [c.effect.parameters[0].neutral - c.at[c.effect.parameters[0].name] for c in nuisances]
-    return Biases(tuple(columns), np.array(deviations) ** -2.0, np.array(expected))

@@ -10,7 +10,8 @@ from diagnosis.data.segment import Segment
 from diagnosis.selection.air_motion import Whitened
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.noise import NoiseModel
-from diagnosis.selection.regression import Regression, flight_equations, marginal
+from diagnosis.selection.regression import Regression, marginal
+from diagnosis.selection.regression_of_flights import flight_equations
 from diagnosis.selection.sensor_errors import Biases
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.arrays import Floats

@@ -8,7 +8,7 @@ from diagnosis.estimation.acceptance import accepted_fit, at_its_bounds
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
 from diagnosis.estimation.paired_errors import channel_changes, total_change
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
 from dynamics.effects import CATALOGUE

@@ -6,7 +6,7 @@ import pytest
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import _EquationErrorProblem, fit
 from diagnosis.estimation.fitted import bounds, with_candidates
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights

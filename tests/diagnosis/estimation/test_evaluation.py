@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals, residuals_in
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effect import Effect, Parameter, Prior, Reading
 from dynamics.effects import CATALOGUE
 from tests.diagnosis.synthetic import hovering

@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.search import Search
 from dynamics.effects import CATALOGUE
 from dynamics.effects.time_delay import SENSOR_PRIOR

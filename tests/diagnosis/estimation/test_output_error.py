@@ -11,7 +11,7 @@ from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import open_loop_errors
 from diagnosis.models.prediction import Predictor
 from diagnosis.models.rollout import Simulator, healthy
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.rate_loop import ACTUATION_DELAY, DEFAULT_MOTOR_LAG
 from dynamics.vehicle import EffectUse

@@ -15,7 +15,7 @@ from diagnosis.models.command_effects import (
     without_command_effects,
 )
 from diagnosis.models.prediction import Predictor
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle
 from flights import Flight

@@ -12,7 +12,7 @@ from diagnosis.next_flight import next_flight
 from diagnosis.report import MissingEffect
 from diagnosis.selection.candidates import make_candidates
 from diagnosis.selection.design_matrix import evaluate_design
-from diagnosis.selection.regression import sensor_biases
+from diagnosis.selection.sensor_errors import sensor_biases
 from diagnosis.selection.visibility import needs_battery
 from dynamics.effect import Effect, Hidden, Parameter, Prior, Wrench
 from dynamics.effect_file import with_effects_of

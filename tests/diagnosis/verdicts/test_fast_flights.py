@@ -2,7 +2,7 @@
 
 from diagnosis.data.dataset import make_dataset
 from diagnosis.estimation.equation_error import fit
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from fixtures.planted import planted_flights
 

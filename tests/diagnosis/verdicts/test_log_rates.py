@@ -8,7 +8,7 @@ from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.models.open_loop import open_loop_errors
 from diagnosis.selection.candidates import make_candidates
-from diagnosis.selection.regression import make_regression
+from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights

@@ -8,8 +8,9 @@ from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.output_error import refit
 from diagnosis.selection.candidates import make_candidates
-from diagnosis.selection.regression import make_regression, sensor_biases
+from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.search import Search, possible
+from diagnosis.selection.sensor_errors import sensor_biases
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from fixtures.compiled_flights import compiled_flights
