@@ -59,7 +59,15 @@ def strength(result: Result) -> float:
 def first_right(result: Result, *, rivals: bool = False) -> bool:
     """Whether the first named effect is hidden, or declared to look like one that is."""
     named = effects(result)
+    if not named and rivals:  # declared to be behind a gain of the commands
+        return bool(set(as_gain(result)) & set(result["hidden"]))
     return bool(named) and right(named[0], result["hidden"], rivals=rivals)
+
+
+def as_gain(result: Result) -> Sequence[str]:
+    """Effects that are declared to be behind a gain of the commands."""
+    gain = result.get("report", {}).get("command_gain") or {}
+    return gain.get("look_alikes", ())
 
 
 def table(results: Sequence[Result]) -> str:
@@ -70,7 +78,9 @@ def table(results: Sequence[Result]) -> str:
     lines = ["| | measured | goal |", "| --- | --- | --- |"]
     for name in ("speeds", "commands", "campaign", "estimator", "true_file"):
         some = [r for r in flown if r["kind"] == "nothing" and r["name"] == name]
-        lines.append(_line(f"nothing hidden, {name}: false alarms", some, lambda r: bool(effects(r)), "<= 0.5 %"))
+        lines.append(
+            _line(f"nothing hidden, {name}: false alarms", some, lambda r: bool(effects(r) or as_gain(r)), "<= 0.5 %")
+        )
         lines.append(_line(f"nothing hidden, {name}: explained", some, lambda r: verdict(r) == "explained", ">= 97 %"))
     for kind in ("single", "own", "estimator"):
         some = [r for r in singles if r["kind"] == kind]

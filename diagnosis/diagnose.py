@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -22,15 +22,15 @@ from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
 from diagnosis.estimation.refusal import Refused
 from diagnosis.leftover import leftover, with_typical_window
-from diagnosis.models.command_effects import without_command_effects
+from diagnosis.models.command_effects import AS_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
 from diagnosis.regimes import regime_maps, worst_cells
-from diagnosis.report import Diagnosis
+from diagnosis.report import CommandGain, Diagnosis, MissingEffect
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.residual_tests import Rejection, ResidualTests, run_residual_tests
 from diagnosis.selection.search import Selection, with_gust_beside
-from diagnosis.thresholds import DEFAULT, Thresholds
+from diagnosis.thresholds import DEFAULT, CommandCurveThresholds, Thresholds
 from diagnosis.verdict import (
     channel_errors,
     considered,
@@ -110,6 +110,7 @@ def diagnose_dataset(
         leftover=left,
         rotors=rotor_names(vehicle),
         next_reference=next_reference(effects, refused, quiet, catalogue),
+        command_gain=_command_gain(dataset, accepted.fit, effects, thresholds.command_curve),
     )
     return DiagnosisDetails(
         diagnosis=diagnosis,
@@ -132,6 +133,21 @@ def _not_followed(regression: Regression) -> list[str]:
         return []
     names, rate = ", ".join(regression.not_followed), regression.segments[0].rate
     return [f"not tried, since logs of {rate:.0f} Hz are too slow for its hidden states: {names}"]
+
+
+def _command_gain(
+    dataset: Dataset, accepted: Fit, effects: Sequence[MissingEffect], thresholds: CommandCurveThresholds
+) -> CommandGain | None:
+    """The gain of the commands beside the named effects, and what may be behind it."""
+    ratio = None if dataset.curve is None else command_gain(accepted, dataset.curve.mass)
+    if dataset.curve is None or ratio is None:
+        return None
+    mean = dataset.curve.mean_gain
+    value, std = mean * ratio.value, mean * ratio.std
+    change = abs(value - 1)
+    sure = change > max(thresholds.min_gain_change, thresholds.gain_deviations * std)
+    named = {name for effect in effects for name in (effect.name, *effect.ambiguous_with)}
+    return CommandGain(value, std, AS_GAIN if sure and named.isdisjoint(AS_GAIN) else ())
 
 
 def _notes(dataset: Dataset, accepted: Fit) -> tuple[str, ...]:

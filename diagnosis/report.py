@@ -111,6 +111,18 @@ class Leftover(msgspec.Struct, frozen=True):
     regimes: tuple[Failure, ...]
 
 
+class CommandGain(msgspec.Struct, frozen=True):
+    """Thrust over that which the vehicle file gives for the motor commands, where no rotor speed was measured.
+
+    value, std: over all flights, fitted beside the effects that are named.
+    look_alikes: effects that show as nothing but such a gain, where it is surely not 1 and none of them is named.
+    """
+
+    value: float
+    std: float
+    look_alikes: tuple[str, ...]
+
+
 class Diagnosis(msgspec.Struct, frozen=True):
     """The verdict and its evidence.
 
@@ -125,6 +137,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     candidates: what was tried, the best first.
     leftover: what no effect of the catalogue explains, the largest first.
     rotors: each rotor's name with its place and the autopilots' numbers, for people.
+    command_gain: None where rotor speeds were measured.
     """
 
     verdict: Verdict
@@ -138,6 +151,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     leftover: tuple[Leftover, ...] = ()
     rotors: tuple[str, ...] = ()
     next_reference: str = ""
+    command_gain: CommandGain | None = None
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -150,7 +164,21 @@ def _ground(errors: Mapping[str, ChannelError]) -> str:
 
 
 def sentence(diagnosis: Diagnosis) -> str:
-    """The verdict in one sentence."""
+    """The verdict in one sentence, and a second one on a gain of the commands that may be an effect."""
+    return _verdict_sentence(diagnosis) + _gain_sentence(diagnosis.command_gain)
+
+
+def _gain_sentence(gain: CommandGain | None) -> str:
+    if gain is None or not gain.look_alikes:
+        return ""
+    return (
+        f" The rotors give {gain.value:.3g} ± {1.96 * gain.std:.2g} times the thrust that the file gives for their "
+        f"commands: {' or '.join(gain.look_alikes)} may be behind it, which commands without rotor speeds do not tell "
+        "from the motors' own gain."
+    )
+
+
+def _verdict_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == "explained":
         return f"The model explains these flights down to {_ground(diagnosis.channels)}."
     named = [_described(effect, diagnosis.rotors) + _look_alikes(effect) for effect in diagnosis.effects]

@@ -133,6 +133,9 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     flight_gain_std: of a flight's own gain about it; the battery changes it. [not derived yet]
     motor_std: of a motor's gain about the first estimate. [not derived yet]
     bend_std: of the curve's bend at hover. [not derived yet]
+    min_gain_change: of the gain from 1, from which on a wrong mass or thrust constant may be behind it.
+        [benchmarks/verdicts.py]
+    gain_deviations: standard deviations that this change has at least. [benchmarks/verdicts.py]
     """
 
     gain: Range = (0.55, 1.8)
@@ -150,6 +153,8 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     flight_gain_std: Positive = 0.03
     motor_std: Positive = 0.03
     bend_std: Positive = 0.05
+    min_gain_change: Share = 0.03
+    gain_deviations: Positive = 3.0
 
 
 class DataChecks(ThresholdGroup, frozen=True):

@@ -75,12 +75,17 @@ class CommandCurve:
         speed = self.hover * np.sqrt(self.thrust(commanded))
         return replace(segment, rotor_speed=speed, carried_mass=self.mass)
 
+    @property
+    def mean_gain(self) -> float:
+        """Thrust over that which the file gives for the commands, over all flights."""
+        return float(np.mean([gain.mean for gain in self.gains.values()]))
+
     def note(self, ratio: float = 1.0, std: float | None = None) -> str:
         """What the user should know of it. ratio: on all gains, from a fit beside the effects; std: of that."""
         means = [ratio * gain.mean for gain in self.gains.values()]
         motors = np.mean([gain.motors for gain in self.gains.values()], axis=0)
         gain = f"{min(means):.2f}" + (f" to {max(means):.2f}" if len(means) > 1 else "")
-        interval = "" if std is None else f", +- {1.96 * std * float(np.mean(means)) / ratio:.2f}"
+        interval = "" if std is None else f", +- {1.96 * std * self.mean_gain:.2f}"
         each = ", ".join(f"{motor:.2f}" for motor in motors)
         return (
             f"no measured rotor speed: by these flights the rotors give {gain} times the thrust that the vehicle file "

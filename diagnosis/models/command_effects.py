@@ -72,6 +72,7 @@ BEND = Effect(
     wrench=bent_thrust,
 )
 COMMAND_EFFECTS: Mapping[str, Effect] = {effect.name: effect for effect in (GAIN, MOTOR, BEND)}
+AS_GAIN = (THRUST_CONSTANT.name, MASS.name)  # of which the thrust shows nothing but a gain
 BESIDE_THE_GAIN: Mapping[str, str] = {THRUST_CONSTANT.name: TORQUE_CONSTANT.name}
 
 

@@ -2,9 +2,12 @@
 
 from typing import get_args
 
+import msgspec
 import numpy as np
 import pytest
 
+from diagnosis.data.dataset import make_dataset
+from diagnosis.diagnose import diagnose_dataset
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.report import Diagnosis, MissingEffect, refusal_sentence, sentence
 from diagnosis.selection.gust import Gust
@@ -13,6 +16,7 @@ from diagnosis.selection.search import Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT
 from diagnosis.verdict import channel_errors, considered, gust_refusal, judge, not_excited, rejections
 from dynamics.effects import CATALOGUE
+from tests.diagnosis.conftest import with_columns
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, planted, regression
 
 NO_GUST = Gust(0.0, 0.0, 0.0)
@@ -138,6 +142,31 @@ def test_effects_that_look_alike_are_in_the_text_of_unknown():
     both = MissingEffect("mass", None, {}, 1.0, ("thrust_constant", "slung_load"))
     text = sentence(Diagnosis("unknown", (both,), {}, (), (), "land"))
     assert "or else thrust_constant or slung_load" in text
+
+
+@pytest.mark.parametrize(("factor", "behind"), [(1.0, ()), (1.12, ("thrust_constant", "mass"))])
+def test_a_gain_of_commands_that_is_surely_not_one_has_what_may_be_behind_it(plain_flights, arpl_250g, factor, behind):
+    """A file whose thrust constant is too large, which flights that log motor signals show as a gain alone."""
+    rotors = msgspec.structs.replace(arpl_250g.rotors, thrust_constant=factor * arpl_250g.rotors.thrust_constant)
+    vehicle = msgspec.structs.replace(arpl_250g, rotors=rotors)
+    flights = [with_columns(flight, signals(flight, vehicle)) for flight in plain_flights]
+    diagnosis = diagnose_dataset(make_dataset(flights, vehicle), vehicle, CATALOGUE).diagnosis
+    assert not {"mass", "thrust_constant"} & {effect.name for effect in diagnosis.effects}
+    gain = diagnosis.command_gain
+    assert gain.value == pytest.approx(1 / factor, abs=max(0.01, 2 * gain.std))
+    assert gain.look_alikes == behind
+    assert ("thrust_constant or mass may be behind it" in sentence(diagnosis)) is bool(behind)
+
+
+def test_measured_speeds_have_no_gain(plain_flights, arpl_250g):
+    dataset = make_dataset(plain_flights[:4], arpl_250g)
+    assert diagnose_dataset(dataset, arpl_250g, CATALOGUE).diagnosis.command_gain is None
+
+
+def signals(flight, vehicle):
+    """Motor signals in place of rotor speeds."""
+    speeds = {column: None for column in flight.columns if column.startswith("rotor_")}
+    return speeds | {f"rotor_command_{i}": flight[f"rotor_speed_{i}"] / vehicle.rotors.speed_max for i in range(4)}
 
 
 @pytest.mark.parametrize("reason", get_args(Reason))
