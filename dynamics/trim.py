@@ -9,10 +9,12 @@ import numpy as np
 
 from dynamics import symbolic as ca
 from dynamics.arrays import Floats
+from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.vehicle import GRAVITY, Vehicle
 
 ITERATIONS = 20
+LEFT = np.array([0.01, 0.01, 0.01, 0.01])  # m/s^2 upwards and rad/s^2, up to which a hover has been found
 FAR_FROM_GROUND = 100.0  # m, beyond ground effect
 NEGLIGIBLE = 1e-6  # relative difference: a vehicle whose effects vanish in hover stays as it is
 
@@ -40,6 +42,8 @@ def find_trim(model: Model) -> Trim:
 
     Horizontal forces, against which the vehicle would have to tilt, are left out. With more than four rotors their
     speeds change as little as possible.
+
+    Raises RequestError where no rotor speeds of the vehicle do that.
     """
     vehicle = model.vehicle
     if not model.effects:
@@ -50,6 +54,14 @@ def find_trim(model: Model) -> Trim:
         error, slope = (np.array(value) for value in respond(speed))
         step = np.linalg.lstsq(slope, error.ravel(), rcond=None)[0]
         speed = np.maximum(speed - step, 0.1 * vehicle.hover_speed)
+    left = np.array(respond(speed)[0]).ravel()
+    if not np.all(np.abs(left) <= LEFT) or speed.max() > vehicle.rotors.speed_max:
+        names = ", ".join(dict.fromkeys(item.effect.name for item in model.effects))
+        raise RequestError(
+            f"{vehicle.name} cannot hover with its effects, {names}: {left[0]:.2g} m/s^2 upwards and "
+            f"{np.abs(left[1:]).max():.2g} rad/s^2 are left with rotors at up to {speed.max():.0f} of "
+            f"{vehicle.rotors.speed_max:.0f} rad/s. Check their values."
+        )
     thrust_constants = model.thrust_constants
     mass = float(thrust_constants @ speed**2) / GRAVITY
     speed = np.where(np.abs(speed - even) > NEGLIGIBLE * even, speed, even)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.trim import find_trim
 from dynamics.vehicle import EffectUse, Vehicle
@@ -55,3 +56,22 @@ def test_a_centre_of_mass_to_the_front_loads_the_front_rotors(vehicle: Vehicle) 
     shares = find_trim(build_model(vehicle.with_effects(use))).shares
     assert shares[[0, 3]] == pytest.approx(np.sqrt(1 + 0.01 / 0.076), rel=1e-6)
     assert shares[[1, 2]] == pytest.approx(np.sqrt(1 - 0.01 / 0.076), rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("centre_of_mass", {"x": 0.12, "y": 0.0, "z": 0.0}), ("mass", {"ratio": 4.0})],
+)
+def test_a_vehicle_that_cannot_hover_with_its_effects_is_refused(
+    vehicle: Vehicle, name: str, values: dict[str, float]
+) -> None:
+    """A centre of mass outside of the rotors; a weight beyond their thrust."""
+    heavy = vehicle.with_effects(EffectUse(name, values))
+    with pytest.raises(RequestError, match=rf"cannot hover.*{name}"):
+        find_trim(build_model(heavy))
+
+
+def test_a_lost_rotor_of_four_leaves_no_hover(vehicle: Vehicle) -> None:
+    lost = vehicle.with_effects(EffectUse("weak_rotor", {"loss": 1.0, "torque_loss": 1.0}, 0))
+    with pytest.raises(RequestError, match=r"cannot hover.*weak_rotor"):
+        find_trim(build_model(lost))
