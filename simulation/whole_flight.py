@@ -108,8 +108,13 @@ class WholeFlight:
 
     @property
     def touched(self) -> float:
-        """When the ground first carried a part of the weight between take-off and landing, s; NaN if it never did."""
-        return next((self.time[tick] for tick in self.aloft if self.ground_force[tick] > CARRIED), float("nan"))
+        """When the ground first carried a part of the weight between take-off and landing, s; NaN if it never did.
+
+        The tick that ends the flight counts, too: a crash may be noticed in the tick of the contact.
+        """
+        ticks = self.aloft
+        ticks += [tick + 1 for tick in ticks[-1:] if tick + 1 < len(self.time)]
+        return next((self.time[tick] for tick in ticks if self.ground_force[tick] > CARRIED), float("nan"))
 
     @property
     def tilt(self) -> Floats:

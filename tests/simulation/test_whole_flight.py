@@ -85,3 +85,11 @@ def test_a_small_vehicle_with_motors_of_90_ms_hovers_with_a_price_on_its_body_ra
     )
     assert flight.landed, flight.outcome
     assert flight.tracking_error(flight.truth) < 0.05
+
+
+def test_a_contact_in_the_tick_that_ends_the_flight_has_touched() -> None:
+    phases = [Phase.CLIMB, Phase.TRACK, Phase.TRACK, Phase.TOUCHDOWN]
+    flown = WholeFlight(time=[0.0, 0.1, 0.2, 0.3], phases=phases, ground_force=[0.0, 0.0, 0.0, 1.0])
+    assert flown.touched == 0.3
+    flown.ground_force[-1] = 0.0
+    assert np.isnan(flown.touched)
