@@ -15,7 +15,7 @@ from runtime.flight_setup import FlightSetup, prepare_flight
 from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process
 from studies.demo import run as demo_module
-from studies.demo.flights import DemoOptions, clear_old_files
+from studies.demo.flights import DemoOptions, clear_of_the_ground, clear_old_files
 from studies.demo.report import closing_lines, tracked, write_report
 from studies.demo.result import DemoReport, FlownManoeuvre
 from studies.demo.run import check_options, run_demo
@@ -87,6 +87,18 @@ def test_the_demo_finds_what_is_hidden_and_the_prediction_error_falls_to_the_noi
         assert error.before > 4 * error.floor
         assert error.after < 1.2 * error.floor
     assert parts.index("diagnosis") == len(report.nominal)
+
+
+@pytest.mark.parametrize(
+    ("name", "higher"),
+    [
+        ("Lemniscate", "Lemniscate:height=2.5"),
+        ("circle:speed=2", "circle:speed=2,height=2.5"),
+        ("circle:speed=2,height=1", "circle:speed=2,height=1"),
+    ],
+)
+def test_on_px4s_estimate_a_manoeuvre_is_flown_higher_up(name: str, higher: str) -> None:
+    assert clear_of_the_ground(name) == higher
 
 
 def test_the_same_manoeuvres_are_tracked_better_with_what_was_found(learned) -> None:
