@@ -22,8 +22,8 @@ evident, and what real flights said of them.
 | effect | what it is | shows well from | looks like |
 | --- | --- | --- | --- |
 """
-FOOT = """[All effects](../catalogue.md). Usual values are what is expected of a vehicle before any flight, +- their standard
-deviation. `alula effects {name} --vehicle V.toml` prints this for your vehicle."""
+FOOT = """[All effects](../catalogue.md). Usual values are what is expected of a vehicle before any flight, +- their
+standard deviation. `alula effects {name} --vehicle V.toml` prints this for your vehicle."""
 
 
 def pages() -> dict[Path, str]:
