@@ -14,7 +14,7 @@ from dynamics.arrays import Floats
 from studio.figure import AFTER, BEFORE, Picture, line, picture, thinned
 
 MAX_POINTS = 1200  # of a line
-OBLIQUE, DISTANCE = 0.25, 2.2  # of the view on a path in space; distance in sizes of the path
+OBLIQUE, DISTANCE, THINNEST = 0.25, 1.5, 0.05  # of the view on a path in space, in sizes of the path
 REFERENCE = "#9ca3af"
 
 
@@ -100,18 +100,25 @@ def flight_in_space(flown: FlownComparison) -> Picture:
         figure.add_trace(_curve(track.position, name, colour, 3))
     axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": "#d1d5db"} for axis in "xyz"}
     eye = dict(zip("xyz", best_view(flown.before.reference).tolist(), strict=True))
-    camera = {"eye": eye, "projection": {"type": "orthographic"}}
-    figure.update_layout(scene={**axes, "aspectmode": "data", "camera": camera})
+    paths = np.vstack([flown.before.reference, flown.before.position, flown.after.position])
+    sides = dict(zip("xyz", sides_of(paths).tolist(), strict=True))
+    scene = {**axes, "aspectmode": "manual", "aspectratio": sides, "camera": {"eye": eye}}
+    figure.update_layout(scene=scene)
     return picture(figure, 420, f"{flown.name} in three dimensions.")
+
+
+def sides_of(position: Floats) -> Floats:
+    """(3,) sides of the box around paths (n, 3), true to scale, the longest 1: a flat path then fills the picture."""
+    extent = np.ptp(position, axis=0)
+    return np.asarray(np.maximum(extent / max(float(extent.max()), 1e-9), THINNEST))
 
 
 def best_view(position: Floats) -> Floats:
     """(3,) where to stand to see a path (n, 3) in the plane in which it is widest, from above and a little aslant."""
-    _, _, axes = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
-    widest, across = axes[0], axes[2]
-    across = across if across[2] >= 0 else -across
-    # not along the vertical, which is up in the picture, nor along the axes of the plane
-    view = across + OBLIQUE * (widest + np.array([0.0, 0.0, 1.0]))
+    _, _, (_, shorter, across) = np.linalg.svd(position - position.mean(axis=0), full_matrices=False)
+    across, shorter = (axis if axis[2] >= 0 else -axis for axis in (across, shorter))
+    # aslant from the path's shorter side, so that the longer one lies across the picture; never along the vertical
+    view = across + OBLIQUE * (shorter + np.array([0.0, 0.0, 1.0]))
     return np.asarray(DISTANCE * view / np.linalg.norm(view))
 
 

@@ -18,7 +18,7 @@ from diagnosis.diagnose import DiagnosisDetails
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from studio.evidence import likeness, overlay
-from studio.flown import FlownComparison, FlownTrack, best_view
+from studio.flown import FlownComparison, FlownTrack, best_view, sides_of
 from studio.numbers import quantity_shown, shown
 from studio.page import Origin, write_page
 from studio.provenance import dataset_origin
@@ -196,6 +196,12 @@ def test_a_path_in_space_is_seen_where_it_is_widest(normal: tuple[float, float, 
     view = view / np.linalg.norm(view)
     assert abs(view @ across) > np.cos(np.radians(30))
     assert 0 < view[2] < np.cos(np.radians(5))
+
+
+def test_a_flat_path_fills_its_box_to_scale() -> None:
+    turn = np.linspace(0, 2 * np.pi, 200)
+    path = np.column_stack([1.8 * np.cos(turn), np.zeros(200), 1.2 + 0.18 * np.sin(turn)])
+    assert sides_of(path) == pytest.approx([1.0, 0.05, 0.1], abs=0.002)
 
 
 def test_files_that_nothing_was_fitted_to_are_marked(
