@@ -165,8 +165,8 @@ TEXTS: dict[str, tuple[Callable[[bytes], bytes], int, str]] = {
     "no_gzip.csv.gz": (lambda t: t[:4000], REQUEST, "gz"),
     "cut.ulg": (lambda _: b"ULog\x01\x12\x35\x01" + bytes(8), DATA, "ulg"),
     "no_ulog.ulg": (lambda _: b"hello, world" * 50, REQUEST, "ulog"),
-    "no_parquet.parquet": (lambda _: b"PAR1 and nothing more", REQUEST, "parquet"),
-    "no_mcap.mcap": (lambda _: b"\x89MCAP0\r\n and nothing more", REQUEST, "mcap"),
+    "no_parquet.parquet": (lambda _: b"PAR1 and nothing more", DATA, "parquet"),
+    "no_mcap.mcap": (lambda _: b"\x89MCAP0\r\n and nothing more", DATA, "mcap"),
     "no_time.csv": (lambda t: t.replace(b"t,", b"", 1), REQUEST, "column"),
 }
 
