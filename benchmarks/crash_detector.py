@@ -11,6 +11,7 @@ crash after the true contact.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -156,6 +157,17 @@ def crash(seed: int) -> Crash:
     )
 
 
+def early(flights: Sequence[Hard]) -> list[str]:
+    """Flights that ended early, by vehicle, hidden effect and outcome."""
+    alike: dict[tuple[str, str], list[Hard]] = {}
+    for one in flights:
+        vehicle, _, hidden = one.what.split(", ")
+        alike.setdefault((f"{vehicle}, {hidden}", re.sub(r" by [\d.]+", "", one.outcome)), []).append(one)
+    return [
+        f"- {len(some)} of {what}, seed {some[0].seed} the first: {outcome}" for (what, outcome), some in alike.items()
+    ]
+
+
 def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
     """Both tables in Markdown."""
     airborne = [one for one in hard if not one.touched]
@@ -166,7 +178,7 @@ def report(hard: Sequence[Hard], crashes: Sequence[Crash]) -> str:
         *[f"- seed {one.seed}, {one.what}: {', '.join(one.alarms)}" for one in alarmed],
         "",
         "Flights that ended early without one:",
-        *[f"- seed {one.seed}, {one.what}: {one.outcome}" for one in airborne if not one.alarms and not one.landed],
+        *early([one for one in airborne if not one.alarms and not one.landed]),
         "",
         "| crash | flights | noticed after, median, worst, s | thrust gone after, median, worst, s | unnoticed |",
         "| --- | --- | --- | --- | --- |",
