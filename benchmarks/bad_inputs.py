@@ -259,9 +259,9 @@ LINES: tuple[Case, ...] = (
     Case("learning", ("export", "arpl_250g", "--processor", "abacus", "--out", "{here}/out"), REQUEST, "abacus"),
     Case("learning", ("export", "arpl_250g", "--nodes", "1", "--out", "{here}/out"), REQUEST, "--nodes"),
     Case("learning", ("export", "--verify", "{here}/gone"), REQUEST, "gone"),
-    Case("learning", ("sweep", "soup", GOOD, *V, "--test", GOOD, "--out", "{here}/out"), REQUEST, "soup"),
-    Case("learning", ("sweep", "grid", GOOD, *V, "--test", GOOD, "--grid", "colour=1,2", "--out", "{here}/out"),
-         REQUEST, "colour"),
+    Case("learning", ("sweep", "soup", GOOD, *V, "--test", "{here}/held", "--out", "{here}/out"), REQUEST, "soup"),
+    Case("learning", ("sweep", "grid", GOOD, *V, "--test", "{here}/held", "--grid", "colour=1,2", "--out",
+                      "{here}/out"), REQUEST, "colour"),
 )  # fmt: skip
 
 
@@ -291,6 +291,8 @@ def prepare(here: Path) -> None:
         (here / folder).mkdir()
         for number, flight in enumerate(flights):
             spoilt(flight, COLUMNS.get(folder, (dict, ""))[0], here / folder / f"flight_{number}.csv")
+    (here / "held").mkdir()
+    spoilt(flights[0], scaled(1.0001, "position_x"), here / "held" / "held_0.csv")
     good = (here / "good" / "flight_0.csv").read_bytes()
     for name, (change, *_) in TEXTS.items():
         (here / name).write_bytes(change(good))

@@ -98,6 +98,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
     works = tuple(work(cell) for cell in cells)
     for one in works:
         one.settled()  # an invalid value ends the sweep before its first training
+    _make_folder(options.out)
     return Sweep(
         options.study,
         along,
@@ -110,7 +111,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
 
 
 def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
-    """The function from a cell to its work. Raises RequestError for logs, a vehicle or a folder that cannot be used."""
+    """The function from a cell to its work. Raises RequestError for logs or a vehicle that cannot be used."""
     logs = find_logs(options.logs)
     tests = options.tests or tuple(path for path in options.logs if path.is_dir() and (path / CAMPAIGN).exists())
     if not tests:
@@ -120,14 +121,18 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     judged = find_flights(tests)
     if shared := {path.resolve() for path in (*logs, *simulated)} & {path.resolve() for path in judged}:
         raise RequestError(f"{min(shared).name} is among both training and test flights. Give it once.")
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RequestError(f"cannot write to {options.out}: {error.strerror}. Give another --out.") from error
     logs, judged, simulated, out = (
         tuple(path.resolve() for path in paths) for paths in (logs, judged, simulated, (options.out,))
     )  # for workers in other folders
     return lambda cell: CellWork(cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated)
+
+
+def _make_folder(folder: Path) -> None:
+    """Raises RequestError where it cannot be made."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"cannot write to {folder}: {error.strerror}. Give another --out.") from error
 
 
 def _simulated(options: SweepOptions) -> tuple[Path, ...]:
@@ -153,6 +158,7 @@ def _search(options: SweepOptions, work: Callable[[Cell], CellWork], overrides: 
     search = Search(work, options.model, ranges, options.trials, overrides)
     example = work(Cell(SEARCH, {}, options.model, 0, recipe=overrides))
     example.settled()
+    _make_folder(options.out)
     return Sweep(
         SEARCH,
         tuple(item.name for item in ranges),

@@ -336,4 +336,5 @@ def test_what_cannot_be_swept_is_refused(run: Run, campaign: Path, tmp_path: Pat
         code, _, wrong = run("sweep", *arguments, *common)
         assert code == 2
         assert words in wrong
+        assert not (tmp_path / "out").exists(), words
     assert Range.parse("rate=1e-4:1") == Range("rate", 1e-4, 1.0)
