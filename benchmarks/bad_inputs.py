@@ -327,7 +327,7 @@ def answer(case: Case, here: Path) -> Answer:
         wrong.append(f"does not name {case.names!r}")
     if any(path.name.startswith("out") for path in left):
         wrong.append("something was written")
-    return Answer(case, done.returncode, message.replace(str(here), "."), ", ".join(wrong))
+    return Answer(case, done.returncode, message.replace(str(here), ".").replace(f"{FOLDER}/", ""), ", ".join(wrong))
 
 
 def table(answers: Sequence[Answer]) -> str:
