@@ -29,6 +29,14 @@ def write_whole(path: Path, write: Callable[[Path], object], *, advice: str) -> 
     return path
 
 
+def make_folder(folder: Path, *, advice: str) -> None:
+    """Make a folder where there is none. advice: what to do when it cannot be made. Raises RequestError then."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RequestError(f"cannot make the folder {folder}: {error.strerror or error}. {advice}") from error
+
+
 STANDARD_OUTPUT = Path("-")
 
 

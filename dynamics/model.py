@@ -20,6 +20,7 @@ from dynamics.effect import Conditions, Effect, Environment, Expression, Physics
 from dynamics.effects import CATALOGUE
 from dynamics.own_effects import catalogue_of
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
+from dynamics.state_shape import StateShape
 from dynamics.vehicle import GRAVITY, EffectUse, Vehicle
 
 ENVIRONMENT_DEFAULT = np.array([0.0, 1.0])  # ground_height m, battery_ratio
@@ -27,7 +28,7 @@ MAX_KEPT = 256  # structures whose functions are kept
 
 
 @dataclass(frozen=True)
-class Model:
+class Model(StateShape):
     """Functions and names of one model. Shapes: x (nx,), u (n_rotors,) rad/s, p (n_parameters,), e (2,), w (nx - 13,).
 
     derivative: (x, u, p, e, w) -> xdot, with w unit white noise on hidden states (zero for the mean).
@@ -50,25 +51,6 @@ class Model:
     measure: ca.Function
     constants: ca.Function
     structure: Hashable
-
-    @property
-    def state_count(self) -> int:
-        """Length of the state, hidden states included."""
-        return RIGID_BODY_STATES + self.hidden_initial.size
-
-    @property
-    def hidden_count(self) -> int:
-        """Number of hidden states."""
-        return int(self.hidden_initial.size)
-
-    @property
-    def input_count(self) -> int:
-        """Number of rotors."""
-        return self.vehicle.rotors.count
-
-    def initial_state(self, rigid_body: Floats) -> Floats:
-        """The whole state for a rigid-body state (13,), with hidden states at their hover values."""
-        return np.concatenate([rigid_body, self.hidden_initial])
 
     @property
     def mass(self) -> float:

@@ -12,7 +12,7 @@ from dynamics.errors import VehicleError
 from dynamics.references import Reference
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import write_vehicle
-from runtime.flight.mission import Phase, Plan
+from runtime.flight.mission import Plan
 from simulation.whole_flight import WholeFlight, fly_whole
 from sitl_mock.mock import MockOptions
 
@@ -60,10 +60,8 @@ def fly_trial(vehicle: Vehicle, reference: Reference, *, seed: int = 0) -> Trial
 
 
 def _result(flight: WholeFlight) -> TrialFlight:
-    tracked = np.array([phase is Phase.TRACK for phase in flight.phases])
-    if not tracked.any():
+    away = flight.distances(flight.truth)
+    if not away.size:
         raise VehicleError(f"the mock of this vehicle did not reach the start of the manoeuvre: {flight.outcome}.")
-    away = np.array(flight.truth)[tracked, :3] - np.array(flight.reference)[tracked]
-    distance = np.linalg.norm(away, axis=1)
     ended = flight.landing_reason or ("" if flight.landed else flight.outcome)
-    return TrialFlight(float(np.sqrt(np.nanmean(distance**2))), float(np.nanmax(distance)), ended)
+    return TrialFlight(flight.tracking_error(flight.truth), float(np.nanmax(away)), ended)

@@ -128,11 +128,13 @@ class WholeFlight:
 
     def tracking_error(self, states: Sequence[Floats]) -> float:
         """RMS distance of `truth` or `estimate` from the reference while it is tracked, m; NaN if it never was."""
-        tracked = np.array([phase is Phase.TRACK for phase in self.phases])
-        if not tracked.any():
-            return float("nan")
-        away = np.array([state[POSITION] for state in states])[tracked] - np.array(self.reference)[tracked]
-        return float(np.sqrt(np.nanmean(np.sum(away**2, axis=1))))
+        away = self.distances(states)
+        return float(np.sqrt(np.nanmean(away**2))) if away.size else float("nan")
+
+    def distances(self, states: Sequence[Floats]) -> Floats:
+        """(m,) distance of `truth` or `estimate` from the reference at every tick that tracks it, m."""
+        ticks = [tick for tick, phase in enumerate(self.phases) if phase is Phase.TRACK]
+        return np.array([np.linalg.norm(states[tick][POSITION] - self.reference[tick]) for tick in ticks])
 
 
 def tilts(attitudes: Floats) -> Floats:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from alula.api.planning import plan_flight
 from dynamics.errors import RequestError
+from dynamics.files import make_folder
 
 if TYPE_CHECKING:
     from dynamics.vehicle import Vehicle
@@ -49,16 +50,9 @@ def planned_reference(
     flight = plan_flight(vehicle, request, effect_files=effect_files, progress=progress)
     target = Path(folder or ".")
     if folder is not None:
-        _make_folder(target)
+        make_folder(target, advice="Give another one.")
     file = flight.write_csv(_unused(target / FILE))
     return PlannedReference(str(file), f"{flight.text}\nwritten to {file}")
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RequestError(f"cannot make the folder {folder}: {error.strerror or error}. Give another one.") from error
 
 
 def _unused(path: Path) -> Path:

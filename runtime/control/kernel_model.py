@@ -10,7 +10,7 @@ import numpy as np
 from dynamics.active_effect import activate, model_parameters
 from dynamics.arrays import Floats
 from dynamics.model import Model
-from dynamics.state import RIGID_BODY_STATES
+from dynamics.state_shape import StateShape
 from dynamics.trim import Trim, find_trim, trim_at, trim_without_effects
 from dynamics.vehicle import Vehicle
 
@@ -42,7 +42,7 @@ class KernelFacts(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 @dataclass(frozen=True, eq=False)
-class KernelModel:
+class KernelModel(StateShape):
     """A model without its formulas; names and shapes are those of `dynamics.model.Model`."""
 
     vehicle: Vehicle
@@ -62,25 +62,6 @@ class KernelModel:
         )
         parameters, hidden, thrust = map(np.array, (facts.parameters, facts.hidden_initial, facts.thrust_constants))
         return cls(vehicle, parameters, hidden.astype(float), thrust, trim)
-
-    @property
-    def state_count(self) -> int:
-        """Length of the state, hidden states included."""
-        return RIGID_BODY_STATES + self.hidden_count
-
-    @property
-    def hidden_count(self) -> int:
-        """Number of hidden states."""
-        return int(self.hidden_initial.size)
-
-    @property
-    def input_count(self) -> int:
-        """Number of rotors."""
-        return self.vehicle.rotors.count
-
-    def initial_state(self, rigid_body: Floats) -> Floats:
-        """The whole state for a rigid-body state (13,), with hidden states at their hover values."""
-        return np.concatenate([rigid_body, self.hidden_initial])
 
 
 FlownModel = Model | KernelModel

@@ -11,6 +11,7 @@ from typing import Any
 import msgspec
 
 from dynamics.errors import RequestError
+from dynamics.files import make_folder
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES, grid_cells
@@ -98,7 +99,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
     works = tuple(work(cell) for cell in cells)
     for one in works:
         one.settled()  # an invalid value ends the sweep before its first training
-    _make_folder(options.out)
+    make_folder(options.out, advice="Give another --out.")
     return Sweep(
         options.study,
         along,
@@ -127,14 +128,6 @@ def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
     return lambda cell: CellWork(cell, out[0], logs, judged, text, options.recipe, options.mapping, simulated=simulated)
 
 
-def _make_folder(folder: Path) -> None:
-    """Raises RequestError where it cannot be made."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise RequestError(f"cannot write to {folder}: {error.strerror}. Give another --out.") from error
-
-
 def _simulated(options: SweepOptions) -> tuple[Path, ...]:
     """Flights of a simulation without effects. Raises RequestError when they are missing or do not belong here."""
     if (options.study == STARRED) != bool(options.simulated):
@@ -158,7 +151,7 @@ def _search(options: SweepOptions, work: Callable[[Cell], CellWork], overrides: 
     search = Search(work, options.model, ranges, options.trials, overrides)
     example = work(Cell(SEARCH, {}, options.model, 0, recipe=overrides))
     example.settled()
-    _make_folder(options.out)
+    make_folder(options.out, advice="Give another --out.")
     return Sweep(
         SEARCH,
         tuple(item.name for item in ranges),
