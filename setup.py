@@ -5,19 +5,32 @@ the MIT licence): the package with all its dialects and what it requires takes 1
 of `export.prebuilt` that the wheel carries as well; it is then for their machine alone, else for any.
 """
 
+import atexit
 import os
 import shutil
+import tempfile
 from importlib import metadata, util
 from pathlib import Path
 
 from setuptools import setup
 from setuptools.command.bdist_wheel import bdist_wheel
+from setuptools.command.build import build
 from setuptools.command.build_py import build_py
 
 KERNELS = os.environ.get("ALULA_KERNELS", "")
 
 
 DIALECT = "pymavlink/dialects/v20/development.py"
+
+
+class BuildElsewhere(build):
+    """Builds in a folder that goes away: what an earlier build has left would be in the next wheel."""
+
+    def initialize_options(self) -> None:
+        """Take a folder of its own."""
+        super().initialize_options()
+        self.build_base = tempfile.mkdtemp(prefix="alula-build-")
+        atexit.register(shutil.rmtree, self.build_base, ignore_errors=True)
 
 
 class BuildForFlight(build_py):
@@ -54,4 +67,4 @@ class WheelOfItsMachine(bdist_wheel):
         return "py3", "none", f"manylinux_2_17_{machine}.manylinux2014_{machine}"
 
 
-setup(cmdclass={"build_py": BuildForFlight, "bdist_wheel": WheelOfItsMachine})
+setup(cmdclass={"build": BuildElsewhere, "build_py": BuildForFlight, "bdist_wheel": WheelOfItsMachine})

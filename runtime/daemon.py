@@ -56,6 +56,7 @@ READINESS_PATIENCE = 10.0  # s until no check may refuse engaging any more
 MODE_DELAY = 1.5  # s by which HEARTBEAT, at 1 Hz, may show a mode late
 ESTIMATOR_AGE = 2.0  # s for which an ESTIMATOR_STATUS counts
 STOP_PATIENCE = 1.0  # s until the link is closed under a control thread that does not end
+PILOT_REMINDER = 10.0  # s between the lines that say that the pilot is to arm
 LANDING_PATIENCE = 60.0  # s from a request to land until streaming is stopped
 SLOW_STREAMS: Mapping[str, float] = {  # Hz; for the recording, and for what may arrive late
     "EXTENDED_SYS_STATE": 5.0,
@@ -338,7 +339,7 @@ class Daemon:
         handlers = link_handlers(link)
         self._worker = RequestWorker(control.autopilot_requests, handlers, lambda: control.join(0.0))
         self._worker.start()
-        self._heard_since = time.monotonic()
+        self._heard_since, self._reminded = time.monotonic(), -float("inf")
         while not control.join(SUPERVISION_PERIOD):
             now = time.monotonic()
             self._service.progress(control.ticks)
@@ -346,6 +347,7 @@ class Daemon:
             self._report_refusals()
             self._publish(link, control)
             self._await_readiness(link, now)
+            self._remind_pilot(link, now)
             if self._requests.leave:
                 self._landing_since = min(self._landing_since, now)
             if now - self._landing_since > LANDING_PATIENCE:
@@ -371,6 +373,17 @@ class Daemon:
         else:
             return
         self._requests.leave = self._requests.leave or f"not engaged: {reason}"
+
+    def _remind_pilot(self, link: Link, now: float) -> None:
+        """Tell the pilot at the start of the wait, and again and again, that arming starts the flight."""
+        if not self._flyer.engagement.awaits_pilot:
+            self._reminded = -float("inf")
+        elif now - self._reminded >= PILOT_REMINDER:
+            self._reminded = now
+            self._announce("waiting for the pilot to arm: the vehicle takes off at once")
+            link.send_text("alula: waits for arming, takes off at once", Severity.NOTICE)
+        if self._flyer.engagement.awaits_pilot:
+            self._heard_since = now  # what hinders from now on has the whole of its time to pass
 
     def _slow_findings(self, link: Link, now: float) -> dict[Event, str]:
         present: dict[Event, str] = {}

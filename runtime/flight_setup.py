@@ -39,6 +39,7 @@ from runtime.link.connection import parse_endpoint
 from runtime.record.recording import FlightRecording
 
 SHIFTED_TIME = 0.1  # s of the shifted solution
+VEHICLE_TIMEOUT = 10.0  # s to wait for the vehicle
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
 EFFECT_FOLDER = "effects/"  # before the names of effect files among them
@@ -63,7 +64,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: of SCHED_FIFO, None for none.
     processor: that the control thread stays on.
     system: the vehicle's system id, None for the first heard.
-    timeout: s to wait for the vehicle.
+    timeout: s to wait for the vehicle, and for a pilot who is to arm; left out, the pilot has no limit.
     """
 
     link: str
@@ -82,7 +83,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     priority: int | None = None
     processor: int | None = None
     system: int | None = None
-    timeout: float = 10.0
+    timeout: float | None = None
 
 
 class PreparedFlight(msgspec.Struct, frozen=True):
@@ -124,13 +125,13 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         rate=rate,
         plan=Plan(height=setup.height, duration=setup.duration, origin=setup.origin),
         settings=FlyerSettings(
-            engagement=EngagementSettings(arm=setup.arm, resume=setup.resume),
+            engagement=EngagementSettings(arm=setup.arm, resume=setup.resume, pilot_patience=setup.timeout),
             bounds=FallbackBounds(shifted_ticks=max(round(SHIFTED_TIME * rate), 1)),
             health=HealthLimits.for_vehicle(vehicle),
         ),
         record=setup.record,
         system=setup.system,
-        timeout=setup.timeout,
+        timeout=VEHICLE_TIMEOUT if setup.timeout is None else setup.timeout,
         priority=setup.priority,
         processor=setup.processor,
         metadata=_metadata(setup, attachments),

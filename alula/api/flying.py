@@ -94,7 +94,7 @@ def fly(
     priority: int | None = None,
     processor: int | None = None,
     system: int | None = None,
-    timeout: float = 10.0,
+    timeout: float | None = None,
     announce: Callable[[str], None] = print,
 ) -> FlightReport:
     """Take off, track a reference with real-time MPC beside PX4, land.
@@ -117,7 +117,8 @@ def fly(
     priority: of SCHED_FIFO, which `alula fly` sets to 50; all threads of this process become real-time ones in flight.
     processor: number of the processor that the control thread stays on.
     system: the vehicle's system id; by default the first one on the link.
-    timeout: longest wait for the vehicle, s.
+    timeout: longest wait for the vehicle, s, 10 by default; with arm=False also for the pilot to arm, who has no limit
+        by default.
     announce: called with a line for every event.
 
     Returns a FlightReport: `landed`, `completed`, tracking errors, timing, events, the recording.

@@ -12,7 +12,7 @@ from rich.table import Table
 
 import alula
 from alula.api.reference_file import planned_reference
-from alula.cli.options import LINK, Effects, LinkOption, System, Timeout
+from alula.cli.options import LINK, Effects, LinkOption, System
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError, VehicleError
@@ -71,7 +71,14 @@ def fly(
     ] = True,
     processor: Annotated[int | None, typer.Option(min=0, help="Processor to keep the control thread on.")] = None,
     system: System = None,
-    timeout: Timeout = 10.0,
+    timeout: Annotated[
+        float | None,
+        typer.Option(
+            min=0.1,
+            help="Seconds to wait for the vehicle, 10 by default; with --no-arm also for the pilot to arm, by default "
+            "as long as it takes.",
+        ),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON, notifications on stderr.")] = False,
 ) -> None:
     """Take off, track a reference, land. SIGINT or SIGTERM lands, a second one stops streaming at once."""

@@ -12,13 +12,16 @@ from alula.cli.output import print_next
 from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
-from runtime.record.recording import read_recording
+from runtime.record.recording import newest_recording, read_recording
 from runtime.replay import ReplayReport
 from runtime.replay import replay as replay_recording
 
 
 def replay(
-    recording: Annotated[Path, typer.Argument(help="Recording (.mcap) that `alula fly --record` wrote.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(help="Recording (.mcap) of `alula fly --record`, or a folder for its newest one."),
+    ],
     vehicle: Annotated[
         str | None, typer.Option(help="Fly it with this vehicle file instead of the recorded one.")
     ] = None,
@@ -33,6 +36,10 @@ def replay(
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
 ) -> None:
     """Fly a recording again: same estimates in, setpoints compared with the recorded ones."""
+    newest = newest_recording(recording)
+    if newest != recording and not as_json:
+        print(f"{newest}, the newest in {recording}")
+    recording = newest
     read = read_recording(recording)
     report = replay_recording(read, *recorded_flight(read, vehicle, bundle, effects or ()))
     if as_json:

@@ -74,6 +74,8 @@ class EngagementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     stream_time: of streaming before OFFBOARD is requested (PX4 documents more than 1 s).
     repeat: between requests.
     patience: until HEARTBEAT must show OFFBOARD and armed.
+    pilot_patience: from OFFBOARD until the pilot must have armed, where that is left to the pilot; None: no limit.
+    mode_certain: of OFFBOARD in HEARTBEAT, after which another mode is the pilot's choice.
     arm: whether to request arming, or leave it to the pilot.
     resume: whether control may be taken of a vehicle that is armed when it is first heard.
     """
@@ -81,6 +83,8 @@ class EngagementSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     stream_time: float = 1.2
     repeat: float = 1.0
     patience: float = 8.0
+    pilot_patience: float | None = None
+    mode_certain: float = 1.0
     arm: bool = True
     resume: bool = False
 
@@ -99,6 +103,7 @@ class Engagement:
         self._requested = False
         self._initially_armed: bool | None = None
         self._entered = 0.0
+        self._awaiting_since: float | None = None
         self._last_request = -float("inf")
         self._requests: tuple[AutopilotRequest, ...] = ()
 
@@ -121,6 +126,11 @@ class Engagement:
     def initially_armed(self) -> bool:
         """Whether the vehicle was armed when it was first heard."""
         return bool(self._initially_armed)
+
+    @property
+    def awaits_pilot(self) -> bool:
+        """Whether all that lacks is that the pilot arms."""
+        return self.state is State.STREAMING and self._awaiting_since is not None
 
     @property
     def requests(self) -> tuple[AutopilotRequest, ...]:
@@ -161,6 +171,7 @@ class Engagement:
             self.refusal = ""
         self.state = after
         self._entered = time
+        self._awaiting_since = None
         self._last_request = -float("inf")
         return transition
 
@@ -204,6 +215,8 @@ class Engagement:
         if facts.offboard and facts.armed and streaming_time >= self._settings.stream_time:
             return State.ENGAGED, "HEARTBEAT shows OFFBOARD and armed"
         waited = streaming_time - self._settings.stream_time
+        if waited >= 0 and not self._settings.arm and (facts.offboard or self.awaits_pilot):
+            return self._await_pilot(facts, time)
         if waited > self._settings.patience:
             missing = "OFFBOARD" if not facts.offboard else "arming"
             return State.STANDBY, f"HEARTBEAT did not show {missing} within {self._settings.patience:g} s"
@@ -211,8 +224,21 @@ class Engagement:
             self._last_request = time
             if not facts.offboard:
                 self._requests = (AutopilotRequest.OFFBOARD,)
-            elif self._settings.arm:
+            else:
                 self._requests = (AutopilotRequest.ARM,)
+        return None
+
+    def _await_pilot(self, facts: Facts, time: float) -> tuple[State, str] | None:
+        """Wait in OFFBOARD until the pilot arms. OFFBOARD is not requested again: the mode is the pilot's as well."""
+        if self._awaiting_since is None:
+            self._awaiting_since = time
+        waited, patience = time - self._awaiting_since, self._settings.pilot_patience
+        if not facts.offboard:
+            if waited >= self._settings.mode_certain:
+                return State.STANDBY, f"mode changed to {facts.mode} before the pilot armed"
+            self._awaiting_since = None  # a mode that was accepted and refused at once: it is requested again
+        elif patience is not None and waited > patience:
+            return State.STANDBY, f"the pilot did not arm within {patience:g} s"
         return None
 
     def _engaged(self, facts: Facts, time: float) -> tuple[State, str] | None:

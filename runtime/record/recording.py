@@ -74,6 +74,19 @@ def _parts(path: Path) -> Iterator[McapRecord]:
             return  # the last chunk is incomplete: the writer was killed or the disk was full
 
 
+def newest_recording(path: Path) -> Path:
+    """The recording itself, or of a folder the last by name: `alula fly` names recordings by date and time.
+
+    Raises RequestError for a folder without recordings.
+    """
+    if not path.is_dir():
+        return path
+    recordings = sorted(path.glob("*.mcap"))
+    if not recordings:
+        raise RequestError(f"{path}: no recording there. Give a .mcap file of `alula fly --record`, or its folder.")
+    return recordings[-1]
+
+
 def read_recording(path: Path) -> FlightRecording:
     """Read a recording by scanning it, which needs no index.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -97,6 +98,21 @@ def test_a_file_that_is_no_recording_ends_with_code_3(tmp_path: Path) -> None:
     done = run("replay", str(tmp_path / "x.mcap"))
     assert done.returncode == 3
     assert "no recording" in done.stderr
+
+
+def test_of_a_folder_the_newest_recording_replays(tmp_path: Path) -> None:
+    (tmp_path / "20260101-000000.mcap").write_text("an older one, which would be refused")
+    shutil.copy(RECORDED, tmp_path / "20260102-000000.mcap")
+    done = run("replay", str(tmp_path), "--tolerance", "1e-3")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.startswith(f"{tmp_path}/20260102-000000.mcap, the newest")
+    assert f"next: alula inspect {tmp_path}/20260102-000000.mcap" in done.stdout.replace("\n", " ").replace("  ", " ")
+
+
+def test_a_folder_without_recordings_ends_with_code_2(tmp_path: Path) -> None:
+    done = run("replay", str(tmp_path))
+    assert done.returncode == 2
+    assert "no recording there" in done.stderr
 
 
 def test_the_recorded_flight_of_the_repository_replays() -> None:

@@ -17,6 +17,7 @@ import tty
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -201,6 +202,16 @@ def test_a_refused_mode_is_reported_and_nothing_takes_off(vehicle: Vehicle, tmp_
     assert not report.landed
     assert "HEARTBEAT did not show OFFBOARD" in report.outcome
     assert "rejected" in report.outcome
+
+
+def test_a_pilot_who_is_to_arm_is_told_so_and_nothing_moves_before(vehicle: Vehicle) -> None:
+    announcements = Announcements()
+    settings = msgspec.structs.replace(PATIENT, engagement=EngagementSettings(arm=False, pilot_patience=1.0))
+    with mock_process(vehicle=VEHICLE_FILE) as mock:
+        report = fly(vehicle, announcements, request_for(mock.url, settings=settings))
+    assert "the pilot did not arm within 1 s" in report.outcome
+    assert not report.landed
+    assert announcements.contain("waiting for the pilot to arm")
 
 
 def test_slow_streams_are_not_flown_with(vehicle: Vehicle, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -96,6 +96,55 @@ def test_without_arm_it_waits_for_the_pilot_to_arm() -> None:
     assert machine.state is State.ENGAGED
 
 
+def awaiting_pilot(pilot_patience: float | None = None) -> Engagement:
+    """In OFFBOARD from 2.0 s on, disarmed."""
+    machine = Engagement(EngagementSettings(arm=False, pilot_patience=pilot_patience))
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 2.0)
+    assert not machine.awaits_pilot
+    run(machine, OFFBOARD, 2.0, 3.5)
+    assert machine.awaits_pilot
+    return machine
+
+
+def test_the_pilot_has_as_long_as_it_takes_to_arm() -> None:
+    machine = awaiting_pilot()
+    assert run(machine, OFFBOARD, 3.5, 100.0) == []
+    run(machine, FLYING, 100.0, 100.1)
+    assert machine.state is State.ENGAGED
+    assert not machine.awaits_pilot
+
+
+def test_the_pilot_has_the_time_that_is_given_to_arm() -> None:
+    machine = awaiting_pilot(pilot_patience=20.0)
+    assert run(machine, OFFBOARD, 3.5, 21.9) == []
+    (left,) = run(machine, OFFBOARD, 21.9, 30.0)
+    assert left.reason == "the pilot did not arm within 20 s"
+
+
+def test_a_pilot_who_chooses_another_mode_before_arming_is_not_asked_for_offboard_again() -> None:
+    machine = awaiting_pilot()
+    (left,) = run(machine, replace(GROUND, mode="POSCTL"), 3.5, 30.0)
+    assert left.reason == "mode changed to POSCTL before the pilot armed"
+    assert not machine.requested
+    assert run(machine, replace(FLYING, offboard=False, mode="POSCTL"), 30.0, 60.0) == []
+
+
+def test_a_mode_that_was_accepted_and_refused_at_once_is_requested_again() -> None:
+    machine = Engagement(EngagementSettings(arm=False))
+    machine.update(GROUND, 0.0)
+    machine.engage()
+    run(machine, GROUND, 0.01, 2.0)
+    run(machine, OFFBOARD, 2.0, 2.3)
+    requests = []
+    for tick in range(230, 400):
+        machine.update(GROUND, 0.01 * tick)
+        requests += machine.requests
+    assert AutopilotRequest.OFFBOARD in requests
+    assert machine.state is State.STREAMING
+
+
 def test_a_vehicle_armed_before_is_left_alone() -> None:
     machine = Engagement(SETTINGS)
     machine.engage()
