@@ -1,8 +1,9 @@
 """What README and docs show can be run: commands are parsed by the command line itself, Python is executed.
 
-Commands in blocks are parsed whole, with their arguments; those within sentences may leave arguments out, so that only
-the command and its options are looked up. Python runs in a folder with a few short flights; functions that take minutes
-or a vehicle (train, evaluate, export, fly) are replaced by their own signatures.
+Commands in blocks are parsed whole, with their arguments; `test_commands_of_pages.py` runs them. Those within
+sentences may leave arguments out, so that only the command and its options are looked up. Python runs in a folder with
+a few short flights; functions that take minutes or a vehicle (train, evaluate, export, fly) are replaced by their own
+signatures.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import shlex
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
@@ -26,19 +26,18 @@ from alula.cli import app
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import write_vehicle
 from fixtures.planted import planted_flights
+from tests.support.pages import (
+    FENCED,
+    PAGES,
+    ROOT,
+    TUTORIALS,
+    commands_in_blocks,
+    commands_in_sentences,
+    commands_of_units,
+    shell_lines,
+)
 from tests.support.small_campaign import fly_campaign
 
-ROOT = Path(__file__).parents[2]
-TUTORIALS = ROOT / "docs" / "tutorials"  # are followed whole, by tests of their own
-PAGES = sorted(
-    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").glob("*.md")]
-)
-UNITS = sorted((ROOT / "examples").rglob("*.service"))
-FENCED = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-INDENTED = re.compile(r"^(?: {4}.*\n?)+", re.MULTILINE)
-COMMAND = re.compile(
-    r"^(?:\$ )?(?:# shorter: )?(?:\.venv/bin/)?(?:python -m )?(?:torchrun [^\n]*-m )?(alula .*?)(?: &)?$"
-)
 SLOW = (
     "train",
     "evaluate",
@@ -50,33 +49,6 @@ SLOW = (
     "check_vehicle",
 )  # or need a bundle, a log
 MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
-
-
-def shell_lines(page: Path) -> Iterator[str]:
-    """Lines of blocks that are no Python, continued lines joined."""
-    text = page.read_text(encoding="utf-8")
-    blocks = [body for language, body in FENCED.findall(text) if language in ("", "sh", "bash")]
-    blocks += INDENTED.findall(FENCED.sub("", text))
-    for block in blocks:
-        yield from (line.strip() for line in block.replace("\\\n", " ").splitlines())
-
-
-def commands_in_blocks() -> list[tuple[str, str]]:
-    matches = ((page, COMMAND.match(line)) for page in PAGES for line in shell_lines(page))
-    return [(page.name, match.group(1)) for page, match in matches if match]
-
-
-def commands_of_units() -> list[tuple[str, str]]:
-    """What the units of examples/deploy start, without the folder of the program."""
-    lines = ((unit, unit.read_text(encoding="utf-8").replace("\\\n", " ")) for unit in UNITS)
-    return [
-        (unit.name, start) for unit, text in lines for start in re.findall(r"^ExecStart=\S*/(alula .*)$", text, re.M)
-    ]
-
-
-def commands_in_sentences() -> list[tuple[str, str]]:
-    texts = ((page, FENCED.sub("", page.read_text(encoding="utf-8"))) for page in PAGES)
-    return [(page.name, command) for page, text in texts for command in re.findall(r"`(alula [^`]+)`", text)]
 
 
 def python_blocks() -> list[Any]:
