@@ -29,7 +29,7 @@ from rich.progress import track
 import alula
 from benchmarks.provenance import write_result
 from dynamics.effects import CATALOGUE
-from dynamics.errors import AlulaError
+from dynamics.errors import AlulaError, RequestError
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from fixtures.compiled_flights import compiled_flights
@@ -96,10 +96,12 @@ def run(case: Case) -> Outcome:
     vehicle = read_vehicle(FOLDER / "arpl_250g.toml")
     seed = 100 + int(random.integers(4))
     flown = _flights(use.name if use else "", commands, seed, tuple(FLOWN.get(case.mutation, USUAL)))
-    mutated = MUTATIONS[case.mutation](flown, vehicle, random)
-    began = time.process_time()
+    hidden, began = use.name if use else "nothing", time.process_time()
+    try:
+        mutated = MUTATIONS[case.mutation](flown, vehicle, random)
+    except RequestError as error:  # a vehicle file that is refused when it is read
+        return Outcome(case.number, case.mutation, "", commands, hidden, "refused", str(error), 0.0)
     outcome, answer = _answer(mutated, use.name if use else "")
-    hidden = use.name if use else "nothing"
     took = time.process_time() - began
     return Outcome(case.number, case.mutation, mutated.what, commands, hidden, outcome, answer, took)
 

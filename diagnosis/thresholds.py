@@ -244,6 +244,14 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     min_lag_rows: shortest time constant of a grid that is tried, rows. [not derived yet: shorter ones look alike]
     horizons: of open-loop prediction, s. [definition]
     start_interval: between starts of open-loop prediction, s. [not derived yet]
+    free_start_durations: of a segment's beginning, from which hidden states that begin in mid-motion are fitted, s:
+        step by step, so that a swing of 60 degrees is followed. [benchmarks/verdicts.py: slung loads, seeds 500 to 502]
+    free_start_rate: at which they are integrated for that, Hz. [the same: as at 50 Hz to 0.5 % of the swing]
+    free_start_band, free_start_noise_band: in which a motion is looked for, and in which noise is seen, Hz.
+    free_start_excess: of the power in the first over that in the second, above which something moves there.
+        [benchmarks/verdicts.py, nothing hidden: 1 in 20 segments is above, none above 3.3]
+    free_start_step: by which a state moves at most in a step, standard deviations. [the same slung loads]
+    free_start_reach: by which it moves at most in all. [definition: 3 standard deviations]
     """
 
     hidden_rate: Positive = 50.0
@@ -251,6 +259,13 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     min_lag_rows: Positive = 0.35
     horizons: tuple[Positive, ...] = (0.1, 0.5, 1.0)
     start_interval: Positive = 0.5
+    free_start_durations: tuple[Positive, ...] = (2.0, 3.0, 4.0, 6.0, 6.0)
+    free_start_rate: Positive = 25.0
+    free_start_band: Range = (0.3, 1.5)
+    free_start_noise_band: Range = (2.0, 5.0)
+    free_start_excess: Positive = 2.5
+    free_start_step: Positive = 1.0
+    free_start_reach: Positive = 3.0
 
 
 class NoiseThresholds(ThresholdGroup, frozen=True):

@@ -61,12 +61,14 @@ class Hidden:
     unit: SI.
     initial: its value in hover on a vehicle.
     per_rotor: whether there is one for each rotor.
+    start_std: standard deviation of its value at the start of a log, about that in hover; 0 if it settles at once.
     """
 
     name: str
     unit: str
     initial: Callable[[Vehicle], float]
     per_rotor: bool = False
+    start_std: float = 0.0
 
 
 @dataclass(frozen=True)

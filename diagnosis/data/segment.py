@@ -45,6 +45,7 @@ class Segment:
     lacks: which of position, velocity and attitude were not logged; their values are zero and upright.
     filters: of both sides of the regression.
     carried_mass: mass over the vehicle file's body, with which rotor speeds were taken from commands.
+    without_noise: the segment itself where noise was added to it; hidden states begin as there.
     """
 
     flight: str
@@ -62,6 +63,7 @@ class Segment:
     pose_source: PoseSource = "unknown"
     filters: FilterThresholds = DEFAULT.filters
     carried_mass: float = 1.0
+    without_noise: Segment | None = None
 
     def __len__(self) -> int:
         return len(self.position)

@@ -9,7 +9,8 @@ import numpy as np
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.command_effects import GAIN, GAIN_RATIO
-from diagnosis.models.prediction import Prediction, Predictor
+from diagnosis.models.prediction import Prediction
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import NoiseModel, noise_floor, sensor_floor
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.sensor_errors import SensorErrors

@@ -11,7 +11,7 @@ from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.fitted import with_candidates
 from diagnosis.models import channels
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
 from diagnosis.thresholds import Thresholds
 from dynamics.arrays import Floats

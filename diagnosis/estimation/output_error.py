@@ -19,7 +19,7 @@ from diagnosis.data.filters import decimation
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.equation_error import clock_variance
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, with_candidates
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.models.rollout import SimulatedWindows, Simulator, healthy
 from diagnosis.selection.candidates import make_instruments, scales_rotors
 from diagnosis.thresholds import DEFAULT, Thresholds

@@ -8,7 +8,7 @@ import msgspec
 import numpy as np
 
 from diagnosis.data.segment import Segment
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.models.rollout import Simulator, healthy
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics import quaternion

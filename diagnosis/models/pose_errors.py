@@ -16,7 +16,7 @@ from scipy.signal import lfilter
 
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.thresholds import DEFAULT, PoseThresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import GRAVITY

@@ -16,7 +16,7 @@ import numpy as np
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
-from diagnosis.models.prediction import MAX_KEPT, Predictor
+from diagnosis.models.predictor import MAX_KEPT, Predictor
 from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.effect import Effect, Expression

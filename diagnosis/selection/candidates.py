@@ -21,7 +21,7 @@ import numpy as np
 from diagnosis.data.filters import difference, slow
 from diagnosis.data.segment import Segment
 from diagnosis.models.command_effects import COMMAND_EFFECTS
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.visibility import can_show
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats

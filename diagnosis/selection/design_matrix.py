@@ -17,7 +17,8 @@ from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.models import channels
 from diagnosis.models.channels import ANGULAR_ACCELERATION
-from diagnosis.models.prediction import Prediction, Predictor
+from diagnosis.models.prediction import Prediction
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.candidates import (
     Candidate,
     Instruments,

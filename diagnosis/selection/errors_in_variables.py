@@ -78,6 +78,7 @@ def perturbed(
         if segment.specific_force is None
         else noisier(segment.specific_force, levels.specific_force),
         rotor_speed=noisier(speed, white_level(speed)) if segment.rotor_source == "measured" else speed,
+        without_noise=segment,
     )
 
 

@@ -12,19 +12,23 @@ from dynamics.vehicle import Vehicle
 
 AXES = ("x", "y", "z")
 AIR_DAMPING = 0.1  # 1/s, of the swing
+START_TILT, START_SWING = 0.3, 1.5  # 1 and 1/s, of a load that swings when a log starts
 
 
 def derivative(c: Conditions, p: Values, hidden: Values, _: Values) -> Values:
     """L d'' = -f_perp - L |d'|^2 d - damping L d', d the unit vector from vehicle to load, world.
 
-    f is the rotors' specific force: the attachment's acceleration less gravity and less the line's own pull.
+    f is the rotors' specific force: the attachment's acceleration less gravity and less the line's own pull. Length of
+    the line's state and the part of the swing's that lies along d mean nothing: neither turns d.
     """
+    line, swing = _raw(hidden)
     d, d_dot = _line(hidden)
     f = _specific_force(c)
     f_perp = f - ca.dot(f, d) * d
     d_ddot = -f_perp / p["length"] - ca.sumsqr(d_dot) * d - AIR_DAMPING * d_dot
-    return {f"line_{axis}": d_dot[i] for i, axis in enumerate(AXES)} | {
-        f"swing_{axis}": d_ddot[i] for i, axis in enumerate(AXES)
+    turned, changed = ca.norm_2(line) * d_dot, d_ddot + ca.dot(swing, d) * d_dot
+    return {f"line_{axis}": turned[i] for i, axis in enumerate(AXES)} | {
+        f"swing_{axis}": changed[i] for i, axis in enumerate(AXES)
     }
 
 
@@ -42,11 +46,16 @@ def grid(_: Vehicle, __: Span) -> Sequence[dict[str, float]]:
 
 
 def _line(hidden: Values) -> tuple[Expression, Expression]:
-    """d and d': the unit vector along the line, and its rate of change without what integration adds along d."""
-    raw = ca.vertcat(*[hidden[f"line_{axis}"] for axis in AXES])
-    d = raw / ca.norm_2(raw)
-    d_dot = ca.vertcat(*[hidden[f"swing_{axis}"] for axis in AXES])
-    return d, d_dot - ca.dot(d_dot, d) * d
+    """d and d': the unit vector along the line, and its rate of change."""
+    line, swing = _raw(hidden)
+    d = line / ca.norm_2(line)
+    return d, swing - ca.dot(swing, d) * d
+
+
+def _raw(hidden: Values) -> tuple[Expression, Expression]:
+    """The states of line and swing."""
+    line, swing = (ca.vertcat(*[hidden[f"{name}_{axis}"] for axis in AXES]) for name in ("line", "swing"))
+    return line, swing
 
 
 def _specific_force(c: Conditions) -> Expression:
@@ -62,10 +71,12 @@ EFFECT = Effect(
         Parameter("length", "m", "of the line", 0.05, 20.0, lambda _: Prior(0.5, 0.3), neutral=0.5),
     ),
     hidden=(
-        Hidden("line_x", "1", lambda _: 0.0),
-        Hidden("line_y", "1", lambda _: 0.0),
+        Hidden("line_x", "1", lambda _: 0.0, start_std=START_TILT),
+        Hidden("line_y", "1", lambda _: 0.0, start_std=START_TILT),
         Hidden("line_z", "1", lambda _: -1.0),
-        *(Hidden(f"swing_{axis}", "1/s", lambda _: 0.0) for axis in AXES),
+        Hidden("swing_x", "1/s", lambda _: 0.0, start_std=START_SWING),
+        Hidden("swing_y", "1/s", lambda _: 0.0, start_std=START_SWING),
+        Hidden("swing_z", "1/s", lambda _: 0.0),
     ),
     wrench=wrench,
     derivative=derivative,

@@ -9,7 +9,7 @@ from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, with_candidates
 from diagnosis.estimation.output_error import refit
 from diagnosis.models.open_loop import open_loop_errors
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.models.rollout import Simulator, healthy
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE

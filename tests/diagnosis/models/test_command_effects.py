@@ -14,7 +14,7 @@ from diagnosis.models.command_effects import (
     with_command_effects,
     without_command_effects,
 )
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse, Vehicle

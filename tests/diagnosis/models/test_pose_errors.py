@@ -9,7 +9,7 @@ from scipy.signal import lfilter
 
 from diagnosis.estimation.evaluation import typical_chi_square
 from diagnosis.models.pose_errors import NO_ERRORS, PoseErrors, pose_errors, velocity_disagreement, velocity_error
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.noise import estimate_noise, noise_floor
 from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE

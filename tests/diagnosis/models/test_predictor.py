@@ -5,7 +5,7 @@ import pytest
 
 from diagnosis.data.segment import segments
 from diagnosis.models import channels
-from diagnosis.models.prediction import Predictor
+from diagnosis.models.predictor import Predictor
 from diagnosis.selection.candidates import make_candidates
 from dynamics.effects import CATALOGUE
 from dynamics.model import build_model

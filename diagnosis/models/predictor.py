@@ -1,0 +1,381 @@
+"""A model along a measured flight: its predictions at every row, and their slopes.
+
+The expressions are those of `dynamics`; faults of sensors are undone where they spoil the model's inputs (rates,
+rotor speeds) and applied where the model predicts a reading (specific force).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable, Mapping, Sequence
+from functools import cached_property
+from weakref import WeakKeyDictionary
+
+import casadi as ca
+import msgspec
+import numpy as np
+
+from diagnosis.data.segment import Segment
+from diagnosis.models.batched_function import Recurrence, RowFunction
+from diagnosis.models.free_start import FreeStart
+from diagnosis.models.prediction import Prediction
+from diagnosis.thresholds import DEFAULT, PredictionThresholds
+from dynamics import quaternion
+from dynamics.arrays import Floats
+from dynamics.effect import Effect, Expression
+from dynamics.integrators import MAX_STEP_IN_LAGS, exponential_steps, relaxation_of, relaxes_alone
+from dynamics.kinematics import lever_arm_acceleration
+from dynamics.model import Model, build_model
+from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES
+from dynamics.vehicle import EffectUse, Vehicle
+
+POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
+PARAMETERS = 4  # place of the parameters among the functions' inputs
+MAX_KEPT = 256  # structures whose functions are kept
+MAX_FOLLOWED = 24  # sets of hidden states that are kept of a segment
+
+
+class Predictor:
+    """A vehicle's model with effects, evaluated over whole segments.
+
+    uses: the effects in it.
+    free: parameters in which slopes are computed, by the model's names.
+    speed_measured: whether the segments hold measured rotor speeds; the rotors' lag is then not in the model.
+    """
+
+    def __init__(
+        self,
+        vehicle: Vehicle,
+        uses: Sequence[EffectUse],
+        catalogue: Mapping[str, Effect],
+        free: Sequence[str] = (),
+        *,
+        speed_measured: bool,
+        thresholds: PredictionThresholds = DEFAULT.prediction,
+        settled: bool = False,
+    ) -> None:
+        acting = [use for use in uses if not (speed_measured and catalogue[use.name].rotor_speed is not None)]
+        self.model: Model = build_model(vehicle, effects=acting, catalogue=catalogue)
+        self.free = tuple(free)
+        self._thresholds = thresholds
+        self._functions = _functions_of(self.model, self.free)
+        self._free_starts = [] if settled else self._make_free_starts(vehicle, catalogue, thresholds)
+
+    @property
+    def named_values(self) -> dict[str, float]:
+        """The model's parameters."""
+        return dict(zip(self.model.parameter_names, self.model.parameter_values.tolist(), strict=True))
+
+    def values(self, changed: Mapping[str, float] | None = None) -> Floats:
+        """The model's parameter vector with some of them changed."""
+        p = self.model.parameter_values.copy()
+        for name, value in (changed or {}).items():
+            p[self.model.parameter_index(name)] = value
+        return p
+
+    def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
+        """The model's prediction along a segment."""
+        p = self.values(changed)
+        outputs = self._functions.evaluate(*self._arguments(segment, p, None, None))
+        return Prediction.from_outputs(outputs, np.array(self._functions.ages(p)).ravel())
+
+    def slopes(
+        self,
+        segment: Segment,
+        changed: Mapping[str, float] | None = None,
+        *,
+        rotor_speed: Floats | None = None,
+        rotor_acceleration: Floats | None = None,
+        free: Sequence[str] | None = None,
+    ) -> list[Prediction]:
+        """Derivatives of the prediction in each free parameter; rotor speeds may replace the measured ones.
+
+        free: those of these parameters alone.
+        """
+        names = self.free if free is None else tuple(free)
+        p = self.values(changed)
+        arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
+        columns = _functions_of(self.model, names).slopes(*arguments)
+        parts = columns.reshape(len(columns), len(names), 12)
+        ages = np.array(self._functions.ages(p)).ravel()
+        return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
+
+    def states(self, segment: Segment, p: Floats | None = None) -> Floats:
+        """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's.
+
+        Hidden states are not finite where the rate is too low for them.
+        """
+        values = self.values() if p is None else p
+        if not self.model.hidden_count:
+            return segment.smooth
+        initial = self._initial(segment, values)
+        followed, key = _followed.setdefault(segment, {}), self._hidden_key(segment, values, initial)
+        if key not in followed:
+            if len(followed) >= MAX_FOLLOWED:
+                del followed[next(iter(followed))]
+            followed[key] = self._hidden(segment, values, initial)
+        return np.vstack([segment.smooth.T, followed[key].T]).T
+
+    def settled(self, segment: Segment) -> Floats:
+        """(h,) hidden states in hover, with the rotors at the speeds at a segment's start."""
+        hidden = self.model.hidden_initial.copy()
+        for place in self.model.rotor_speed_places:
+            hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
+        return hidden
+
+    def predict_from(self, segment: Segment, changed: Mapping[str, float], start: Floats) -> Prediction:
+        """The model's prediction along a segment at whose start the hidden states are (h,) start."""
+        p = self.values(changed)
+        states = np.vstack([segment.smooth.T, self._hidden(segment, p, start).T]).T
+        here = segment.body_rate, segment.rotor_speed, segment.rotor_acceleration
+        outputs = self._functions.evaluate(states, *here, p, segment.environment, segment.angular_acceleration)
+        return Prediction.from_outputs(outputs, np.array(self._functions.ages(p)).ravel())
+
+    def _initial(self, segment: Segment, p: Floats) -> Floats:
+        """(h,) hidden states at a segment's start: those of hover, or where the first seconds show them to begin."""
+        initial = self.settled(segment)
+        for start, names, places in self._free_starts:
+            initial[places] = start.of(segment, {name: float(p[self.model.parameter_index(name)]) for name in names})
+        return initial
+
+    def _make_free_starts(
+        self, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: PredictionThresholds
+    ) -> list[tuple[FreeStart, tuple[str, ...], list[int]]]:
+        """Of each effect that may begin in mid-motion: its start, the parameters that it depends on, and its places.
+
+        The rotors' lag is not in it: motions that slow see the thrust of some 0.05 s before.
+        """
+        starts, bare = [], msgspec.structs.replace(vehicle, effects=())
+        slower = msgspec.structs.replace(thresholds, hidden_rate=thresholds.free_start_rate)
+        for item in self.model.effects:
+            spread = {hidden.name: hidden.start_std for hidden in item.effect.hidden if hidden.start_std}
+            if spread:
+                use = EffectUse(item.effect.name, rotor=item.rotor)
+                alone = Predictor(bare, [use], catalogue, speed_measured=True, thresholds=slower, settled=True)
+                inner = alone.model.effects[0]
+                places = [place for name in spread for place in _places(inner.hidden[name])]
+                sizes = np.array(list(spread.values()))
+                start = FreeStart(item.effect, item.key, alone, places, sizes, vehicle, thresholds)
+                own = [place for name in spread for place in _places(item.hidden[name])]
+                starts.append((start, alone.model.parameter_names, own))
+        return starts
+
+    def _hidden_key(self, segment: Segment, p: Floats, initial: Floats) -> Hashable:
+        """What hidden states along a segment depend on: the same in all models where these are the same."""
+        stride = self._stride(segment, p)
+        own = p[self._functions.hidden_parameters].tobytes(), initial.tobytes()
+        return (self._functions.hidden_slope, *own, stride, self.substeps(stride / segment.rate, p))
+
+    def rotor_speed(self, segment: Segment, p: Floats | None = None) -> Floats:
+        """(n, rotors) speeds of the rotors, rad/s: those of the log, or behind these where the model has their lag."""
+        places = self.model.rotor_speed_places
+        if not places:
+            return segment.rotor_speed
+        return np.asarray(self.states(segment, p)[:, places[-1]])
+
+    def _arguments(
+        self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
+    ) -> list[Floats]:
+        speed = segment.rotor_speed if rotor_speed is None else rotor_speed
+        acceleration = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
+        angular = segment.angular_acceleration
+        return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
+
+    def substeps(self, period: float, p: Floats) -> int | None:
+        """Integration steps over a period, s, that hidden states need; None if more than are taken."""
+        lag = min((p[place] for place in self._functions.step_bounds), default=np.inf)
+        required = max(1, math.ceil(period / (MAX_STEP_IN_LAGS * lag)))
+        return required if required <= self._thresholds.max_substeps else None
+
+    def _stride(self, segment: Segment, p: Floats) -> int:
+        """Rows from one step of the hidden states to the next: all where they are fast."""
+        slowest = min((p[place] for place in self._functions.lags), default=np.inf) * self._thresholds.hidden_rate
+        fast = bool(self.model.rotor_speed_places) or slowest < 1
+        return 1 if fast else max(1, int(segment.rate / self._thresholds.hidden_rate))
+
+    def _hidden(self, segment: Segment, p: Floats, initial: Floats) -> Floats:
+        """(n, h) hidden states along the segment, from (h,) initial ones."""
+        stride = self._stride(segment, p)
+        count = self.substeps(stride / segment.rate, p)
+        if count is None:
+            return np.full((len(segment), self.model.hidden_count), np.nan)
+        here = segment.driving[::stride]
+        period = np.array([stride / segment.rate])
+        with np.errstate(all="ignore"):
+            hidden = np.vstack([initial, self._functions.advance(count)(initial, here[:-1], here[1:], p, period)])
+        return hidden if stride == 1 else _between(hidden, stride, len(segment))
+
+
+_followed: WeakKeyDictionary[Segment, dict[Hashable, Floats]] = WeakKeyDictionary()  # hidden states along segments
+
+
+class _Functions:
+    """What predictors of one structure and one set of free parameters compute, each made when it is needed first."""
+
+    def __init__(self, model: Model, free: Sequence[str]) -> None:
+        self._model, self._symbols = model, _symbols(model)
+        self._places = [model.parameter_index(name) for name in free]
+        self.ages = ca.Function("ages", [self._symbols["p"]], [_ages(model, self._symbols["p"])])
+        self.lags, self.step_bounds = _lags(model)
+        self.hidden_slope, self.hidden_parameters = _hidden_slope_text(model)
+        self._advances: dict[int, Recurrence] = {}
+
+    @cached_property
+    def _outputs(self) -> Expression:
+        return _outputs(self._model, self._symbols)
+
+    def _by_row(self, outputs: Expression) -> RowFunction:
+        function = ca.Function("outputs", list(self._symbols.values()), [ca.densify(outputs)])
+        return RowFunction(function, shared=(PARAMETERS,))
+
+    @cached_property
+    def evaluate(self) -> RowFunction:
+        """The outputs (12,)."""
+        return self._by_row(self._outputs)
+
+    @cached_property
+    def slopes(self) -> RowFunction:
+        """Their derivatives in each free parameter, (12 k,)."""
+        slopes = ca.jacobian(self._outputs, self._symbols["p"])[:, self._places]
+        return self._by_row(ca.cse(ca.vec(slopes)))
+
+    def advance(self, count: int) -> Recurrence:
+        """The hidden states one row later, in `count` steps."""
+        if count not in self._advances:
+            self._advances[count] = Recurrence(_advance(self._model, self._symbols, count), shared=(3, 4))
+        return self._advances[count]
+
+
+_functions: dict[Hashable, _Functions] = {}
+
+
+def _functions_of(model: Model, free: tuple[str, ...]) -> _Functions:
+    """Those of a model, kept for models of the same structure."""
+    if (model.structure, free) not in _functions:
+        if len(_functions) >= MAX_KEPT:
+            _functions.clear()
+        _functions[model.structure, free] = _Functions(model, free)
+    return _functions[model.structure, free]
+
+
+def _lags(model: Model) -> tuple[list[int], list[int]]:
+    """Places of the time constants among the parameters: of all effects, and of those that bound the integration step.
+
+    Hidden states that relax by themselves are integrated exactly, so that their time constants bound nothing.
+    """
+    hidden = ca.SX.sym("hidden", model.hidden_count)
+    sizes = [model.input_count, len(model.parameter_names), 2, model.hidden_count]
+    x = ca.vertcat(ca.SX.sym("x", RIGID_BODY_STATES), hidden)
+    derivative = model.derivative(x, *(ca.SX.sym("argument", size) for size in sizes))[HIDDEN]
+    everything: list[int] = []
+    bounding: list[int] = []
+    for item in model.effects:
+        places = [model.parameter_index(f"{item.key}.{name}") for name in item.effect.time_constants]
+        everything += places
+        states = [slice(s.start - RIGID_BODY_STATES, s.stop - RIGID_BODY_STATES) for s in item.hidden.values()]
+        if not all(relaxes_alone(derivative, hidden, entries) for entries in states):
+            bounding += places
+    return everything, bounding
+
+
+def _hidden_slope_text(model: Model) -> tuple[str, list[int]]:
+    """The hidden states' derivative, the same text in all models where it is the same, and its parameters' places."""
+    if not model.hidden_count:
+        return "", []
+    row, h = ca.SX.sym("row", RIGID_BODY_STATES + model.input_count + 2), ca.SX.sym("h", model.hidden_count)
+    p = ca.vertcat(*map(ca.SX.sym, model.parameter_names))
+    slope = _hidden_slope(model, row, h, p)
+    places = [place for place, is_in in enumerate(ca.which_depends(slope, p, 1, False)) if is_in]
+    return ca.Function("slope", [row, h, p[places]], [slope]).serialize(), places
+
+
+def _hidden_slope(model: Model, row: Expression, hidden: Expression, p: Expression) -> Expression:
+    """(h,) derivative of the hidden states. row: measured state, rotors' speeds or commands, environment."""
+    n = model.input_count
+    rate, speed = _true(model, row[RATE], row[RIGID_BODY_STATES : RIGID_BODY_STATES + n], p)
+    state = ca.vertcat(row[POSE_AND_VELOCITY], rate, hidden)
+    return model.derivative(state, speed, p, row[RIGID_BODY_STATES + n :], ca.SX.zeros(model.hidden_count))[HIDDEN]
+
+
+def _places(entries: slice) -> range:
+    """Places of a hidden state, of which `entries` of the state are, among the hidden ones."""
+    return range(entries.start - RIGID_BODY_STATES, entries.stop - RIGID_BODY_STATES)
+
+
+def _between(values: Floats, stride: int, count: int) -> Floats:
+    """(count, k) values (m, k) of every stride-th row, linear between them, the last one held."""
+    place = np.minimum(np.arange(count) / stride, len(values) - 1)
+    before = np.minimum(place.astype(int), len(values) - 2)
+    share = (place - before)[:, None]
+    return np.asarray((1 - share) * values[before] + share * values[before + 1])
+
+
+def _symbols(model: Model) -> dict[str, Expression]:
+    n = model.input_count
+    sizes = {
+        "x": model.state_count,
+        "gyro": 3,
+        "speed": n,
+        "acceleration": n,
+        "p": len(model.parameter_names),
+        "e": 2,
+        "angular": 3,
+    }
+    return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+
+def _ages(model: Model, p: Expression) -> Expression:
+    """(2,) age of the pose, and of the attitude beyond it, s."""
+    nothing = ca.SX.zeros(3)
+    read = model.measure(nothing, nothing, ca.SX.zeros(model.input_count), p, nothing)
+    return ca.vertcat(read[3], read[4])
+
+
+def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
+    """Body rate and rotor speeds from their readings, which are affine in them, the rate behind a turn of the gyro."""
+
+    def solved(reading: Expression, read: Expression, true: Expression) -> Expression:
+        slope = ca.jacobian(read, true)
+        offset = ca.substitute(read, true, ca.SX.zeros(true.shape))
+        return (
+            ca.solve(slope, reading - offset) if not slope.sparsity().is_diag() else (reading - offset) / ca.diag(slope)
+        )
+
+    true_rate, true_speed = ca.SX.sym("true_rate", 3), ca.SX.sym("true_speed", model.input_count)
+    _, rate_read, speed_read, *_, axes = model.measure(ca.SX.zeros(3), true_rate, true_speed, p, ca.SX.zeros(3))
+    return solved(quaternion.rotate(axes, rate), rate_read, true_rate), solved(speed, speed_read, true_speed)
+
+
+def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
+    """Specific force as read, angular acceleration, true body rate, specific force that the pose shows: (12,).
+
+    The lever arms of accelerometer and pose act through the measured angular acceleration, which the model's errors
+    in moment do not spoil. The arm's part of the air velocity is left out: 0.1 m/s for 5 cm at 2 rad/s.
+    """
+    p = s["p"]
+    smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], p)
+    gyro, _ = _true(model, s["gyro"], s["speed"], p)
+    *_, attitude_age, arm, gyro_axes = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, s["angular"])
+    late = quaternion.small_turn(attitude_age * smooth_rate)
+    attitude = quaternion.multiply(s["x"][ATTITUDE], late)
+    state = ca.vertcat(s["x"][: ATTITUDE.start], attitude, smooth_rate, s["x"][HIDDEN])
+    force, angular = model.respond(state, speed, s["acceleration"], p, s["e"])
+    read = model.measure(force, smooth_rate, speed, p, s["angular"])[0]
+    at_pose = force + lever_arm_acceleration(arm, smooth_rate, s["angular"])
+    return ca.vertcat(read, quaternion.rotate_inverse(gyro_axes, angular), gyro, quaternion.rotate(late, at_pose))
+
+
+def _advance(model: Model, s: Mapping[str, Expression], count: int) -> ca.Function:
+    """(hidden, before, after, p, dt) -> hidden states one row later, in `count` steps between the rows' motion.
+
+    Between two rows motion and rotors' speeds or commands change linearly.
+    """
+    width = RIGID_BODY_STATES + model.input_count + 2
+    before, after, dt = ca.SX.sym("before", width), ca.SX.sym("after", width), ca.SX.sym("dt")
+    h, p = ca.SX.sym("h", model.hidden_count), s["p"]
+
+    def slope(hidden: Expression, share: float) -> Expression:
+        return _hidden_slope(model, (1 - share) * before + share * after, hidden, p)
+
+    following = exponential_steps(slope, h, relaxation_of(slope(h, 0.0), h), dt, steps=count)
+    return ca.Function("advance", [h, before, after, p, dt], [following])
