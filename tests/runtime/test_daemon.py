@@ -49,6 +49,7 @@ PATIENT = FlyerSettings(
     engagement=EngagementSettings(patience=20.0),
 )
 PLAN = Plan(height=1.0, settle=0.3, speed=2.0, acceleration=3.0)
+NORTH = np.pi / 2  # as the mock stands: turning to another heading would take 4 s before the reference, and 4 s after
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +58,7 @@ def vehicle() -> Vehicle:
 
 
 def reference_of(vehicle: Vehicle) -> Transfer:
-    return Transfer(vehicle, np.array([0.5, 0.0, 1.0, 0.0]), np.array([-0.5, 0.3, 1.0, 0.3]), 2.0)
+    return Transfer(vehicle, np.array([0.5, 0.0, 1.0, NORTH]), np.array([-0.5, 0.3, 1.0, NORTH + 0.3]), 2.0)
 
 
 class Announcements(list[str]):

@@ -189,7 +189,7 @@ def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]
             process.wait()
 
 
-@pytest.mark.realtime
+@pytest.mark.realtime(alone=False)  # repeated where it was starved; it bears company
 def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(
     work: MakeWork, cluster: tuple[str, list[subprocess.Popen[bytes]]]
 ) -> None:

@@ -1,8 +1,8 @@
 """Several workers of one test run: a test against the clock has the machine to itself.
 
 Every test of a worker holds a lock of the run, those marked `realtime` exclusively, from the first of a row to its
-last, all others shared. Whoever waits for it stands in a turnstile, so that nobody is overtaken. A run without workers
-has no lock.
+last, all others shared, as those marked `realtime(alone=False)`. Whoever waits for it stands in a turnstile, so that
+nobody is overtaken. A run without workers has no lock.
 """
 
 from __future__ import annotations
@@ -55,12 +55,12 @@ class AlonePlugin:
     ) -> Generator[None, object, object]:
         """Hold the lock while a test runs."""
         if not self._alone:
-            self._alone = is_realtime(item)
+            self._alone = runs_alone(item)
             self._lock.acquire(exclusive=self._alone)
         try:
             return (yield)
         finally:
-            if not (self._alone and is_realtime(nextitem)):
+            if not (self._alone and runs_alone(nextitem)):
                 self._alone = False
                 self._lock.release()
 
@@ -69,9 +69,10 @@ class AlonePlugin:
         self._lock.close()
 
 
-def is_realtime(item: pytest.Item | None) -> bool:
-    """Whether a test runs against the clock."""
-    return item is not None and item.get_closest_marker("realtime") is not None
+def runs_alone(item: pytest.Item | None) -> bool:
+    """Whether a test runs against the clock, so that others must not run beside it."""
+    marker = item.get_closest_marker("realtime") if item is not None else None
+    return marker is not None and bool(marker.kwargs.get("alone", True))
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.alone import MachineLock
+from tests.support.alone import MachineLock, runs_alone
 
 pytest_plugins = ("pytester",)
 ROOT = Path(__file__).parents[2]
@@ -87,6 +87,14 @@ def test_workers_leave_the_machine_to_tests_against_the_clock(
     others = [(began, ended) for realtime, began, ended in flown if not realtime]
     assert len(alone) == 3
     assert not [both for both in product(alone, others) if overlap(*both)]
+
+
+def test_a_test_that_only_repeats_itself_is_not_alone(pytester: pytest.Pytester) -> None:
+    marks = ("@pytest.mark.realtime", "@pytest.mark.realtime(alone=False)", "")
+    pytester.makeini("[pytest]\nmarkers = realtime: against the clock\naddopts = -p no:dash")
+    source = "\n".join(f"{mark}\ndef test_{number}(): ..." for number, mark in enumerate(marks))
+    items = pytester.getitems(f"import pytest\n{source}")
+    assert [runs_alone(item) for item in items] == [True, False, False]
 
 
 def overlap(one: tuple[float, float], other: tuple[float, float]) -> bool:
