@@ -1,70 +1,18 @@
-"""Progress of a member: its reports, and the state file from which it continues after it was killed."""
+"""Progress of a member, and the state file from which it continues after it was killed."""
 
 from __future__ import annotations
 
 import copy
-import multiprocessing
-import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, field
-from multiprocessing.managers import SyncManager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import torch
 from torch import nn
 
 from dynamics.errors import RequestError
-from flights.parallel import end_with_parent
 from training.checkpoint import read_content, write_atomically
 from training.optimiser import StepRule
-
-
-class Report(msgspec.Struct, frozen=True):
-    """Progress of a member at an evaluation.
-
-    member: its number in the ensemble.
-    step: of `steps` in all.
-    loss, physics_loss: of the last batch, physics_loss None without one.
-    validation: mean squared standardised error.
-    best: the lowest validation error up to now.
-    learning_rate: at this step.
-    """
-
-    member: int
-    step: int
-    steps: int
-    loss: float
-    physics_loss: float | None
-    validation: float
-    best: float
-    learning_rate: float
-
-
-Progress = Callable[[Report], None]
-
-
-@contextmanager
-def progress_channel(progress: Progress) -> Iterator[Progress]:
-    """A function that other processes call with their reports: each one reaches `progress` in this process."""
-    manager = SyncManager(ctx=multiprocessing.get_context("spawn"))
-    manager.start(end_with_parent)
-    reports = manager.Queue()
-
-    def forward() -> None:
-        while (report := reports.get()) is not None:
-            progress(report)
-
-    thread = threading.Thread(target=forward, name="training progress", daemon=True)
-    thread.start()
-    try:
-        yield reports.put
-    finally:
-        reports.put(None)
-        thread.join()
-        manager.shutdown()
 
 
 @dataclass(eq=False)

@@ -34,8 +34,8 @@ from training.folder import CARD_SUFFIX, STATE, claimed, require_free, run_folde
 from training.models import named_kind
 from training.overrides import overridden
 from training.plan import Plan, make_plan
-from training.progress import Progress, progress_channel
 from training.recipe import Recipe, named_recipe
+from training.reports import Progress, progress_channel
 from training.trainer import Member, Task, train
 
 MAX_SEED = 2**31

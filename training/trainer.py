@@ -22,8 +22,9 @@ from training.networks import build_network
 from training.non_finite_loss import non_finite_loss
 from training.optimiser import StepRule
 from training.process_group import join_group, shared, wait_for_all
-from training.progress import Report, Run
+from training.progress import Run
 from training.recipe import Recipe
+from training.reports import Report
 from training.rollout_loss import RolloutLoss
 from training.schedule import Schedule
 

@@ -15,7 +15,7 @@ from dynamics.command import command_line
 
 if TYPE_CHECKING:
     from runtime.control.bundle import Integrator
-    from training.progress import Report
+    from training.reports import Report
 
 
 def train(

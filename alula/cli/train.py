@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
     from training.checkpoint import TrainedModel
-    from training.progress import Report
+    from training.reports import Report
 
 Logs = Annotated[
     list[Path], typer.Argument(help="Logs of one vehicle, folders of them, or a campaign's folder.", metavar="LOG...")

@@ -102,19 +102,19 @@ def words_of(text: str) -> list[str]:
     if name == "sweep":
         words[0] = FEWER.get(words[0], words[0])
     shorter = SHORTER.get(name, {})
-    kept = without_options(words, shorter)
-    return [name, *kept, *(word for option, value in shorter.items() for word in (option, value) if word)]
+    retained = without_options(words, shorter)
+    return [name, *retained, *(word for option, value in shorter.items() for word in (option, value) if word)]
 
 
 def without_options(words: Sequence[str], options: Mapping[str, str]) -> list[str]:
     """Words without some options and their values. options: to a value, empty for a flag."""
-    kept: list[str] = []
+    retained: list[str] = []
     skip = False
     for word in words:
         if not skip and word not in options:
-            kept.append(word)
+            retained.append(word)
         skip = not skip and bool(options.get(word))
-    return kept
+    return retained
 
 
 def option(words: Sequence[str], name: str, default: str = "") -> str:

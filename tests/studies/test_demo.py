@@ -138,7 +138,8 @@ def test_both_halves_are_in_every_form_of_the_report(learned) -> None:
 
 
 def test_where_nothing_is_hidden_nothing_is_added_and_nothing_flown_again(tmp_path: Path) -> None:
-    options = DemoOptions(tmp_path, effects=(), lockstep=True, duration=16.0)
+    manoeuvres = ("Ellipse_2", "Lemniscate")
+    options = DemoOptions(tmp_path, effects=(), manoeuvres=manoeuvres, lockstep=True, duration=16.0)
     report, learning = run_demo(options, ignore, ignore)
     assert report.learned.added == ()
     assert report.learned.flown == ()

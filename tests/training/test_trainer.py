@@ -27,8 +27,8 @@ from training.effects_fit import named_effects
 from training.models import named_kind
 from training.plan import Plan, make_plan
 from training.prediction import flight_errors, pooled, predict
-from training.progress import Report
 from training.recipe import FAST
+from training.reports import Report
 from training.trainer import Member, Task, train
 
 CPU = torch.device("cpu")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import partial
 
 from flights.parallel import parallel_map
-from training.progress import Progress, Report, progress_channel
+from training.reports import Progress, Report, progress_channel
 
 
 def report_of(member: int, step: int) -> Report:
