@@ -247,11 +247,17 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     free_start_durations: of a segment's beginning, from which hidden states that begin in mid-motion are fitted, s:
         step by step, so that a swing of 60 degrees is followed. [benchmarks/verdicts.py: slung loads, seeds 500 to 502]
     free_start_rate: at which they are integrated for that, Hz. [the same: as at 50 Hz to 0.5 % of the swing]
-    free_start_band, free_start_noise_band: in which a motion is looked for, and in which noise is seen, Hz.
+    free_start_band: in which a motion is looked for, Hz. [formula: lines of 0.1 to 3 m]
+    free_start_noise_band: in which noise is seen, Hz. [definition: above that, below the filters' cutoff]
     free_start_excess: of the power in the first over that in the second, above which something moves there.
         [benchmarks/verdicts.py, nothing hidden: 1 in 20 segments is above, none above 3.3]
     free_start_step: by which a state moves at most in a step, standard deviations. [the same slung loads]
     free_start_reach: by which it moves at most in all. [definition: 3 standard deviations]
+    free_start_strength: of an effect that is sought, over its usual value. [definition: a tenth to five times]
+    free_start_rounding: to which logarithms of parameters are rounded for a start that others are near.
+        [decisions: a load may swing when the log starts]
+    free_start_steps: from there. [decisions, the same: always as many, so that slopes by differences are smooth]
+    free_start_difference: for slopes in the states, standard deviations. [decisions, the same]
     """
 
     hidden_rate: Positive = 50.0
@@ -266,6 +272,10 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
     free_start_excess: Positive = 2.5
     free_start_step: Positive = 1.0
     free_start_reach: Positive = 3.0
+    free_start_strength: Range = (0.1, 5.0)
+    free_start_rounding: Positive = 0.1
+    free_start_steps: Count = 3
+    free_start_difference: Positive = 0.05
 
 
 class NoiseThresholds(ThresholdGroup, frozen=True):

@@ -25,11 +25,7 @@ from dynamics.effect import Effect, Parameter
 from dynamics.state import VELOCITY
 from dynamics.vehicle import Vehicle
 
-STEPS = 3  # from the start with parameters that are near
-ROUNDED = 0.1  # to which parameters are rounded for these, of their logarithm
-FACTORS = (0.1, 5.0)  # of a strength that is not given, over its usual value
 TINY = 1e-12  # instead of nothing
-DIFFERENCE = 0.05  # of a state's standard deviation, for slopes
 
 
 class FromStart(Protocol):
@@ -102,12 +98,16 @@ class FreeStart:
         hover = self.model.settled(part)
         without = self._force(part, absent, hover)
         push, left = self._force(part, present, hover) - without, channels.measured(part)[:, _channel(part)] - without
-        factor = float(np.clip(np.sum(push * left) / np.sum(push**2), *FACTORS))
+        factor = float(np.clip(np.sum(push * left) / np.sum(push**2), *self.thresholds.free_start_strength))
         return {name: absent[name] + factor * (value - absent[name]) for name, value in present.items()}
 
     def _nearby(self, segment: Segment, values: Mapping[str, float]) -> tuple[Floats, Floats]:
         """The start with rounded parameters of the effect, and the columns there."""
-        own = {name: _rounded(values[name]) for name in values if name.startswith(f"{self.key}.")}
+        own = {
+            name: _rounded(values[name], self.thresholds.free_start_rounding)
+            for name in values
+            if name.startswith(f"{self.key}.")
+        }
         near, known = {**values, **own}, _anchors.setdefault(segment, {})
         case = self._case(near)
         if case not in known:
@@ -120,7 +120,7 @@ class FreeStart:
         Steps with the columns of that start, always as many, so that the result is smooth in the parameters.
         """
         (off, columns), part = near, _first(segment, self.thresholds.free_start_durations[-1])
-        for _ in range(STEPS):
+        for _ in range(self.thresholds.free_start_steps):
             left = channels.measured(part)[:, _channel(part)] - self._force_from(part, values, off)
             off = self._stepped(off, _posterior_step(columns, left, off))
         return off
@@ -154,8 +154,9 @@ class FreeStart:
         for duration in self.thresholds.free_start_durations:
             part = _first(segment, duration)
             here = self._force_from(part, values, off)
-            rows = DIFFERENCE * np.eye(len(off))
-            slopes = [(self._force_from(part, values, off + row) - here) / DIFFERENCE for row in rows]
+            difference = self.thresholds.free_start_difference
+            rows = difference * np.eye(len(off))
+            slopes = [(self._force_from(part, values, off + row) - here) / difference for row in rows]
             without = self._force(part, self._absent(values), self.model.settled(part))
             columns = np.stack([*slopes, *_nuisances(part, without)], axis=2)
             left = channels.measured(part)[:, _channel(part)] - here
@@ -200,9 +201,9 @@ def _first(segment: Segment, duration: float) -> Segment:
     return firsts[count]
 
 
-def _rounded(value: float) -> float:
-    """A value of either sign, of a coarse grid of logarithms."""
-    return math.copysign(math.exp(ROUNDED * round(math.log(abs(value)) / ROUNDED)), value) if value else 0.0
+def _rounded(value: float, step: float) -> float:
+    """A value of either sign, of a grid of logarithms."""
+    return math.copysign(math.exp(step * round(math.log(abs(value)) / step)), value) if value else 0.0
 
 
 def _channel(segment: Segment) -> slice:

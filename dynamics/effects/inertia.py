@@ -23,7 +23,7 @@ EFFECT = Effect(
     summary="Other moments of inertia than the vehicle file's",
     source="PI-TCN eq. 1",
     parameters=tuple(
-        Parameter(f"ratio_{axis}", "1", f"real moment about body {axis} over the file's", 0.3, 3.0, usual, neutral=1.0)
+        Parameter(f"ratio_{axis}", "1", f"real moment about body {axis} over the file's", 0.2, 5.0, usual, neutral=1.0)
         for axis in "xyz"
     ),
     physics=physics,

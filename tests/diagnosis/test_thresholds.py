@@ -26,6 +26,7 @@ NO_THRESHOLDS = {
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
     "CHAINED_BLOCK", "MAX_FOLLOWED", "MAX_KEPT",  # sizes of blocks and caches: they change no number
+    "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip
 
@@ -151,3 +152,17 @@ def test_another_periodogram_changes_the_floor_and_no_more_than_a_little(answer,
     for kind, error in usual.channels.items():
         assert coarser.channels[kind].floor != error.floor
         assert coarser.channels[kind].floor == pytest.approx(error.floor, rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "accepted"),
+    [
+        ("inertia", DEFAULT.rotor_moments.angular_ratio),
+        ("mass", DEFAULT.data_checks.thrust_ratio),
+        ("thrust_constant", DEFAULT.data_checks.thrust_ratio),
+    ],
+)
+def test_what_the_checks_of_logs_accept_is_within_the_bounds_of_the_effect_that_explains_it(name, accepted):
+    for parameter in CATALOGUE[name].parameters:
+        assert parameter.lower <= accepted[0]
+        assert parameter.upper >= accepted[1]
