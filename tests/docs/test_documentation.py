@@ -18,14 +18,12 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import MagicMock
 
-import msgspec
 import pytest
 
 import alula
 from alula.cli import app
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import write_vehicle
-from fixtures.planted import planted_flights
 from tests.support.pages import (
     FENCED,
     PAGES,
@@ -36,6 +34,7 @@ from tests.support.pages import (
     commands_of_units,
     shell_lines,
 )
+from tests.support.reader_folder import HIDDEN, heavier, hovering_logs, planted_logs
 from tests.support.small_campaign import fly_campaign
 
 SLOW = (
@@ -48,7 +47,6 @@ SLOW = (
     "vehicle_from_logs",
     "check_vehicle",
 )  # or need a bundle, a log
-MANOEUVRES = ("line:laps=3,ramp=1", "circle:laps=2,ramp=1,speed=1.2", "Lemniscate:laps=3,ramp=1.5,speed=0.9")
 
 
 def python_blocks() -> list[Any]:
@@ -124,23 +122,15 @@ def test_a_page_that_is_made_from_the_code_is_up_to_date(script: str) -> None:
 def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with what the snippets name: logs, vehicle files, a campaign, models."""
     folder = tmp_path_factory.mktemp("snippets")
-    (folder / "logs").mkdir()
-    for place, flight in enumerate(planted_flights(arpl_250g, [], seed=5, manoeuvres=MANOEUVRES)):
-        flight.to_csv(folder / "logs" / f"flight_{place}.csv")
-    (folder / "hover").mkdir()
-    names = ("suspect.csv", "normal_0.csv", "normal_1.csv")
-    hovering = planted_flights(arpl_250g, [], seed=6, manoeuvres=["hover:laps=1"] * len(names))
-    for name, flight in zip(names, hovering, strict=True):
-        flight.to_csv(folder / "hover" / name)
+    planted_logs(folder / "logs", arpl_250g)
+    hovering_logs(folder / "hover")
     for name in ("log.ulg", "Ellipse_1.bag"):  # the content decides which format it is
         shutil.copy(folder / "logs" / "flight_0.csv", folder / name)
-    body = msgspec.structs.replace(arpl_250g.body, mass=1.06 * arpl_250g.body.mass)
     for name in ("heavy.toml", "my_quad.toml"):
-        write_vehicle(msgspec.structs.replace(arpl_250g, body=body), folder / name)
+        write_vehicle(heavier(arpl_250g), folder / name)
     (folder / "fleet.toml").write_text("[search]\nmin_gain = 60.0\n")
     (folder / "vehicles").symlink_to(ROOT / "vehicles")
-    effects = ("motor_lag:time_constant=0.035", "rotor_drag:coefficient=6e-5")
-    fly_campaign(folder / "build" / "campaign_learning", arpl_250g, effects, {"test/Line": "line:laps=3,ramp=1"})
+    fly_campaign(folder / "build" / "campaign_learning", arpl_250g, HIDDEN, {"test/Line": "line:laps=3,ramp=1"})
     return folder
 
 
