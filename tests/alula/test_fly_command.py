@@ -14,7 +14,7 @@ import pytest
 from simulation.mock_process import free_port, mock_process
 from vehicles import FOLDER
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(alone=False)
 
 RECORDED = Path(__file__).parents[1] / "data" / "recorded_flight" / "flight.mcap"
 
@@ -28,6 +28,7 @@ def fly(url: str, *arguments: str) -> list[str]:
     return [sys.executable, "-m", "alula", "fly", "--link", url, "--vehicle", "px4_sih", *arguments]
 
 
+@pytest.mark.realtime
 def test_a_flight_interrupted_lands_reports_and_replays(tmp_path: Path) -> None:
     options = ["--reference", "hover", "--height", "0.8", "--record", str(tmp_path), "--json"]
     options += ["--set", "controller.horizon=0.8"]

@@ -11,7 +11,7 @@ from alula.cli.app import main
 from simulation.mock_process import free_port
 from tests.support.fake_vehicle import FakeVehicle
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(alone=False)
 
 
 def run(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:

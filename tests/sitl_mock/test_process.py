@@ -23,7 +23,7 @@ from sitl_mock.wire.link_spec import default_links, parse_link
 from tests.support.deadline import Deadline
 from vehicles import FOLDER
 
-pytestmark = pytest.mark.realtime
+pytestmark = pytest.mark.realtime(alone=False)
 
 VEHICLE = str(FOLDER / "px4_sih.toml")
 
@@ -101,6 +101,7 @@ def test_the_ground_station_has_a_link_of_its_own(mock: MockProcess) -> None:
     assert "ODOMETRY" not in kinds
 
 
+@pytest.mark.realtime
 def test_rates_hold_in_real_time(mock: MockProcess) -> None:
     client, handle = udp_client(mock.port)
     with handle:
@@ -112,6 +113,7 @@ def test_rates_hold_in_real_time(mock: MockProcess) -> None:
     assert (stamps[-1] - stamps[0]) / (len(stamps) - 1) == pytest.approx(10_000, rel=0.05)
 
 
+@pytest.mark.realtime
 def test_a_flood_does_not_stop_the_streams(mock: MockProcess) -> None:
     client, handle = udp_client(mock.port)
     with handle:
@@ -246,6 +248,7 @@ def test_several_clients_share_a_udp_link(everywhere: Everywhere) -> None:
             assert client.wait_for("HEARTBEAT").get_srcSystem() == 4  # the instance's own system id
 
 
+@pytest.mark.realtime
 def test_lockstep_runs_as_fast_as_the_setpoints_come() -> None:
     with mock_process("--lockstep") as process:
         client, handle = udp_client(process.port)
