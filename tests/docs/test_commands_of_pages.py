@@ -29,6 +29,7 @@ from tests.support.pages import (
     PAGES,
     TUTORIALS,
     commands_in_blocks,
+    commands_in_sentences,
     commands_of_units,
     shell_lines,
 )
@@ -51,8 +52,10 @@ STANDS_FOR = {
     "identify": "identify:duration=10,for=drag",
     "identify:duration=40,box=6x6x4,speed=5": "identify:duration=10,box=6x6x4,speed=5",
     "drag,inertia,lag": "drag",
+    "NAME": "rotor_drag",
 }
 FEWER = {"inertia": "ablation"}  # a study of 4 trainings for one of 50
+QUICK = ("alula effects", "alula vehicle show")
 NOT_RUN = {  # command as a page has it -> why it is only looked up
     "alula train ... --device cuda": "a GPU for each of two processes",
 }
@@ -179,6 +182,14 @@ def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
         code, shown, wrong = run(*words)
         assert code == 0, f"{text}\nran as: alula {shlex.join(words)}\nended with {code}:\n{shown}\n{wrong}"
         assert "Traceback" not in wrong
+
+
+def test_quick_commands_in_sentences_run(here: Path, run: Run) -> None:
+    """Those with all their arguments; the others are looked up by `test_documentation.py`."""
+    texts = {text for _, text in commands_in_sentences() if text.startswith(QUICK) or text.endswith(" --help")}
+    for text in sorted(texts - {"alula effects", "alula vehicle show", "alula COMMAND --help"}):
+        code, shown, wrong = run(*words_of(text))
+        assert code == 0, f"{text}\nended with {code}:\n{shown}\n{wrong}"
 
 
 def mock_of(page: str, words: Sequence[str]) -> tuple[str, list[str]]:
