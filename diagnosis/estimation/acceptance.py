@@ -61,11 +61,30 @@ def accepted_fit(
     chosen, worse = _decided_rivals(regression, selection.chosen.candidates, lacking)
     accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
     preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
-    if preferred <= set(accepted.fit.keys):
-        return accepted
-    # a rival that is refused itself refuses nothing
-    own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
-    return own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
+    if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
+        own = judged_fit(regression, selection.chosen.candidates, dataset, lacking)
+        accepted = own if len(own.fit.keys) >= len(accepted.fit.keys) else accepted
+    return _with_rivals_of_refused(regression, accepted, selection.chosen.candidates, dataset, lacking)
+
+
+def _with_rivals_of_refused(
+    regression: Regression, accepted: Accepted, chosen: Sequence[Candidate], dataset: Dataset, vehicle: Vehicle
+) -> Accepted:
+    """The same with a near rival in place of each selected effect that made a kind of channel worse, where it holds.
+
+    A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone.
+    """
+    search, most = Search(regression), regression.thresholds.acceptance.max_rivals
+    spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
+    for candidate in [c for c in chosen if c.identity in spoiling]:
+        others = list(accepted.fit.candidates)
+        rivals = [rival.candidates[-1] for rival in near_rivals(search, others, rivals_of(search, others, candidate))]
+        for rival in [r for r in rivals if r.identity not in spoiling][:most]:
+            trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
+            if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
+                accepted = trial
+                break
+    return accepted
 
 
 def drifting_effects(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:

@@ -1,9 +1,12 @@
 """An effect is accepted where held-out flights agree, and refused where they do not."""
 
+import dataclasses
+
+import msgspec
 import numpy as np
 import pytest
 
-from diagnosis.data.dataset import Dataset
+from diagnosis.data.dataset import Dataset, make_dataset
 from diagnosis.estimation.acceptance import accepted_fit, at_its_bounds
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
@@ -11,6 +14,7 @@ from diagnosis.estimation.paired_errors import channel_changes, total_change
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
+from diagnosis.thresholds import DEFAULT
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import EffectUse
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, planted, white
@@ -146,6 +150,22 @@ def test_a_mass_that_the_held_out_flights_contradict_is_refused(arpl_250g, held_
         for vehicle in (arpl_250g, result.fit.vehicle)
     )
     assert after <= before
+
+
+def test_what_makes_a_channel_worse_gives_way_to_a_rival_that_does_not(plain_flights, arpl_250g):
+    """Wrong thrust and wrong mass push alike; in the moments the thrust's error would show."""
+    body = msgspec.structs.replace(arpl_250g.body, mass=arpl_250g.body.mass / 1.06)
+    light = msgspec.structs.replace(arpl_250g, body=body)
+    undecided = msgspec.structs.replace(DEFAULT.acceptance, max_redundant_ratio=100.0)  # fits alone do not choose
+    thresholds = msgspec.structs.replace(DEFAULT, acceptance=undecided)
+    data = make_dataset(plain_flights, light)
+    catalogue = {name: CATALOGUE[name] for name in ("mass", "thrust_constant", "imu_bias", "gyro_bias")}
+    regression = make_regression(light, catalogue, data.fitted, data.flight_of, thresholds)
+    (thrust,) = (c for c in regression.candidates if c.effect.name == "thrust_constant")
+    selection = dataclasses.replace(select(regression), chosen=Search(regression).score([thrust]))
+    result = accepted_fit(regression, selection, data)
+    assert [(one.name, one.reason) for one in result.refused] == [("thrust_constant", "channel_worse")]
+    assert result.fit.estimates["mass", "ratio"].value == pytest.approx(1.06, abs=0.005)
 
 
 def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):

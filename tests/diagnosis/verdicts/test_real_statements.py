@@ -12,12 +12,8 @@ from fixtures.real_flights import SETS, Answer, RealSet, Statement, diagnose
 PENDING = {
     (
         "Crazyflie, Lee controller",
-        "names motor_lag",
-    ): "moments have another factor than the thrust: a delay of the pose by 7 ms stands in its place, in an `unknown`",
-    (
-        "Crazyflie, Lee controller",
         "names motor_lag with time_constant = 0.07 within 60 %",
-    ): "the same; alone it is 0.018",
+    ): "moments have another factor than the thrust: it is 0.016, beside a delay of the pose by 7 ms",
 }
 
 

@@ -1,0 +1,223 @@
+"""What halving and doubling a threshold does to verdicts. Writes results/threshold_margins.md.
+
+Every threshold whose line says that it is not derived elsewhere is halved and doubled, one at a time (a factor's or a
+share's distance from 1, where it has one), on flights of the outside simulator and of real PX4 with a known answer, and
+on flights with exchanged motors that must be refused. A threshold that no case reads is listed as such: its case is
+missing here. Finished runs are kept, so that a run that was stopped resumes.
+
+    python -m benchmarks.threshold_margins --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.progress import track
+
+from benchmarks.provenance import write_result
+from benchmarks.verdict_cases import Case as OutsideCase
+from benchmarks.verdict_cases import prepare
+from benchmarks.verdicts import logs_of
+from diagnosis.data.dataset import read_dataset
+from diagnosis.diagnose import diagnose_dataset
+from diagnosis.thresholds import DEFAULT, Thresholds
+from dynamics.effects import CATALOGUE
+from dynamics.errors import AlulaError
+from dynamics.vehicle_file import read_vehicle
+from vehicles import FOLDER
+
+ORIGIN = "benchmarks/threshold_margins.py"
+DATA = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_flights"
+FACTORS = (0.5, 2.0)
+SEED, FLIGHTS = 41, 5  # of the outside simulator: for calibration; of each case, to be quick
+
+
+@dataclass(frozen=True)
+class Case:
+    """Logs, a vehicle file, and what is true."""
+
+    name: str
+    logs: tuple[str, ...]
+    vehicle: Path
+    rotors: tuple[int, ...] = ()
+
+    def answer(self, thresholds: Thresholds) -> str:
+        """Verdict and names, or that it is refused."""
+        vehicle = read_vehicle(self.vehicle)
+        if self.rotors:
+            exchanged = tuple(vehicle.rotors.position[i] for i in self.rotors)
+            vehicle = msgspec.structs.replace(
+                vehicle, rotors=msgspec.structs.replace(vehicle.rotors, position=exchanged)
+            )
+        try:
+            data = read_dataset(list(self.logs), vehicle, thresholds=thresholds)
+            answer = diagnose_dataset(data, vehicle, CATALOGUE, thresholds).diagnosis
+        except AlulaError:
+            return "refused"
+        except Exception as error:
+            return f"traceback {type(error).__name__}"
+        return f"{answer.verdict}: {', '.join(effect.name for effect in answer.effects)}".rstrip(": ")
+
+
+@cache
+def cases() -> list[Case]:
+    """All cases; outside flights are flown first."""
+    outside = [
+        OutsideCase(kind, name, SEED)
+        for kind, name in (
+            ("nothing", "speeds"), ("single", "inertia"), ("single", "gust"), ("single", "motor_lag"),
+        )
+    ]  # fmt: skip
+    prepare(outside)
+    made = [Case(case.key, tuple(logs_of(case.folder)[:FLIGHTS]), case.folder / "vehicle.toml") for case in outside]
+    first = made[0]
+    made.append(Case("motors exchanged", first.logs, first.vehicle, _exchanged(first)))
+    real = tuple(str(log) for log in sorted(DATA.glob("drag2_*.ulg.gz")))
+    return [*made, Case("px4 drag2", real, FOLDER / "px4_sih.toml")]
+
+
+def _exchanged(case: Case) -> tuple[int, ...]:
+    count = read_vehicle(case.vehicle).rotors.count
+    return tuple((i + count // 2) % count for i in range(count))  # each for the one across
+
+
+def underived() -> list[str]:
+    """Thresholds whose line names no other origin."""
+    found = []
+    for group in msgspec.structs.fields(Thresholds):
+        of_group = getattr(DEFAULT, group.name)
+        text = re.sub(r"\s+", " ", type(of_group).__doc__ or "")
+        for field in msgspec.structs.fields(of_group):
+            line = re.search(rf" {field.name}: [^\[]*\[([^\]]*)\]", text)
+            if line and (line[1].startswith("not derived yet") or ORIGIN in line[1]):
+                found.append(f"{group.name}.{field.name}")
+    return found
+
+
+def changed(name: str, factor: float) -> Thresholds:
+    """The thresholds with one of them times a factor. Raises msgspec.ValidationError where it is out of its range."""
+    group, field = name.split(".")
+    of_group = getattr(DEFAULT, group)
+    value = _scaled(getattr(of_group, field), factor, name)
+    built = {**msgspec.to_builtins(of_group), field: value}
+    return msgspec.structs.replace(DEFAULT, **{group: msgspec.convert(built, type(of_group))})
+
+
+def _scaled(value: Any, factor: float, name: str) -> Any:
+    if isinstance(value, tuple):
+        return [_scaled(one, factor, name) for one in value]
+    if isinstance(value, int):
+        return max(1, round(factor * value))
+    group, field = name.split(".")
+    bounds = next(f.type for f in msgspec.structs.fields(type(getattr(DEFAULT, group))) if f.name == field)
+    if "ge=1" in str(bounds) and value > 1:
+        return 1 + factor * (value - 1)
+    if "le=1" in str(bounds) and value > 0.5:
+        return 1 - (1 - value) / factor
+    return factor * value
+
+
+def read_in(case: Case) -> set[str]:
+    """The thresholds that a case reads."""
+    seen: set[str] = set()
+    groups = {}
+    for group in msgspec.structs.fields(Thresholds):
+        of_group = getattr(DEFAULT, group.name)
+        groups[group.name] = _watched(type(of_group), group.name, seen)(**msgspec.structs.asdict(of_group))
+    watched = Thresholds(**groups)
+    seen.clear()  # of what was read to check the values
+    case.answer(watched)
+    return seen
+
+
+def _watched(kind: type, group: str, seen: set[str]) -> type:
+    names = {field.name for field in msgspec.structs.fields(kind)}
+
+    class Watched(kind, frozen=True):  # type: ignore[misc, valid-type]
+        def __getattribute__(self, name: str) -> Any:
+            if name in names:
+                seen.add(f"{group}.{name}")
+            return super().__getattribute__(name)
+
+    return Watched
+
+
+def runs(done: set[str]) -> Iterator[dict[str, Any]]:
+    """Each answer that is not there yet."""
+    for case in cases():
+        if f"default {case.name}" not in done:
+            reads = sorted(read_in(case))
+            yield {"key": f"default {case.name}", "case": case.name, "answer": case.answer(DEFAULT), "reads": reads}
+
+
+def varied(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, Case]]:
+    """What is to be run: each threshold, by how much, and the cases that read it."""
+    reads = {r["case"]: set(r["reads"]) for r in results if r["key"].startswith("default ")}
+    return [(n, f, case) for n in underived() for f in FACTORS for case in cases() if n in reads[case.name]]
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """A line for each threshold."""
+    usual = {r["case"]: r["answer"] for r in results if r["key"].startswith("default ")}
+    lines = ["| case | answer |", "| --- | --- |", *(f"| {case} | {answer} |" for case, answer in usual.items()), ""]
+    lines += ["| threshold | value | cases | halved | doubled |", "| --- | --- | --- | --- | --- |"]
+    for name in underived():
+        group, field = name.split(".")
+        some = [r for r in results if r.get("name") == name]
+        value = msgspec.to_builtins(getattr(getattr(DEFAULT, group), field))
+        shown = ", ".join(f"{one:g}" for one in value) if isinstance(value, (list, tuple)) else f"{value:g}"
+        cells = [_told([r for r in some if r["factor"] == factor], usual) for factor in FACTORS]
+        lines.append(f"| {name} | {shown} | {len({r['case'] for r in some})} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def _told(some: Sequence[Mapping[str, Any]], usual: Mapping[str, str]) -> str:
+    if not some:
+        return "not read"
+    if some[0]["answer"] == "out of range":
+        return "out of range"
+    other = [f"{r['case']}: {r['answer']}" for r in some if r["answer"] != usual[r["case"]]]
+    return "; ".join(other) or "the same"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--kept", type=Path, default=Path("build/threshold_margins.jsonl"))
+    parser.add_argument("--table", action="store_true", help="write benchmarks/results/threshold_margins.md")
+    options = parser.parse_args()
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    results = [json.loads(line) for line in options.kept.read_text().splitlines()] if options.kept.exists() else []
+
+    def keep(result: dict[str, Any]) -> None:
+        results.append(result)
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+
+    for result in runs({r["key"] for r in results}):
+        keep(result)
+    done = {r["key"] for r in results}
+    todo = [(n, f, c) for n, f, c in varied(results) if f"{n} {f:g} {c.name}" not in done]
+    for name, factor, case in track(todo, description="thresholds"):
+        try:
+            answer = case.answer(changed(name, factor))
+        except (msgspec.ValidationError, ValueError):
+            answer = "out of range"
+        keep({"key": f"{name} {factor:g} {case.name}", "name": name, "factor": factor, "case": case.name,
+              "answer": answer})  # fmt: skip
+    body = f"{(__doc__ or '').split(chr(10) * 2)[1]}\n\n{table(results)}"
+    if options.table:
+        write_result("threshold_margins", "What a threshold's half and its double do to verdicts", body)
+    else:
+        print(body)
+
+
+if __name__ == "__main__":
+    main()
