@@ -91,15 +91,15 @@ def _exchanged(case: Case) -> tuple[int, ...]:
 
 def underived() -> list[str]:
     """Thresholds whose line names no other origin."""
-    found = []
+    names = []
     for group in msgspec.structs.fields(Thresholds):
         of_group = getattr(DEFAULT, group.name)
         text = re.sub(r"\s+", " ", type(of_group).__doc__ or "")
         for field in msgspec.structs.fields(of_group):
             line = re.search(rf" {field.name}: [^\[]*\[([^\]]*)\]", text)
             if line and (line[1].startswith("not derived yet") or ORIGIN in line[1]):
-                found.append(f"{group.name}.{field.name}")
-    return found
+                names.append(f"{group.name}.{field.name}")
+    return names
 
 
 def changed(name: str, factor: float) -> Thresholds:
@@ -127,24 +127,24 @@ def _scaled(value: Any, factor: float, name: str) -> Any:
 
 def read_in(case: Case) -> set[str]:
     """The thresholds that a case reads."""
-    seen: set[str] = set()
+    reads: set[str] = set()
     groups = {}
     for group in msgspec.structs.fields(Thresholds):
         of_group = getattr(DEFAULT, group.name)
-        groups[group.name] = _watched(type(of_group), group.name, seen)(**msgspec.structs.asdict(of_group))
+        groups[group.name] = _watched(type(of_group), group.name, reads)(**msgspec.structs.asdict(of_group))
     watched = Thresholds(**groups)
-    seen.clear()  # of what was read to check the values
+    reads.clear()  # of what was read to check the values
     case.answer(watched)
-    return seen
+    return reads
 
 
-def _watched(kind: type, group: str, seen: set[str]) -> type:
+def _watched(kind: type, group: str, reads: set[str]) -> type:
     names = {field.name for field in msgspec.structs.fields(kind)}
 
     class Watched(kind, frozen=True):  # type: ignore[misc, valid-type]
         def __getattribute__(self, name: str) -> Any:
             if name in names:
-                seen.add(f"{group}.{name}")
+                reads.add(f"{group}.{name}")
             return super().__getattribute__(name)
 
     return Watched
@@ -174,12 +174,12 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
         some = [r for r in results if r.get("name") == name]
         value = msgspec.to_builtins(getattr(getattr(DEFAULT, group), field))
         shown = ", ".join(f"{one:g}" for one in value) if isinstance(value, (list, tuple)) else f"{value:g}"
-        cells = [_told([r for r in some if r["factor"] == factor], usual) for factor in FACTORS]
+        cells = [_changed_answers([r for r in some if r["factor"] == factor], usual) for factor in FACTORS]
         lines.append(f"| {name} | {shown} | {len({r['case'] for r in some})} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def _told(some: Sequence[Mapping[str, Any]], usual: Mapping[str, str]) -> str:
+def _changed_answers(some: Sequence[Mapping[str, Any]], usual: Mapping[str, str]) -> str:
     if not some:
         return "not read"
     if some[0]["answer"] == "out of range":

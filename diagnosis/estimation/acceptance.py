@@ -74,12 +74,12 @@ def _with_rivals_of_refused(
 
     A wrong mass and a wrong thrust constant push alike: what the moments of the one spoil, the other leaves alone.
     """
-    search, most = Search(regression), regression.thresholds.acceptance.max_rivals
+    search, max_rivals = Search(regression), regression.thresholds.acceptance.max_rivals
     spoiling = {(one.name, one.rotor) for one in accepted.refused if one.reason == "channel_worse"}
     for candidate in [c for c in chosen if c.identity in spoiling]:
         others = list(accepted.fit.candidates)
         rivals = [rival.candidates[-1] for rival in near_rivals(search, others, rivals_of(search, others, candidate))]
-        for rival in [r for r in rivals if r.identity not in spoiling][:most]:
+        for rival in [r for r in rivals if r.identity not in spoiling][:max_rivals]:
             trial = judged_fit(regression, [*others, rival], dataset, vehicle, refused=accepted.refused)
             if {rival.key, *accepted.fit.keys} <= set(trial.fit.keys):
                 accepted = trial

@@ -66,11 +66,11 @@ class FreeStart:
     def of(self, segment: Segment, values: Mapping[str, float]) -> Floats:
         """(k,) the free states at a segment's start. values: of the model's parameters, by its names."""
         segment = segment.without_noise or segment
-        known = _starts.setdefault(segment, {})
+        starts = _starts.setdefault(segment, {})
         case = self._case(values)
-        if case not in known:
-            known[case] = self._start(segment, values)
-        return known[case]
+        if case not in starts:
+            starts[case] = self._start(segment, values)
+        return starts[case]
 
     def _case(self, values: Mapping[str, float]) -> tuple[str, bytes]:
         return self.key, np.array([values[name] for name in self.model.named_values]).tobytes()
@@ -78,7 +78,7 @@ class FreeStart:
     def _start(self, segment: Segment, values: Mapping[str, float]) -> Floats:
         absent = self._absent(values)
         if values != absent:
-            off = self._beside(segment, values, self._nearby(segment, values))
+            off = self._refined(segment, values, self._nearby(segment, values))
         elif self._is_moving(segment, absent):
             off = self._settled(segment, self._of_weight(segment, absent))[0]
         else:
@@ -108,13 +108,13 @@ class FreeStart:
             for name in values
             if name.startswith(f"{self.key}.")
         }
-        near, known = {**values, **own}, _anchors.setdefault(segment, {})
+        near, starts = {**values, **own}, _anchors.setdefault(segment, {})
         case = self._case(near)
-        if case not in known:
-            known[case] = self._settled(segment, near)
-        return known[case]
+        if case not in starts:
+            starts[case] = self._settled(segment, near)
+        return starts[case]
 
-    def _beside(self, segment: Segment, values: Mapping[str, float], near: tuple[Floats, Floats]) -> Floats:
+    def _refined(self, segment: Segment, values: Mapping[str, float], near: tuple[Floats, Floats]) -> Floats:
         """(k,) the free states, standard deviations from hover, from a start with parameters that are near.
 
         Steps with the columns of that start, always as many, so that the result is smooth in the parameters.
@@ -132,8 +132,8 @@ class FreeStart:
             part = _first(segment, limits.free_start_durations[-1])
             thrust = self._force(part, absent, self.model.settled(part))
             left = channels.measured(part)[:, _channel(part)] - thrust
-            beside = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
-            left -= (beside @ np.linalg.lstsq(beside, left.ravel(), rcond=None)[0]).reshape(left.shape)
+            columns = np.stack(_nuisances(part, thrust), axis=2).reshape(left.size, -1)
+            left -= (columns @ np.linalg.lstsq(columns, left.ravel(), rcond=None)[0]).reshape(left.shape)
             frequency, power = periodogram(left, part.decimated_rate, window="hann", axis=0)
             slow, fast = (
                 power[(low <= frequency) & (frequency <= high)].mean(axis=0)
