@@ -8,7 +8,7 @@ from functools import cached_property
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import Accepted, accepted_fit, drifting_effects, without
+from diagnosis.estimation.acceptance import Accepted, accepted_fit, drifting_effects, overshadowed_effects, without
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
@@ -88,8 +88,8 @@ def diagnose_dataset(
     judgement = _Judgement(regression, selection, dataset, before)
     accepted = accepted_fit(regression, selection, dataset)
     judged = judgement.of(accepted)
-    while judged.rejected and (drifting := drifting_effects(regression, accepted.fit, judged.fitted)):
-        accepted = without(regression, accepted, drifting, dataset)
+    while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
+        accepted = without(regression, accepted, standing_in, dataset)
         judged = judgement.of(accepted)
     selection = judged.selection
     effects = missing_effects(regression, selection, accepted, gusty=judged.gusty, unknown=bool(judged.rejected))
@@ -125,6 +125,12 @@ def diagnose_dataset(
         chi_square_after=reduced_chi_square(judged.after, regression.noise),
         notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
     )
+
+
+def _standing_in(regression: Regression, accepted: Accepted, rows: Sequence[Floats]) -> tuple[Refused, ...]:
+    """Effects whose form stands in for what is missing. rows: (m, 12) residuals of the fit."""
+    drifting = drifting_effects(regression, accepted.fit, rows)
+    return drifting or overshadowed_effects(accepted, regression.thresholds.consistency)
 
 
 def _not_followed(regression: Regression) -> list[str]:

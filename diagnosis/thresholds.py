@@ -561,10 +561,16 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
     max_drift: of its signal between where it acts strongly and weakly, or early and late in a flight, over the signal.
     [benchmarks/verdicts.py: right forms 0.00 to 0.08, a form in place of another from 0.3]
     deviations: of that difference from none, that is not chance. [convention: 95 %]
+    min_share_of_left: squared error that an effect explains over what is left above the floor, in the kind of channel
+        that falls most. [benchmarks/verdicts.py: 0.00 to 0.03 of forms in place of another; an effect of 1.5 times the
+        floor has 0.05 beside one of 5 times]
+    min_share_of_axis: the same of the axis that falls most; an effect may be below one of the two. [the same: 0.2]
     """
 
     max_drift: Share = 0.2
     deviations: Positive = 2.0
+    min_share_of_left: Score = 0.05
+    min_share_of_axis: Score = 0.25
 
 
 class VerdictThresholds(ThresholdGroup, frozen=True):

@@ -27,6 +27,7 @@ from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.rivals import near_rivals, resample_share, rivals_of
 from diagnosis.selection.search import Search, Selection
+from diagnosis.thresholds import ConsistencyThresholds
 from dynamics.arrays import Floats
 from dynamics.vehicle import Vehicle
 
@@ -95,6 +96,19 @@ def drifting_effects(regression: Regression, fitted: Fit, rows: Sequence[Floats]
         for candidate in fitted.candidates
         if (drift := by_key[candidate.key]).matters(limits)
     )
+
+
+def overshadowed_effects(accepted: Accepted, limits: ConsistencyThresholds) -> tuple[Refused, ...]:
+    """Effects that explain next to nothing of what is still missing: some form explains a little of anything.
+
+    In the kind of channel whose error falls most, over all its axes and on the axis that falls most.
+    """
+    refused = []
+    for candidate in accepted.fit.candidates:
+        kind, change = max(accepted.relevance[candidate.key].items(), key=lambda item: item[1].fall)
+        if change.share_of_left < limits.min_share_of_left and change.share_of_axis < limits.min_share_of_axis:
+            refused.append(refused_of(accepted.fit, candidate, "overshadowed", kind, share=change.share_of_left))
+    return tuple(refused)
 
 
 def without(regression: Regression, accepted: Accepted, refused: Sequence[Refused], dataset: Dataset) -> Accepted:

@@ -36,8 +36,21 @@ class HeldOut:
         return np.minimum(self._saturated_floor, residual_floor(self._regression, self.rows(vehicle)))
 
     def channel_changes(self, before: Vehicle, after: Vehicle, floor: Floats) -> dict[str, ErrorChange]:
-        """By kind of channel. floor: (12,) with which the changes are compared."""
-        return channel_changes(self.rows(before), self.rows(after), floor, self._regression.rate, self._limits)
+        """By kind of channel. floor: (12,) with which the changes are compared.
+
+        Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
+        they tell of it is no proof.
+        """
+        rows = (self._after_start(self.rows(vehicle), before, after) for vehicle in (before, after))
+        return channel_changes(*rows, floor, self._regression.rate, self._limits)
+
+    def _after_start(self, rows: Sequence[Floats], *vehicles: Vehicle) -> Sequence[Floats]:
+        catalogue, limits = self._regression.catalogue, self._regression.thresholds.prediction
+        effects = [catalogue[use.name] for vehicle in vehicles for use in vehicle.effects]
+        if not any(hidden.start_std for effect in effects for hidden in effect.hidden):
+            return rows
+        skipped = round(limits.free_start_durations[-1] * self._regression.rate)
+        return [part[min(skipped, len(part) // 2) :] for part in rows]
 
     def open_loop_changes(self, before: Vehicle, after: Vehicle) -> dict[tuple[float, str], ErrorChange]:
         """By horizon, s, and quantity; empty without a pose."""

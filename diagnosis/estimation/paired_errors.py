@@ -6,6 +6,7 @@ what else is missing, such as a gust, adds to both and cancels.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -24,6 +25,7 @@ class ErrorChange:
     before, after: RMS over the axes.
     floor: with which it is compared, likewise.
     by_axis: change of the mean squared error of each axis, over its squared floor.
+    left: what of the mean squared error after it is above the floor, likewise.
     deviations: the mean of these over its standard deviation, positive where it rises.
     size: RMS of the difference of the predictions.
     shortfall: by how many deviations the squared error falls by less than half of the squared size, all of which it
@@ -34,6 +36,7 @@ class ErrorChange:
     after: float
     floor: float
     by_axis: tuple[float, ...]
+    left: tuple[float, ...]
     deviations: float
     size: float = 0.0
     shortfall: float = 0.0
@@ -47,6 +50,17 @@ class ErrorChange:
     def fall(self) -> float:
         """By how much the error of the axis that falls most would, over that axis's floor."""
         return -relative_rise(min(self.by_axis))
+
+    @property
+    def share_of_left(self) -> float:
+        """What falls of the squared error, over what stays above the floor; infinite where nothing stays."""
+        return _share(self.before**2 - self.after**2, self.after**2 - self.floor**2)
+
+    @property
+    def share_of_axis(self) -> float:
+        """The same of the axis that falls most."""
+        fall, left = max(((-change, left) for change, left in zip(self.by_axis, self.left, strict=True)))
+        return _share(fall, left)
 
     def is_worse(self, limits: RelevanceThresholds = DEFAULT.relevance) -> bool:
         """Whether the error rises by more than chance, and enough to matter."""
@@ -132,8 +146,13 @@ def _change(
         after=_norm(now),
         floor=float(np.linalg.norm(floors)),
         by_axis=tuple((differences.sum(axis=0) / max(count, 1)).tolist()),
+        left=tuple((np.mean(np.concatenate(now), axis=0) / floors**2 - 1).tolist()),
         deviations=float(pooled.sum()) / spread if spread > 0 else 0.0,
     )
+
+
+def _share(fall: float, left: float) -> float:
+    return fall / left if left > 0 else math.inf
 
 
 def _norm(squares: Sequence[Floats]) -> float:

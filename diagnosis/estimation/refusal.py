@@ -18,9 +18,10 @@ Reason = Literal[
     "contradicted",
     "not_converged",
     "drifts",
+    "overshadowed",
     "predictable",
 ]
-HINTS = ("interval_holds_neutral", "few_resamples", "drifts")
+HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed")
 
 
 class Refused(msgspec.Struct, frozen=True):
@@ -82,6 +83,11 @@ def reason_of(refused: Refused) -> str:
             text = (
                 f"it has no one value: between strong and weak, or early and late in a flight, the fits differ by "
                 f"{number['share']} of it, {number['deviations']} standard deviations, while something else is missing"
+            )
+        case "overshadowed":
+            text = (
+                f"it explains {number['share']} of the squared error of {refused.where} that is still unexplained; "
+                "some form explains as little of anything"
             )
         case "predictable":
             text = (

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
-from diagnosis.estimation.acceptance import accepted_fit, at_its_bounds
+from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds, overshadowed_effects
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
-from diagnosis.estimation.paired_errors import channel_changes, total_change
+from diagnosis.estimation.paired_errors import ErrorChange, channel_changes, total_change
 from diagnosis.selection.regression_of_flights import make_regression
 from diagnosis.selection.rivals import rivals_of
 from diagnosis.selection.search import Search, select
@@ -166,6 +166,24 @@ def test_what_makes_a_channel_worse_gives_way_to_a_rival_that_does_not(plain_fli
     result = accepted_fit(regression, selection, data)
     assert [(one.name, one.reason) for one in result.refused] == [("thrust_constant", "channel_worse")]
     assert result.fit.estimates["mass", "ratio"].value == pytest.approx(1.06, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ("falls", "left", "named"),
+    [
+        ((2.0, 0.0, 0.0), (10.0, 10.0, 40.0), False),  # a fifth of what is left of an axis, a thirtieth of the kind
+        ((2.0, 0.0, 0.0), (0.1, 10.0, 40.0), True),  # nothing is left of its own axis
+        ((2.0, 2.0, 2.0), (10.0, 10.0, 10.0), True),
+    ],
+)
+def test_a_form_that_explains_next_to_nothing_of_what_is_left_is_not_named(arpl_250g, falls, left, named):
+    one = candidate(effect("a"), 0)
+    fitted = Fit(arpl_250g, {("a", "size"): ParameterEstimate(1.0, 0.1, "1")}, (one,))
+    before, after = (np.sqrt(np.sum(np.array(left) + 1 + sign * np.array(falls))) for sign in (1, 0))
+    change = ErrorChange(before, after, np.sqrt(3.0), tuple(-np.array(falls)), left, -5.0)
+    accepted = Accepted(fitted, (), {"a": {"mocap": change}}, {"a": 1.0}, np.ones(CHANNELS))
+    refused = overshadowed_effects(accepted, DEFAULT.consistency)
+    assert [(r.name, r.reason, r.where) for r in refused] == ([] if named else [("a", "overshadowed", "mocap")])
 
 
 def test_a_rival_that_stands_in_the_set_already_is_no_rival(arpl_250g):
