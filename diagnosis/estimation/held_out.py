@@ -41,8 +41,8 @@ class HeldOut:
         Without the beginnings from which the hidden states' start is estimated, where either vehicle has such: what
         they tell of it is no proof.
         """
-        rows = (self._after_start(self.rows(vehicle), before, after) for vehicle in (before, after))
-        return channel_changes(*rows, floor, self._regression.rate, self._limits)
+        was, now = (self._after_start(self.rows(vehicle), before, after) for vehicle in (before, after))
+        return channel_changes(was, now, floor, self._regression.rate, self._limits)
 
     def _after_start(self, rows: Sequence[Floats], *vehicles: Vehicle) -> Sequence[Floats]:
         catalogue, limits = self._regression.catalogue, self._regression.thresholds.prediction
