@@ -28,7 +28,7 @@ hour: .venv/workbench.stamp
 	$(BIN)/python examples/whole_hour.py --out "$$(mktemp -d)/whole_hour"
 
 test: .venv/development.stamp
-	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile
+	$(BIN)/python -m pytest --numprocesses logical --maxprocesses 4 --dist loadfile --no-loadscope-reorder --durations 30
 
 lint: .venv/development.stamp
 	$(BIN)/ruff check .

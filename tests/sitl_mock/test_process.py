@@ -160,7 +160,7 @@ def test_a_port_in_use_is_named_with_what_to_do() -> None:
         (["--link", "udpout:no.such.host.invalid:15000"], "no.such.host.invalid"),
         (["--param", "COM_OF_LOS_T=1"], "COM_OF_LOSS_T"),
         (["--effect", "rotor_darg"], "rotor_drag"),
-        (["--offboard-rule", "none"], "'measured', 'documented'"),
+        (["--offboard-rule", "none"], "'measured'"),
         (["--speed", "0"], "speed"),
         (["--scenario", "/does/not/exist.toml"], "scenario"),
     ],

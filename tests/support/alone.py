@@ -75,6 +75,13 @@ def runs_alone(item: pytest.Item | None) -> bool:
     return marker is not None and bool(marker.kwargs.get("alone", True))
 
 
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with tests that run alone come last: between others each of them waits for a test to end, and others wait."""
+    last = {item.path for item in items if runs_alone(item)}
+    items.sort(key=lambda item: item.path in last)
+
+
 def pytest_configure(config: pytest.Config) -> None:
     """Register the plug-in in the workers of pytest-xdist."""
     run = os.environ.get("PYTEST_XDIST_TESTRUNUID")

@@ -89,6 +89,16 @@ def test_workers_leave_the_machine_to_tests_against_the_clock(
     assert not [both for both in product(alone, others) if overlap(*both)]
 
 
+def test_files_with_tests_against_the_clock_come_last(pytester: pytest.Pytester) -> None:
+    pytester.makeconftest('pytest_plugins = ("tests.support.alone",)')
+    pytester.makeini(f"[pytest]\npythonpath = {ROOT}\nmarkers = realtime: against the clock\naddopts = -p no:dash")
+    flown, other = "import pytest\ndef test_0(): ...\n@pytest.mark.realtime\ndef test_1(): ...", "def test_2(): ..."
+    pytester.makepyfile(test_a=flown, test_b=other, test_c=other)
+    result = pytester.runpytest_subprocess("--collect-only", "-q")
+    shown = [line.split(".py")[0] for line in result.outlines if "::" in line]
+    assert shown == ["test_b", "test_c", "test_a", "test_a"]
+
+
 def test_a_test_that_only_repeats_itself_is_not_alone(pytester: pytest.Pytester) -> None:
     marks = ("@pytest.mark.realtime", "@pytest.mark.realtime(alone=False)", "")
     pytester.makeini("[pytest]\nmarkers = realtime: against the clock\naddopts = -p no:dash")
