@@ -77,7 +77,7 @@ def runs_alone(item: pytest.Item | None) -> bool:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files with tests that run alone come last: between others each of them waits for a test to end, and others wait."""
+    """Files with tests that run alone come last: between others each of them waits for one to end, and others wait."""
     last = {item.path for item in items if runs_alone(item)}
     items.sort(key=lambda item: item.path in last)
 
