@@ -46,6 +46,12 @@ def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) ->
     )
 
 
+def unmodelled_motor_lag(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> float:
+    """Lag of the rotors that the vehicle file's own model does not predict, s."""
+    catalogue = catalogue_of(vehicle, catalogue)
+    return rate_loop(vehicle, catalogue=catalogue).motor_lag - modelled_motor_lag(vehicle.effects, catalogue)
+
+
 def _require_horizon(vehicle: Vehicle, loop: RateLoop) -> None:
     shortest = min(vehicle.controller.delay + MIN_HORIZON * loop.tilt_time, ControllerSettings().horizon)
     if vehicle.controller.horizon < shortest:

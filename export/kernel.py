@@ -15,6 +15,7 @@ from export.network import Network
 from export.physics import NAME, depends_on_position, physics_function
 from export.reverse_split import ReverseSplit, cheapest_split
 from export.toolchain import Toolchain
+from runtime.control.rti.compilation import SHARED
 from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor
@@ -28,9 +29,7 @@ SOURCES = (
     "tangents.h",
     "layers.h",
     "kinematics.h",
-    "condensed.h",
-    "box_qp.h",
-    "dense_qp.h",
+    *SHARED,
 )
 ENTRY = "network.c"
 

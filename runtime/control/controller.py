@@ -15,12 +15,13 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.controller_defaults import lookaheads
+from dynamics.controller_defaults import lookaheads, unmodelled_motor_lag
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
+from runtime.control.adaptation import Adaptation, AdaptationSettings, with_followed
 from runtime.control.bundle import Bundle
 from runtime.control.history import ColumnHistory
 from runtime.control.kernel_model import FlownModel
@@ -44,6 +45,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     delay: from a command's departure to its action, s; added to the age of every estimate.
     max_position_error: distance, m, to which the position error is limited; a linearisation does not reach further.
     fit: when a learned model does not fit any more.
+    adaptation: how the model follows in flight.
     """
 
     problem: Problem = Problem()
@@ -53,12 +55,18 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     delay: float = DEFAULTS.delay
     max_position_error: float = msgspec.field(default=DEFAULTS.max_position_error, name="largest_error")
     fit: FitLimits = FitLimits()
+    adaptation: AdaptationSettings = AdaptationSettings()
 
     @classmethod
     def for_vehicle(
-        cls, vehicle: Vehicle, *, period: float | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
+        cls,
+        vehicle: Vehicle,
+        *,
+        period: float | None = None,
+        adaptation: AdaptationSettings | None = None,
+        catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> ControllerOptions:
-        """The options of a vehicle's [controller]. period: s, instead of its rate's."""
+        """The options of a vehicle's [controller]. period: s, instead of its rate's. adaptation: but for its lag."""
         settings, lookahead = vehicle.controller, lookaheads(vehicle, catalogue)
         return cls(
             problem=Problem.from_settings(settings),
@@ -67,6 +75,9 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             yaw_lookahead=lookahead.yaw,
             delay=settings.delay,
             max_position_error=settings.max_position_error,
+            adaptation=msgspec.structs.replace(
+                adaptation or AdaptationSettings(), thrust_lag=unmodelled_motor_lag(vehicle, catalogue)
+            ),
         )
 
     def for_kernel(self, compiled: Problem) -> ControllerOptions:
@@ -136,16 +147,25 @@ class Controller:
         seconds = (options.rate_lookahead, options.rate_lookahead, options.yaw_lookahead)
         self._lookahead = np.array(seconds) / options.problem.node  # in nodes
         self._command_states = self.solver.states[:2]
+        self.adaptation: Adaptation | None = None
+        if options.adaptation.mode != "off":
+            self.adaptation = Adaptation(
+                self.solver,
+                options.adaptation,
+                thrust_constants=self._thrust_constants,
+                period=options.period,
+                learned=self._columns is not None,
+            )
 
     @classmethod
     def build(
         cls, vehicle: Vehicle, options: ControllerOptions | None = None, catalogue: Mapping[str, Effect] = CATALOGUE
     ) -> Controller:
         """The controller of a vehicle with the effects of its file in the model; compiles unless cached."""
-        return cls(
-            flown_model(vehicle, catalogue),
-            options or ControllerOptions.for_vehicle(vehicle, catalogue=catalogue),
-        )
+        options = options or ControllerOptions.for_vehicle(vehicle, catalogue=catalogue)
+        if options.adaptation.mode != "off":
+            vehicle = with_followed(vehicle, options.adaptation.follow, catalogue)
+        return cls(flown_model(vehicle, catalogue), options)
 
     @classmethod
     def from_bundle(cls, bundle: Bundle, options: ControllerOptions | None = None) -> Controller:
@@ -196,6 +216,8 @@ class Controller:
         if self._columns is not None:
             self._columns.clear()
             self.health.reset()
+        if self.adaptation is not None:
+            self.adaptation.reset(time)
         self._acting = time
         self._remember(time, self._hover)
 
@@ -204,8 +226,9 @@ class Controller:
 
         The next call overwrites the returned array.
         """
+        predicted = None
         if self._columns is not None:
-            state = self._take(self._columns, taken, state)
+            state, predicted = self._take(self._columns, taken, state)
         last = (self._ticks - 1) % HISTORY
         oldest = max(0, self._ticks - HISTORY)
         tick = self._ticks - 1
@@ -217,6 +240,8 @@ class Controller:
             lag = min(taken - self._times[tick % HISTORY], MAX_STEP)
             self._propagate(self._inputs[tick % HISTORY], lag, taken - lag, keep=False)
             self._state[:RIGID_BODY_STATES] = state
+        if self.adaptation is not None:
+            self.adaptation.measure(taken, self._state, predicted)
         time = taken
         while tick < self._ticks - 1:
             until = min(self._times[(tick + 1) % HISTORY], now)
@@ -241,6 +266,14 @@ class Controller:
             self._remember(self._acting, speed)
         return command
 
+    def sent(self, collective_thrust: float, time: float, effectiveness: float) -> None:
+        """Tell what left at a tick, s: N, also where it is not what this controller commanded.
+
+        effectiveness: thrust per modelled thrust.
+        """
+        if self.adaptation is not None:
+            self.adaptation.sent(collective_thrust, time + self.options.delay, effectiveness)
+
     def collective_thrust(self, rotor_speed: Floats) -> Floats:
         """Thrust of all rotors with the model's effects on each, N. rotor_speed: (..., n) rad/s."""
         return np.asarray((rotor_speed * rotor_speed) @ self._thrust_constants)
@@ -250,6 +283,8 @@ class Controller:
 
         Inputs are those of a vehicle without effects; each rotor's is scaled by its trim in hover.
         """
+        if self.adaptation is not None:
+            self.adaptation.update()
         columns, after = self._columns, self._acting + self.options.period
         if columns is not None:
             columns.write_columns(self._acting, self.solver.history)
@@ -294,12 +329,15 @@ class Controller:
         ratio = self.health.ratio
         return waiting, outside, f"{ratio:.1f} times the training error" if ratio > fit.ratio else ""
 
-    def _take(self, columns: ColumnHistory, taken: float, state: Floats) -> Floats:
-        """Enter a measured state (13,) into the history, and compare it with the prediction for its time."""
+    def _take(self, columns: ColumnHistory, taken: float, state: Floats) -> tuple[Floats, Floats | None]:
+        """Enter a measured state (13,) into the history, and compare it with the prediction for its time.
+
+        Returns both, the former with its attitude's sign continuous.
+        """
         last, predicted = columns.last_measured, columns.prediction_at(taken)
         if last is not None and predicted is not None:
             self.health.compare(predicted, state, taken - last[0])
-        return columns.add_measurement(taken, state)
+        return columns.add_measurement(taken, state), predicted
 
     def _take_state(self, state: Floats, time: float) -> None:
         self._state[:] = state
@@ -324,4 +362,6 @@ class Controller:
         self._hidden[slot] = self._state[RIGID_BODY_STATES:]
         if self._columns is not None:
             self._columns.add_command(time, speed)
+        if self.adaptation is not None:
+            self.adaptation.command(time, speed)
         self._ticks += 1

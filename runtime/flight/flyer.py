@@ -216,6 +216,9 @@ class Flyer:
         self._sent = None
         self.effectiveness.command(self._thrust_map.collective_thrust(thrust), time)
         self._health.sent(rate_body, collective_thrust, time)
+        for controller in filter(None, (self._controller, self._nominal)):
+            realised = self._thrust_map.collective_thrust(thrust, self.effectiveness.value)
+            controller.sent(realised, time, self.effectiveness.value)
 
     def _after_departure(self, time: float) -> None:
         """The work that is not urgent: store the solution, check the flight, update the effectiveness."""

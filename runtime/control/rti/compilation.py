@@ -14,8 +14,10 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from runtime.control.rti.hpipm import find_hpipm
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import Processor, native_processor
+from runtime.control.rti.state_header import STATE_HEADER, state_header
 
 ENTRY = "rti.c"
+SHARED = ("condensed.h", "box_qp.h", "dense_qp.h", "flight_filter.h")  # with the kernel of a learned model
 
 
 def build_solver(model: Model, problem: Problem) -> Path:
@@ -53,7 +55,8 @@ def solver_recipe(
             f"{name}_W": function.sz_w(),
         }
     folder = resources.files("runtime.control.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, "condensed.h", "box_qp.h", "dense_qp.h")}
+    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, *SHARED)}
+    sources[STATE_HEADER] = state_header()
     sources["model.c"] = generate_c([node, step])
     flags = FLAGS if processor is None else processor.compiler_flags
     return sources, (*flags, *(f"-D{name}={value}" for name, value in defines.items()))

@@ -25,8 +25,11 @@
 
 #include "box_qp.h"
 #include "dense_qp.h"
+#include "flight_filter.h"
+#include "state.h"
 
 #define FAR 1e8 /* no bound: the interior-point method takes finite numbers only */
+#define DISTURBANCE (2 * AXES + 2)
 
 typedef struct {
     double Q[NX], P[NX], R[NU];
@@ -49,6 +52,8 @@ typedef struct {
     double G[NV][NX]; /* derivative of the gradient by dx_0 */
     double H[NV * NV], g[NV], z[X0 + NV], lower[NV], upper[NV];
     double g_measured[NV];
+    flight_filter filter;
+    double disturbance[DISTURBANCE]; /* accelerations that stay, those that fade, rates of fading, 1/s */
     double C[NV * NODES * (NX + 1)], row_lower[NODES * (NX + 1)], row_upper[NODES * (NX + 1)];
     rti_options options;
     rti_report report;
@@ -92,14 +97,51 @@ void rti_free(condensed *r) {
 
 double *rti_states(condensed *r) { return &r->x[0][0]; }
 double *rti_inputs(condensed *r) { return &r->u[0][0]; }
+double *rti_input_upper(condensed *r) { return r->options.u_upper; }
+double *rti_disturbance(condensed *r) { return r->disturbance; }
+filter_options *rti_filter_options(condensed *r) { return &r->filter.options; }
+double *rti_filter_state(condensed *r) { return r->filter.state; }
+double *rti_filter_covariance(condensed *r) { return &r->filter.P[0][0]; }
+double *rti_filter_trust(condensed *r) { return r->filter.trust; }
+double *rti_filter_squares(condensed *r) { return &r->filter.square[0][0]; }
+int *rti_filter_followed(condensed *r) { return r->filter.followed; }
+void rti_filter_clear(condensed *r) { filter_clear(&r->filter); }
 double *rti_hessian(condensed *r) { return r->H; }
 double *rti_gradient(condensed *r) { return r->g; }
 rti_report *rti_last_report(condensed *r) { return &r->report; }
 
+static void rates_of(const double *x, double *rates) {
+    for (int i = 0; i < 3; i++) rates[i] = x[VELOCITY + i], rates[3 + i] = x[RATE + i];
+}
+
+/* Let the filter go on from a state (NX). */
+void rti_filter_restart(condensed *r, const double *x) {
+    double measured[AXES];
+    rates_of(x, measured);
+    filter_restart(&r->filter, measured);
+}
+
+/* Compare a prediction by the model alone with the state (NX) that it is of, dt seconds after the last; no parameter is
+ * followed. change: (6,) of velocity and rate. Returns whether it was used. */
+int rti_filter_compare(condensed *r, const double *before, const double *change, const double *x, double dt) {
+    double slopes[MAX_FOLLOWED][AXES] = {{0}}, first[AXES], measured[AXES];
+    rates_of(before, first);
+    rates_of(x, measured);
+    return filter_update(&r->filter, change, change, slopes, first, measured, dt);
+}
+
 /* Dimensions for the loader to compare with its own. */
 void rti_dimensions(int *dimensions) {
-    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options)};
+    const int built[] = {NX, NU, NODES, NP, NE, HISTORY, SUBSTEPS, VECTOR_BYTES, (int)sizeof(rti_options), (int)sizeof(filter_options)};
     memcpy(dimensions, built, sizeof built);
+}
+
+/* Accelerations beyond the model, some seconds after the state that a prediction starts from. */
+static void disturbance_at(const condensed *r, double seconds, double *accelerations) {
+    const double *staying = r->disturbance, *fading = r->disturbance + AXES;
+    const double *rates = r->disturbance + 2 * AXES; /* of linear and of angular ones */
+    double left[2] = {exp(-rates[0] * seconds), exp(-rates[1] * seconds)};
+    for (int i = 0; i < AXES; i++) accelerations[i] = staying[i] + left[i / 3] * fading[i];
 }
 
 static bool finite_all(const double *values, int count) {

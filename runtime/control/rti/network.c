@@ -160,7 +160,17 @@ static void extrapolate(network *r, int s, double h, double *hidden) {
 #endif
 }
 
-/* One substep of h seconds from r->state[s] to next: column, network, motion. */
+/* Add the disturbance's mean accelerations over a substep of h seconds. */
+static void disturb(network *r, int s, double h) {
+    double accelerations[AXES];
+    disturbance_at(&r->ocp, s * STEP_SECONDS + 0.5 * h, accelerations);
+    for (int i = 0; i < 3; i++) {
+        r->linear[s][i] += accelerations[i];
+        r->angular[s][i] += accelerations[3 + i];
+    }
+}
+
+/* One substep of h seconds from r->state[s] to next: column, network, disturbance, motion. */
 static void advance(network *r, int s, const double *u, double h, double *next) {
     double hidden[HIDDEN_STATES + 1];
     const double *x = r->state[s];
@@ -168,6 +178,7 @@ static void advance(network *r, int s, const double *u, double h, double *next) 
     evaluate(r, s, HISTORY + s);
     accelerate(r, s, x, u, hidden);
     extrapolate(r, s, h, hidden);
+    disturb(r, s, h);
     move_body(x, r->linear[s], r->angular[s], h, next);
     for (int i = 0; i < HIDDEN_STATES; i++) next[RIGID_BODY_STATES + i] = x[RIGID_BODY_STATES + i] + h * hidden[i];
 }

@@ -29,6 +29,7 @@
 #include "model.c"
 #pragma GCC pop_options
 
+#define SLOPE_STEP 1e-3 /* of a prior's standard deviation, for derivatives by parameters */
 #define LANES_PER_VECTOR LANES_OF(double)
 #define ROUND(n) ROUND_TO(n, LANES_PER_VECTOR)
 
@@ -52,16 +53,74 @@ rti *rti_create(const rti_options *options) {
 double *rti_parameters(rti *r) { return r->p; }
 double *rti_environment(rti *r) { return r->e; }
 
+/* What the disturbance adds to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A
+ * substep is these, the model, and these again (Strang splitting): second order, and a constant in every derivative. */
+static void half_kick(const rti *r, int s, double dt, double *x) {
+    double accelerations[AXES];
+    disturbance_at(&r->ocp, (s + 0.5) * dt, accelerations);
+    for (int i = 0; i < 3; i++) {
+        x[VELOCITY + i] += 0.5 * dt * accelerations[i];
+        x[RATE + i] += 0.5 * dt * accelerations[3 + i];
+    }
+}
+
 /* The model over dt seconds, at most a node, for the age of an estimate and the state expected at the next tick. */
 void rti_propagate(rti *r, const double *x, const double *u, double dt, double *next) {
     double from[NX], step = dt / SUBSTEPS;
     memcpy(next, x, sizeof from);
     for (int s = 0; s < SUBSTEPS; s++) {
         memcpy(from, next, sizeof from);
+        half_kick(r, s, step, from);
         const double *arg[STEP_ARG] = {from, u, r->p, r->e, &step};
         double *res[STEP_RES] = {next};
         STEP(arg, res, r->iw, r->w, 0);
+        half_kick(r, s, step, next);
     }
+}
+
+/* Change (6,) of velocity and rate under the inputs (segments, NU), each for its seconds, from the state x. */
+static void change_over(rti *r, const double *x, const double *inputs, const double *seconds, int segments,
+                        double *change) {
+    double from[NX], after[NX], before[AXES];
+    memcpy(after, x, sizeof after);
+    for (int s = 0; s < segments; s++) {
+        memcpy(from, after, sizeof from);
+        rti_propagate(r, from, inputs + s * NU, seconds[s], after);
+    }
+    rates_of(x, before);
+    rates_of(after, change);
+    for (int i = 0; i < AXES; i++) change[i] -= before[i];
+}
+
+/* Compare the state x with its prediction from the state before: by the inputs (segments, NU), each for its seconds, with
+ * the parameters as the filter has them and without the disturbance. Returns whether the filter used it. */
+int rti_follow(rti *r, const double *before, const double *inputs, const double *seconds, int segments,
+               const double *x) {
+    flight_filter *f = &r->ocp.filter;
+    const filter_options *o = &f->options;
+    double disturbance[DISTURBANCE], p[NP], dt = 0, slopes[MAX_FOLLOWED][AXES] = {{0}};
+    double change[AXES], by_file[AXES], usual[AXES], first[AXES], measured[AXES];
+    memcpy(disturbance, r->ocp.disturbance, sizeof disturbance);
+    memset(r->ocp.disturbance, 0, sizeof disturbance);
+    memcpy(p, r->p, sizeof p);
+    for (int s = 0; s < segments; s++) dt += seconds[s];
+    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = o->prior[j];
+    change_over(r, before, inputs, seconds, segments, by_file);
+    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = filter_value(f, j);
+    change_over(r, before, inputs, seconds, segments, change);
+    if (o->count) change_over(r, before, inputs, &dt, 1, usual);
+    for (int j = 0; j < o->count; j++) { /* one step is enough for derivatives */
+        double *parameter = &r->p[o->index[j]], value = *parameter;
+        *parameter = value + SLOPE_STEP * o->scale[j];
+        change_over(r, before, inputs, &dt, 1, slopes[j]);
+        *parameter = value;
+        for (int i = 0; i < AXES; i++) slopes[j][i] = (slopes[j][i] - usual[i]) / SLOPE_STEP;
+    }
+    memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
+    memcpy(r->p, p, sizeof p);
+    rates_of(before, first);
+    rates_of(x, measured);
+    return filter_update(f, change, by_file, slopes, first, measured, dt);
 }
 
 /* out = left in, all by column; left is NX x NX. */
@@ -78,14 +137,19 @@ static void compose(const double *left, const double *in, double *out, int colum
 static void linearise(rti *r) {
     double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], dt = r->ocp.options.node / SUBSTEPS;
     for (int k = 0; k < NODES; k++) {
-        const double *arg[NODE_ARG] = {r->ocp.x[k], r->ocp.u[k], r->p, r->e, &dt};
+        memcpy(x, r->ocp.x[k], sizeof x);
+        half_kick(r, k * SUBSTEPS, dt, x);
+        const double *arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
         double *res[NODE_RES] = {r->ocp.x[k + 1], r->A[k], r->B[k]};
         NODE(arg, res, r->iw, r->w, 0);
+        half_kick(r, k * SUBSTEPS, dt, r->ocp.x[k + 1]);
         for (int s = 1; s < SUBSTEPS; s++) {
             memcpy(x, r->ocp.x[k + 1], sizeof x);
+            half_kick(r, k * SUBSTEPS + s, dt, x);
             const double *next_arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
             double *next_res[NODE_RES] = {r->ocp.x[k + 1], A, B};
             NODE(next_arg, next_res, r->iw, r->w, 0);
+            half_kick(r, k * SUBSTEPS + s, dt, r->ocp.x[k + 1]);
             memcpy(before, r->A[k], sizeof(double) * NX * NX);
             compose(A, before, r->A[k], NX);
             memcpy(before, r->B[k], sizeof(double) * NX * NU);

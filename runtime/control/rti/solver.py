@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,12 @@ KERNEL_DIMENSIONS = (
     "substeps",
     "vector_bytes",
     "options_bytes",
+    "filter_bytes",
 )
+AXES = 6  # linear, world axes, then angular, body axes
+DISTURBANCE = 2 * AXES + 2
+STAYING, FADING, FOLLOWED = AXES, 2 * AXES, 3 * AXES  # where parts of the filter's state begin
+MAX_FOLLOWED = 16
 
 
 class RtiReport(ctypes.Structure):
@@ -45,11 +51,31 @@ class RtiReport(ctypes.Structure):
     )
 
 
+class FilterOptions(ctypes.Structure):
+    """The C struct filter_options (flight_filter.h)."""
+
+    _fields_ = (
+        *(
+            (name, ctypes.c_double * AXES)
+            for name in ("measurement", "drift", "fading", "fading_time", "limit", "start")
+        ),
+        *((name, ctypes.c_double) for name in ("gate", "parameter_drift", "window", "variation", "known")),
+        *((name, ctypes.c_double) for name in ("forecast", "averaging", "tolerance")),
+        ("resolution", ctypes.c_double * 2),
+        *((name, ctypes.c_double * MAX_FOLLOWED) for name in ("prior", "scale", "lower", "upper")),
+        ("count", ctypes.c_int),
+        *((name, ctypes.c_int * MAX_FOLLOWED) for name in ("index", "group")),
+    )
+
+
 class RtiSolver:
     """One controller's solver: `prepare` linearises before a tick, `feedback` solves for the measured state.
 
     states: (N + 1, nx) predicted, a view of the C memory.
     inputs: (N, nu) predicted rotor speeds, rad/s, a view of the C memory.
+    input_upper: (nu,) highest rotor speeds, rad/s, a view of the C memory.
+    disturbance: (14,) accelerations beyond the model that its predictions have: six that stay, six that fade, both
+        linear m/s^2, world axes, and angular rad/s^2, body axes; and the rates at which these fade, 1/s. A view.
     history: (columns, 13 + nu) past rigid-body states and commanded rotor speeds of a learned model, oldest first, the
         last one a column before the state; to be written before `propagate` and `prepare`.
 
@@ -70,6 +96,15 @@ class RtiSolver:
         self.inputs = self._view("rti_inputs", (nodes, inputs))
         self.parameters = self._view("rti_parameters", (model.parameter_values.size,))
         self.environment = self._view("rti_environment", (ENVIRONMENT_DEFAULT.size,))
+        self.input_upper = self._view("rti_input_upper", (inputs,))
+        self.disturbance = self._view("rti_disturbance", (DISTURBANCE,))
+        self.filter_options: FilterOptions = self._code.rti_filter_options(self._handle).contents
+        filtered = FOLLOWED + MAX_FOLLOWED
+        self.filter_state = self._view("rti_filter_state", (filtered,))
+        self.filter_covariance = self._view("rti_filter_covariance", (filtered, filtered))
+        self.filter_trust = self._view("rti_filter_trust", (2,))
+        self.filter_squares = self._view("rti_filter_squares", (2, 2))
+        self.filter_followed = self._view("rti_filter_followed", (MAX_FOLLOWED,), ctypes.c_int)
         self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
         self.gradient = self._view("rti_gradient", (nodes * inputs,))
         shape = (columns, RIGID_BODY_STATES + inputs)
@@ -103,6 +138,43 @@ class RtiSolver:
         self._state[:], self._input[:] = state, speed
         self._code.rti_propagate(self._handle, self._state_at, self._input_at, dt, self._next_at)
         return self._next
+
+    def clear_filter(self) -> None:
+        """Let the flight filter forget everything."""
+        self._code.rti_filter_clear(self._handle)
+
+    def restart_filter(self, state: NDArray[np.float64]) -> None:
+        """Let the flight filter go on from a state (nx,)."""
+        self._state[:] = state
+        self._code.rti_filter_restart(self._handle, self._state_at)
+
+    def compare_in_filter(
+        self, before: NDArray[np.float64], change: NDArray[np.float64], state: NDArray[np.float64], dt: float
+    ) -> bool:
+        """Take a state (nx,) into the flight filter, dt seconds after the one before.
+
+        change: (6,) of velocity and rate, predicted by the model alone. Returns whether it was used.
+        """
+        self._state[:], self._accelerations[:], self._next[:] = before, change, state
+        arguments = self._state_at, self._accelerations_at, self._next_at
+        return bool(self._code.rti_filter_compare(self._handle, *arguments, dt))
+
+    def follow(
+        self,
+        before: NDArray[np.float64],
+        speeds: NDArray[np.float64],
+        seconds: NDArray[np.float64],
+        state: NDArray[np.float64],
+    ) -> bool:
+        """Take a state (nx,) into the flight filter, after speeds (k, nu), rad/s, for seconds (k,) from the one before.
+
+        Not for a learned model. Returns whether it was used.
+        """
+        address = ctypes.c_void_p
+        self._state[:], self._next[:] = before, state
+        speeds, seconds = np.ascontiguousarray(speeds), np.ascontiguousarray(seconds)
+        places = address(speeds.ctypes.data), address(seconds.ctypes.data)
+        return bool(self._code.rti_follow(self._handle, self._state_at, *places, len(seconds), self._next_at))
 
     def shift(self, seconds: float) -> None:
         """Move the predicted inputs by the time that passes between two ticks."""
@@ -148,6 +220,12 @@ class RtiSolver:
         if hasattr(code, "rti_accelerations"):
             code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
             code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
+        code.rti_filter_options.restype = ctypes.POINTER(FilterOptions)
+        code.rti_filter_options.argtypes = code.rti_filter_clear.argtypes = (pointer,)
+        code.rti_filter_restart.argtypes = (pointer, pointer)
+        code.rti_filter_compare.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_double)
+        if hasattr(code, "rti_follow"):
+            code.rti_follow.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_int, pointer)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)
@@ -165,6 +243,7 @@ class RtiSolver:
             "parameters": self.model.parameter_values.size,
             "environment": ENVIRONMENT_DEFAULT.size,
             "options_bytes": options_bytes,
+            "filter_bytes": ctypes.sizeof(FilterOptions),
         }
         if wrong := [
             f"{name} {built[name]} instead of {size}" for name, size in required.items() if built[name] != size
@@ -172,7 +251,7 @@ class RtiSolver:
             raise RequestError(f"the kernel {library} was built for {', '.join(wrong)}. Export the model again.")
         return int(built["history"])
 
-    def _view(self, function: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+    def _view(self, function: str, shape: tuple[int, ...], kind: Any = ctypes.c_double) -> NDArray[Any]:
         pointer = getattr(self._code, function)
-        pointer.restype, pointer.argtypes = ctypes.POINTER(ctypes.c_double), (ctypes.c_void_p,)
+        pointer.restype, pointer.argtypes = ctypes.POINTER(kind), (ctypes.c_void_p,)
         return np.ctypeslib.as_array(pointer(self._handle), shape=shape)

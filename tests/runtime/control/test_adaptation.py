@@ -1,0 +1,257 @@
+"""In flight the model follows: the C filter is the textbook's, disturbance and parameters are true, errors bounded."""
+
+from collections.abc import Sequence
+
+import msgspec
+import numpy as np
+import pytest
+
+from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
+from dynamics.integrators import rk4
+from dynamics.model import ENVIRONMENT_DEFAULT, build_model
+from dynamics.references import named_reference
+from dynamics.state import RATE, VELOCITY
+from dynamics.vehicle import EffectUse, Vehicle
+from runtime.control.adaptation import AdaptationSettings, FlightFilter, followed_parameters, with_followed
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rti.problem import Problem, fill_options
+from runtime.control.rti.solver import RtiSolver
+from simulation.lockstep import FlownReference, fly_reference
+
+HOVER = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
+DRAGS = ("wind", "rotor_drag", "parasitic_drag")
+ON = AdaptationSettings(mode="on")
+
+
+def solver_of(vehicle: Vehicle, *follow: str) -> RtiSolver:
+    return RtiSolver(build_model(with_followed(vehicle, follow)), Problem())
+
+
+def textbook_update(
+    state: np.ndarray, P: np.ndarray, change: np.ndarray, slopes: np.ndarray, measured: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """The extended Kalman filter of velocity and rate, staying and fading parts and parameters, all of them moving."""
+    settings, n = AdaptationSettings(), len(state)
+    kinds = [settings.linear] * 3 + [settings.angular] * 3
+    left = np.exp(-dt / np.array([k.fading_time for k in kinds]))
+    F = np.eye(n)
+    F[:6, 6:12] = F[:6, 12:18] = dt * np.eye(6)
+    F[12:18, 12:18] = np.diag(left)
+    F[:6, 18:] = slopes.T
+    Q = np.zeros(n)
+    Q[6:12] = [dt * k.drift**2 for k in kinds]
+    Q[12:18] = (1 - left**2) * np.array([k.fading**2 for k in kinds])
+    Q[18:] = dt * settings.drift**2
+    moved = state.copy()
+    moved[:6] += change + dt * (state[6:12] + state[12:18])
+    moved[12:18] *= left
+    P = F @ P @ F.T + np.diag(Q)
+    H, R = np.eye(6, n), np.diag([k.measurement**2 for k in kinds])
+    gain = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+    return moved + gain @ (measured - H @ moved), (np.eye(n) - gain @ H) @ P
+
+
+def test_the_filter_is_the_textbook_s(arpl_250g: Vehicle) -> None:
+    solver, random = solver_of(arpl_250g, "mass"), np.random.default_rng(4)
+    parameters = followed_parameters(solver.model, ["mass"])
+    filtered = FlightFilter(solver, AdaptationSettings(gate=1e3), parameters)
+    before, filled = HOVER.copy(), 18 + len(parameters)
+    filtered.restart(before, 0.0)
+    state, P = solver.filter_state[:filled].copy(), solver.filter_covariance[:filled, :filled].copy()
+    model, p = build_model(solver.model.vehicle), solver.model.parameter_values.copy()
+    speed = np.full(4, arpl_250g.hover_speed)
+    for step in range(1, 40):
+        measured = before.copy()
+        measured[VELOCITY] += random.normal(size=3) * 0.02
+        measured[RATE] += random.normal(size=3) * 0.05
+
+        def change(value: float, start: np.ndarray = before) -> np.ndarray:
+            p[parameters[0].index] = value
+            after = rk4(lambda x: np.array(model.derivative(x, speed, p, ENVIRONMENT_DEFAULT, [])).ravel(), start, 0.01)
+            return (after - start)[np.r_[VELOCITY, RATE]]
+
+        value = parameters[0].value + parameters[0].std * state[18]
+        slopes = (change(value + 1e-3 * parameters[0].std) - change(value)) / 1e-3
+        state, P = textbook_update(
+            state, P, change(value), slopes[None], np.r_[measured[VELOCITY], measured[RATE]], 0.01
+        )
+        filtered.follow(before, speed[None], np.array([0.01]), measured, 0.01 * step)
+        before = measured
+    np.testing.assert_allclose(solver.filter_state[:filled], state, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(solver.filter_covariance[:filled, :filled], P, rtol=1e-5, atol=1e-10)
+
+
+def finely_integrated(solver: RtiSolver, speed: np.ndarray, seconds: float) -> np.ndarray:
+    """The state after hover under the solver's disturbance, in steps of a tenth of a millisecond."""
+    model, x, dt = solver.model, HOVER.copy(), 1e-4
+    stays, fades, rates = np.split(solver.disturbance, [6, 12])
+    for step in range(round(seconds / dt)):
+        extra = stays + np.exp(-np.repeat(rates, 3) * (step + 0.5) * dt) * fades
+
+        def rate(s: np.ndarray, extra: np.ndarray = extra) -> np.ndarray:
+            xdot = np.array(model.derivative(s, speed, model.parameter_values, ENVIRONMENT_DEFAULT, [])).ravel()
+            xdot[VELOCITY] += extra[:3]
+            xdot[RATE] += extra[3:]
+            return xdot
+
+        x = rk4(rate, x, dt)
+    return x
+
+
+def test_a_prediction_has_the_disturbance_that_fades(arpl_250g: Vehicle) -> None:
+    solver = solver_of(arpl_250g)
+    solver.disturbance[:] = [0.8, -0.5, 0.3, 2.0, -1.0, 0.5, 1.0, 0.5, -0.4, -3.0, 2.0, 1.0, 2.0, 5.0]
+    speed = np.array([1.01, 0.99, 1.0, 1.0]) * arpl_250g.hover_speed
+    whole, half = (
+        np.abs(solver.propagate(HOVER, speed, seconds) - finely_integrated(solver, speed, seconds)).max()
+        for seconds in (0.05, 0.025)
+    )
+    assert whole < 5e-4
+    assert half < whole / 6  # a step's error is of third order
+    solver.reset(HOVER)
+    solver.inputs[:] = speed
+    solver.state_reference[:], solver.input_reference[:] = HOVER, speed
+    assert solver.prepare(HOVER) == 0
+    np.testing.assert_allclose(solver.states[1], solver.propagate(HOVER, speed, solver.problem.node), atol=1e-9)
+
+
+def test_the_linearisation_has_the_disturbance(arpl_250g: Vehicle) -> None:
+    """The gradient of the cost by an input is that of the cost of the disturbed prediction."""
+    solver = solver_of(arpl_250g)
+    solver.disturbance[:] = [0.8, -0.5, 0.3, 2.0, -1.0, 0.5, 1.0, 0.5, -0.4, -3.0, 2.0, 1.0, 2.0, 5.0]
+    options = fill_options(solver.problem, solver.model)
+    reference = HOVER + np.r_[0.2, 0.1, 0.3, np.zeros(10)]
+    hover = np.full((solver.problem.nodes, 4), arpl_250g.hover_speed)
+    solver.state_reference[:], solver.input_reference[:] = reference, hover
+
+    def cost(node: int, rotor: int, change: float) -> float:
+        solver.reset(HOVER)
+        solver.inputs[node, rotor] += change * options.scale
+        solver.prepare(HOVER)
+        away = solver.states - reference
+        weights = np.tile(list(options.Q), (len(away), 1))
+        weights[-1] = list(options.P)
+        effort = np.array(list(options.R)) * (solver.inputs - hover) ** 2
+        return float(0.5 * np.sum(weights * away**2) + 0.5 * np.sum(effort))
+
+    for node, rotor in ((0, 0), (3, 2), (12, 1)):
+        slope = (cost(node, rotor, 1e-4) - cost(node, rotor, -1e-4)) / 2e-4
+        cost(0, 0, 0.0)
+        assert solver.gradient[4 * node + rotor] == pytest.approx(slope, rel=1e-4)
+
+
+def flown(
+    vehicle: Vehicle, name: str, *uses: EffectUse, seconds: float = 8.0, follow: Sequence[str] = (), mode: str = "on"
+) -> tuple[FlownReference, Controller]:
+    settings = msgspec.convert({"mode": mode, "follow": tuple(follow)}, AdaptationSettings)
+    controller = Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, adaptation=settings))
+    reference = named_reference(name, vehicle, duration=seconds)
+    return fly_reference(vehicle, reference, effects=uses, seed=5, controller=controller), controller
+
+
+WIND = (EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("wind", {"x": 6.0, "y": 0.0, "z": 0.0}))
+
+
+def test_a_constant_wind_leaves_no_error(arpl_250g: Vehicle) -> None:
+    assert flown(arpl_250g, "Hover", *WIND, mode="off")[0].position_rmse > 0.12
+    flight, controller = flown(arpl_250g, "Hover", *WIND)
+    assert flight.position_rmse < 0.013
+    assert controller.adaptation is not None
+    assert controller.adaptation.filter.staying[0] > 1.0  # m/s^2 downwind
+
+
+def test_a_shadow_estimates_and_flies_as_without(arpl_250g: Vehicle) -> None:
+    usual = flown(arpl_250g, "Hover", *WIND, mode="off", seconds=3.0)[0]
+    shadowed, controller = flown(arpl_250g, "Hover", *WIND, mode="shadow", seconds=3.0)
+    np.testing.assert_array_equal(usual.truth.streams[0].values, shadowed.truth.streams[0].values)
+    assert controller.adaptation is not None
+    assert controller.adaptation.filter.staying[0] + controller.adaptation.filter.fading[0] > 1.0
+
+
+def test_drag_and_wind_are_named_on_a_fast_path(arpl_250g: Vehicle) -> None:
+    flight, controller = flown(arpl_250g, "Lemniscate", *WIND, seconds=14.0, follow=DRAGS)
+    assert controller.adaptation is not None
+    filtered = controller.adaptation.filter
+    named = {p.name: (v, s) for p, v, s in zip(filtered.parameters, filtered.values, filtered.deviations, strict=True)}
+    for name, true in (("wind.x", 6.0), ("wind.y", 0.0), ("rotor_drag.coefficient", 2.2e-5)):
+        value, deviation = named[name]
+        assert abs(value - true) < 3 * deviation, name
+    assert named["wind.x"][0] > 4.0
+    with_force = flown(arpl_250g, "Lemniscate", *WIND, seconds=14.0)[0]
+    assert flight.position_rmse < 0.8 * with_force.position_rmse
+
+
+def test_in_hover_neither_drag_nor_wind_is_named(arpl_250g: Vehicle) -> None:
+    """Only their product shows there: both keep their values, and the disturbance holds the force."""
+    flight, controller = flown(arpl_250g, "Hover", *WIND, follow=DRAGS)
+    assert controller.adaptation is not None
+    filtered = controller.adaptation.filter
+    assert not filtered.followed.any()
+    np.testing.assert_array_equal(filtered.values, 0.0)
+    assert flight.position_rmse < 0.013
+
+
+def test_with_nothing_hidden_it_flies_no_worse(arpl_250g: Vehicle) -> None:
+    usual = flown(arpl_250g, "Lemniscate", mode="off")[0].position_rmse
+    assert flown(arpl_250g, "Lemniscate", follow=DRAGS)[0].position_rmse < 1.1 * usual
+
+
+def test_a_model_that_forecasts_worse_than_the_file_s_is_not_flown(arpl_250g: Vehicle) -> None:
+    """Velocities that swing faster than the filter expects: it expects them to go on."""
+    solver = solver_of(arpl_250g)
+    settings = msgspec.structs.replace(ON, linear=msgspec.structs.replace(ON.linear, drift=20.0))
+    filtered = FlightFilter(solver, settings)
+    state, speed = HOVER.copy(), np.full((1, 4), arpl_250g.hover_speed)
+    filtered.restart(state, 0.0)
+    for step in range(1, 400):
+        after = HOVER.copy()
+        after[3] = 0.05 * np.sin(2 * np.pi * 2.5 * 0.01 * step)
+        filtered.follow(state, speed, np.array([0.01]), after, 0.01 * step)
+        state = after
+    assert filtered.trust[0] == 0.0
+    for step in range(400, 1200):
+        filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 0.01 * step)
+    assert filtered.trust[0] == 1.0
+
+
+@pytest.mark.parametrize("jump", [3.0, np.nan])
+def test_a_velocity_that_jumps_moves_nothing(arpl_250g: Vehicle, jump: float) -> None:
+    filtered = FlightFilter(solver_of(arpl_250g), ON)
+    speed, jumped = np.full((1, 4), arpl_250g.hover_speed), HOVER.copy()
+    jumped[VELOCITY] += jump
+    filtered.restart(HOVER, 0.0)
+    for step in range(1, 100):
+        filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 0.01 * step)
+    filtered.follow(HOVER, speed, np.array([0.01]), jumped, 1.0)
+    filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 1.01)
+    filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 1.02)
+    assert filtered.rejected >= 1
+    assert np.abs(filtered.staying + filtered.fading).max() < 0.05
+
+
+def test_what_is_estimated_is_bounded(arpl_250g: Vehicle) -> None:
+    filtered = FlightFilter(solver_of(arpl_250g), ON)
+    speed, state = np.full((1, 4), arpl_250g.hover_speed), HOVER.copy()
+    filtered.restart(state, 0.0)
+    for step in range(1, 300):
+        after = state.copy()
+        after[3] += 0.2  # 20 m/s^2
+        filtered.follow(state, speed, np.array([0.01]), after, 0.01 * step)
+        state = after
+    assert abs(filtered.staying[0] + filtered.fading[0]) <= ON.linear.limit + 1e-12
+
+
+@pytest.mark.parametrize("name", ["no_such_effect", "weak_rotor", "gust", "imu_bias"])
+def test_what_cannot_be_followed_is_refused(arpl_250g: Vehicle, name: str) -> None:
+    with pytest.raises(RequestError, match=name):
+        with_followed(arpl_250g, [name])
+
+
+def test_bounds_and_priors_are_the_effects_own(arpl_250g: Vehicle) -> None:
+    model = build_model(with_followed(arpl_250g, ["rotor_drag"]))
+    (parameter,) = followed_parameters(model, ["rotor_drag"])
+    declared = CATALOGUE["rotor_drag"].parameters[0]
+    assert (parameter.lower, parameter.upper) == (declared.lower, declared.upper)
+    assert parameter.std == declared.prior(arpl_250g).std
+    assert parameter.value == 0.0
