@@ -476,6 +476,11 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
     min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands. [not
     derived yet]
+    slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
+        to turbulence. [docs/identification.md, section 3: an eighth of the bias is left]
+    max_moved: standard deviations by which such instruments move an effect beyond chance. [convention: 95 %]
+    min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
+        none]
     """
 
     max_steps: Count = 8
@@ -486,6 +491,9 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     block: Positive = 2.0
     prior_blocks: Positive = 4.0
     min_excess: Factor = 1.2
+    slower: Annotated[float, Meta(gt=1)] = 2.0
+    max_moved: Positive = 2.0
+    min_more: Share = 0.1
 
 
 class OutputErrorThresholds(ThresholdGroup, frozen=True):

@@ -16,7 +16,7 @@ import numpy as np
 
 from diagnosis.data.dataset import Dataset
 from diagnosis.estimation.consistency import drifts
-from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
@@ -210,7 +210,8 @@ class _Trial:
     def _fit(self, candidates: Sequence[Candidate], start: Mapping[tuple[str, str], float] | None = None) -> Fit:
         keys = frozenset(c.key for c in candidates)
         if keys not in self._fits:
-            self._fits[keys] = fit(self._regression, candidates, vehicle=self._vehicle, start=start)
+            fitted = fit(self._regression, candidates, vehicle=self._vehicle, start=start)
+            self._fits[keys] = beyond_feedback(self._regression, fitted, self._vehicle)
         return self._fits[keys]
 
     def _relevance(self, best: Fit) -> tuple[dict[str, dict[str, ErrorChange]], Floats]:

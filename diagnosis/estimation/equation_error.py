@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from diagnosis.estimation.fit_equations import BlockRows, FitEquations, by_block, explained_by_biases, pooled
 from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, with_candidates
 from diagnosis.estimation.linear_rows import LinearRows
-from diagnosis.selection.candidates import Candidate
+from diagnosis.estimation.significance import deviations_of
+from diagnosis.selection.candidates import Candidate, scales_rotors
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
@@ -59,9 +60,11 @@ def _fitted(
     candidates: Sequence[Candidate],
     base: Vehicle,
     start: Mapping[tuple[str, str], float] | None,
+    *,
+    slower: float = 1.0,
 ) -> Fit:
     together = (*candidates, *regression.nuisances)
-    problem = _EquationErrorProblem(regression, together, base)
+    problem = _EquationErrorProblem(regression, together, base, slower=slower)
     values, last, left = _settle(problem, problem.start(start))
     chi_square = last.cost / regression.total
     if problem.reweigh(values):
@@ -90,6 +93,31 @@ def _fitted(
         commands,
         chi_square,
     )
+
+
+def beyond_feedback(regression: Regression, fitted: Fit, vehicle: Vehicle) -> Fit:
+    """A fit again by slower motion, where that moves an effect of the rotors' forces by more than chance.
+
+    The share of turbulence that feedback leaves in the motion falls with the square of the frequency: a value that
+    follows from it does, too. Chance is by the covariance of the change: the fit knows what the slower one knows
+    (Hausman, 1978). vehicle: that the effects were added to.
+    """
+    limits = regression.thresholds.equation_error
+    if not any(scales_rotors(candidate) for candidate in fitted.candidates):
+        return fitted
+    together, values = (*fitted.candidates, *fitted.nuisances), fitted.values
+    problem = _EquationErrorProblem(regression, together, vehicle, slower=limits.slower)
+    step = problem.step(np.array([values[candidate.key, name] for candidate, name in problem.free]))
+    count = len(fitted.estimates)  # those of commands are behind them
+    slower, own = step.covariance[:count, :count], fitted.covariance[:count, :count]
+    deviation = np.sqrt(np.maximum(np.diag(slower), 1e-300))
+    sizes, axes = np.linalg.eigh((slower - own) / np.outer(deviation, deviation))
+    covariance = (axes * np.maximum(sizes, limits.min_more)) @ axes.T * np.outer(deviation, deviation)
+    for candidate in filter(scales_rotors, fitted.candidates):
+        places = fitted.of(candidate)
+        if deviations_of(step.change[places], covariance[np.ix_(places, places)]) > limits.max_moved:
+            return _fitted(regression, fitted.candidates, vehicle, values, slower=limits.slower)
+    return fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,12 +167,14 @@ def _settle(problem: _EquationErrorProblem, start: Floats) -> tuple[Floats, _Ste
 class _EquationErrorProblem:
     """The least-squares problem of some candidates on a regression's flights."""
 
-    def __init__(self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle) -> None:
+    def __init__(
+        self, regression: Regression, candidates: Sequence[Candidate], vehicle: Vehicle, *, slower: float = 1.0
+    ) -> None:
         self._regression = regression
         self._noise = regression.noise
         self._candidates = candidates
         self.thresholds = regression.thresholds.equation_error
-        self._linear = LinearRows(regression, candidates, vehicle)
+        self._linear = LinearRows(regression, candidates, vehicle, slower=slower)
         self.free, self.names = self._linear.free, self._linear.names
         self.bounds = [bounds(c.effect, name) for c, name in self.free]
         self._information, self._expected = _priors(regression, self.free)

@@ -87,7 +87,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drift: of a parameter, as a share of its prior's standard deviation per sqrt(s).
     window: s over which a drag's slope must vary for it to be followed.
     variation: by how much, m/s^2 per standard deviation of its prior.
-    known: standard deviations from zero, beyond which a drag is known and shows the wind.
+    drag_deviations: from zero, beyond which a drag is certain and shows the wind.
     """
 
     mode: Mode = "off"
@@ -100,7 +100,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drift: Positive = 0.05
     window: Positive = 3.0
     variation: Positive = 0.3
-    known: Positive = 3.0
+    drag_deviations: Positive = 3.0
     guard: GuardLimits = GuardLimits()
 
 
@@ -112,7 +112,7 @@ class FollowedParameter:
     index: its place there.
     value, std: its prior.
     lower, upper: its bounds.
-    group: "drag" shows where its slope varies, whose constant part depends on the wind; "wind" shows through a known
+    group: "drag" shows where its slope varies, whose constant part depends on the wind; "wind" shows through a certain
         drag; "other" always.
     """
 
@@ -130,15 +130,15 @@ def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str
 
     Raises RequestError for an effect that is not in the catalogue, of one rotor, or that noise drives.
     """
-    known = catalogue_of(vehicle, catalogue)
+    offered = catalogue_of(vehicle, catalogue)
     there = {use.name for use in vehicle.effects}
     for name in names:
-        effect = known.get(name)
+        effect = offered.get(name)
         if effect is None or effect.per_rotor or effect.stochastic or not effect.moves_vehicle:
             what = "not in the catalogue" if effect is None else "of one rotor, of a sensor or random"
             raise RequestError(f"{name} cannot be followed in flight: it is {what}. `alula effects` lists all effects.")
     neutral = (
-        EffectUse(name, {p.name: p.neutral for p in known[name].parameters}) for name in names if name not in there
+        EffectUse(name, {p.name: p.neutral for p in offered[name].parameters}) for name in names if name not in there
     )
     return vehicle.with_effects(*neutral)
 
@@ -258,7 +258,8 @@ class FlightFilter:
             getattr(options, name)[:] = [getattr(kind, name) for kind in kinds]
         options.start[:] = [settings.start * kind.fading for kind in kinds]
         options.gate, options.parameter_drift = settings.gate, settings.drift
-        options.window, options.variation, options.known = settings.window, settings.variation, settings.known
+        options.window, options.variation = settings.window, settings.variation
+        options.drag_deviations = settings.drag_deviations
         guard = settings.guard
         options.forecast, options.averaging, options.tolerance = guard.forecast, guard.averaging, guard.tolerance
         options.resolution[:] = guard.linear_resolution, guard.angular_resolution

@@ -20,7 +20,7 @@
 
 typedef struct {
     double measurement[AXES], drift[AXES], fading[AXES], fading_time[AXES], limit[AXES], start[AXES];
-    double gate, parameter_drift, window, variation, known;
+    double gate, parameter_drift, window, variation, drag_deviations;
     double forecast, averaging, tolerance, resolution[2]; /* of the guard */
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
@@ -78,11 +78,11 @@ static void filter_restart(flight_filter *f, const double *measured) {
 }
 
 /* Which parameters the data can show now: a drag where its slope varies, since the constant part of it depends on the
- * wind; the wind where a drag is known, through which it acts; any other always. */
+ * wind; the wind where a drag is certain, through which it acts; any other always. */
 static void filter_choose(flight_filter *f, double slopes[][AXES], double dt) {
     const filter_options *o = &f->options;
     const double share = fmin(dt / o->window, 1);
-    bool drag_is_known = false;
+    bool drag_is_certain = false;
     for (int j = 0; j < o->count; j++) {
         double square = 0;
         for (int i = 0; i < AXES; i++) {
@@ -92,11 +92,11 @@ static void filter_choose(flight_filter *f, double slopes[][AXES], double dt) {
         }
         f->variation[j] += share * (square - f->variation[j]);
         const double deviation = o->scale[j] * sqrt(f->P[FOLLOWED + j][FOLLOWED + j]);
-        drag_is_known |= o->group[j] == 1 && fabs(filter_value(f, j)) > o->known * deviation;
+        drag_is_certain |= o->group[j] == 1 && fabs(filter_value(f, j)) > o->drag_deviations * deviation;
     }
     for (int j = 0; j < o->count; j++)
         f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 ? f->variation[j] > o->variation * o->variation
-                                                                : drag_is_known);
+                                                                : drag_is_certain);
 }
 
 /* change: of velocity and rate over dt seconds by the model alone. slopes: its derivatives by the parameters' states. */

@@ -28,7 +28,7 @@ def solver_of(vehicle: Vehicle, *follow: str) -> RtiSolver:
     return RtiSolver(build_model(with_followed(vehicle, follow)), Problem())
 
 
-def textbook_update(
+def reference_update(
     state: np.ndarray, P: np.ndarray, change: np.ndarray, slopes: np.ndarray, measured: np.ndarray, dt: float
 ) -> tuple[np.ndarray, np.ndarray]:
     """The extended Kalman filter of velocity and rate, staying and fading parts and parameters, all of them moving."""
@@ -73,7 +73,7 @@ def test_the_filter_is_the_textbook_s(arpl_250g: Vehicle) -> None:
 
         value = parameters[0].value + parameters[0].std * state[18]
         slopes = (change(value + 1e-3 * parameters[0].std) - change(value)) / 1e-3
-        state, P = textbook_update(
+        state, P = reference_update(
             state, P, change(value), slopes[None], np.r_[measured[VELOCITY], measured[RATE]], 0.01
         )
         filtered.follow(before, speed[None], np.array([0.01]), measured, 0.01 * step)
@@ -103,12 +103,12 @@ def test_a_prediction_has_the_disturbance_that_fades(arpl_250g: Vehicle) -> None
     solver = solver_of(arpl_250g)
     solver.disturbance[:] = [0.8, -0.5, 0.3, 2.0, -1.0, 0.5, 1.0, 0.5, -0.4, -3.0, 2.0, 1.0, 2.0, 5.0]
     speed = np.array([1.01, 0.99, 1.0, 1.0]) * arpl_250g.hover_speed
-    whole, half = (
+    long, short = (
         np.abs(solver.propagate(HOVER, speed, seconds) - finely_integrated(solver, speed, seconds)).max()
         for seconds in (0.05, 0.025)
     )
-    assert whole < 5e-4
-    assert half < whole / 6  # a step's error is of third order
+    assert long < 5e-4
+    assert short < long / 6  # a step's error is of third order
     solver.reset(HOVER)
     solver.inputs[:] = speed
     solver.state_reference[:], solver.input_reference[:] = HOVER, speed
