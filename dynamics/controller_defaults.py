@@ -16,7 +16,7 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
-from dynamics.rate_loop import RateLoop, modelled_motor_lag, rate_loop
+from dynamics.rate_loop import ACTUATION_DELAY, RateLoop, modelled_motor_lag, rate_loop
 from dynamics.vehicle import Vehicle
 
 MIN_HORIZON = 2.0  # times the delay of the rate loop: a shorter prediction ends before a rate command has taken effect
@@ -46,10 +46,11 @@ def lookaheads(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) ->
     )
 
 
-def unmodelled_motor_lag(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> float:
-    """Lag of the rotors that the vehicle file's own model does not predict, s."""
+def unmodelled_thrust_lag(vehicle: Vehicle, catalogue: Mapping[str, Effect] = CATALOGUE) -> float:
+    """Time by which thrust follows its setpoint later than the vehicle file's model predicts, s: motors, actuation."""
     catalogue = catalogue_of(vehicle, catalogue)
-    return rate_loop(vehicle, catalogue=catalogue).motor_lag - modelled_motor_lag(vehicle.effects, catalogue)
+    lag = rate_loop(vehicle, catalogue=catalogue).motor_lag + ACTUATION_DELAY
+    return lag - modelled_motor_lag(vehicle.effects, catalogue)
 
 
 def _require_horizon(vehicle: Vehicle, loop: RateLoop) -> None:

@@ -19,6 +19,7 @@ from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
+from runtime.control.adaptation import AdaptationSettings, Followed
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests
@@ -76,6 +77,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     endpoint: of the link.
     plan: take-off, transfers and landing.
     settings: of the flight logic.
+    adaptation: how the model follows in flight.
     rate: control rate, Hz.
     record: folder for the recording, None for none.
     name: of the recording; the date and time if empty.
@@ -91,6 +93,7 @@ class FlightRequest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: float = CONTROL_RATE
     plan: Plan = Plan()
     settings: FlyerSettings = FlyerSettings()
+    adaptation: AdaptationSettings = AdaptationSettings()
     record: Path | None = None
     name: str = ""
     system: int | None = None
@@ -116,6 +119,7 @@ class FlightReport(msgspec.Struct, frozen=True):
     start_up: s from constructing the daemon to the first setpoint, negative when none was sent.
     scheduling: SCHED_FIFO with its priority or ordinary, and what was refused, each with its remedy.
     origin: of the reference's coordinates in the estimator's, m: where the vehicle stood, or zero.
+    followed: what the model followed, None where it did not.
     """
 
     outcome: str
@@ -131,6 +135,7 @@ class FlightReport(msgspec.Struct, frozen=True):
     start_up: float
     scheduling: str
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    followed: Followed | None = None
 
 
 class Daemon:
@@ -221,7 +226,8 @@ class Daemon:
             )
 
     def _controller_options(self) -> ControllerOptions:
-        options = ControllerOptions.for_vehicle(self._vehicle, period=1.0 / self._request.rate)
+        request = self._request
+        options = ControllerOptions.for_vehicle(self._vehicle, period=1.0 / request.rate, adaptation=request.adaptation)
         return options if self._bundle is None else options.for_kernel(self._bundle.manifest.problem)
 
     def _metadata(self) -> dict[str, str]:
@@ -472,4 +478,5 @@ class Daemon:
             start_up=-1.0 if isnan(start_up) else start_up,
             scheduling=self._scheduling.describe(),
             origin=(float(origin[0]), float(origin[1]), float(origin[2])),
+            followed=flyer.followed,
         )

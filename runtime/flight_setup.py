@@ -13,6 +13,8 @@ from pathlib import Path
 import msgspec
 import tomlkit
 
+from dynamics import symbolic
+from dynamics.codegen import has_compiler
 from dynamics.command import command_line
 from dynamics.errors import DataError, RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
@@ -26,6 +28,7 @@ from dynamics.vehicle_file import (
     with_settings,
 )
 from dynamics.version import __version__
+from runtime.control.adaptation import AdaptationSettings, Mode, with_followed
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, parse_manifest, read_bundle
 from runtime.control.kernel_model import KernelModel, trim_of
 from runtime.control.rti.prebuilt import flown_model
@@ -40,6 +43,7 @@ from runtime.record.recording import FlightRecording
 
 SHIFTED_TIME = 0.1  # s of the shifted solution
 VEHICLE_TIMEOUT = 10.0  # s to wait for the vehicle
+FOLLOWED = ("wind", "rotor_drag", "parasitic_drag")
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
 EFFECT_FOLDER = "effects/"  # before the names of effect files among them
@@ -58,6 +62,8 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: control rate, Hz; that of the vehicle's [controller] where left out.
     effect_files: with effects of the user's own, beside those that the vehicle names.
     settings: of the controller, in place of the vehicle file's, such as "controller.horizon=0.8".
+    adapt: whether the model follows in flight.
+    follow: effects whose parameters do, beside a disturbance; None for the usual ones, as far as this install can.
     record: folder of the recording.
     arm: whether to request arming, or leave it to the pilot.
     resume: whether to take control of a vehicle that is armed already.
@@ -77,6 +83,8 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     rate: float | None = None
     effect_files: tuple[Path, ...] = ()
     settings: tuple[str, ...] = ()
+    adapt: Mode = "off"
+    follow: tuple[str, ...] | None = None
     record: Path | None = None
     arm: bool = True
     resume: bool = False
@@ -120,8 +128,10 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
     if Path(setup.reference).is_file():
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
+    adaptation = AdaptationSettings(mode=setup.adapt, follow=_followed(setup, vehicle, bundle))
     request = FlightRequest(
         endpoint=endpoint,
+        adaptation=adaptation,
         rate=rate,
         plan=Plan(height=setup.height, duration=setup.duration, origin=setup.origin),
         settings=FlyerSettings(
@@ -138,6 +148,26 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments=attachments,
     )
     return PreparedFlight(request, vehicle, reference, bundle)
+
+
+def _followed(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None) -> tuple[str, ...]:
+    """Effects whose parameters follow. Raises RequestError for names that cannot, or without --adapt."""
+    if setup.adapt == "off":
+        if setup.follow:
+            raise RequestError(f"--follow {setup.follow[0]} needs --adapt shadow or --adapt on.")
+        return ()
+    if bundle is not None:  # its kernel has the effects of its vehicle file and no others
+        there = {use.name for use in vehicle.effects}
+        if lacking := set(setup.follow or ()) - there:
+            raise RequestError(
+                f"{', '.join(sorted(lacking))} cannot be followed: {bundle.folder} is without. Export it with "
+                "a vehicle file that has the effect, at its neutral value if nothing is known of it."
+            )
+        return tuple(name for name in (setup.follow or FOLLOWED) if name in there)
+    if setup.follow is None:
+        return FOLLOWED if symbolic.is_installed() and has_compiler() else ()
+    with_followed(vehicle, setup.follow)
+    return setup.follow
 
 
 def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None, rate: float) -> None:

@@ -88,6 +88,8 @@ def fly(
     rate: float | None = None,
     settings: Sequence[str] = (),
     effect_files: Sequence[str | Path] = (),
+    adapt: Literal["off", "shadow", "on"] = "off",
+    follow: Sequence[str] | None = None,
     record: str | Path | None = None,
     arm: bool = True,
     resume: bool = False,
@@ -111,6 +113,9 @@ def fly(
     rate: of control, Hz; by default that of the vehicle's [controller].
     settings: of the controller, in place of the vehicle file's: "controller.horizon=0.8".
     effect_files: Python files with effects of your own, beside those that the vehicle names.
+    adapt: whether the model follows in flight: "shadow" estimates and records what it would fly.
+    follow: effects whose parameters follow, beside a disturbance; by default wind, rotor_drag and parasitic_drag where
+        CasADi and a compiler are installed.
     record: folder for the recording (MCAP and tlog).
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
@@ -149,6 +154,8 @@ def fly(
         rate=rate,
         settings=tuple(settings),
         effect_files=tuple(map(Path, effect_files)),
+        adapt=adapt,
+        follow=None if follow is None else tuple(follow),
         record=None if record is None else Path(record),
         arm=arm,
         resume=resume,

@@ -60,6 +60,17 @@ def fly(
             "--set", help="A setting of the vehicle file's [controller], as controller.horizon=0.8; repeatable."
         ),
     ] = None,
+    adapt: Annotated[
+        Literal["off", "shadow", "on"],
+        typer.Option(help="Let the model follow in flight: a disturbance, wind and drag; shadow estimates them only."),
+    ] = "off",
+    follow: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="With --adapt: an effect whose parameters follow; repeatable. Wind, rotor_drag and parasitic_drag, "
+            "where the workbench is installed; none for the disturbance alone."
+        ),
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
     arm: Annotated[
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
@@ -108,6 +119,8 @@ def fly(
         origin=origin,
         rate=rate,
         settings=settings or (),
+        adapt=adapt,
+        follow=None if follow is None else [name for name in follow if name != "none"],
         record=record,
         arm=arm,
         resume=resume,
@@ -166,6 +179,11 @@ def _print(report: FlightReport, console: Console) -> None:
     missed = ", ".join(f"{count} by {cause}" for cause, count in timing.missed.items())
     table.add_row("late setpoints", f"of {timing.ticks}: {missed}; {timing.ticks_by_clock} ticks without an estimate")
     table.add_row("scheduling", report.scheduling)
+    if report.followed is not None:
+        for name, value in report.followed.parameters.items():
+            table.add_row(name, f"{value.value:.3g} +- {value.std:.2g} (in the model {value.before:.3g})")
+        disturbance = ", ".join(f"{part:.2f}" for part in report.followed.disturbance[:3])
+        table.add_row("disturbance", f"{disturbance} m/s^2 at the end")
     if report.events:
         table.add_row("events", ", ".join(f"{name} {count}x" for name, count in report.events.items()))
     table.add_row("thrust", f"{report.effectiveness:.3f} of the vehicle file's")

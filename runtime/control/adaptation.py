@@ -36,6 +36,7 @@ Group = Literal["other", "drag", "wind"]
 MAX_INTERVAL = 0.1  # s between two estimates, beyond which the filter goes on from the newer one
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
 HISTORY = 64  # commands that are remembered
+DESCRIBE_EVERY = 10  # commands
 MOTION = np.r_[VELOCITY, RATE]
 FLOWN_FADES = slice(AXES, 2 * AXES)  # of a solver's disturbance
 
@@ -70,7 +71,7 @@ class GuardLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     forecast: Positive = 0.2
     averaging: Positive = 1.0
     tolerance: Positive = 1.1
-    linear_resolution: Positive = 0.02
+    linear_resolution: Positive = 0.03
     angular_resolution: Positive = 0.1
 
 
@@ -87,7 +88,10 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drift: of a parameter, as a share of its prior's standard deviation per sqrt(s).
     window: s over which a drag's slope must vary for it to be followed.
     variation: by how much, m/s^2 per standard deviation of its prior.
-    drag_deviations: from zero, beyond which a drag is certain and shows the wind.
+    drag_deviations: from zero, beyond which a drag is certain, and shows the wind where it does not vary itself.
+    leaving_time: s in which the linear part that stays leaves to the wind, where that is followed: both are constant
+        forces, and their difference would wander.
+    prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
     """
 
     mode: Mode = "off"
@@ -101,6 +105,8 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     window: Positive = 3.0
     variation: Positive = 0.3
     drag_deviations: Positive = 3.0
+    leaving_time: Positive = 10.0
+    prior_scale: Positive = 3.0
     guard: GuardLimits = GuardLimits()
 
 
@@ -112,8 +118,9 @@ class FollowedParameter:
     index: its place there.
     value, std: its prior.
     lower, upper: its bounds.
-    group: "drag" shows where its slope varies, whose constant part depends on the wind; "wind" shows through a certain
-        drag; "other" always.
+    group: "drag" shows where its slope varies, whose constant part depends on the wind; "wind" shows beside a drag that
+        shows or is certain; "other" always.
+    unit: SI.
     """
 
     name: str
@@ -123,6 +130,7 @@ class FollowedParameter:
     lower: float
     upper: float
     group: Group = "other"
+    unit: str = ""
 
 
 def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
@@ -143,7 +151,9 @@ def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str
     return vehicle.with_effects(*neutral)
 
 
-def followed_parameters(model: FlownModel, names: Sequence[str]) -> list[FollowedParameter]:
+def followed_parameters(
+    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0
+) -> list[FollowedParameter]:
     """The parameters of those effects that are in a model. The bounds and priors are the effects' own."""
     active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
     places = list(model_parameters(model.vehicle, active))
@@ -156,10 +166,11 @@ def followed_parameters(model: FlownModel, names: Sequence[str]) -> list[Followe
         for parameter in item.effect.parameters if item.effect.name in names else ():
             if item.effect.wind is not None and parameter.name == wind.COEFFICIENT.name:
                 continue  # acts without a drag alone, where only its product with the wind would show
-            name, std = f"{item.key}.{parameter.name}", parameter.prior(model.vehicle).std
+            name, std = f"{item.key}.{parameter.name}", prior_scale * parameter.prior(model.vehicle).std
             bounds = parameter.lower, parameter.upper
             value = item.values[parameter.name]
-            followed.append(FollowedParameter(name, places.index(name), value, std, *bounds, group))
+            place = places.index(name)
+            followed.append(FollowedParameter(name, place, value, std, *bounds, group, parameter.unit))
     return followed
 
 
@@ -169,6 +180,7 @@ class FlightFilter:
     A view of the filter in a solver's C code (flight_filter.h), for one model.
 
     staying, fading: (6,) parts of the disturbance, linear m/s^2 in world axes, then angular rad/s^2 in body axes.
+    prior: (n,) values of the parameters before any flight.
     followed: (n,) whether the data can show a parameter now.
     trust: (2,) share with which what was estimated is flown: linear disturbance and parameters; angular disturbance.
     squares: (2, 2) mean square errors of forecasts, linear and angular, by what was estimated and by the file's model.
@@ -192,7 +204,7 @@ class FlightFilter:
         self.staying, self.fading, self._moved = (solver.filter_state[part] for part in parts)
         self.trust, self.squares = solver.filter_trust, solver.filter_squares
         self.followed = solver.filter_followed[: len(self.parameters)]
-        self._prior = np.array([p.value for p in self.parameters])
+        self.prior = np.array([p.value for p in self.parameters])
         self._scale = np.array([p.std for p in self.parameters])
         self.index = np.array([p.index for p in self.parameters], dtype=int)
         self.clear()
@@ -232,12 +244,12 @@ class FlightFilter:
     @property
     def values(self) -> Floats:
         """(n,) of the parameters."""
-        return np.asarray(self._prior + self._scale * self._moved)
+        return np.asarray(self.prior + self._scale * self._moved)
 
     @property
     def flown_values(self) -> Floats:
         """(n,) the same, as far as they are trusted."""
-        return np.asarray(self._prior + self.trust[0] * self._scale * self._moved)
+        return np.asarray(self.prior + self.trust[0] * self._scale * self._moved)
 
     @property
     def deviations(self) -> Floats:
@@ -259,7 +271,7 @@ class FlightFilter:
         options.start[:] = [settings.start * kind.fading for kind in kinds]
         options.gate, options.parameter_drift = settings.gate, settings.drift
         options.window, options.variation = settings.window, settings.variation
-        options.drag_deviations = settings.drag_deviations
+        options.drag_deviations, options.leaving_time = settings.drag_deviations, settings.leaving_time
         guard = settings.guard
         options.forecast, options.averaging, options.tolerance = guard.forecast, guard.averaging, guard.tolerance
         options.resolution[:] = guard.linear_resolution, guard.angular_resolution
@@ -268,6 +280,28 @@ class FlightFilter:
             options.prior[j], options.scale[j] = parameter.value, parameter.std
             options.lower[j], options.upper[j] = parameter.lower, parameter.upper
             options.index[j], options.group[j] = parameter.index, get_args(Group).index(parameter.group)
+
+
+class FollowedValue(msgspec.Struct, frozen=True):
+    """A parameter that follows. before: as the flown model has it. std: standard deviation. unit: SI."""
+
+    value: float
+    std: float
+    before: float
+    unit: str
+
+
+class Followed(msgspec.Struct, frozen=True):
+    """What a model follows.
+
+    parameters: by name, such as "wind.x".
+    disturbance: (6,) accelerations beyond the model, linear m/s^2 in world axes, then angular rad/s^2 in body axes.
+    trust: (2,) share with which this is flown: linear disturbance and parameters; angular disturbance.
+    """
+
+    parameters: dict[str, FollowedValue]
+    disturbance: tuple[float, ...]
+    trust: tuple[float, float]
 
 
 class Measured(NamedTuple):
@@ -281,7 +315,7 @@ class Measured(NamedTuple):
 class Adaptation:
     """Lets a solver's model follow the flight: commands and estimates in, disturbance and parameters out.
 
-    learned: whether predictions come with the estimates, from a learned model.
+    changed: which parameters are surely not as in the model, with values and 95 % intervals; empty for none.
     """
 
     def __init__(
@@ -293,8 +327,13 @@ class Adaptation:
         period: float,
         learned: bool = False,
     ) -> None:
-        """thrust_constants: (n,) N s^2/rad^2. period: between commands, s."""
-        parameters = () if learned else followed_parameters(solver.model, settings.follow)
+        """thrust_constants: (n,) N s^2/rad^2. period: between commands, s.
+
+        learned: whether predictions come with the estimates, from a learned model.
+        """
+        self.changed = ""
+        scale = settings.prior_scale
+        parameters = () if learned else followed_parameters(solver.model, settings.follow, prior_scale=scale)
         self.filter = FlightFilter(solver, settings, parameters)
         self._solver, self._settings, self._learned, self._period = solver, settings, learned, period
         self._thrust_constants = thrust_constants
@@ -309,6 +348,35 @@ class Adaptation:
         self._last: tuple[float, Floats] | None = None
         self._measured: Measured | None = None
         self._compared: Measured | None = None
+
+    @property
+    def followed(self) -> Followed:
+        """What has been estimated so far."""
+        filtered = self.filter
+        parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
+        return Followed(
+            {p.name: FollowedValue(value, std, p.value, p.unit) for p, value, std in parts},
+            tuple((filtered.staying + filtered.fading).tolist()),
+            (float(filtered.trust[0]), float(filtered.trust[1])),
+        )
+
+    def _describe_changes(self) -> str:
+        filtered, limit = self.filter, self._settings.drag_deviations
+        if not filtered.parameters:
+            return ""
+        away, deviations = filtered.values - filtered.prior, filtered.deviations
+        surely = np.flatnonzero((np.abs(away) > limit * deviations) & (filtered.followed > 0))
+        texts = [
+            f"{p.name} {filtered.values[i]:.3g} +- {2 * deviations[i]:.2g} {p.unit}"
+            for i, p in enumerate(filtered.parameters)
+            if i in surely
+        ]
+        return ", ".join(texts)
+
+    @property
+    def is_trusted(self) -> bool:
+        """Whether forces and parameters are flown as estimated, or would be; moments matter less to a path."""
+        return bool(self.filter.trust[0] >= 1.0)
 
     @property
     def flies(self) -> bool:
@@ -363,6 +431,8 @@ class Adaptation:
             self.filter.compare(before.state, change, now.state, now.time)
         else:
             self.filter.follow(before.state, *self._acted(before.time, now.time), now.state, now.time)
+        if self._count % DESCRIBE_EVERY == 0:
+            self.changed = self._describe_changes()
         self._fly()
 
     def _fly(self) -> None:

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.controller_defaults import lookaheads, unmodelled_motor_lag
+from dynamics.controller_defaults import lookaheads, unmodelled_thrust_lag
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
@@ -76,7 +76,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             delay=settings.delay,
             max_position_error=settings.max_position_error,
             adaptation=msgspec.structs.replace(
-                adaptation or AdaptationSettings(), thrust_lag=unmodelled_motor_lag(vehicle, catalogue)
+                adaptation or AdaptationSettings(), thrust_lag=unmodelled_thrust_lag(vehicle, catalogue)
             ),
         )
 

@@ -67,6 +67,8 @@ class Event(Enum):
     MODEL_OSCILLATES = "model_oscillates"
     MODEL_OUTSIDE = "model_outside"
     MODEL_WAITING = "model_waiting"
+    MODEL_CHANGED = "model_changed"
+    ADAPTATION_REFUSED = "adaptation_refused"
     RATES_LOW = "rates_low"
     BATTERY_LOW = "battery_low"
     RECORDER_OVERRUN = "recorder_overrun"
@@ -162,6 +164,10 @@ POLICIES: Mapping[Event, Policy] = {
     ),
     Event.MODEL_WAITING: Policy(
         "the learned model waits for its history", Severity.NOTICE, Fallback.NOMINAL_MODEL, clear_after=0.0
+    ),
+    Event.MODEL_CHANGED: Policy("the vehicle is not as in its file", Severity.NOTICE, onset=1.0, clear_after=5.0),
+    Event.ADAPTATION_REFUSED: Policy(
+        "what was estimated in flight forecasts worse than the vehicle file, which flies", Severity.WARNING, onset=0.5
     ),
     Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),

@@ -14,6 +14,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
+from runtime.control.adaptation import FlightFilter, Followed
 from runtime.control.controller import Command, Controller
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.contact import Ground, GroundProbe, tilt_of
@@ -117,6 +118,16 @@ class Flyer:
         return self._controller.fit_ratio
 
     @property
+    def followed(self) -> Followed | None:
+        """What the flown model follows, None where it does not."""
+        return None if self._controller.adaptation is None else self._controller.adaptation.followed
+
+    @property
+    def flight_filter(self) -> FlightFilter | None:
+        """The filter of the controller that flies, None without one."""
+        return None if self._flying.adaptation is None else self._flying.adaptation.filter
+
+    @property
     def horizon(self) -> tuple[Floats, Floats] | None:
         """Predicted states (N + 1, nx) and rotor speeds (N, rotors) while the controller flies; views."""
         if not self._prepared:
@@ -187,6 +198,11 @@ class Flyer:
             self._pending[Event.MODEL_OUTSIDE] = outside
         if unfit:
             self._pending[Event.MODEL_UNHEALTHY] = unfit
+        if (adaptation := self._controller.adaptation) is not None:
+            if changed := adaptation.changed:
+                self._pending[Event.MODEL_CHANGED] = changed
+            if not adaptation.is_trusted:
+                self._pending[Event.ADAPTATION_REFUSED] = ""
 
     def reference_now(self, time: float) -> Floats | None:
         """The reference's state (13,) at a time, s; None when nothing is tracked."""

@@ -122,6 +122,18 @@ class HorizonRecord(msgspec.Struct, frozen=True):
     input_mean: Annotated[Floats, Meta(description="mean rotor speed, rad/s")]
 
 
+class FollowedRecord(msgspec.Struct, frozen=True):
+    """What the model follows in flight. names: of the parameters, one word each."""
+
+    time: Seconds
+    staying: Annotated[Floats, Meta(description="m/s^2 world ENU, rad/s^2 body FLU: the disturbance's lasting part")]
+    fading: Annotated[Floats, Meta(description="m/s^2 world ENU, rad/s^2 body FLU: the part that fades")]
+    trust: Annotated[Floats, Meta(description="share that is flown, linear and angular")]
+    names: str
+    value: Annotated[Floats, Meta(description="of the parameters, SI")]
+    deviation: Annotated[Floats, Meta(description="standard deviations of the parameters, SI")]
+
+
 class PhaseRecord(msgspec.Struct, frozen=True):
     """A change of the mission's phase. parameters: of its motion, as JSON text."""
 
@@ -205,6 +217,7 @@ Record = (
     | TickRecord
     | ObservationRecord
     | HorizonRecord
+    | FollowedRecord
     | PhaseRecord
     | EventRecord
     | StateRecord
@@ -223,6 +236,7 @@ TOPICS: Mapping[type[Record], str] = {
     TickRecord: "/tick",
     ObservationRecord: "/observation",
     HorizonRecord: "/horizon",
+    FollowedRecord: "/followed",
     PhaseRecord: "/phase",
     EventRecord: "/event",
     StateRecord: "/state",

@@ -21,6 +21,7 @@
 typedef struct {
     double measurement[AXES], drift[AXES], fading[AXES], fading_time[AXES], limit[AXES], start[AXES];
     double gate, parameter_drift, window, variation, drag_deviations;
+    double leaving_time; /* s in which the staying part leaves to the wind, where that is followed */
     double forecast, averaging, tolerance, resolution[2]; /* of the guard */
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
@@ -78,11 +79,11 @@ static void filter_restart(flight_filter *f, const double *measured) {
 }
 
 /* Which parameters the data can show now: a drag where its slope varies, since the constant part of it depends on the
- * wind; the wind where a drag is certain, through which it acts; any other always. */
+ * wind; the wind beside a drag that shows or is certain; any other always. */
 static void filter_choose(flight_filter *f, double slopes[][AXES], double dt) {
     const filter_options *o = &f->options;
     const double share = fmin(dt / o->window, 1);
-    bool drag_is_certain = false;
+    bool drag_shows = false;
     for (int j = 0; j < o->count; j++) {
         double square = 0;
         for (int i = 0; i < AXES; i++) {
@@ -92,27 +93,33 @@ static void filter_choose(flight_filter *f, double slopes[][AXES], double dt) {
         }
         f->variation[j] += share * (square - f->variation[j]);
         const double deviation = o->scale[j] * sqrt(f->P[FOLLOWED + j][FOLLOWED + j]);
-        drag_is_certain |= o->group[j] == 1 && fabs(filter_value(f, j)) > o->drag_deviations * deviation;
+        drag_shows |= o->group[j] == 1 && (f->variation[j] > o->variation * o->variation ||
+                                           fabs(filter_value(f, j)) > o->drag_deviations * deviation);
     }
     for (int j = 0; j < o->count; j++)
         f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 ? f->variation[j] > o->variation * o->variation
-                                                                : drag_is_certain);
+                                                                : drag_shows);
 }
 
 /* change: of velocity and rate over dt seconds by the model alone. slopes: its derivatives by the parameters' states. */
 static void filter_predict(flight_filter *f, const double *change, double slopes[][AXES], double dt) {
     const filter_options *o = &f->options;
     const int n = FOLLOWED + o->count;
-    double left[AXES];
+    double left[AXES], stays[AXES];
+    bool wind = false;
+    for (int j = 0; j < o->count; j++) wind |= o->group[j] == 2 && f->followed[j];
+    for (int i = 0; i < AXES; i++) stays[i] = wind && i < 3 ? exp(-dt / o->leaving_time) : 1;
     for (int i = 0; i < AXES; i++) {
         left[i] = exp(-dt / o->fading_time[i]);
         f->state[i] += change[i] + dt * (f->state[STAYING + i] + f->state[FADING + i]);
         f->state[FADING + i] *= left[i];
+        f->state[STAYING + i] *= stays[i];
         for (int c = 0; c < n; c++) { /* F P: rows of velocity and rate, then of what fades */
             double sum = dt * (f->P[STAYING + i][c] + f->P[FADING + i][c]);
             for (int j = 0; j < o->count; j++) sum += slopes[j][i] * f->P[FOLLOWED + j][c];
             f->P[i][c] += sum;
             f->P[FADING + i][c] *= left[i];
+            f->P[STAYING + i][c] *= stays[i];
         }
     }
     for (int r = 0; r < n; r++) /* (F P) F' */
@@ -121,6 +128,7 @@ static void filter_predict(flight_filter *f, const double *change, double slopes
             for (int j = 0; j < o->count; j++) sum += slopes[j][i] * f->P[r][FOLLOWED + j];
             f->P[r][i] += sum;
             f->P[r][FADING + i] *= left[i];
+            f->P[r][STAYING + i] *= stays[i];
         }
     for (int i = 0; i < AXES; i++) {
         f->P[STAYING + i][STAYING + i] += dt * o->drift[i] * o->drift[i];

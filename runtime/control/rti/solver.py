@@ -59,7 +59,10 @@ class FilterOptions(ctypes.Structure):
             (name, ctypes.c_double * AXES)
             for name in ("measurement", "drift", "fading", "fading_time", "limit", "start")
         ),
-        *((name, ctypes.c_double) for name in ("gate", "parameter_drift", "window", "variation", "drag_deviations")),
+        *(
+            (name, ctypes.c_double)
+            for name in ("gate", "parameter_drift", "window", "variation", "drag_deviations", "leaving_time")
+        ),
         *((name, ctypes.c_double) for name in ("forecast", "averaging", "tolerance")),
         ("resolution", ctypes.c_double * 2),
         *((name, ctypes.c_double * MAX_FOLLOWED) for name in ("prior", "scale", "lower", "upper")),

@@ -1,0 +1,186 @@
+"""Tracking with a model that follows in flight, in lockstep on the mock's vehicle. Writes results/adaptation.md.
+
+What is hidden is in no vehicle file. Compared are the vehicle file's model, the same with the disturbance alone, and
+with wind and drags followed, too. Finished flights are kept, so that a run that was stopped resumes.
+
+    python -m benchmarks.adaptation --seeds 10 --jobs 2 --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.provenance import write_result
+from dynamics.effects import CATALOGUE
+from dynamics.references import named_reference
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from flights.parallel import parallel_map
+from runtime.control.adaptation import AdaptationSettings
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.flight_setup import FOLLOWED
+from simulation.lockstep import fly_reference
+from vehicles import FOLDER
+
+VEHICLE = "arpl_250g"
+DRAG = ("rotor_drag", {"coefficient": 2.2e-5})
+HIDDEN: Mapping[str, tuple[tuple[str, dict[str, float]], ...]] = {
+    "nothing": (),
+    "wind 4 m/s": (DRAG, ("wind", {"x": 4.0, "y": 0.0, "z": 0.0})),
+    "wind 8 m/s": (DRAG, ("wind", {"x": 8.0, "y": 0.0, "z": 0.0})),
+    "drags": (DRAG, ("parasitic_drag", {"coefficient": 0.01})),
+    "mass + 15 %": (("mass", {"ratio": 1.15}),),
+    "gusts of 1 m/s": (DRAG, ("gust", {"intensity": 1.0})),
+}
+MANOEUVRES = (
+    "hover",
+    "Lemniscate",
+    "Ellipse_1",
+    "Ellipse_2",
+    "circle",
+    "line",
+    "WarpedEllipse_1",
+    "ExtendedLemniscate",
+)
+MODES = {"file": ("off", ()), "disturbance": ("on", ()), "named": ("on", FOLLOWED)}
+SECONDS, FOLLOWED_AFTER = 24.0, 10.0
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flight."""
+
+    hidden: str
+    reference: str
+    mode: str
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Unique name."""
+        return f"{self.hidden}, {self.reference}, {self.mode}, {self.seed}"
+
+
+def cases(seeds: int) -> list[Case]:
+    """All flights: of what is hidden hover and Lemniscate, of nothing all manoeuvres."""
+    flights = [("nothing", reference) for reference in MANOEUVRES]
+    flights += [
+        (hidden, reference) for hidden in HIDDEN if hidden != "nothing" for reference in ("hover", "Lemniscate")
+    ]
+    return [Case(*flight, mode, seed) for seed in range(seeds) for flight in flights for mode in MODES]
+
+
+def flown(case: Case) -> dict[str, Any]:
+    """Errors of a flight, m, and what was estimated."""
+    vehicle = read_vehicle(FOLDER / f"{VEHICLE}.toml")
+    mode, follow = MODES[case.mode]
+    settings = AdaptationSettings(mode=mode, follow=follow)  # type: ignore[arg-type]
+    controller = Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, adaptation=settings))
+    uses = [EffectUse(name, {**CATALOGUE[name].defaults(vehicle), **values}) for name, values in HIDDEN[case.hidden]]
+    reference = named_reference(case.reference, vehicle, duration=SECONDS)
+    flight = fly_reference(vehicle, reference, effects=uses, seed=1000 + case.seed, controller=controller)
+    true, setpoint = flight.truth.stream("position"), flight.log.stream("position_setpoint")
+    assert true is not None
+    assert setpoint is not None
+    squares = np.sum((true.values - setpoint.values) ** 2, axis=1)
+    late = squares[true.time >= FOLLOWED_AFTER]
+    followed = {} if controller.adaptation is None else controller.adaptation.followed.parameters
+    return {
+        **asdict(case),
+        "key": case.key,
+        "rmse": float(np.sqrt(squares.mean())),
+        "late_rmse": float(np.sqrt(late.mean())) if late.size else float("nan"),
+        "aborted": flight.aborted,
+        "events": dict(flight.events),
+        "parameters": {name: [value.value, value.std] for name, value in followed.items()},
+    }
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """Tracking by what is hidden, then wind and drag as they were named, then what is flown with nothing hidden."""
+    body = [
+        f"Position error, cm RMS: median of {len({r['seed'] for r in results})} seeds (worst), whole flights of "
+        f"{SECONDS:g} s; named: also from {FOLLOWED_AFTER:g} s on.",
+        "",
+        "| hidden | reference | file's model | disturbance | and named | named, later |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for hidden in [name for name in HIDDEN if name != "nothing"]:
+        for reference in ("hover", "Lemniscate"):
+            some = [r for r in results if (r["hidden"], r["reference"]) == (hidden, reference)]
+            cells = [_cell([r["rmse"] for r in some if r["mode"] == mode]) for mode in MODES]
+            cells.append(_cell([r["late_rmse"] for r in some if r["mode"] == "named"]))
+            body.append(f"| {hidden} | {reference} | {' | '.join(cells)} |")
+    body += ["", "With nothing hidden, error over that of the file's model, the same seed: median (worst).", ""]
+    body += ["| reference | file's model | disturbance | and named |", "| --- | --- | --- | --- |"]
+    usual = {(r["reference"], r["seed"]): r["rmse"] for r in results if (r["hidden"], r["mode"]) == ("nothing", "file")}
+    for reference in MANOEUVRES:
+        some = [r for r in results if (r["hidden"], r["reference"]) == ("nothing", reference)]
+        ratios = [
+            [r["rmse"] / usual[reference, r["seed"]] for r in some if r["mode"] == mode]
+            for mode in ("disturbance", "named")
+        ]
+        own = _cell([r["rmse"] for r in some if r["mode"] == "file"])
+        body.append(f"| {reference} | {own} cm | {' | '.join(_cell(ratio, 1.0) for ratio in ratios)} |")
+    return "\n".join([*body, "", *_named(results)])
+
+
+def _named(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = ["Named after the Lemniscate: median, and how many of the 95 % intervals hold the truth.", ""]
+    lines += ["| hidden | parameter | true | median | hold |", "| --- | --- | --- | --- | --- |"]
+    for hidden, uses in HIDDEN.items():
+        if "gust" in hidden or "mass" in hidden:
+            continue
+        some = [r for r in results if (r["hidden"], r["reference"], r["mode"]) == (hidden, "Lemniscate", "named")]
+        true = {f"{name}.{key}": value for name, values in uses for key, value in values.items()}
+        for name in ("wind.x", "wind.y", "rotor_drag.coefficient", "parasitic_drag.coefficient"):
+            values = np.array([r["parameters"][name] for r in some])
+            if not len(values):
+                continue
+            holds = np.abs(values[:, 0] - true.get(name, 0.0)) <= 1.96 * values[:, 1]
+            median = float(np.median(values[:, 0]))
+            lines.append(
+                f"| {hidden} | {name} | {true.get(name, 0.0):g} | {median:.3g} | {holds.sum()} of {len(values)} |"
+            )
+    return lines
+
+
+def _cell(values: Sequence[float], scale: float = 100.0) -> str:
+    if not values:
+        return ""
+    return f"{scale * float(np.median(values)):.2f} ({scale * max(values):.2f})"
+
+
+def main() -> None:
+    """Fly what has not been flown, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--kept", type=Path, default=Path("build/adaptation.jsonl"))
+    parser.add_argument("--table", action="store_true", help="write benchmarks/results/adaptation.md")
+    options = parser.parse_args()
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+    done = {result["key"]: result for result in map(json.loads, lines)}
+    todo = [case for case in cases(options.seeds) if case.key not in done]
+    for _, result in parallel_map(flown, todo, jobs=options.jobs):
+        done[result["key"]] = result
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+        print(f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']}", flush=True)
+    results = [done[case.key] for case in cases(options.seeds) if case.key in done]
+    if options.table:
+        write_result("adaptation", "A model that follows in flight", table(results))
+    else:
+        print(table(results))
+
+
+if __name__ == "__main__":
+    main()
