@@ -224,6 +224,8 @@ class _Trial:
         regression, thresholds = self._regression, self._regression.thresholds.acceptance
         values, fewer = left_out(best, candidate, self._vehicle)
         judge = self._held_out
+        if not all(np.isfinite(y).all() for y in judge.rows(fewer)):  # at bounds, as a rotor that is read as standing
+            values, fewer = best.values, self._lacking(best, candidate)
         if _squared_change(judge.rows(best.vehicle), judge.rows(fewer), regression) < thresholds.min_held_out_change:
             judge, floor = self._others, regression.noise.floor
         by_kind = judge.channel_changes(fewer, best.vehicle, floor)
@@ -273,10 +275,14 @@ class _Trial:
 
     def _alone(self, best: Fit, candidate: Candidate) -> dict[str, ErrorChange]:
         """Held-out errors without an effect and with it, by kind of channel, the others staying as they are."""
+        fewer = self._lacking(best, candidate)
+        return self._held_out.channel_changes(fewer, best.vehicle, self._held_out.floor(best.vehicle))
+
+    def _lacking(self, best: Fit, candidate: Candidate) -> Vehicle:
+        """The fitted vehicle without an effect, the others staying as they are."""
         values = {f"{key}.{name}": value for (key, name), value in best.values.items()}
         others = [c for c in (*best.candidates, *best.nuisances) if c is not candidate]
-        fewer = with_candidates(self._vehicle, others, values)
-        return self._held_out.channel_changes(fewer, best.vehicle, self._held_out.floor(best.vehicle))
+        return with_candidates(self._vehicle, others, values)
 
     def _agreement(self, best: Fit, candidate: Candidate) -> float:
         """Share of flight resamples that name an effect, or one that these flights cannot tell from it."""

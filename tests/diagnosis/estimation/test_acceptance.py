@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.dataset import Dataset, make_dataset
+from diagnosis.estimation import acceptance
 from diagnosis.estimation.acceptance import Accepted, accepted_fit, at_its_bounds, overshadowed_effects
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in, typical_chi_square
 from diagnosis.estimation.fitted import Fit, ParameterEstimate
@@ -150,6 +151,17 @@ def test_a_mass_that_the_held_out_flights_contradict_is_refused(arpl_250g, held_
         for vehicle in (arpl_250g, result.fit.vehicle)
     )
     assert after <= before
+
+
+def test_an_effect_without_which_nothing_can_be_predicted_stays(arpl_250g, monkeypatch):
+    """The others' values without it, by the linearised equations, may read a rotor as standing: no error is a number."""
+    fitted = hovering(arpl_250g, mass_ratio=1.05, seed=4, count=4)
+    dataset = Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
+    regression = make_regression(arpl_250g, SOME, fitted, dataset.flight_of)
+    impossible = arpl_250g.with_effects(EffectUse("mass", {"ratio": float("nan")}))
+    monkeypatch.setattr(acceptance, "left_out", lambda *_: ({}, impossible))
+    result = accepted_fit(regression, select(regression), dataset)
+    assert [c.key for c in result.fit.candidates] == ["mass"]
 
 
 def test_what_makes_a_channel_worse_gives_way_to_a_rival_that_does_not(plain_flights, arpl_250g):
