@@ -154,7 +154,7 @@ def test_a_mass_that_the_held_out_flights_contradict_is_refused(arpl_250g, held_
 
 
 def test_an_effect_without_which_nothing_can_be_predicted_stays(arpl_250g, monkeypatch):
-    """The others' values without it, by the linearised equations, may read a rotor as standing: no error is a number."""
+    """The others' values without it, by the linearised equations, may be impossible, and no error a number."""
     fitted = hovering(arpl_250g, mass_ratio=1.05, seed=4, count=4)
     dataset = Dataset(fitted, (0, 1, 2, 3), hovering(arpl_250g, mass_ratio=1.05, seed=5, count=2), {}, ())
     regression = make_regression(arpl_250g, SOME, fitted, dataset.flight_of)
