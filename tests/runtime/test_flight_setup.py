@@ -4,7 +4,8 @@ import pytest
 
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import parse_vehicle
-from runtime.flight_setup import VEHICLE_TEXT, FlightSetup, prepare_flight
+from runtime.control.adaptation import Mode
+from runtime.flight_setup import FOLLOWED, VEHICLE_TEXT, FlightSetup, prepare_flight
 
 LINK = "udpin:127.0.0.1:14999"
 
@@ -42,3 +43,27 @@ def test_health_limits_follow_the_vehicles_rates() -> None:
     assert (health["arpl_250g"].unfollowed, health["arpl_250g"].swing, health["arpl_250g"].chatter) == (3.0, 2.0, 1.5)
     assert health["px4_sih"].unfollowed == 1.5
     assert health["px4_sih"].rate_delay > 2 * health["arpl_250g"].rate_delay
+
+
+@pytest.mark.parametrize(
+    ("adapt", "follow", "reason"),
+    [
+        ("off", ("wind",), "needs --adapt"),
+        ("on", ("gust",), "gust cannot be followed"),
+        ("shadow", ("nonsense",), "not in the catalogue"),
+    ],
+)
+def test_what_cannot_follow_is_refused_before_the_flight(adapt: Mode, follow: tuple[str, ...], reason: str) -> None:
+    setup = FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g", adapt=adapt, follow=follow)
+    with pytest.raises(RequestError, match=reason):
+        prepare_flight(setup)
+
+
+def test_wind_and_drag_follow_unless_the_user_names_others() -> None:
+    usual = prepare_flight(FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g", adapt="shadow"))
+    assert usual.request.adaptation.follow == FOLLOWED
+    own = FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g", adapt="on", follow=())
+    assert prepare_flight(own).request.adaptation.follow == ()
+    assert prepare_flight(own).request.adaptation.mode == "on"
+    off = prepare_flight(FlightSetup(link=LINK, reference="circle", vehicle="arpl_250g"))
+    assert off.request.adaptation.mode == "off"

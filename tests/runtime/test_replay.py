@@ -11,7 +11,8 @@ import pytest
 
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
-from runtime.control.controller import Controller
+from runtime.control.adaptation import AdaptationSettings
+from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Transfer
@@ -28,7 +29,10 @@ def reference_of(vehicle: Vehicle) -> Transfer:
 
 @pytest.fixture(scope="module")
 def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> FlightRecording:
-    controller = Controller.build(arpl_250g)
+    return recorded(arpl_250g, Controller.build(arpl_250g), tmp_path_factory.mktemp("replay"))
+
+
+def recorded(arpl_250g: Vehicle, controller: Controller, folder: Path) -> FlightRecording:
     flight = Flight(arpl_250g, controller, reference_of(arpl_250g))
     story = flight.run(11.0)
     metadata = {
@@ -36,7 +40,7 @@ def recording(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> F
         "settings": msgspec.json.encode(FlyerSettings()).decode(),
         "controller": msgspec.json.encode(controller.options).decode(),
     }
-    recorder = Recorder(tmp_path_factory.mktemp("replay"), "flight", metadata=metadata, capacity=100_000)
+    recorder = Recorder(folder, "flight", metadata=metadata, capacity=100_000)
     for (observation, estimate), decision in zip(story.observations, story.decisions, strict=True):
         assert estimate is not None
         parts = (estimate.position_world, estimate.velocity_world, estimate.attitude, estimate.rate_body)
@@ -59,6 +63,16 @@ def test_the_same_flight_comes_out_bit_for_bit(recording: FlightRecording, arpl_
     assert report.compared > 500
     assert report.lost == 0
     assert report.first_difference is None
+
+
+def test_a_model_that_followed_follows_again(arpl_250g: Vehicle, tmp_path: Path) -> None:
+    adaptation = AdaptationSettings(mode="on", follow=("rotor_drag",))
+    options = ControllerOptions.for_vehicle(arpl_250g, adaptation=adaptation)
+    controller = Controller.build(arpl_250g, options)
+    recording = recorded(arpl_250g, controller, tmp_path)
+    assert controller.adaptation is not None
+    assert np.abs(controller.adaptation.followed.disturbance).max() > 0.0
+    assert replay(recording, arpl_250g, reference_of(arpl_250g)).exact
 
 
 def test_a_recording_of_another_version_may_word_its_reasons_differently(
