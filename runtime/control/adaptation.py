@@ -81,6 +81,8 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     mode: "off", "shadow" (estimated and recorded, not flown) or "on".
     follow: effects whose parameters are estimated; those that the model lacks are added to it.
     thrust_lag: s by which thrust follows its commands later than the model predicts.
+    moments: whether the angular disturbance is flown, too: with planned rotor speeds it holds what the autopilot's rate
+        loop does otherwise, and makes tracking worse.
     linear: noise of velocities, world axes.
     angular: of body rates, body axes.
     gate: standard deviations beyond which an estimate has jumped.
@@ -97,6 +99,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     mode: Mode = "off"
     follow: tuple[str, ...] = ()
     thrust_lag: NotNegative = 0.0
+    moments: bool = False
     linear: AxisNoise = AxisNoise(measurement=0.02, drift=0.5, fading=1.0, fading_time=1.0, limit=5.0)
     angular: AxisNoise = AxisNoise(measurement=0.05, drift=0.5, fading=2.0, fading_time=0.3, limit=30.0)
     gate: Positive = 6.0
@@ -440,7 +443,7 @@ class Adaptation:
         if not self.flies:
             return
         filtered, flown = self.filter, self._solver.disturbance
-        trust = np.repeat(filtered.trust, 3)
+        trust = np.repeat(filtered.trust * (1.0, self._settings.moments), 3)
         flown[:AXES], flown[FLOWN_FADES] = trust * filtered.staying, trust * filtered.fading
         if filtered.parameters:
             self._solver.parameters[filtered.index] = filtered.flown_values
