@@ -349,6 +349,7 @@ class Adaptation:
         self._response = hover.copy()
         self._count = 0
         self._last: tuple[float, Floats] | None = None
+        self._newest = -math.inf  # time of the last estimate, which a reset does not forget
         self._measured: Measured | None = None
         self._compared: Measured | None = None
 
@@ -388,7 +389,7 @@ class Adaptation:
 
     def reset(self, time: float) -> None:
         """Forget commands and estimates; after a long pause what they showed, too."""
-        if self._measured is None or time - self._measured.time > MAX_PAUSE:
+        if time - self._newest > MAX_PAUSE:
             self.filter.clear()
             self._fly()
         self._times[:], self._count = -np.inf, 0
@@ -415,7 +416,7 @@ class Adaptation:
 
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:
         """Take an estimate with the model's hidden states (nx,), to be compared by the next `update`."""
-        self._measured = Measured(time, state.copy(), predicted)
+        self._measured, self._newest = Measured(time, state.copy(), predicted), time
 
     def update(self) -> None:
         """Compare the last estimate with its prediction from the one before, and fly what follows."""

@@ -216,6 +216,14 @@ static void guard(flight_filter *f, const double *change, const double *change_b
  * by the file's. Returns whether it was used; if not, the filter goes on from it. */
 static bool filter_update(flight_filter *f, const double *change, const double *change_by_file, double slopes[][AXES],
                           const double *before, const double *measured, double dt) {
+    double sum = 0; /* not finite where one of these is not */
+    for (int i = 0; i < AXES; i++) sum += change[i] + change_by_file[i] + measured[i];
+    for (int j = 0; j < f->options.count; j++)
+        for (int i = 0; i < AXES; i++) sum += slopes[j][i];
+    if (!isfinite(sum)) {
+        filter_restart(f, measured);
+        return false;
+    }
     guard(f, change, change_by_file, measured, before, dt);
     filter_choose(f, slopes, dt);
     filter_predict(f, change, slopes, dt);

@@ -217,16 +217,19 @@ def test_a_model_that_forecasts_worse_than_the_file_s_is_not_flown(arpl_250g: Ve
 
 @pytest.mark.parametrize("jump", [3.0, np.nan])
 def test_a_velocity_that_jumps_moves_nothing(arpl_250g: Vehicle, jump: float) -> None:
-    filtered = FlightFilter(solver_of(arpl_250g), ON)
+    solver = solver_of(arpl_250g, "mass")
+    filtered = FlightFilter(solver, ON, followed_parameters(solver.model, ["mass"]))
     speed, jumped = np.full((1, 4), arpl_250g.hover_speed), HOVER.copy()
     jumped[VELOCITY] += jump
     filtered.restart(HOVER, 0.0)
     for step in range(1, 100):
         filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 0.01 * step)
     filtered.follow(HOVER, speed, np.array([0.01]), jumped, 1.0)
-    filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 1.01)
+    filtered.follow(jumped, speed, np.array([0.01]), HOVER, 1.01)
     filtered.follow(HOVER, speed, np.array([0.01]), HOVER, 1.02)
     assert filtered.rejected >= 1
+    assert np.isfinite(filtered.deviations).all()
+    assert filtered.values[0] == pytest.approx(1.0, abs=0.05)
     assert np.abs(filtered.staying + filtered.fading).max() < 0.05
 
 
@@ -240,6 +243,19 @@ def test_what_is_estimated_is_bounded(arpl_250g: Vehicle) -> None:
         filtered.follow(state, speed, np.array([0.01]), after, 0.01 * step)
         state = after
     assert abs(filtered.staying[0] + filtered.fading[0]) <= ON.linear.limit + 1e-12
+
+
+def test_a_restart_of_the_solver_forgets_nothing_that_holds(arpl_250g: Vehicle) -> None:
+    """A solver without a solution for a while restarts at every tick; after a long pause the air is another."""
+    controller = flown(arpl_250g, "Hover", *WIND, seconds=2.0)[1]
+    assert controller.adaptation is not None
+    before, now = controller.adaptation.followed.disturbance, controller.adaptation._newest
+    for tick in range(3):
+        controller.reset(HOVER, now + 0.01 * tick)
+    assert controller.adaptation.followed.disturbance == before
+    controller.reset(HOVER, now + 20.0)
+    assert controller.adaptation.followed.disturbance == (0.0,) * 6
+    assert not controller.solver.disturbance[:12].any()
 
 
 @pytest.mark.parametrize("name", ["no_such_effect", "weak_rotor", "gust", "imu_bias"])
