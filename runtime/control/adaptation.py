@@ -319,6 +319,7 @@ class Adaptation:
     """Lets a solver's model follow the flight: commands and estimates in, disturbance and parameters out.
 
     changed: which parameters are surely not as in the model, with values and 95 % intervals; empty for none.
+    newest: time of the last estimate, s, which a reset does not forget; -inf before the first.
     """
 
     def __init__(
@@ -349,7 +350,7 @@ class Adaptation:
         self._response = hover.copy()
         self._count = 0
         self._last: tuple[float, Floats] | None = None
-        self._newest = -math.inf  # time of the last estimate, which a reset does not forget
+        self.newest = -math.inf
         self._measured: Measured | None = None
         self._compared: Measured | None = None
 
@@ -389,7 +390,7 @@ class Adaptation:
 
     def reset(self, time: float) -> None:
         """Forget commands and estimates; after a long pause what they showed, too."""
-        if time - self._newest > MAX_PAUSE:
+        if time - self.newest > MAX_PAUSE:
             self.filter.clear()
             self._fly()
         self._times[:], self._count = -np.inf, 0
@@ -416,7 +417,7 @@ class Adaptation:
 
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:
         """Take an estimate with the model's hidden states (nx,), to be compared by the next `update`."""
-        self._measured, self._newest = Measured(time, state.copy(), predicted), time
+        self._measured, self.newest = Measured(time, state.copy(), predicted), time
 
     def update(self) -> None:
         """Compare the last estimate with its prediction from the one before, and fly what follows."""

@@ -249,7 +249,7 @@ def test_a_restart_of_the_solver_forgets_nothing_that_holds(arpl_250g: Vehicle) 
     """A solver without a solution for a while restarts at every tick; after a long pause the air is another."""
     controller = flown(arpl_250g, "Hover", *WIND, seconds=2.0)[1]
     assert controller.adaptation is not None
-    before, now = controller.adaptation.followed.disturbance, controller.adaptation._newest
+    before, now = controller.adaptation.followed.disturbance, controller.adaptation.newest
     for tick in range(3):
         controller.reset(HOVER, now + 0.01 * tick)
     assert controller.adaptation.followed.disturbance == before
