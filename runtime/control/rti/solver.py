@@ -89,10 +89,10 @@ class RtiSolver:
         """library: a compiled kernel, instead of the model's own code, which is compiled unless cached."""
         self.model, self.problem = model, problem
         self._code = load_kernel(library or solver_library(model, problem))
-        self._declare()
         self.trim = trim_of(model)
         options = fill_options(problem, model, self.trim)
         columns = 0 if library is None else self._require_dimensions(library, ctypes.sizeof(options))
+        self._declare()
         self._handle = ctypes.c_void_p(self._code.rti_create(ctypes.byref(options)))
         nodes, states, inputs = problem.nodes, model.state_count, model.input_count
         self.states = self._view("rti_states", (nodes + 1, states))

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import vehicles
+from dynamics.codegen import build_library
+from dynamics.errors import RequestError
 from dynamics.integrators import rk4
 from dynamics.model import ENVIRONMENT_DEFAULT, Model, build_model
 from dynamics.trim import Trim
@@ -317,3 +319,11 @@ def test_repeated_iterations_converge_to_the_nonlinear_optimum() -> None:
     step_before = solver.inputs.copy()
     solver.feedback(state)
     np.testing.assert_allclose(solver.inputs, step_before, atol=0.5)
+
+
+def test_a_kernel_of_another_version_is_refused(tmp_path: Path) -> None:
+    """One that was exported before this version lacks functions: its dimensions say so first."""
+    source = "void rti_dimensions(int *built) { for (int i = 0; i < 9; i++) built[i] = 1; }"
+    library = build_library({"older.c": source}, entry="older.c")
+    with pytest.raises(RequestError, match=r"filter_bytes 0 instead of .* Export the model again"):
+        RtiSolver(build_model(VEHICLE), Problem(), library)
