@@ -212,6 +212,8 @@ class Effect:
     per_rotor: it acts on one rotor, named by index.
     resists_air: it is a drag, through which wind acts on the vehicle.
     stochastic: noise drives its hidden states, so that no value in a vehicle file predicts them.
+    followed: its parameters follow in flight unless the user names others (docs/adaptation.md): they change from day to
+        day, and velocities and rates show them.
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, and "weight" too unless the vehicle file
         has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
@@ -241,6 +243,7 @@ class Effect:
     per_rotor: bool = False
     resists_air: bool = False
     stochastic: bool = False
+    followed: bool = False
     acts_on: ActsOn = "motion"
     sensor_prior: float | None = None
     excitation: Excitation | None = None

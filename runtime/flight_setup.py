@@ -16,6 +16,7 @@ import tomlkit
 from dynamics import symbolic
 from dynamics.codegen import has_compiler
 from dynamics.command import command_line
+from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
 from dynamics.references import Reference, check_feasibility, named_reference
 from dynamics.vehicle import Vehicle
@@ -43,7 +44,7 @@ from runtime.record.recording import FlightRecording
 
 SHIFTED_TIME = 0.1  # s of the shifted solution
 VEHICLE_TIMEOUT = 10.0  # s to wait for the vehicle
-FOLLOWED = ("wind", "rotor_drag", "parasitic_drag")
+FOLLOWED = tuple(name for name, effect in CATALOGUE.items() if effect.followed)
 LIBRARIES = ("numpy", "casadi", "pymavlink", "msgspec", "mcap")
 VEHICLE_TEXT, REFERENCE_TEXT = "vehicle.toml", "reference.csv"  # attachments of a recording
 EFFECT_FOLDER = "effects/"  # before the names of effect files among them

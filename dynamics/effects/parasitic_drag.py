@@ -25,6 +25,7 @@ EFFECT = Effect(
     parameters=(Parameter("coefficient", "N s^2/m^2", "half of air density x drag area", 0.0, 5.0, usual),),
     wrench=wrench,
     resists_air=True,
+    followed=True,
     excitation=Excitation(
         (FORCE, *POSE),
         measure="speed",

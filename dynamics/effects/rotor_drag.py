@@ -33,6 +33,7 @@ EFFECT = Effect(
     ),
     wrench=wrench,
     resists_air=True,
+    followed=True,
     excitation=Excitation(
         (FORCE, *POSE, DRIVE),
         measure="lateral_speed",

@@ -62,6 +62,7 @@ EFFECT = Effect(
     wrench=wrench,
     grid=grid,
     caveat="in a model without drag only velocity x coefficient shows: the coefficient is that of a usual rotor drag",
+    followed=True,
     excitation=Excitation(
         (FORCE, *POSE),
         measure="duration",

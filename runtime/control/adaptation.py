@@ -32,7 +32,7 @@ from runtime.control.rti.solver import AXES, FADING, FOLLOWED, MAX_FOLLOWED, STA
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Mode = Literal["off", "shadow", "on"]
-Group = Literal["other", "drag", "wind"]
+Group = Literal["other", "drag", "air"]
 MAX_INTERVAL = 0.1  # s between two estimates, beyond which the filter goes on from the newer one
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
 HISTORY = 64  # commands that are remembered
@@ -121,7 +121,7 @@ class FollowedParameter:
     index: its place there.
     value, std: its prior.
     lower, upper: its bounds.
-    group: "drag" shows where its slope varies, whose constant part depends on the wind; "wind" shows beside a drag that
+    group: "drag" shows where its slope varies, whose constant part depends on the air; "air", the wind, shows beside a drag that
         shows or is certain; "other" always.
     unit: SI.
     """
@@ -165,7 +165,7 @@ def followed_parameters(
     for item in active:
         group: Group = "drag" if item.effect.resists_air else "other"
         if item.effect.wind is not None and has_drag:
-            group = "wind"
+            group = "air"
         for parameter in item.effect.parameters if item.effect.name in names else ():
             if item.effect.wind is not None and parameter.name == wind.COEFFICIENT.name:
                 continue  # acts without a drag alone, where only its product with the wind would show

@@ -26,7 +26,7 @@ typedef struct {
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
     int index[MAX_FOLLOWED];  /* of each in the kernel's */
-    int group[MAX_FOLLOWED];  /* 1 a drag, 2 the wind, 0 another */
+    int group[MAX_FOLLOWED];  /* 1 a drag, 2 the air, 0 another */
 } filter_options;
 
 /* What happened between two estimates, for the guard. */
