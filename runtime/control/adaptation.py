@@ -121,8 +121,8 @@ class FollowedParameter:
     index: its place there.
     value, std: its prior.
     lower, upper: its bounds.
-    group: "drag" shows where its slope varies, whose constant part depends on the air; "air", the wind, shows beside a drag that
-        shows or is certain; "other" always.
+    group: "drag" shows where its slope varies, whose constant part depends on the wind; "air", the wind, beside a drag
+        that shows or is certain; "other" always.
     unit: SI.
     """
 
