@@ -479,7 +479,7 @@ class EquationErrorThresholds(ThresholdGroup, frozen=True):
     slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
         to turbulence. [docs/identification.md, section 3: an eighth of the bias is left]
     max_moved: standard deviations by which such instruments may move an effect that keeps the others; wider intervals
-        are their price. [benchmarks/verdicts.py, nothing hidden: 5 of 330 sets had an inertia without them, 2 with two
+        are their price. [benchmarks/verdicts.py, nothing hidden: 5 of 343 sets had an inertia without them, 2 with two
         deviations, none with one]
     min_more: variance of that change, at least, over that of the fit by slower motion. [convention: as little counts as
         none]

@@ -42,8 +42,7 @@ from runtime.record.records import (
 from runtime.telemetry_buffer import TelemetryBuffer
 from runtime.timing import Cause, Deadlines, Schedule, TickTimes
 
-HORIZON_EVERY = 10  # ticks between recorded horizons
-FOLLOWED_EVERY = 10  # ticks between records of what the model follows
+HORIZON_EVERY = 10  # ticks between recorded horizons, and between records of what the model follows
 MAX_DEFECTS = 10  # consecutive ticks that raise, a defect of ours, after which the stream is stopped
 LATE_SHARE = 0.2  # share of late ticks above which DEADLINES_MISSED is present
 Notification = Transition | EventChange | str
@@ -236,10 +235,11 @@ class ControlThread:
             states, inputs = flyer.horizon
             x, y, z = states[:, 0].copy(), states[:, 1].copy(), states[:, 2].copy()
             self._put(HorizonRecord(now, x, y, z, np.mean(inputs, axis=1)), now)
-        if flyer.horizon is not None and self.ticks % FOLLOWED_EVERY == 0 and (filtered := flyer.flight_filter):
-            names = " ".join(parameter.name for parameter in filtered.parameters)
-            estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
-            self._put(FollowedRecord(now, *estimated, names, filtered.values, filtered.deviations), now)
+            if flyer.adaptation is not None:
+                filtered = flyer.adaptation.filter
+                names = " ".join(parameter.name for parameter in filtered.parameters)
+                estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
+                self._put(FollowedRecord(now, *estimated, names, filtered.values, filtered.deviations), now)
         self._record_changes(decision, now)
 
     def _record_changes(self, decision: Decision, now: float) -> None:

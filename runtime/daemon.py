@@ -478,5 +478,5 @@ class Daemon:
             start_up=-1.0 if isnan(start_up) else start_up,
             scheduling=self._scheduling.describe(),
             origin=(float(origin[0]), float(origin[1]), float(origin[2])),
-            followed=flyer.followed,
+            followed=None if flyer.adaptation is None else flyer.adaptation.followed,
         )

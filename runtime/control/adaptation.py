@@ -259,13 +259,6 @@ class FlightFilter:
         """(n,) standard deviations of the parameters."""
         return np.asarray(self._scale * np.sqrt(self._covariance.diagonal()[FOLLOWED:]))
 
-    @property
-    def disturbance_deviation(self) -> Floats:
-        """(6,) standard deviations of the sum of the disturbance's parts."""
-        P = self._covariance
-        stays, fades = slice(STAYING, FADING), slice(FADING, FOLLOWED)
-        return np.asarray(np.sqrt((P[stays, stays] + P[fades, fades] + P[stays, fades] + P[fades, stays]).diagonal()))
-
     def _fill_options(self) -> None:
         options, settings = self._solver.filter_options, self.settings
         kinds = [settings.linear] * 3 + [settings.angular] * 3
@@ -379,9 +372,12 @@ class Adaptation:
         return ", ".join(texts)
 
     @property
-    def is_trusted(self) -> bool:
-        """Whether forces and parameters are flown as estimated, or would be; moments matter less to a path."""
-        return bool(self.filter.trust[0] >= 1.0)
+    def refusal(self) -> str:
+        """By how much forces and parameters forecast worse than the file's model; empty where they do not."""
+        if self.filter.trust[0] >= 1.0:
+            return ""
+        own, file = self.filter.squares[0]
+        return f"{math.sqrt(own / max(file, 1e-12)):.2g} times its error"
 
     @property
     def flies(self) -> bool:

@@ -14,7 +14,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
-from runtime.control.adaptation import FlightFilter, Followed
+from runtime.control.adaptation import Adaptation
 from runtime.control.controller import Command, Controller
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.contact import Ground, GroundProbe, tilt_of
@@ -118,14 +118,9 @@ class Flyer:
         return self._controller.fit_ratio
 
     @property
-    def followed(self) -> Followed | None:
-        """What the flown model follows, None where it does not."""
-        return None if self._controller.adaptation is None else self._controller.adaptation.followed
-
-    @property
-    def flight_filter(self) -> FlightFilter | None:
-        """The filter of the controller that flies, None without one."""
-        return None if self._flying.adaptation is None else self._flying.adaptation.filter
+    def adaptation(self) -> Adaptation | None:
+        """Of the controller that flies, None where its model does not follow."""
+        return self._flying.adaptation
 
     @property
     def horizon(self) -> tuple[Floats, Floats] | None:
@@ -201,8 +196,8 @@ class Flyer:
         if (adaptation := self._controller.adaptation) is not None:
             if changed := adaptation.changed:
                 self._pending[Event.MODEL_CHANGED] = changed
-            if not adaptation.is_trusted:
-                self._pending[Event.ADAPTATION_REFUSED] = ""
+            if refusal := adaptation.refusal:
+                self._pending[Event.ADAPTATION_REFUSED] = refusal
 
     def reference_now(self, time: float) -> Floats | None:
         """The reference's state (13,) at a time, s; None when nothing is tracked."""
@@ -232,9 +227,11 @@ class Flyer:
         self._sent = None
         self.effectiveness.command(self._thrust_map.collective_thrust(thrust), time)
         self._health.sent(rate_body, collective_thrust, time)
-        for controller in filter(None, (self._controller, self._nominal)):
-            realised = self._thrust_map.collective_thrust(thrust, self.effectiveness.value)
-            controller.sent(realised, time, self.effectiveness.value)
+        if self._controller.adaptation is not None:
+            effectiveness = self.effectiveness.value
+            realised = self._thrust_map.collective_thrust(thrust, effectiveness)
+            for controller in filter(None, (self._controller, self._nominal)):
+                controller.sent(realised, time, effectiveness)
 
     def _after_departure(self, time: float) -> None:
         """The work that is not urgent: store the solution, check the flight, update the effectiveness."""

@@ -55,26 +55,27 @@ double *rti_environment(rti *r) { return r->e; }
 
 /* What the disturbance adds to velocity and rate in half a substep of dt seconds, the s-th after the state's time. A
  * substep is these, the model, and these again (Strang splitting): second order, and a constant in every derivative. */
-static void half_kick(const rti *r, int s, double dt, double *x) {
-    double accelerations[AXES];
-    disturbance_at(&r->ocp, (s + 0.5) * dt, accelerations);
-    for (int i = 0; i < 3; i++) {
-        x[VELOCITY + i] += 0.5 * dt * accelerations[i];
-        x[RATE + i] += 0.5 * dt * accelerations[3 + i];
-    }
+static void half_kick(const rti *r, int s, double dt, double *kick) {
+    disturbance_at(&r->ocp, (s + 0.5) * dt, kick);
+    for (int i = 0; i < AXES; i++) kick[i] *= 0.5 * dt;
+}
+
+static void push(double *x, const double *kick) {
+    for (int i = 0; i < 3; i++) x[VELOCITY + i] += kick[i], x[RATE + i] += kick[3 + i];
 }
 
 /* The model over dt seconds, at most a node, for the age of an estimate and the state expected at the next tick. */
 void rti_propagate(rti *r, const double *x, const double *u, double dt, double *next) {
-    double from[NX], step = dt / SUBSTEPS;
+    double from[NX], kick[AXES], step = dt / SUBSTEPS;
     memcpy(next, x, sizeof from);
     for (int s = 0; s < SUBSTEPS; s++) {
         memcpy(from, next, sizeof from);
-        half_kick(r, s, step, from);
+        half_kick(r, s, step, kick);
+        push(from, kick);
         const double *arg[STEP_ARG] = {from, u, r->p, r->e, &step};
         double *res[STEP_RES] = {next};
         STEP(arg, res, r->iw, r->w, 0);
-        half_kick(r, s, step, next);
+        push(next, kick);
     }
 }
 
@@ -135,21 +136,24 @@ static void compose(const double *left, const double *in, double *out, int colum
 
 /* Roll the model out along the inputs, with the Jacobians of every node; a node may take several RK4 steps. */
 static void linearise(rti *r) {
-    double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], dt = r->ocp.options.node / SUBSTEPS;
+    double A[NX * NX], B[NX * NU], x[NX], before[NX * NX], kick[AXES];
+    double dt = r->ocp.options.node / SUBSTEPS;
     for (int k = 0; k < NODES; k++) {
         memcpy(x, r->ocp.x[k], sizeof x);
-        half_kick(r, k * SUBSTEPS, dt, x);
+        half_kick(r, k * SUBSTEPS, dt, kick);
+        push(x, kick);
         const double *arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
         double *res[NODE_RES] = {r->ocp.x[k + 1], r->A[k], r->B[k]};
         NODE(arg, res, r->iw, r->w, 0);
-        half_kick(r, k * SUBSTEPS, dt, r->ocp.x[k + 1]);
+        push(r->ocp.x[k + 1], kick);
         for (int s = 1; s < SUBSTEPS; s++) {
             memcpy(x, r->ocp.x[k + 1], sizeof x);
-            half_kick(r, k * SUBSTEPS + s, dt, x);
+            half_kick(r, k * SUBSTEPS + s, dt, kick);
+            push(x, kick);
             const double *next_arg[NODE_ARG] = {x, r->ocp.u[k], r->p, r->e, &dt};
             double *next_res[NODE_RES] = {r->ocp.x[k + 1], A, B};
             NODE(next_arg, next_res, r->iw, r->w, 0);
-            half_kick(r, k * SUBSTEPS + s, dt, r->ocp.x[k + 1]);
+            push(r->ocp.x[k + 1], kick);
             memcpy(before, r->A[k], sizeof(double) * NX * NX);
             compose(A, before, r->A[k], NX);
             memcpy(before, r->B[k], sizeof(double) * NX * NU);
