@@ -23,7 +23,7 @@ from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from flights.parallel import parallel_map
-from runtime.control.adaptation import AdaptationSettings
+from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight_setup import FOLLOWED
 from simulation.lockstep import fly_reference

@@ -19,7 +19,8 @@ from dynamics.controller_settings import CONTROL_RATE
 from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import Vehicle
 from runtime import realtime
-from runtime.control.adaptation import AdaptationSettings, Followed
+from runtime.control.adaptation import Followed
+from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.bundle import Bundle
 from runtime.control.controller import ControllerOptions
 from runtime.control_thread import ControlThread, Notification, Requests

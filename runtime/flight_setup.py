@@ -29,8 +29,9 @@ from dynamics.vehicle_file import (
     with_settings,
 )
 from dynamics.version import __version__
-from runtime.control.adaptation import AdaptationSettings, Mode, with_followed
+from runtime.control.adaptation_settings import AdaptationSettings, Mode
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, parse_manifest, read_bundle
+from runtime.control.followed_parameters import with_followed
 from runtime.control.kernel_model import KernelModel, trim_of
 from runtime.control.rti.prebuilt import flown_model
 from runtime.daemon import FlightRequest

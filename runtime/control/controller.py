@@ -21,8 +21,10 @@ from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
-from runtime.control.adaptation import Adaptation, AdaptationSettings, with_followed
+from runtime.control.adaptation import Adaptation
+from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.bundle import Bundle
+from runtime.control.followed_parameters import with_followed
 from runtime.control.history import ColumnHistory
 from runtime.control.kernel_model import FlownModel
 from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange

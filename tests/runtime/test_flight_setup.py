@@ -4,7 +4,7 @@ import pytest
 
 from dynamics.errors import RequestError
 from dynamics.vehicle_file import parse_vehicle
-from runtime.control.adaptation import Mode
+from runtime.control.adaptation_settings import Mode
 from runtime.flight_setup import FOLLOWED, VEHICLE_TEXT, FlightSetup, prepare_flight
 
 LINK = "udpin:127.0.0.1:14999"

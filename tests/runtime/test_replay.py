@@ -11,7 +11,7 @@ import pytest
 
 from dynamics.errors import DataError
 from dynamics.vehicle import Vehicle
-from runtime.control.adaptation import AdaptationSettings
+from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.mission import Plan

@@ -13,8 +13,10 @@ from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.references import named_reference
 from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
-from runtime.control.adaptation import AdaptationSettings, FlightFilter, followed_parameters, with_followed
+from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.flight_filter import FlightFilter
+from runtime.control.followed_parameters import followed_parameters, with_followed
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.solver import RtiSolver
 from simulation.lockstep import FlownReference, fly_reference

@@ -1,0 +1,87 @@
+"""Settings of a model that follows in flight: noise of its Kalman filter, and when what it estimates is not flown.
+
+What each does is derived in docs/adaptation.md.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+Positive = Annotated[float, Meta(gt=0)]
+NotNegative = Annotated[float, Meta(ge=0)]
+Mode = Literal["off", "shadow", "on"]
+
+
+class AxisNoise(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Noise of one kind of axis. Accelerations: m/s^2 or rad/s^2.
+
+    measurement: standard deviation of an estimate's velocity or rate, m/s or rad/s.
+    drift: of the staying part, acceleration per sqrt(s).
+    fading: standard deviation of the fading part, acceleration.
+    fading_time: s in which it falls to 1/e.
+    limit: of the sum of both parts, acceleration.
+    """
+
+    measurement: Positive
+    drift: Positive
+    fading: Positive
+    fading_time: Positive
+    limit: Positive
+
+
+class GuardLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """When what was estimated is not flown: where it has forecast worse than the vehicle file's model does.
+
+    forecast: s ahead.
+    averaging: s over which squared errors are averaged, and in which what was estimated fades from the flight.
+    tolerance: ratio of errors up to which it is trusted.
+    linear_resolution: m/s, error of a velocity that does not count.
+    angular_resolution: rad/s, of a rate.
+    """
+
+    forecast: Positive = 0.2
+    averaging: Positive = 1.0
+    tolerance: Positive = 1.1
+    linear_resolution: Positive = 0.03
+    angular_resolution: Positive = 0.1
+
+
+class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a model follows in flight.
+
+    mode: "off", "shadow" (estimated and recorded, not flown) or "on".
+    follow: effects whose parameters are estimated; those that the model lacks are added to it.
+    thrust_lag: s by which thrust follows its commands later than the model predicts.
+    moments: whether the angular disturbance is flown, too: with planned rotor speeds it holds what the autopilot's rate
+        loop does otherwise, and makes tracking worse.
+    linear: noise of velocities, world axes.
+    angular: of body rates, body axes.
+    gate: standard deviations beyond which an estimate has jumped.
+    start: standard deviation of the staying part at the start, as a share of the fading part's.
+    drift: of a parameter, as a share of its prior's standard deviation per sqrt(s).
+    window: s over which a drag's slope must vary for it to be followed.
+    variation: by how much, m/s^2 per standard deviation of its prior.
+    drag_deviations: from zero, beyond which a drag is certain, and shows the wind where it does not vary itself.
+    leaving_time: s in which the linear part that stays leaves to the wind, where that is followed: both are constant
+        forces, and their difference would wander.
+    prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
+    """
+
+    mode: Mode = "off"
+    follow: tuple[str, ...] = ()
+    thrust_lag: NotNegative = 0.0
+    moments: bool = False
+    linear: AxisNoise = AxisNoise(measurement=0.02, drift=0.5, fading=1.0, fading_time=1.0, limit=5.0)
+    angular: AxisNoise = AxisNoise(measurement=0.05, drift=0.5, fading=2.0, fading_time=0.3, limit=30.0)
+    gate: Positive = 6.0
+    start: Positive = 1.0
+    drift: Positive = 0.05
+    window: Positive = 3.0
+    variation: Positive = 0.3
+    drag_deviations: Positive = 3.0
+    leaving_time: Positive = 10.0
+    prior_scale: Positive = 3.0
+    guard: GuardLimits = GuardLimits()

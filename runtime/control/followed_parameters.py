@@ -1,0 +1,81 @@
+"""Parameters of effects that are estimated in flight: which of a model's, with the effects' own bounds and priors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from dynamics.active_effect import activate, model_parameters
+from dynamics.effect import Effect
+from dynamics.effects import CATALOGUE, wind
+from dynamics.errors import RequestError
+from dynamics.own_effects import catalogue_of
+from dynamics.vehicle import EffectUse, Vehicle
+from runtime.control.kernel_model import FlownModel
+
+Group = Literal["other", "drag", "air"]
+
+
+@dataclass(frozen=True)
+class FollowedParameter:
+    """A parameter that is followed in flight.
+
+    name: as in the model's parameter vector, such as "wind.x".
+    index: its place there.
+    value, std: its prior.
+    lower, upper: its bounds.
+    group: "drag" shows where its slope varies, whose constant part depends on the wind; "air", the wind, beside a drag
+        that shows or is certain; "other" always.
+    unit: SI.
+    """
+
+    name: str
+    index: int
+    value: float
+    std: float
+    lower: float
+    upper: float
+    group: Group = "other"
+    unit: str = ""
+
+
+def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str, Effect] = CATALOGUE) -> Vehicle:
+    """The vehicle with those of the effects that it lacks, each as if it were not there.
+
+    Raises RequestError for an effect that is not in the catalogue, of one rotor, or that noise drives.
+    """
+    offered = catalogue_of(vehicle, catalogue)
+    there = {use.name for use in vehicle.effects}
+    for name in names:
+        effect = offered.get(name)
+        if effect is None or effect.per_rotor or effect.stochastic or not effect.moves_vehicle:
+            what = "not in the catalogue" if effect is None else "of one rotor, of a sensor or random"
+            raise RequestError(f"{name} cannot be followed in flight: it is {what}. `alula effects` lists all effects.")
+    neutral = (
+        EffectUse(name, {p.name: p.neutral for p in offered[name].parameters}) for name in names if name not in there
+    )
+    return vehicle.with_effects(*neutral)
+
+
+def followed_parameters(
+    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0
+) -> list[FollowedParameter]:
+    """The parameters of those effects that are in a model. The bounds and priors are the effects' own."""
+    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
+    places = list(model_parameters(model.vehicle, active))
+    has_drag = any(item.effect.resists_air for item in active)
+    followed = []
+    for item in active:
+        group: Group = "drag" if item.effect.resists_air else "other"
+        if item.effect.wind is not None and has_drag:
+            group = "air"
+        for parameter in item.effect.parameters if item.effect.name in names else ():
+            if item.effect.wind is not None and parameter.name == wind.COEFFICIENT.name:
+                continue  # acts without a drag alone, where only its product with the wind would show
+            name, std = f"{item.key}.{parameter.name}", prior_scale * parameter.prior(model.vehicle).std
+            bounds = parameter.lower, parameter.upper
+            value = item.values[parameter.name]
+            place = places.index(name)
+            followed.append(FollowedParameter(name, place, value, std, *bounds, group, parameter.unit))
+    return followed
