@@ -9,9 +9,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from studies.tables import Table
-from studio.page import write_page
-from studio.provenance import origin
-from studio.tables import Image, PageTable, tables_page
+from studio.pages.page import write_page
+from studio.pages.provenance import origin
+from studio.pages.tables import Image, PageTable, tables_page
 
 
 def write_tables_page(

@@ -1,1 +1,1 @@
-"""Reports as self-contained HTML pages with their pictures inside, which need no network."""
+"""What people look at: the pages of reports, and the studio, a local application in the browser."""

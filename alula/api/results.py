@@ -54,9 +54,9 @@ class ComparisonResult:
 
     def write_html(self, path: str | Path) -> None:
         """Write a page with all pictures, one file. Raises RequestError when it cannot be written."""
-        from studio.page import write_page
-        from studio.provenance import dataset_origin
-        from studio.report import comparison_page
+        from studio.pages.page import write_page
+        from studio.pages.provenance import dataset_origin
+        from studio.pages.report import comparison_page
 
         page = comparison_page(self.details, self.dataset, self.vehicle, origin=dataset_origin(self.dataset))
         write_page(page, Path(path))
@@ -93,9 +93,9 @@ class DiagnosisResult:
 
         add_command: what the page recommends to run next.
         """
-        from studio.page import write_page
-        from studio.provenance import dataset_origin
-        from studio.report import diagnosis_page
+        from studio.pages.page import write_page
+        from studio.pages.provenance import dataset_origin
+        from studio.pages.report import diagnosis_page
 
         source = dataset_origin(self.dataset, add_command)
         write_page(diagnosis_page(self.details, self.dataset, self.vehicle, origin=source), Path(path))

@@ -56,7 +56,7 @@ def diagnose(
         result.write_json(json)
     shared = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}
     if html is not None:
-        from studio.report import add_command
+        from studio.pages.report import add_command
 
         adding = add_command(result.report, logs, vehicle, shared, result.details.regression.catalogue)
         result.write_html(html, add_command=adding)

@@ -17,12 +17,12 @@ from alula.cli.options import Effects, Mapping, Pose
 from alula.cli.output import print_next
 from dynamics.errors import AlulaError, DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
-from studio.provenance import origin
+from studio.pages.provenance import origin
 
 if TYPE_CHECKING:
     from flights import Log
     from flights.quality import Inspection
-    from studio.inspected import Section
+    from studio.pages.inspected import Section
 
 AUTOPILOTS = ("PX4 ULog", "ArduPilot DataFlash log")  # formats whose logs state the layout of rotors
 MINOR = (
@@ -81,8 +81,8 @@ def inspect(
         for inspection in inspections:
             _print(inspection, console, everything=everything)
     if html is not None:
-        from studio.inspected import inspection_page
-        from studio.page import write_page
+        from studio.pages.inspected import inspection_page
+        from studio.pages.page import write_page
 
         hashes = {inspection.path: inspection.sha256 for inspection in inspections}
         write_page(inspection_page(sections, origin=origin(hashes)), html)
@@ -94,7 +94,7 @@ def inspect(
 
 
 def _section(inspection: Inspection, streams: Log) -> Section:
-    from studio.inspected import section
+    from studio.pages.inspected import section
 
     return section(inspection, alula.Flight.from_log(streams))
 

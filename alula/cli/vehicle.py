@@ -143,7 +143,7 @@ def show(
 
     loaded = alula.load_vehicle(vehicle, effect_files=effects or ())
     with workbench("alula vehicle show"):
-        from studio.vehicle_picture import TURNING, draw_layout
+        from studio.pages.vehicle_picture import TURNING, draw_layout
     path = draw_layout(loaded, out or Path(f"{find_vehicle(vehicle).stem}.png"))
     rotors = [
         {"name": name, "position": list(position), "turns": TURNING[spin][1]}

@@ -180,9 +180,9 @@ def _table(headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
 
 def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
     """The demo's page, or where nothing was flown again the page of the diagnosis."""
-    from studio.flown import FlownComparison
-    from studio.page import Origin
-    from studio.report import demo_page, diagnosis_page
+    from studio.pages.flown import FlownComparison
+    from studio.pages.page import Origin
+    from studio.pages.report import demo_page, diagnosis_page
 
     flown = [
         FlownComparison(before.name, _flown_track(before), _flown_track(after))
@@ -205,7 +205,7 @@ def _write_page(report: DemoReport, learning: Learning, path: Path) -> None:
 
 
 def _flown_track(flown: FlownManoeuvre) -> Any:
-    from studio.flown import FlownTrack
+    from studio.pages.flown import FlownTrack
 
     errors = (flown.position_rmse, flown.position_max, flown.speed_max)
     return FlownTrack(*flown_and_setpoint(Path(flown.recording)), *errors, flown.px4_rmse)

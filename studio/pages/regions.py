@@ -12,8 +12,8 @@ import plotly.graph_objects as go
 from diagnosis.models.channels import KINDS, NAMES
 from diagnosis.regimes import Plane, Regime
 from dynamics.arrays import Floats
-from studio.figure import UNFLOWN, Choice, Picture, choosing, picture
-from studio.numbers import quantity_shown
+from studio.pages.figure import UNFLOWN, Choice, Picture, choosing, picture
+from studio.pages.numbers import quantity_shown
 
 SCALE = "Cividis"
 

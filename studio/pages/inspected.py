@@ -12,7 +12,7 @@ from plotly.subplots import make_subplots
 
 from flights import Flight
 from flights.quality import Inspection
-from studio.figure import (
+from studio.pages.figure import (
     AFTER,
     BLACK,
     FLOOR,
@@ -28,7 +28,7 @@ from studio.figure import (
     picture,
     thinned,
 )
-from studio.page import Origin, render
+from studio.pages.page import Origin, render
 
 ROWS = (
     ("velocity", "velocity", "m/s"), ("rate", "body rate", "rad/s"), ("specific_force", "specific force", "m/s²"),

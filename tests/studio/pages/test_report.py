@@ -17,12 +17,12 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
-from studio.evidence import likeness, overlay
-from studio.flown import FlownComparison, FlownTrack, best_view, sides_of
-from studio.numbers import quantity_shown, shown
-from studio.page import Origin, write_page
-from studio.provenance import dataset_origin
-from studio.report import add_command, comparison_page, demo_page, diagnosis_page
+from studio.pages.evidence import likeness, overlay
+from studio.pages.flown import FlownComparison, FlownTrack, best_view, sides_of
+from studio.pages.numbers import quantity_shown, shown
+from studio.pages.page import Origin, write_page
+from studio.pages.provenance import dataset_origin
+from studio.pages.report import add_command, comparison_page, demo_page, diagnosis_page
 
 MAX_SIZE = 5_000_000  # bytes
 ORIGIN = Origin("alula diagnose <a> & b.csv", "2026-01-01T00:00:00+00:00", {"b.csv": "0" * 64}, "alula add rotor_drag")

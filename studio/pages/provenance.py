@@ -10,7 +10,7 @@ from dynamics.command import command_line
 
 if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
-    from studio.page import Origin
+    from studio.pages.page import Origin
 
 
 def origin(inputs: Mapping[str, str], add: str = "", *, held_out: Collection[str] = ()) -> Origin:
@@ -18,7 +18,7 @@ def origin(inputs: Mapping[str, str], add: str = "", *, held_out: Collection[str
 
     inputs: sha256 by path. add: the command that adds an effect. held_out: inputs that nothing was fitted to.
     """
-    from studio.page import Origin  # imports jinja2 and plotly, which the base install lacks
+    from studio.pages.page import Origin  # imports jinja2 and plotly, which the base install lacks
 
     made = datetime.datetime.now(tz=datetime.UTC).isoformat(timespec="seconds")
     return Origin(command_line(), made, dict(inputs), add, held_out)

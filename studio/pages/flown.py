@@ -11,7 +11,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from dynamics.arrays import Floats
-from studio.figure import AFTER, BEFORE, Picture, line, picture, thinned
+from studio.pages.figure import AFTER, BEFORE, Picture, line, picture, thinned
 
 MAX_POINTS = 1200  # of a line
 OBLIQUE, DISTANCE, THINNEST = 0.25, 1.5, 0.05  # of the view on a path in space, in sizes of the path

@@ -18,7 +18,7 @@ from plotly import offline
 from diagnosis.models.channels import channel_name
 from diagnosis.report import refusal_sentence, remains
 from dynamics.files import write_whole
-from studio.numbers import quantity_shown, shown, unit_shown
+from studio.pages.numbers import quantity_shown, shown, unit_shown
 
 TEMPLATES = Path(__file__).parent / "templates"
 PACKAGES = ("alula", "numpy", "scipy", "casadi")
@@ -43,7 +43,7 @@ class Origin:
 
 
 def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:
-    """A page from a template of `studio/templates`, as HTML."""
+    """A page from a template of `studio/pages/templates`, as HTML."""
     versions = {name: metadata.version(name) for name in PACKAGES}
     page: str = (
         _environment()

@@ -19,12 +19,12 @@ from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
-from studio import diagnosed as pictures
-from studio import flown as flown_pictures
-from studio import regions
-from studio.evidence import agreement, likeness, overlay
-from studio.flown import FlownComparison
-from studio.page import Origin, render
+from studio.pages import diagnosed as pictures
+from studio.pages import flown as flown_pictures
+from studio.pages import regions
+from studio.pages.evidence import agreement, likeness, overlay
+from studio.pages.flown import FlownComparison
+from studio.pages.page import Origin, render
 
 
 def diagnosis_page(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:

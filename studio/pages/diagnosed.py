@@ -13,9 +13,22 @@ from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
 from diagnosis.report import ChannelError, Diagnosis
 from diagnosis.selection.search import IMPOSSIBLE, Scored
 from diagnosis.spectrum import Spectrum
-from studio.evidence import Agreement, Likeness, Overlay, by_kind
-from studio.figure import AFTER, BEFORE, FLOOR, GREEN, MEASURED, ORANGE, SKY, Choice, Picture, choosing, line, picture
-from studio.numbers import unit_shown
+from studio.pages.evidence import Agreement, Likeness, Overlay, by_kind
+from studio.pages.figure import (
+    AFTER,
+    BEFORE,
+    FLOOR,
+    GREEN,
+    MEASURED,
+    ORANGE,
+    SKY,
+    Choice,
+    Picture,
+    choosing,
+    line,
+    picture,
+)
+from studio.pages.numbers import unit_shown
 
 NAMES_WRAPPED = {kind: name.replace(" ", "<br>") for kind, name in NAMES.items()}
 AXIS_NAMES = "xyz"

@@ -6,7 +6,7 @@ import base64
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from studio.page import Origin, render
+from studio.pages.page import Origin, render
 
 Cell = str | int | float | None
 

@@ -1,0 +1,1 @@
+"""A case: logs, a vehicle, versions of its file and results, as a folder."""

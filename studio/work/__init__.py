@@ -1,0 +1,1 @@
+"""Long work of a case in processes of its own, with progress and cancel."""
