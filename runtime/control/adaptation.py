@@ -88,6 +88,7 @@ class Adaptation:
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
+        self._sent: tuple[float, float] | None = None
         self.newest = -math.inf
         self._measured: Measured | None = None
         self._compared: Measured | None = None
@@ -135,25 +136,20 @@ class Adaptation:
             self.filter.clear()
             self._fly()
         self._thrust.clear()
-        self._last = self._measured = self._compared = None
+        self._last = self._sent = self._measured = self._compared = None
 
     def command(self, time: float, speed: Floats) -> None:
         """Add rotor speeds (n,) rad/s that act from a time on."""
         self._last = time, speed
 
     def sent(self, collective_thrust: float, acts_at: float, effectiveness: float) -> None:
-        """Tell what left in place of the last command, N, and from when on it acts, s.
+        """Tell what left in place of this tick's command, N, and from when on it acts, s.
 
         effectiveness: thrust per modelled thrust; below 1 the rotors do not give their thrust at full speed any more.
         """
         if self.flies:
             self._solver.input_upper[:] = self._highest_speed * math.sqrt(min(effectiveness, 1.0))
-        if self._last is None or self._last[0] != acts_at:
-            self._compared = None  # a fallback that is none of the controller's commands
-            return
-        speed = self._last[1]
-        commanded = float((speed * speed) @ self._thrust_constants)
-        self._last = acts_at, speed * math.sqrt(collective_thrust / commanded)
+        self._sent = acts_at, collective_thrust
 
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:
         """Take an estimate with the model's hidden states (nx,), to be compared by the next `update`."""
@@ -161,9 +157,7 @@ class Adaptation:
 
     def update(self) -> None:
         """Compare the last estimate with its prediction from the one before, and fly what follows."""
-        if self._last is not None:
-            self._thrust.add(*self._last)
-            self._last = None
+        self._add_command()
         before, now = self._compared, self._measured
         if now is None or (before is not None and now.time <= before.time):
             return
@@ -191,3 +185,16 @@ class Adaptation:
         flown[:AXES], flown[FLOWN_FADES] = trust * filtered.staying, trust * filtered.fading
         if filtered.parameters:
             self._solver.parameters[filtered.index] = filtered.flown_values
+
+    def _add_command(self) -> None:
+        """Let thrust follow the last command as it left, be it this controller's or one that it tracks."""
+        last, sent = self._last, self._sent
+        self._last = self._sent = None
+        if sent is not None and (last is None or last[0] != sent[0]):
+            self._compared = None  # a fallback that is no controller's command
+        if last is None:
+            return
+        time, speed = last
+        if sent is not None and sent[0] == time:
+            speed = speed * math.sqrt(sent[1] / float((speed * speed) @ self._thrust_constants))
+        self._thrust.add(time, speed)

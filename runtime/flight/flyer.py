@@ -166,12 +166,17 @@ class Flyer:
         if self._estimate is not None and self._nominal is not None and self._flying is self._nominal:
             self._controller.keep_warm(self._nominal, self._estimate.state, self._estimate.time, time)
         self._check_model(time)
+        self._track_with_nominal(time)
         self._controller.prepare(*window)
         self._prepared = True
-        self._prepare_nominal(window, time)
+        if self._nominal is not None and self._nominal_ready:
+            self._nominal.prepare(*window)
 
-    def _prepare_nominal(self, window: tuple[Floats, Floats], time: float) -> None:
-        """Keep the nominal controller ready while a learned model flies, and while an event requires a fallback."""
+    def _track_with_nominal(self, time: float) -> None:
+        """Keep the nominal controller ready while a learned model flies, and while an event requires a fallback.
+
+        Before either is prepared, which moves their inputs to the next tick.
+        """
         if self._nominal is None or (self.events.fallback is Fallback.NONE and not self._controller.is_learned):
             self._nominal_ready = False
             return
@@ -181,7 +186,6 @@ class Flyer:
             self._nominal.reset(self._state, time)
         if not diverging and self._estimate is not None and self._flying is not self._nominal:
             self._nominal.keep_warm(self._controller, self._estimate.state, self._estimate.time, time)
-        self._nominal.prepare(*window)
         self._nominal_ready = True
 
     def _check_model(self, time: float) -> None:

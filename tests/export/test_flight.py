@@ -8,17 +8,19 @@ import pytest
 
 from dynamics.errors import RequestError
 from dynamics.references import named_reference
-from dynamics.vehicle import Limits, Vehicle
+from dynamics.vehicle import EffectUse, Limits, Vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import exported
+from runtime.control.adaptation_settings import AdaptationSettings, Mode
 from runtime.control.bundle import Bundle, bundle_of, read_bundle
-from runtime.control.controller import Controller
+from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
 from runtime.flight.engagement import State
 from runtime.flight.events import Event
 from runtime.flight.mission import Phase
 from runtime.flight_setup import FlightSetup, prepare_flight
+from simulation.lockstep import FlownReference, fly_reference
 from tests.support.rate_controlled_vehicle import PERIOD, Flight, Story
 from tests.support.trained import replaced, untrained_model
 from training.models import KINDS
@@ -65,6 +67,29 @@ def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(
     thrust = np.array([decision.collective_thrust for decision in flight.story.decisions[-210:]])
     assert np.abs(np.diff(sent, axis=0)).max() < 0.2  # rad/s from one tick to the next
     assert np.abs(np.diff(thrust)).max() < 0.05 * bundle.vehicle.weight
+
+
+def in_wind(bundle: Bundle, mode: Mode) -> tuple[FlownReference, Controller, Controller]:
+    """A hover in 6 m/s of wind, of which neither the network nor the nominal model knows."""
+    options = ControllerOptions.for_vehicle(bundle.vehicle, adaptation=AdaptationSettings(mode=mode))
+    controller, nominal = Controller.from_bundle(bundle, options), Controller.fallback_from_bundle(bundle, options)
+    assert nominal is not None
+    hidden = EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("wind", {"x": 6.0, "y": 0.0, "z": 0.0})
+    reference = named_reference("Hover", bundle.vehicle, duration=8.0)
+    flight = fly_reference(bundle.vehicle, reference, effects=hidden, seed=5, controller=controller, nominal=nominal)
+    return flight, controller, nominal
+
+
+def test_a_learned_model_follows_the_wind_and_so_does_the_fallback_beside_it(bundle: Bundle) -> None:
+    assert in_wind(bundle, "off")[0].position_rmse > 0.12
+    flight, controller, nominal = in_wind(bundle, "on")
+    assert flight.fallbacks == 0
+    assert flight.position_rmse < 0.015
+    assert controller.adaptation is not None
+    assert nominal.adaptation is not None
+    own, fallback = (np.array(a.followed.disturbance[:3]) for a in (controller.adaptation, nominal.adaptation))
+    assert own[0] > 2.0  # m/s^2 downwind
+    np.testing.assert_allclose(fallback, own, atol=0.3)  # the network itself pushes by as much
 
 
 def limited(bundle: Bundle, limits: Limits) -> Bundle:
