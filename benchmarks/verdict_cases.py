@@ -176,12 +176,13 @@ def _fly_ours(case: Case) -> None:
 def strengths(campaign: Campaign, truths: Sequence[Truth]) -> dict[str, float]:
     """RMS of what the file's model misses below 8 Hz over the noise there, by kind of channel."""
     sos = butter(4, 8.0, fs=1 / (ROW_STEPS * STEP), output="sos")
-    force, turn, pull, swing = [], [], [], []
+    force, turn, pull, swing, rates = [], [], [], [], []
     for truth in truths:
         missed = sosfiltfilt(sos, np.hstack(_missed(campaign, truth)), axis=0)[50:-50]
         force.append(missed[:, :3])
         turn.append(missed[:, 3:])
         rate = sosfiltfilt(sos, truth.rate, axis=0)
+        rates.append(rate[50:-50])
         swing.append(np.gradient(rate, ROW_STEPS * STEP, axis=0)[50:-50])
         pull.append(np.gradient(sosfiltfilt(sos, truth.force, axis=0), ROW_STEPS * STEP, axis=0)[50:-50])
     floor = _floors(campaign)
@@ -189,11 +190,12 @@ def strengths(campaign: Campaign, truths: Sequence[Truth]) -> dict[str, float]:
     late = faults.get("time_delay", {}).get("delay", 0.0)
     turned = late + faults.get("attitude_delay", {}).get("delay", 0.0)
     bias = np.linalg.norm([faults.get("gyro_bias", {}).get(axis, 0.0) for axis in "xyz"])
+    scale = abs(faults.get("gyro_scale", {}).get("ratio", 1.0) - 1)
     made = {
         "imu": np.sqrt(max(_rms(force) ** 2 - floor["turbulent_force"] ** 2, 0.0)),
         "angular": np.sqrt(max(_rms(turn) ** 2 - floor["turbulent_turn"] ** 2, 0.0)),
         "mocap": late * _rms(pull),
-        "attitude_rate": float(bias) + turned * _rms(swing),
+        "attitude_rate": float(bias) + turned * _rms(swing) + float(scale) * _rms(rates),
     }
     return {kind: float(value / floor[kind]) for kind, value in made.items()}
 
@@ -221,7 +223,7 @@ def _missed(campaign: Campaign, truth: Truth) -> tuple[Floats, Floats]:
     force, moment = wrench_of(fleet, state, 0)
     felt = truth.force + np.array([faults.get("imu_bias", {}).get(axis, 0.0) for axis in "xyz"])
     turned = np.array([faults.get("imu_misalignment", {}).get(axis, 0.0) for axis in "xyz"])
-    felt = felt - np.cross(turned, truth.force)
+    felt = faults.get("imu_scale", {}).get("ratio", 1.0) * (felt - np.cross(turned, truth.force))
     twisted = (moment - np.cross(truth.rate, frame.inertia * truth.rate)) / frame.inertia
     return felt - force / frame.mass, np.gradient(truth.rate, ROW_STEPS * STEP, axis=0) - twisted
 

@@ -160,7 +160,7 @@ def loops(some: Sequence[Result]) -> list[str]:
         s for s in steps
         if any(c["after"] > 1.01 * c["before"] for c in s["channels"].values())
     ]  # fmt: skip
-    drifted = [s for s in steps if _drifted(*s["open_loop"])]
+    drifted = [s for s in steps if drifted(*s["open_loop"])]
     inside = [r for r in done if r["name"] in ("single", "random")]
     at_floor = [
         r
@@ -174,7 +174,7 @@ def loops(some: Sequence[Result]) -> list[str]:
     ]
 
 
-def _drifted(before: Sequence[Mapping[str, float]], after: Sequence[Mapping[str, float]]) -> bool:
+def drifted(before: Sequence[Mapping[str, float]], after: Sequence[Mapping[str, float]]) -> bool:
     """Whether any open-loop error grew by more than 2 %."""
     names = ("position", "velocity", "attitude", "rate")
     return any(b[name] > 1.02 * a[name] for a, b in zip(before, after, strict=True) for name in names)

@@ -333,17 +333,29 @@ def _ages(model: Model, p: Expression) -> Expression:
 
 def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
     """Body rate and rotor speeds from their readings, which are affine in them, the rate behind a turn of the gyro."""
+    nothing, true_speed = ca.SX.zeros(3), ca.SX.sym("true_speed", model.input_count)
+    _, offset, speed_read, *_, axes = model.measure(nothing, nothing, true_speed, p, nothing)
+    still = ca.substitute(speed_read, true_speed, ca.SX.zeros(true_speed.shape))
+    true_rate = _solved(_gyro_gain(model, p), quaternion.rotate(axes, rate) - offset)
+    return true_rate, _solved(ca.jacobian(speed_read, true_speed), speed - still)
 
-    def solved(reading: Expression, read: Expression, true: Expression) -> Expression:
-        slope = ca.jacobian(read, true)
-        offset = ca.substitute(read, true, ca.SX.zeros(true.shape))
-        return (
-            ca.solve(slope, reading - offset) if not slope.sparsity().is_diag() else (reading - offset) / ca.diag(slope)
-        )
 
-    true_rate, true_speed = ca.SX.sym("true_rate", 3), ca.SX.sym("true_speed", model.input_count)
-    _, rate_read, speed_read, *_, axes = model.measure(ca.SX.zeros(3), true_rate, true_speed, p, ca.SX.zeros(3))
-    return solved(quaternion.rotate(axes, rate), rate_read, true_rate), solved(speed, speed_read, true_speed)
+def _true_acceleration(model: Model, measured: Expression, p: Expression) -> Expression:
+    """(3,) angular acceleration from the gyro's derivative, which has the gyro's scale and axes."""
+    axes = model.measure(*(ca.SX.zeros(n) for n in (3, 3, model.input_count)), p, ca.SX.zeros(3))[-1]
+    return _solved(_gyro_gain(model, p), quaternion.rotate(axes, measured))
+
+
+def _gyro_gain(model: Model, p: Expression) -> Expression:
+    """(3, 3) slope of the measured body rate in the true one, in the body's axes."""
+    rate, nothing = ca.SX.sym("true_rate", 3), ca.SX.zeros(3)
+    read = model.measure(nothing, rate, ca.SX.zeros(model.input_count), p, nothing)[1]
+    return ca.jacobian(read, rate)
+
+
+def _solved(slope: Expression, reading: Expression) -> Expression:
+    """What slope times gives the reading."""
+    return reading / ca.diag(slope) if slope.sparsity().is_diag() else ca.solve(slope, reading)
 
 
 def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
@@ -355,14 +367,16 @@ def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
     p = s["p"]
     smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], p)
     gyro, _ = _true(model, s["gyro"], s["speed"], p)
-    *_, attitude_age, arm, gyro_axes = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, s["angular"])
+    turning = _true_acceleration(model, s["angular"], p)
+    *_, attitude_age, arm, gyro_axes = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, turning)
     late = quaternion.small_turn(attitude_age * smooth_rate)
     attitude = quaternion.multiply(s["x"][ATTITUDE], late)
     state = ca.vertcat(s["x"][: ATTITUDE.start], attitude, smooth_rate, s["x"][HIDDEN])
     force, angular = model.respond(state, speed, s["acceleration"], p, s["e"])
-    read = model.measure(force, smooth_rate, speed, p, s["angular"])[0]
-    at_pose = force + lever_arm_acceleration(arm, smooth_rate, s["angular"])
-    return ca.vertcat(read, quaternion.rotate_inverse(gyro_axes, angular), gyro, quaternion.rotate(late, at_pose))
+    read = model.measure(force, smooth_rate, speed, p, turning)[0]
+    at_pose = force + lever_arm_acceleration(arm, smooth_rate, turning)
+    of_gyro = quaternion.rotate_inverse(gyro_axes, _gyro_gain(model, p) @ angular)
+    return ca.vertcat(read, of_gyro, gyro, quaternion.rotate(late, at_pose))
 
 
 def _advance(model: Model, s: Mapping[str, Expression], count: int) -> ca.Function:

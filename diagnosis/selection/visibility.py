@@ -13,7 +13,8 @@ from dynamics.state import ATTITUDE, POSITION, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 
 STATE_ROWS = {"position": POSITION, "velocity": VELOCITY, "attitude": ATTITUDE}
-RATE_READING, POSE_AGE, ATTITUDE_AGE, POSE_ARM, GYRO_AXES = (
+FORCE_READING, RATE_READING, POSE_AGE, ATTITUDE_AGE, POSE_ARM, GYRO_AXES = (
+    0,
     1,
     3,
     4,
@@ -37,16 +38,29 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
         return False  # thrust carries the weight, and what is left of a mass is what inertia does
     if any(s.battery_ratio is None for s in segments) and needs_battery(effect, vehicle, catalogue):
         return False
-    if any(s.pose_source == "estimator" for s in segments) and _turns_gyro(effect, vehicle, catalogue):
-        return False  # an estimator's attitude is that of the sensors, whose axes are then the body's
+    if any(s.pose_source == "estimator" for s in segments) and _turns_or_scales(effect, vehicle, catalogue):
+        return False  # an estimator's pose is that of the sensors, with their axes and scale
     lacks = frozenset[str]().union(*(s.lacks for s in segments))
     return not lacks or not lacks & state_dependencies(effect, vehicle, catalogue)
 
 
-def _turns_gyro(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
-    """Whether an effect turns the axes of the inertial sensors against the body."""
+def _turns_or_scales(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
+    """Whether an effect turns the axes of the inertial sensors against the body, or changes their scale."""
     measure = _alone(effect, vehicle, catalogue).measure
-    return not effect.moves_vehicle and measure.jac_sparsity(GYRO_AXES, PARAMETERS).nnz() > 0
+    turns = measure.jac_sparsity(GYRO_AXES, PARAMETERS).nnz() > 0
+    return not effect.moves_vehicle and (turns or bool(_scaled(measure)))
+
+
+def _scaled(measure: ca.Function) -> set[int]:
+    """Places of the inertial sensors' readings of which parameters change the scale, axis by axis."""
+    symbols = [ca.SX.sym(name, measure.size1_in(i)) for i, name in enumerate(measure.name_in())]
+    read = measure(*symbols)
+    slopes = {place: ca.jacobian(read[place], symbols[place]) for place in (FORCE_READING, RATE_READING)}
+    return {
+        place
+        for place, slope in slopes.items()
+        if slope.sparsity().is_diag() and ca.depends_on(slope, symbols[PARAMETERS])
+    }
 
 
 def _has_drag(segments: Sequence[Segment], vehicle: Vehicle, catalogue: Mapping[str, Effect]) -> bool:
@@ -67,8 +81,8 @@ def state_dependencies(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str,
 
     if depends(RATE_READING, POSE_AGE, ATTITUDE_AGE):
         quantities.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
-    if depends(POSE_ARM):
-        quantities |= {"velocity", "attitude"}
+    if depends(POSE_ARM) or FORCE_READING in _scaled(model.measure):
+        quantities |= {"velocity", "attitude"}  # without a pose a scale of the accelerometer looks like thrust
     return frozenset(quantities)
 
 

@@ -10,7 +10,7 @@ from fixtures.compiled_flights import compiled_flights
 
 NAMES = (
     "rotor_drag", "inertia", "centre_of_mass", "rotor_cant", "wind", "imu_bias", "imu_lever_arm", "imu_misalignment",
-    "gyro_bias", "time_delay", "attitude_delay", "pose_lever_arm",
+    "gyro_bias", "imu_scale", "gyro_scale", "time_delay", "attitude_delay", "pose_lever_arm",
 )  # fmt: skip
 SOME = {name: CATALOGUE[name] for name in NAMES}
 MANOEUVRES = ("line:laps=3,ramp=1", "yaw_spin:laps=3,ramp=1", "Lemniscate:laps=4,ramp=1.5,speed=0.9") * 2
@@ -19,6 +19,8 @@ CASES = {
     "pose_lever_arm": {"x": 0.03, "y": 0.0, "z": 0.05},
     "imu_misalignment": {"x": 0.03, "y": 0.04, "z": 0.0},
     "attitude_delay": {"delay": 0.015},
+    "imu_scale": {"ratio": 1.03},
+    "gyro_scale": {"ratio": 0.97},
     "centre_of_mass": {"x": 0.003, "y": -0.004},
 }
 

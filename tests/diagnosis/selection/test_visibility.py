@@ -1,0 +1,29 @@
+"""An effect that a log cannot show is no candidate: scale of the inertial sensors needs a pose of another source."""
+
+from dataclasses import replace
+
+import pytest
+
+from diagnosis.data.dataset import make_dataset
+from diagnosis.selection.visibility import can_show
+from dynamics.effects import CATALOGUE
+
+
+@pytest.fixture(scope="module")
+def segment(arpl_250g, plain_flights):
+    return make_dataset(plain_flights, arpl_250g).everything[0]
+
+
+@pytest.mark.parametrize("name", ["gyro_scale", "imu_scale"])
+def test_a_scale_shows_against_a_pose_that_is_not_made_of_the_sensor(arpl_250g, segment, name):
+    def shown(some):
+        return can_show(CATALOGUE[name], [some], arpl_250g, CATALOGUE)
+
+    assert shown(segment)
+    assert not shown(replace(segment, pose_source="estimator"))
+    assert not shown(replace(segment, lacks=frozenset({"position", "velocity", "attitude"})))
+
+
+def test_a_turned_accelerometer_shows_without_a_pose(arpl_250g, segment):
+    bare = replace(segment, lacks=frozenset({"position", "velocity", "attitude"}))
+    assert can_show(CATALOGUE["imu_misalignment"], [bare], arpl_250g, CATALOGUE)
