@@ -101,11 +101,11 @@ def _of_mutation(outcome: mutated_flights.Outcome, revision: str) -> Count:
     fault = outcome.outcome if sure or unsure or outcome.outcome == "traceback" else ""
     refused = outcome.outcome in ("refused", "traceback")
     source = "commands" if outcome.commands else "speeds"
-    said = f"{outcome.what} ({source}, hidden: {outcome.hidden}): {outcome.answer}" if fault else ""
+    words = f"{outcome.what} ({source}, hidden: {outcome.hidden}): {outcome.answer}" if fault else ""
     word = outcome.outcome if refused else outcome.answer.split(":")[0].split(",")[0]
     return Count(
         outcome.number, word, round(outcome.took, 1), revision, name=outcome.mutation, false=int(sure or unsure),
-        sure=int(sure), fault=fault, answer=said[:400],
+        sure=int(sure), fault=fault, answer=words[:400],
     )  # fmt: skip
 
 
