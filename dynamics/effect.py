@@ -214,6 +214,8 @@ class Effect:
     stochastic: noise drives its hidden states, so that no value in a vehicle file predicts them.
     followed: its parameters follow in flight unless the user names others (docs/adaptation.md): they change from day to
         day, and velocities and rates show them.
+    lost_thrust: parameter that is the share of its thrust that a rotor has lost, of an effect of one rotor: this is
+        named in flight (docs/adaptation.md).
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, and "weight" too unless the vehicle file
         has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
@@ -244,6 +246,7 @@ class Effect:
     resists_air: bool = False
     stochastic: bool = False
     followed: bool = False
+    lost_thrust: str = ""
     acts_on: ActsOn = "motion"
     sensor_prior: float | None = None
     excitation: Excitation | None = None
@@ -318,6 +321,8 @@ def _contradicting_roles(effect: Effect) -> Iterator[str]:
         yield 'acts_on="rotor_speed_reading" needs a measurement'
     if effect.acts_on == "command_gain" and effect.physics is None and effect.wrench is None:
         yield 'acts_on="command_gain" needs physics or a wrench'
+    if effect.lost_thrust and not (effect.per_rotor and effect.lost_thrust in {p.name for p in effect.parameters}):
+        yield "lost_thrust is a parameter of an effect of one rotor"
     if effect.name in effect.confounded_with:
         yield "confounded_with names the effect itself"
     placeholders = {name for _, name, _, _ in Formatter().parse(effect.caveat) if name is not None}

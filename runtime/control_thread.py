@@ -11,6 +11,7 @@ import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import isnan, nan
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -25,6 +26,7 @@ from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
 from runtime.link.estimate import StateEstimate
 from runtime.link.link import Link
+from runtime.link.rotors import RotorReading
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
     EventRecord,
@@ -199,6 +201,7 @@ class ControlThread:
             specific_force_xy=update.specific_force_body[:2],
             engage=engage,
             leave=self._requests.leave,
+            **_rotor_fields(update.rotors),
         )
 
     def _publish(self, decision: Decision) -> None:
@@ -236,10 +239,11 @@ class ControlThread:
             x, y, z = states[:, 0].copy(), states[:, 1].copy(), states[:, 2].copy()
             self._put(HorizonRecord(now, x, y, z, np.mean(inputs, axis=1)), now)
             if flyer.adaptation is not None:
-                filtered = flyer.adaptation.filter
-                names = " ".join(parameter.name for parameter in filtered.parameters)
+                filtered, named = flyer.adaptation.filter, flyer.followed
                 estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
-                self._put(FollowedRecord(now, *estimated, names, filtered.values, filtered.deviations), now)
+                values = np.array([value.value for value in named.values()])
+                deviations = np.array([value.std for value in named.values()])
+                self._put(FollowedRecord(now, *estimated, " ".join(named), values, deviations), now)
         self._record_changes(decision, now)
 
     def _record_changes(self, decision: Decision, now: float) -> None:
@@ -287,3 +291,9 @@ def _as_text(findings: Mapping[Event, str]) -> str:
     if not findings:
         return ""
     return msgspec.json.encode({event.value: text for event, text in findings.items()}).decode()
+
+
+def _rotor_fields(reading: RotorReading | None) -> dict[str, Any]:
+    if reading is None:
+        return {}
+    return {"rotor_time": reading.time, "rotor_speed": reading.speed, "rotors_measured": reading.measured}

@@ -32,18 +32,20 @@ from runtime.flight.health import estimator_health
 from runtime.flight.mission import Plan
 from runtime.flight.motion import Motion
 from runtime.flight.start_check import start_refusal
-from runtime.flight.thrust import THRUST_CURVE
+from runtime.flight.thrust import THRUST_CURVE, rotor_speed
 from runtime.flight.tracking import TrackingReport
 from runtime.link.commands import request_rates
 from runtime.link.connection import Endpoint
 from runtime.link.link import Link, LinkSettings
 from runtime.link.parameters import read_parameter
+from runtime.link.rotors import RotorReader, motor_of_rotors, motor_positions
 from runtime.link.start_conditions import STREAMS as START_STREAMS
 from runtime.link.start_conditions import observe_start, start_problems
 from runtime.link.telemetry import EstimatorSample, VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
+from runtime.rotor_loss_note import require_no_note, write_note
 from runtime.service_manager import ServiceManager
 from runtime.stream_requests import StreamRequests
 from runtime.telemetry_buffer import TelemetryBuffer
@@ -187,6 +189,7 @@ class Daemon:
     def fly(self) -> FlightReport:
         """Find the vehicle, fly, land. Raises VehicleError when it cannot be reached or engaged."""
         request = self._request
+        require_no_note(request.record, self._vehicle.name)
         with ExitStack() as stack:
             if request.record is not None:
                 self._recorder = self._open_recorder(request.record)
@@ -257,6 +260,8 @@ class Daemon:
         self._flyer = build_flyer(
             controllers, self._reference, request.plan, self._settings(), thrust_curve=thrust_curve
         )
+        if request.adaptation.mode != "off":
+            self._read_rotors(link)
         self._check_start(link, controllers.flying.trim)
         self._requests.slow_findings = self._settle(link)
         control = ControlThread(
@@ -287,6 +292,15 @@ class Daemon:
             now = time.monotonic()
             self._recorder.put(ParameterRecord(now, THRUST_CURVE, factor), now)
         return factor
+
+    def _read_rotors(self, link: Link) -> None:
+        """Let speeds of the rotors reach the flight, where it is clear which motor is which rotor."""
+        rotors = self._vehicle.rotors
+        self._flyer.motors = motor_of_rotors(rotors, motor_positions(link, rotors.count))
+        if self._flyer.motors is None:
+            self._announce("which motor is which rotor is not clear: a rotor that loses thrust is not named")
+        else:
+            self._telemetry.rotor_reader = RotorReader(self._flyer.motors, partial(rotor_speed, rotors=rotors))
 
     def _check_start(self, link: Link, trim: Vehicle) -> None:
         """Refuse a reference that leads from here into the ground or far away. trim: the vehicle as it hovers."""
@@ -463,6 +477,9 @@ class Daemon:
         if control.defect:
             outcome = f"{outcome}; a defect of the daemon: {control.defect}"
         outcome += self._left_behind(status)
+        if self._recorder is not None and (loss := flyer.events.active.get(Event.ROTOR_FAILING)):
+            note = write_note(self._recorder.path.parent, self._vehicle.name, f"{loss} ({self._recorder.path.name})")
+            self._announce(f"no take-off until {note} is deleted")
         landed, cut_short = flyer.landed and not status.armed, flyer.mission.landing_reason
         start_up, origin = control.first_setpoint - self._created, flyer.mission.origin
         return FlightReport(
@@ -479,5 +496,7 @@ class Daemon:
             start_up=-1.0 if isnan(start_up) else start_up,
             scheduling=self._scheduling.describe(),
             origin=(float(origin[0]), float(origin[1]), float(origin[2])),
-            followed=None if flyer.adaptation is None else flyer.adaptation.followed,
+            followed=None
+            if flyer.adaptation is None
+            else msgspec.structs.replace(flyer.adaptation.followed, parameters=flyer.followed),
         )

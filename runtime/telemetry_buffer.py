@@ -19,6 +19,7 @@ from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.link import Direction, LinkCallbacks
 from runtime.link.peer import Reaction
 from runtime.link.rates import arrival_rate
+from runtime.link.rotors import RotorReader, RotorReading
 from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Telemetry
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
@@ -59,6 +60,7 @@ class LinkUpdate(msgspec.Struct, frozen=True):
     reset_position: (3,) m, by which it moved.
     reset_yaw: rad, by which it turned.
     specific_force_body: (3,) m/s^2, the newest; NaN when there is no new one.
+    rotors: their newest speeds; None when there are no new ones.
     """
 
     events: dict[Event, str]
@@ -66,6 +68,7 @@ class LinkUpdate(msgspec.Struct, frozen=True):
     reset_position: Floats
     reset_yaw: float
     specific_force_body: Floats
+    rotors: RotorReading | None = None
 
 
 class TelemetryBuffer:
@@ -73,6 +76,7 @@ class TelemetryBuffer:
 
     texts: the vehicle's STATUSTEXTs, for the supervisor.
     notifications: events of the link, for the supervisor.
+    rotor_reader: of the messages about motors; None where nobody needs their speeds.
     """
 
     def __init__(self, recorder: Recorder | None = None) -> None:
@@ -81,6 +85,8 @@ class TelemetryBuffer:
         self._events: deque[LinkEvent] = deque(maxlen=256)
         self._resets: deque[tuple[Floats, float]] = deque(maxlen=64)
         self._force = NO_FORCE
+        self._rotors: RotorReading | None = None
+        self.rotor_reader: RotorReader | None = None
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
 
@@ -131,7 +137,8 @@ class TelemetryBuffer:
             shift, turn = self._resets.popleft()
             position, yaw = position + shift, yaw + turn
         force, self._force = self._force, NO_FORCE
-        return LinkUpdate(events, reset, position, yaw, force)
+        rotors, self._rotors = self._rotors, None
+        return LinkUpdate(events, reset, position, yaw, force, rotors)
 
     def _estimate(self, estimate: StateEstimate) -> None:
         self._arrivals.append(estimate.received)
@@ -154,8 +161,10 @@ class TelemetryBuffer:
                     self._force = force
                 self._put(ImuRecord(sample.time, force, rate), sample.received)
             case RotorSpeeds():
+                self._read_rotors(sample)
                 self._put(RotorRecord(sample.time, sample.first, np.array(sample.speed)), sample.received)
             case MotorOutputs(source="SERVO_OUTPUT_RAW"):
+                self._read_rotors(sample)
                 self._put(MotorRecord(sample.time, np.array(sample.value)), sample.received)
             case BatterySample():
                 charge = (sample.voltage, sample.current, sample.remaining)
@@ -166,6 +175,13 @@ class TelemetryBuffer:
                     )
             case _:
                 pass
+
+    def _read_rotors(self, sample: RotorSpeeds | MotorOutputs) -> None:
+        if self.rotor_reader is None or (reading := self.rotor_reader.read(sample)) is None:
+            return
+        waiting = self._rotors
+        if waiting is None or reading.measured or not waiting.measured:
+            self._rotors = reading
 
     def _put(self, record: Record, time: float) -> None:
         if self._recorder is not None:

@@ -39,6 +39,18 @@ ARRIVED = 0.15  # m and m/s
 TAKE_OVER_PATIENCE = 20.0  # s
 
 
+@dataclass(frozen=True)
+class ParameterStep:
+    """Constants of the vehicle that change in flight.
+
+    time: s since the reference's start.
+    values: by name, such as {"weak_rotor[2].loss": 0.15}, of hidden effects that are there from the start.
+    """
+
+    time: float
+    values: Mapping[str, float]
+
+
 @dataclass
 class FlightRows:
     """A flight's data, row by row. Stamps are s since the reference's start.
@@ -99,10 +111,12 @@ def fly_reference(
     controller: Controller | None = None,
     nominal: Controller | None = None,
     catalogue: Mapping[str, Effect] = CATALOGUE,
+    steps: Sequence[ParameterStep] = (),
 ) -> FlownReference:
     """Fly a reference from its start to its end.
 
     effects: hidden from the controller.
+    steps: of the vehicle in flight.
     options: the vehicle's sensors.
     controller: None for one of the vehicle file alone.
     nominal: the fallback of a learned model's controller.
@@ -122,7 +136,8 @@ def fly_reference(
     flyer = build_flyer(
         Controllers(controller, nominal), reference, Plan(), settings, thrust_curve=plant.tuning.thrust_model_factor
     )
-    rows, aborted = _track(plant, flyer, ControlSetpoint("hold", position_world=start[POSITION], yaw=yaw))
+    hold = ControlSetpoint("hold", position_world=start[POSITION], yaw=yaw)
+    rows, aborted = _track(plant, flyer, hold, steps)
     fallbacks = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}
     return FlownReference(
@@ -144,8 +159,11 @@ def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:
     )
 
 
-def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tuple[FlightRows, str]:
+def _track(
+    plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint, steps: Sequence[ParameterStep]
+) -> tuple[FlightRows, str]:
     rows, setpoint = FlightRows(), hold
+    due = sorted(steps, key=lambda step: step.time)
     began = plant.time
     tick = 0
     while True:
@@ -159,6 +177,8 @@ def _track(plant: SimulatedVehicle, flyer: Flyer, hold: ControlSetpoint) -> tupl
         tracking = phase is Phase.TRACK
         since = now - flyer.mission.phase_started
         if tracking:
+            while due and since >= due[0].time:
+                plant.change(due.pop(0).values)
             _keep(rows, plant, since, following, flyer.reference_now(now))
             rows.away.append(decision.fallback is not Fallback.NONE)
         reason = flyer.mission.landing_reason or (flyer.engagement.refusal if flyer.over else "")
@@ -192,6 +212,9 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
         specific_force_xy=np.array(plant.imu.specific_force_body[:2]),
         engage=tick == 0,
         leave="",
+        rotor_time=now,
+        rotor_speed=plant.rotor_speed,
+        rotors_measured=True,
     )
     decision = flyer.step(observation, estimate)
     flyer.prepare(now)

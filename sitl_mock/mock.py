@@ -11,6 +11,7 @@ from types import FrameType
 from typing import TypeVar
 
 import msgspec
+import numpy as np
 
 from dynamics.errors import RequestError
 from dynamics.own_effects import catalogue_of
@@ -27,6 +28,7 @@ from sitl_mock.vehicle.ground import GroundKind
 from sitl_mock.vehicle.tuning import default_tuning, parameter_values
 from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.wire.link_spec import LinkSpec, default_links
+from sitl_mock.wire.snapshot import motor_order
 
 AnyStruct = TypeVar("AnyStruct", bound=msgspec.Struct)
 PX4_SIMULATED = ("px4_sih",)  # names of vehicles that fly in PX4's own simulation
@@ -82,6 +84,15 @@ class MockOptions:
     instance: int = 0
 
 
+def _geometry(vehicle: Vehicle) -> dict[str, float]:
+    """PX4's parameters of its motors' places, forward and to the right, m."""
+    order = motor_order(np.array(vehicle.rotors.position))
+    places = [vehicle.rotors.position[rotor] for rotor in order]
+    named = {f"CA_ROTOR{motor}_PX": x for motor, (x, _, _) in enumerate(places)}
+    named |= {f"CA_ROTOR{motor}_PY": -y for motor, (_, y, _) in enumerate(places)}
+    return {"CA_ROTOR_COUNT": vehicle.rotors.count, **named}
+
+
 def build_autopilot(options: MockOptions) -> Autopilot:
     """An autopilot on the ground at simulated time 0, without links.
 
@@ -92,7 +103,7 @@ def build_autopilot(options: MockOptions) -> Autopilot:
     requested = tuple(parse_effect(text, vehicle.rotors.count, catalogue=catalogue) for text in options.effects)
     hidden = (*scenario.hidden_effects(), *requested)
     tuning = default_tuning(vehicle, hidden, catalogue)
-    defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, "CA_ROTOR_COUNT": vehicle.rotors.count}
+    defaults = {**parameter_values(tuning), "MAV_SYS_ID": options.instance + 1, **_geometry(vehicle)}
     simulated = SimulatedVehicle(
         vehicle,
         effects=hidden,
@@ -101,6 +112,8 @@ def build_autopilot(options: MockOptions) -> Autopilot:
         seed=options.seed,
         catalogue=catalogue,
     )
+    for fault in scenario.faults:
+        simulated.require(fault.values)
     behaviour = Behaviour(
         rule=options.rule,
         double_ack=options.double_ack,

@@ -33,6 +33,7 @@ EFFECT = Effect(
     ),
     physics=physics,
     per_rotor=True,
+    lost_thrust="loss",
     caveat="equal losses of thrust and torque are also what a speed sensor shows that reads too high",
     confounded_with=("centre_of_mass", "rotor_speed_fault"),
     excitation=Excitation(

@@ -17,7 +17,8 @@ from dynamics.arrays import Floats
 from dynamics.state import RATE, RIGID_BODY_STATES, VELOCITY
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.flight_filter import FlightFilter
-from runtime.control.followed_parameters import followed_parameters
+from runtime.control.followed_parameters import followed_parameters, rotor_loss_effect
+from runtime.control.rotor_watch import RotorWatch
 from runtime.control.rti.solver import AXES, RtiSolver
 from runtime.control.thrust_history import ThrustHistory
 
@@ -62,6 +63,7 @@ class Adaptation:
 
     changed: which parameters are surely not as in the model, with values and 95 % intervals; empty for none.
     newest: time of the last estimate, s, which a reset does not forget; -inf before the first.
+    rotors: compares them with how the vehicle moves; None beside a learned model.
     """
 
     def __init__(
@@ -86,6 +88,8 @@ class Adaptation:
         self._highest_speed = solver.input_upper.copy()
         noise = settings.linear, settings.angular
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
+        self.rotors = None if learned else RotorWatch(solver, settings.rotors, motor_lag=settings.motor_lag)
+        self._loss_effect = rotor_loss_effect(solver.model)
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
         self._sent: tuple[float, float] | None = None
@@ -97,12 +101,37 @@ class Adaptation:
     def followed(self) -> Followed:
         """What has been estimated so far."""
         filtered = self.filter
-        parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
         return Followed(
-            {p.name: FollowedValue(value, std, p.value, p.unit) for p, value, std in parts},
+            dict(self.values),
             tuple((filtered.staying + filtered.fading).tolist()),
             (float(filtered.trust[0]), float(filtered.trust[1])),
         )
+
+    @property
+    def values(self) -> list[tuple[str, FollowedValue]]:
+        """The parameters that are followed, then the losses of rotors that were named, by name."""
+        filtered = self.filter
+        parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
+        return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in parts] + self.losses
+
+    @property
+    def losses(self) -> list[tuple[str, FollowedValue]]:
+        """Losses of rotors that were named, by the name of the effect's parameter."""
+        if self.rotors is None or self._loss_effect is None:
+            return []
+        effect, parameter = self._loss_effect
+        named = ((f"{effect}[{loss.rotor}].{parameter}", loss) for loss in self.rotors.losses)
+        return [(name, FollowedValue(loss.share, loss.deviation, 0.0, "1")) for name, loss in named]
+
+    def read_force(self, time: float, specific_force: float) -> None:
+        """Take a specific force along body z, m/s^2, as it arrived; NaN when there is no new one."""
+        if self.rotors is not None:
+            self.rotors.read_force(time, specific_force)
+
+    def read_rotors(self, time: float, speed: Floats, *, measured: bool) -> None:
+        """Take speeds (n,) of all rotors, rad/s: of their ESCs, or as the autopilot's outputs command them."""
+        if self.rotors is not None:
+            self.rotors.read(time, speed, measured=measured)
 
     def _describe_changes(self) -> str:
         filtered, limit = self.filter, self._settings.drag_deviations
@@ -136,6 +165,8 @@ class Adaptation:
             self.filter.clear()
             self._fly()
         self._thrust.clear()
+        if self.rotors is not None:
+            self.rotors.clear()
         self._last = self._sent = self._measured = self._compared = None
 
     def command(self, time: float, speed: Floats) -> None:
@@ -154,10 +185,14 @@ class Adaptation:
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:
         """Take an estimate with the model's hidden states (nx,), to be compared by the next `update`."""
         self._measured, self.newest = Measured(time, state.copy(), predicted), time
+        if self.rotors is not None:
+            self.rotors.add_estimate(time, self._measured.state)
 
     def update(self) -> None:
         """Compare the last estimate with its prediction from the one before, and fly what follows."""
         self._add_command()
+        if self.rotors is not None:
+            self.rotors.update()
         before, now = self._compared, self._measured
         if now is None or (before is not None and now.time <= before.time):
             return

@@ -10,6 +10,8 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from runtime.control.rotor_loss import RotorLossSettings
+
 Positive = Annotated[float, Meta(gt=0)]
 NotNegative = Annotated[float, Meta(ge=0)]
 Mode = Literal["off", "shadow", "on"]
@@ -68,6 +70,8 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     leaving_time: s in which the linear part that stays leaves to the wind, where that is followed: both are constant
         forces, and their difference would wander.
     prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
+    motor_lag: s, of the motors behind the autopilot's outputs.
+    rotors: when one that loses thrust is named.
     """
 
     mode: Mode = "off"
@@ -84,4 +88,6 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drag_deviations: Positive = 3.0
     leaving_time: Positive = 10.0
     prior_scale: Positive = 3.0
+    motor_lag: NotNegative = 0.0
+    rotors: RotorLossSettings = RotorLossSettings()
     guard: GuardLimits = GuardLimits()

@@ -19,6 +19,7 @@ from dynamics.controller_defaults import lookaheads, unmodelled_thrust_lag
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
+from dynamics.rate_loop import rate_loop
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES
 from dynamics.vehicle import Vehicle
 from runtime.control.adaptation import Adaptation
@@ -68,7 +69,7 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
         adaptation: AdaptationSettings | None = None,
         catalogue: Mapping[str, Effect] = CATALOGUE,
     ) -> ControllerOptions:
-        """The options of a vehicle's [controller]. period: s, instead of its rate's. adaptation: but for its lag."""
+        """The options of a vehicle's [controller]. period: s, instead of its rate's. adaptation: but for its lags."""
         settings, lookahead = vehicle.controller, lookaheads(vehicle, catalogue)
         return cls(
             problem=Problem.from_settings(settings),
@@ -78,7 +79,9 @@ class ControllerOptions(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
             delay=settings.delay,
             max_position_error=settings.max_position_error,
             adaptation=msgspec.structs.replace(
-                adaptation or AdaptationSettings(), thrust_lag=unmodelled_thrust_lag(vehicle, catalogue)
+                adaptation or AdaptationSettings(),
+                thrust_lag=unmodelled_thrust_lag(vehicle, catalogue),
+                motor_lag=rate_loop(vehicle, catalogue=catalogue).motor_lag,
             ),
         )
 

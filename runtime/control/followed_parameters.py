@@ -79,3 +79,9 @@ def followed_parameters(
             place = places.index(name)
             followed.append(FollowedParameter(name, place, value, std, *bounds, group, parameter.unit))
     return followed
+
+
+def rotor_loss_effect(model: FlownModel) -> tuple[str, str] | None:
+    """Effect and parameter that name the share of thrust that a rotor has lost; None where the catalogue has none."""
+    offered = catalogue_of(model.vehicle)
+    return next(((name, effect.lost_thrust) for name, effect in offered.items() if effect.lost_thrust), None)

@@ -69,6 +69,8 @@ class Event(Enum):
     MODEL_WAITING = "model_waiting"
     MODEL_CHANGED = "model_changed"
     ADAPTATION_REFUSED = "adaptation_refused"
+    ROTOR_WEAK = "rotor_weak"
+    ROTOR_FAILING = "rotor_failing"
     RATES_LOW = "rates_low"
     BATTERY_LOW = "battery_low"
     RECORDER_OVERRUN = "recorder_overrun"
@@ -168,6 +170,10 @@ POLICIES: Mapping[Event, Policy] = {
     Event.MODEL_CHANGED: Policy("the vehicle is not as in its file", Severity.NOTICE, onset=1.0, clear_after=5.0),
     Event.ADAPTATION_REFUSED: Policy(
         "what was estimated in flight forecasts worse than the vehicle file, which flies", Severity.WARNING, onset=0.5
+    ),
+    Event.ROTOR_WEAK: Policy("look at the propeller", Severity.WARNING, clear_after=NEVER),
+    Event.ROTOR_FAILING: Policy(
+        "a rotor has lost too much thrust to fly on", Severity.CRITICAL, clear_after=NEVER, refuses=True, lands=True
     ),
     Event.RATES_LOW: Policy("streams are too slow", Severity.WARNING, clear_after=0.1, refuses=True),
     Event.BATTERY_LOW: Policy("the battery is low", Severity.ERROR, clear_after=NEVER, refuses=True, lands=True),

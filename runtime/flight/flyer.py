@@ -14,7 +14,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, POSITION, VELOCITY
 from dynamics.vehicle import Vehicle
-from runtime.control.adaptation import Adaptation
+from runtime.control.adaptation import Adaptation, FollowedValue
 from runtime.control.controller import Command, Controller
 from runtime.flight.consistent_velocity import ConsistentVelocity
 from runtime.flight.contact import Ground, GroundProbe, tilt_of
@@ -50,7 +50,10 @@ _UNUSABLE = (Event.ESTIMATE_STALE, Event.ESTIMATE_FROZEN, Event.INPUT_NOT_FINITE
 
 
 class Flyer:
-    """The flight logic: engagement, mission phases, controller, fallbacks, thrust."""
+    """The flight logic: engagement, mission phases, controller, fallbacks, thrust.
+
+    motors: for each rotor the index of the autopilot's motor, None where it is not known.
+    """
 
     def __init__(
         self,
@@ -63,6 +66,7 @@ class Flyer:
         nominal: Controller | None = None,
     ) -> None:
         """nominal: controller of the vehicle file's model, the fallback of a learned one; None without one."""
+        self.motors: tuple[int, ...] | None = None
         self.engagement = Engagement(settings.engagement)
         self.events = EventMonitor()
         self.mission = mission
@@ -121,6 +125,17 @@ class Flyer:
     def adaptation(self) -> Adaptation | None:
         """Of the controller that flies, None where its model does not follow."""
         return self._flying.adaptation
+
+    @property
+    def followed(self) -> dict[str, FollowedValue]:
+        """The parameters that the flying controller's model follows, and losses of rotors, by name."""
+        values = {} if self.adaptation is None else dict(self.adaptation.values)
+        return values | {name: value for each in self._adaptations for name, value in each.losses}
+
+    @property
+    def _adaptations(self) -> list[Adaptation]:
+        controllers = (self._controller, self._nominal)
+        return [each.adaptation for each in controllers if each is not None and each.adaptation is not None]
 
     @property
     def horizon(self) -> tuple[Floats, Floats] | None:
@@ -217,12 +232,20 @@ class Flyer:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
         self._force = np.append(observation.specific_force_xy, observation.specific_force_z)
         self._previous, self._estimate = self._estimate, estimate
+        self._read_rotors(observation)
         if estimate is not None and fresh:
             self._state = estimate.state
             if not self.engagement.flying:
                 self._start_pose.add(estimate.state, observation.time, moved=observation.reset)
             if self._health.is_current(estimate, observation.time):
                 self._hold.observe(estimate.attitude)
+
+    def _read_rotors(self, observation: ObservationRecord) -> None:
+        for adaptation in self._adaptations:
+            adaptation.read_force(observation.time, observation.specific_force_z)
+            if observation.rotor_speed.size and self.mission.phase not in LANDING:  # the ground may carry a part there
+                speed, measured = observation.rotor_speed, observation.rotors_measured
+                adaptation.read_rotors(observation.rotor_time, speed, measured=measured)
 
     def _remember_sent(self) -> None:
         if self._sent is None:
@@ -270,6 +293,8 @@ class Flyer:
         present |= self._health.estimate_age(estimate, observation.time)
         if self._received is not None:
             present |= self._frozen.update(self._received, self._force)
+        for adaptation in self._adaptations:
+            present |= self._rotor_findings(adaptation)
         if not self.engagement.flying and not self.engagement.initially_armed:
             present |= self._start_pose.findings()
         if self.engagement.flying and self.mission.phase not in ON_THE_GROUND:
@@ -278,6 +303,21 @@ class Flyer:
             elif not observation.offboard:
                 present[Event.MODE_CHANGED] = f"to {observation.mode}"
         return present
+
+    def _rotor_findings(self, adaptation: Adaptation) -> dict[Event, str]:
+        """Rotors that have lost thrust; beyond the limit only where the model's changes are flown."""
+        if adaptation.rotors is None or not (losses := adaptation.rotors.losses):
+            return {}
+        text = "; ".join(
+            f"{self._rotor_name(loss.rotor)} has lost {100 * loss.share:.0f} +- {196 * loss.deviation:.0f} % of thrust"
+            for loss in losses
+        )
+        present = {Event.ROTOR_WEAK: text}
+        return {**present, Event.ROTOR_FAILING: text} if adaptation.rotors.grave and adaptation.flies else present
+
+    def _rotor_name(self, rotor: int) -> str:
+        """The rotor's number in the vehicle file, and the autopilot's, from 1."""
+        return f"rotor {rotor}" if self.motors is None else f"rotor {rotor} (motor {self.motors[rotor] + 1})"
 
     def _choose_fallback(self, time: float) -> Fallback:
         if not self.engagement.flying:

@@ -16,7 +16,7 @@ import numpy as np
 
 from dynamics import quaternion
 from dynamics.arrays import Floats
-from dynamics.vehicle import GRAVITY
+from dynamics.vehicle import GRAVITY, Rotors
 
 PAST_STEP = 0.05  # s between the values that are kept
 THRUST_CURVE = "THR_MDL_FAC"  # the autopilot's parameter f
@@ -33,6 +33,11 @@ def curve_inverse(thrust: float, factor: float) -> float:
         return thrust
     linear = 1.0 - factor
     return (-linear + sqrt(linear * linear + 4.0 * factor * max(thrust, 0.0))) / (2.0 * factor)
+
+
+def rotor_speed(signal: float, rotors: Rotors) -> float:
+    """The speed that a motor signal of 0..1 commands by the vehicle file's thrust curve, rad/s."""
+    return rotors.speed_max * sqrt(max(curve(signal, rotors.thrust_curve), 0.0))
 
 
 @dataclass(frozen=True)

@@ -60,8 +60,10 @@ def _value(value: Any) -> Any:
 def _column(values: list[Any]) -> NDArray[Any]:
     if any(isinstance(value, str) for value in values):
         return np.array(values, dtype=object)
-    if all(isinstance(value, bool) for value in values):
+    if values and all(isinstance(value, bool) for value in values):
         return np.array(values, dtype=bool)
+    if (widths := {len(value) for value in values if isinstance(value, list)}) and len(widths) > 1:
+        values = [[*value, *[None] * (max(widths) - len(value))] for value in values]
     return np.array(values, dtype=float)  # None, JSON's null, becomes NaN
 
 

@@ -88,6 +88,9 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     reset: whether an estimator was reset, which moved its frame by reset_position and reset_yaw.
     specific_force_z: the newest, NaN when there is no new one.
     specific_force_xy: of the same sample; NaN in recordings of older versions.
+    rotor_time: of the newest rotor speeds, NaN when there are no new ones.
+    rotor_speed: these, in the vehicle file's order; empty when there are no new ones.
+    rotors_measured: whether ESCs measured them, and not the autopilot's outputs command them.
     engage: whether engaging is requested at this tick.
     leave: why landing is requested, empty when it is not.
     """
@@ -110,6 +113,9 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     specific_force_xy: Annotated[Floats, Meta(description="m/s^2, body x y, NaN when there is no new one")] = (
         msgspec.field(default_factory=lambda: np.full(2, nan))
     )
+    rotor_time: Seconds = nan
+    rotor_speed: Annotated[Floats, Meta(description="rad/s")] = msgspec.field(default_factory=lambda: np.zeros(0))
+    rotors_measured: bool = False
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):

@@ -33,6 +33,7 @@ FaultKind = Literal[
     "gnss_loss",
     "gnss_glitch",
     "held",
+    "effect",
 ]
 TOUCHED = 0.1  # share of the weight that the ground carries when the vehicle has touched down
 Start = Literal["start", "arming", "takeoff", "touchdown"]
@@ -50,6 +51,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seconds: of a clock jump, negative for backwards.
     probability: of a frame's loss, duplication or delay.
     rate: of a message flood, frames per second.
+    values: of an effect, by name: {"weak_rotor[2].loss" = 0.15}; the scenario has the effect from its start.
     """
 
     kind: FaultKind
@@ -61,6 +63,7 @@ class Fault(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     seconds: float = -1.0
     probability: float = 0.2
     rate: float = 10_000.0
+    values: dict[str, float] = {}
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.at) and self.at >= 0.0 and self.duration > 0.0):
@@ -190,6 +193,11 @@ def _held(targets: FaultTargets, _: Fault, begins: bool) -> None:
     targets.vehicle.hold(begins)
 
 
+def _effect(targets: FaultTargets, fault: Fault, begins: bool) -> None:
+    if begins:
+        targets.vehicle.change(fault.values)
+
+
 ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "estimator_reset": _reset,
     "estimate_nan": _invalid,
@@ -206,4 +214,5 @@ ACTIONS: dict[FaultKind, Callable[[FaultTargets, Fault, bool], None]] = {
     "gnss_loss": _gnss_loss,
     "gnss_glitch": _gnss_glitch,
     "held": _held,
+    "effect": _effect,
 }

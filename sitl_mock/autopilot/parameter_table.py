@@ -74,6 +74,7 @@ FLOAT_DEFAULTS: dict[str, float] = {
     "RTL_RETURN_ALT": 30.0,
     "SIH_MASS": 1.0,
     "THR_MDL_FAC": 0.0,
+    **{f"CA_ROTOR{motor}_{axis}": 0.0 for motor in range(8) for axis in ("PX", "PY")},
 }
 
 INTEGER_DEFAULTS: dict[str, int] = {

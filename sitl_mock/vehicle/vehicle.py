@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from dynamics.allocation import mixer
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
 from dynamics.state import ATTITUDE, POSITION, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY, EffectUse
 from dynamics.vehicle import Vehicle as VehicleFile
@@ -261,6 +262,25 @@ class SimulatedVehicle:
     def on_ground(self) -> bool:
         """Whether the land detector has detected a landing."""
         return self.land_detector.landed
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Change constants of the flight model from now on, by name: {"weak_rotor[2].loss": 0.15}.
+
+        Raises RequestError for a name that the model does not have.
+        """
+        self.require(values)
+        names = self.plant.model.parameter_names
+        for name, value in values.items():
+            self._constants["model"][names.index(name)] = value
+
+    def require(self, names: Iterable[str]) -> None:
+        """Raises RequestError for the name of a constant that the flight model does not have."""
+        for name in names:
+            if name not in (there := self.plant.model.parameter_names):
+                raise RequestError(
+                    f"{name} is not in the vehicle's model, so that it cannot change in flight: give the effect with "
+                    f"the value that it begins with. The model has {', '.join(there)}."
+                )
 
     def use_gnss(self, available: bool) -> None:
         """Take satellite navigation from the estimator, or give it back: then it resets what has drifted off."""

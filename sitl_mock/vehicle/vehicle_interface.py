@@ -6,6 +6,7 @@ is independent of MAVLink.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, Protocol
 
@@ -184,6 +185,9 @@ class Vehicle(Protocol):
 
     def hold(self, held: bool) -> None:
         """Let a hand hold the vehicle where it is, or let go of it."""
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Change constants of the flight model from now on, by name."""
 
     def use_gnss(self, available: bool) -> None:
         """Take satellite navigation from the estimator, or give it back."""

@@ -8,7 +8,8 @@ import pytest
 from runtime.flight.events import Event
 from runtime.link.estimate import ResetStep, StateEstimate
 from runtime.link.peer import Reaction
-from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, Text
+from runtime.link.rotors import RotorReader
+from runtime.link.telemetry import BatterySample, ImuSample, LinkEvent, MotorOutputs, RotorSpeeds, Text
 from runtime.telemetry_buffer import RATE_WINDOW, TelemetryBuffer
 
 
@@ -54,6 +55,26 @@ def test_the_newest_specific_force_is_handed_over_once_and_nan_is_never_taken_fo
     buffer.reaction(imu(float("nan")))
     assert buffer.take().specific_force_body[2] == 9.5
     assert np.isnan(buffer.take().specific_force_body).all()
+
+
+def test_rotor_speeds_are_handed_over_once_and_measured_ones_before_commanded_ones() -> None:
+    buffer = TelemetryBuffer()
+    measured = Reaction(telemetry=RotorSpeeds(1.0, 1.0, 0, (10.0, 20.0)))
+    commanded = Reaction(telemetry=MotorOutputs(1.01, 1.01, "SERVO_OUTPUT_RAW", (1100.0, 1200.0)))
+    buffer.reaction(measured)
+    assert buffer.take().rotors is None  # nobody needs them
+    buffer.rotor_reader = RotorReader((1, 0), lambda signal: 100.0 * signal)
+    buffer.reaction(measured)
+    buffer.reaction(commanded)
+    reading = buffer.take().rotors
+    assert reading is not None
+    assert reading.measured
+    assert reading.speed == pytest.approx([20.0, 10.0])
+    assert buffer.take().rotors is None
+    buffer.reaction(commanded)
+    reading = buffer.take().rotors
+    assert reading is not None
+    assert reading.speed == pytest.approx([20.0, 10.0])
 
 
 def test_an_almost_empty_battery_is_an_event_and_an_unknown_charge_is_none() -> None:

@@ -9,6 +9,7 @@ import pytest
 from dynamics.errors import RequestError
 from sitl_mock.mock import MockOptions, build_autopilot, parse_parameter
 from sitl_mock.scenario import parse_scenario, read_scenario
+from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from vehicles import FOLDER
 
 FULL = """
@@ -93,6 +94,23 @@ def test_an_unknown_parameter_of_a_scenario_is_refused(tmp_path: Path) -> None:
     path.write_text("parameters = { COM_OF_LOSS = 0.5 }")
     with pytest.raises(RequestError, match="COM_OF_LOSS_T"):
         build_autopilot(MockOptions(FOLDER / "px4_sih.toml", scenario=path))
+
+
+def test_an_effect_that_changes_in_flight_must_be_there_from_the_start(tmp_path: Path) -> None:
+    path = tmp_path / "scenario.toml"
+    fault = "[[faults]]\nkind = 'effect'\nat = 1.0\nvalues = { 'mass.ratio' = 1.2 }\n"
+    path.write_text(fault)
+    with pytest.raises(RequestError, match=r"mass.ratio is not in the vehicle's model"):
+        build_autopilot(MockOptions(FOLDER / "px4_sih.toml", scenario=path))
+    path.write_text(f"{fault}[[effects]]\nname = 'mass'\nparameters = {{ ratio = 1.0 }}\n")
+    mock = build_autopilot(MockOptions(FOLDER / "px4_sih.toml", scenario=path))
+    vehicle = mock.vehicle
+    assert isinstance(vehicle, SimulatedVehicle)
+    constants, index = vehicle._constants["model"], vehicle.plant.model.parameter_names.index("mass.ratio")
+    mock.advance(0.5)
+    assert constants[index] == 1.0
+    mock.advance(1.0)
+    assert constants[index] == 1.2
 
 
 def test_parameters_of_the_command_line() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from dynamics.quaternion import exponential, multiply, normalise, rotate
@@ -60,6 +62,9 @@ class KinematicVehicle:
 
     def hold(self, held: bool) -> None:
         self.held = held
+
+    def change(self, values: Mapping[str, float]) -> None:
+        """Nothing: it has no model."""
 
     def use_gnss(self, available: bool) -> None:
         self.has_position = available

@@ -124,6 +124,40 @@ int rti_follow(rti *r, const double *before, const double *inputs, const double 
     return filter_update(f, change, by_file, slopes, first, measured, dt);
 }
 
+#define SPEED_STEP 1e-4 /* of a rotor's speed, for derivatives by speeds */
+
+/* The change of velocity and rate over dt seconds at constant speeds (NU), which a model with a lag has in its states
+ * from `lagged` on; it is negative for a model without. */
+static void change_at(rti *r, const double *before, const double *speeds, int lagged, double dt, double *change) {
+    double from[NX];
+    memcpy(from, before, sizeof from);
+    if (lagged >= 0) memcpy(from + lagged, speeds, sizeof(double) * NU);
+    change_over(r, from, speeds, &dt, 1, change);
+}
+
+/* What a state x shows of the rotors, dt seconds after the state before, with the speeds (NU) that they really had in
+ * between: beyond (6), mean accelerations beyond the model and without the disturbance, and of each rotor the
+ * accelerations (6) that its whole thrust and torque give, in rows of shares. lagged: see change_at. */
+void rti_rotor_shares(rti *r, const double *before, const double *speeds, int lagged, double dt, const double *x,
+                      double *beyond, double *shares) {
+    double disturbance[DISTURBANCE], moved[NU], usual[AXES], first[AXES], last[AXES];
+    memcpy(disturbance, r->ocp.disturbance, sizeof disturbance);
+    memset(r->ocp.disturbance, 0, sizeof disturbance);
+    memcpy(moved, speeds, sizeof moved);
+    change_at(r, before, moved, lagged, dt, usual);
+    rates_of(before, first);
+    rates_of(x, last);
+    for (int i = 0; i < AXES; i++) beyond[i] = (last[i] - first[i] - usual[i]) / dt;
+    for (int j = 0; j < NU; j++) { /* thrust and torque are as the square of the speed */
+        double *share = shares + j * AXES;
+        moved[j] = speeds[j] * (1 + SPEED_STEP);
+        change_at(r, before, moved, lagged, dt, share);
+        moved[j] = speeds[j];
+        for (int i = 0; i < AXES; i++) share[i] = (share[i] - usual[i]) / (2 * SPEED_STEP * dt);
+    }
+    memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
+}
+
 /* out = left in, all by column; left is NX x NX. */
 static void compose(const double *left, const double *in, double *out, int columns) {
     for (int c = 0; c < columns; c++)

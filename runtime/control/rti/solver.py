@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from dynamics.active_effect import activate
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT
+from dynamics.own_effects import catalogue_of
 from dynamics.state import RIGID_BODY_STATES
 from runtime.control.kernel_model import FlownModel, trim_of
 from runtime.control.rti.hpipm import load_kernel
@@ -122,6 +124,9 @@ class RtiSolver:
         self._next_at = address(self._next.ctypes.data)
         self._accelerations = np.zeros(6)
         self._accelerations_at = address(self._accelerations.ctypes.data)
+        self._shares = np.zeros((inputs, AXES))
+        self._shares_at = address(self._shares.ctypes.data)
+        self._lagged = _speed_states(model)
         self._references_at = (
             address(self.state_reference.ctypes.data),
             address(self.input_reference.ctypes.data),
@@ -179,6 +184,20 @@ class RtiSolver:
         places = address(speeds.ctypes.data), address(seconds.ctypes.data)
         return bool(self._code.rti_follow(self._handle, self._state_at, *places, len(seconds), self._next_at))
 
+    def rotor_shares(
+        self, before: NDArray[np.float64], speeds: NDArray[np.float64], state: NDArray[np.float64], dt: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What a state (nx,) shows of the rotors, dt seconds after the one before. speeds: (nu,) real ones, rad/s.
+
+        Returns accelerations (6,) beyond the model without the disturbance, and those (nu, 6) that each rotor's whole
+        thrust and torque give, linear m/s^2, world axes, and angular rad/s^2, body axes. The next call overwrites both.
+        Not for a learned model.
+        """
+        self._state[:], self._input[:], self._next[:] = before, speeds, state
+        inputs = self._state_at, self._input_at, self._lagged, dt, self._next_at
+        self._code.rti_rotor_shares(self._handle, *inputs, self._accelerations_at, self._shares_at)
+        return self._accelerations, self._shares
+
     def shift(self, seconds: float) -> None:
         """Move the predicted inputs by the time that passes between two ticks."""
         self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
@@ -229,6 +248,9 @@ class RtiSolver:
         code.rti_filter_compare.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_double)
         if hasattr(code, "rti_follow"):
             code.rti_follow.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_int, pointer)
+        if hasattr(code, "rti_rotor_shares"):
+            numbers = ctypes.c_int, ctypes.c_double
+            code.rti_rotor_shares.argtypes = (*[pointer] * 3, *numbers, *[pointer] * 3)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)
@@ -258,3 +280,10 @@ class RtiSolver:
         pointer = getattr(self._code, function)
         pointer.restype, pointer.argtypes = ctypes.POINTER(kind), (ctypes.c_void_p,)
         return np.ctypeslib.as_array(pointer(self._handle), shape=shape)
+
+
+def _speed_states(model: FlownModel) -> int:
+    """Where a model's states of the rotors' real speeds begin; -1 without a lag."""
+    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
+    places = [item.hidden[item.effect.rotor_speed_state] for item in active if item.effect.rotor_speed_state]
+    return int(places[-1].start) if places else -1

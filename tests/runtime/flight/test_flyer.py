@@ -14,7 +14,9 @@ from dynamics import quaternion
 from dynamics.state import ATTITUDE
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
-from runtime.control.controller import Command, Controller
+from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.control.controller import Command, Controller, ControllerOptions
+from runtime.control.rotor_loss import RotorLoss
 from runtime.flight.decision import FlyerSettings
 from runtime.flight.engagement import AutopilotRequest, EngagementSettings, State
 from runtime.flight.events import Event, Fallback
@@ -549,3 +551,25 @@ def test_a_take_off_that_tips_over_ends_at_once(vehicle: Vehicle, controller: Co
     flight.run(0.5)
     assert Event.TIPPING in flight.story.raised
     assert flight.story.decisions[-1].collective_thrust < 0.1 * vehicle.weight
+
+
+def test_a_rotor_that_lost_too_much_lands_the_vehicle_which_does_not_take_off_again(vehicle: Vehicle) -> None:
+    options = ControllerOptions.for_vehicle(vehicle, adaptation=AdaptationSettings(mode="on"))
+    controller = Controller.build(vehicle, options)
+    flight = prepare(vehicle, controller)
+    flight.flyer.motors = (2, 1, 3, 0)
+    flight.run(30.0, until=Phase.TRACK)
+    assert controller.adaptation is not None
+    assert controller.adaptation.rotors is not None
+    controller.adaptation.rotors._test.losses[0] = RotorLoss(0, 0.15, 0.02)
+    flight.run(0.5)
+    assert flight.flyer.mission.phase is Phase.TRACK
+    controller.adaptation.rotors._test.losses[0] = RotorLoss(0, 0.3, 0.02)
+    story = flight.run(30.0)
+    assert story.phases[-1] is Phase.SHUTDOWN
+    assert "rotor 0 (motor 3) has lost 30 +- 4 % of thrust" in flight.flyer.mission.landing_reason
+    flight.engage = True
+    transitions = len(story.transitions)
+    story = flight.run(5.0)
+    assert State.ENGAGED not in [transition.after for transition in story.transitions[transitions:]]
+    assert not flight.armed

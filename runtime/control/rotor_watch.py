@@ -1,0 +1,82 @@
+"""Compares what the rotors did with how the vehicle moved: rotors that lose thrust in flight."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.arrays import Floats
+from dynamics.state import ATTITUDE, VELOCITY
+from dynamics.vehicle import GRAVITY
+from runtime.control.flight_filter import MAX_INTERVAL
+from runtime.control.readings import Readings
+from runtime.control.rotor_loss import RotorLoss, RotorLossSettings, RotorLossTest
+from runtime.control.rotor_speeds import RotorSpeeds
+from runtime.control.rti.solver import RtiSolver
+
+WAITING = 32  # estimates that wait for the rotor speeds of their time
+
+
+class RotorWatch:
+    """Rotor speeds and estimates in, rotors that have lost thrust out. Pure: times are arguments."""
+
+    def __init__(self, solver: RtiSolver, settings: RotorLossSettings, *, motor_lag: float) -> None:
+        """solver: of a model that is none of a network. motor_lag: s, of the motors behind the autopilot's outputs."""
+        self.speeds = RotorSpeeds(solver.inputs.shape[1], lag=motor_lag)
+        self._force = Readings(1)
+        self._solver, self._settings = solver, settings
+        self._test = RotorLossTest(solver.inputs.shape[1], settings)
+        self._waiting: deque[tuple[float, Floats]] = deque(maxlen=WAITING)
+
+    @property
+    def losses(self) -> tuple[RotorLoss, ...]:
+        """Of the rotors that have been named so far."""
+        return tuple(self._test.losses.values())
+
+    @property
+    def grave(self) -> bool:
+        """Whether a loss is beyond the limit."""
+        return any(loss.share > self._settings.limit for loss in self._test.losses.values())
+
+    def clear(self) -> None:
+        """Forget all but the losses."""
+        self.speeds.clear()
+        self._force.clear()
+        self._test.clear()
+        self._waiting.clear()
+
+    def read(self, time: float, speed: Floats, *, measured: bool) -> None:
+        """Take a reading of all rotors (n,), rad/s: of their ESCs, or as the autopilot's outputs command them."""
+        if self.speeds.add(time, speed, measured=measured):
+            self._test.clear()  # of another kind: a difference between both is no step
+
+    def read_force(self, time: float, specific_force: float) -> None:
+        """Take a specific force along body z, m/s^2, as it arrived; NaN is none."""
+        self._force.add(time, np.array([specific_force]))
+
+    def add_estimate(self, time: float, state: Floats) -> None:
+        """Take an estimate with the model's hidden states (nx,)."""
+        if not self._waiting or time > self._waiting[-1][0]:
+            self._waiting.append((time, state))
+
+    def update(self) -> None:
+        """Compare those estimates whose rotor speeds have arrived."""
+        while len(self._waiting) > 1 and self._waiting[1][0] <= self.speeds.newest:
+            start, before = self._waiting.popleft()
+            stop, state = self._waiting[0]
+            speeds = self.speeds.mean(start, stop) if stop - start <= MAX_INTERVAL else None
+            if speeds is not None:
+                self._compare(before, speeds, state, start, stop)
+
+    def _compare(self, before: Floats, speeds: Floats, state: Floats, start: float, stop: float) -> None:
+        seconds = stop - start
+        beyond, shares = self._solver.rotor_shares(before, speeds, state, seconds)
+        up = quaternion.rotate(before[ATTITUDE], np.array([0.0, 0.0, 1.0]))
+        along, force = float(beyond[:3] @ up), self._force.mean(start, stop)
+        if force is not None:  # which errors of the estimate do not reach
+            acceleration = (state[VELOCITY] - before[VELOCITY]) / seconds
+            along += float(force[0]) - float(acceleration @ up) - GRAVITY * float(up[2])
+        along_shares = np.column_stack([shares[:, :3] @ up, shares[:, 3:5]])
+        self._test.add(np.array([along, *beyond[3:5]]), along_shares, seconds)
