@@ -19,6 +19,7 @@ from alula.rooms import require_own_rooms
 
 if TYPE_CHECKING:
     from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose
+    from alula.api.fleet import diagnose_fleet
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate, verify
     from alula.api.learning import evaluate, export, train
@@ -48,6 +49,7 @@ __all__ = [
     "compare_hover",
     "describe_effects",
     "diagnose",
+    "diagnose_fleet",
     "evaluate",
     "export",
     "fly",
@@ -68,6 +70,7 @@ __all__ = [
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
     "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
+    "alula.api.fleet": ("diagnose_fleet",),
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate", "verify"),
     "alula.api.learning": ("evaluate", "export", "train"),

@@ -17,7 +17,15 @@ from pathlib import Path
 from typing import Any
 
 PAGE = Path(__file__).with_name("api.md")
-ROOMS = ("vehicles", "flights", "diagnosis", "learning", "planning", "flying")  # of alula.api, in the order of the loop
+ROOMS = (
+    "vehicles",
+    "flights",
+    "diagnosis",
+    "fleet",
+    "learning",
+    "planning",
+    "flying",
+)  # of alula.api, in the order of the loop
 REPORTS = (  # that functions return as they are
     ("flights.quality.inspection", "Inspection"),
     ("dynamics.vehicle_draft", "Draft"),
@@ -27,6 +35,11 @@ REPORTS = (  # that functions return as they are
     ("diagnosis.hover_trim", "TrimComparison"),
     ("diagnosis.experiment.planning", "PlannedFlight"),
     ("diagnosis.experiment.expectation", "ExpectedInterval"),
+    ("studies.fleet.summary", "FleetReport"),
+    ("studies.fleet.summary", "VehicleSummary"),
+    ("studies.fleet.summary", "Drift"),
+    ("studies.fleet.summary", "Outlier"),
+    ("studies.fleet.flight", "FleetFlight"),
     ("simulation.trial_flight", "TrialFlight"),
     ("simulation.lockstep", "FlownReference"),
     ("runtime.daemon", "FlightReport"),

@@ -8,8 +8,9 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from collections import deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any, TypeVar
 
@@ -20,38 +21,74 @@ Result = TypeVar("Result")
 
 
 def parallel_map(
-    function: Callable[[Item], Result], items: Sequence[Item], *, jobs: int | None = None, scheduler: str | None = None
+    function: Callable[[Item], Result],
+    items: Sequence[Item],
+    *,
+    jobs: int | None = None,
+    scheduler: str | None = None,
+    killed: Callable[[Item], Result] | None = None,
 ) -> Iterator[tuple[int, Result]]:
     """(index of the item, result) pairs in the order in which they are finished.
 
     function: importable by name; items and results are pickled.
     jobs: processes, None for one a core; 1 runs everything in this process.
     scheduler: address of a Dask scheduler (tcp://host:port) that runs them instead.
+    killed: the result of an item whose process was killed twice, the second time with no other item beside it. With it
+        everything runs in other processes, and the other items continue; without it such an item ends the map.
 
     An exception of the function is raised here, and no further item is started. Raises RequestError for jobs below 1 or
-    a scheduler that cannot be reached, VehicleError when a process was killed.
+    a scheduler that cannot be reached, VehicleError when a process was killed or the scheduler went away.
     """
     if scheduler is not None:
-        return _on_cluster(function, items, scheduler)
+        return _on_cluster(function, items, scheduler, killed)
     count = jobs if jobs is not None else len(os.sched_getaffinity(0))
     if count < 1:
         raise RequestError(f"{count} jobs: wanted 1 or more.")
-    if count == 1 or len(items) <= 1:
+    if killed is None and (count == 1 or len(items) <= 1):
         return ((index, function(item)) for index, item in enumerate(items))
-    return _in_processes(function, items, min(count, len(items)))
+    return _in_processes(function, items, min(count, len(items)), killed)
 
 
 def _in_processes(
-    function: Callable[[Item], Result], items: Sequence[Item], count: int
+    function: Callable[[Item], Result], items: Sequence[Item], count: int, killed: Callable[[Item], Result] | None
 ) -> Iterator[tuple[int, Result]]:
+    waiting = deque(range(len(items)))
+    while waiting:
+        for place in (yield from _in_pool(function, items, waiting, count)):
+            if killed is None:
+                raise VehicleError(
+                    "a working process ended by itself, killed or out of memory. Run the same command again with fewer "
+                    "--jobs; what was finished is kept."
+                )
+            if (yield from _in_pool(function, items, deque([place]), 1)):
+                yield place, killed(items[place])
+
+
+def _in_pool(
+    function: Callable[[Item], Result], items: Sequence[Item], waiting: deque[int], count: int
+) -> Generator[tuple[int, Result], None, list[int]]:
+    """Results of waiting items, which are removed. Returns those that were running when a process was killed."""
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
     pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent)
+    running: dict[Future[Result], int] = {}
     try:
-        places = {pool.submit(function, item): index for index, item in enumerate(items)}
-        for done in as_completed(places):
-            yield places[done], _local_result(done)
+        while waiting or running:
+            while waiting and len(running) < count:  # no more at once, so that few are suspected when one is killed
+                place = waiting.popleft()
+                try:
+                    running[pool.submit(function, items[place])] = place
+                except BrokenProcessPool:
+                    return [*running.values(), place]
+            finished, _ = wait(running, return_when=FIRST_COMPLETED)
+            for done in sorted(finished, key=running.__getitem__):
+                if isinstance(done.exception(), BrokenProcessPool):
+                    continue
+                yield running.pop(done), done.result()
+            if any(done in running for done in finished):
+                return list(running.values())
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
+    return []
 
 
 def end_with_parent() -> None:
@@ -66,28 +103,8 @@ def end_with_parent() -> None:
     threading.Thread(target=wait, name="end with parent", daemon=True).start()
 
 
-def _local_result(done: Future[Result]) -> Result:
-    try:
-        return done.result()
-    except BrokenProcessPool as error:
-        raise VehicleError(
-            "a working process ended by itself, killed or out of memory. Run the same command again with fewer --jobs; "
-            "what was finished is kept."
-        ) from error
-
-
-def _cluster_result(done: Any, killed: type[Exception]) -> Any:
-    try:
-        return done.result()
-    except killed as error:
-        raise VehicleError(
-            f"workers of the cluster ended by themselves, again and again on the same item: {error}. Look at their "
-            "logs; run the same command again, what was finished is kept."
-        ) from error
-
-
 def _on_cluster(
-    function: Callable[[Item], Result], items: Sequence[Item], address: str
+    function: Callable[[Item], Result], items: Sequence[Item], address: str, killed: Callable[[Item], Result] | None
 ) -> Iterator[tuple[int, Result]]:
     try:
         from dask import distributed  # the flight computer has none
@@ -104,4 +121,27 @@ def _on_cluster(
     with client:
         places = {client.submit(function, item, pure=False): index for index, item in enumerate(items)}
         for done in distributed.as_completed(list(places), loop=client.loop):
-            yield places[done], _cluster_result(done, distributed.KilledWorker)
+            place = places.pop(done)
+            try:
+                result = _cluster_result(done, distributed.KilledWorker)
+            except VehicleError as error:
+                if killed is None or not isinstance(error.__cause__, distributed.KilledWorker):
+                    raise
+                result = killed(items[place])
+            done.release()
+            yield place, result
+
+
+def _cluster_result(done: Any, killed: type[Exception]) -> Any:
+    try:
+        return done.result()
+    except killed as error:
+        raise VehicleError(
+            f"workers of the cluster ended by themselves, again and again on the same item: {error}. Look at their "
+            "logs; run the same command again, what was finished is kept."
+        ) from error
+    except CancelledError as error:
+        raise VehicleError(
+            "the Dask scheduler went away. Start it and its workers; run the same command again, what was finished is "
+            "kept."
+        ) from error

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from simulation.flight_check import FlightCheck
     from simulation.trial_flight import TrialFlight
     from studies.evaluation.run import EvaluationAnswer, Results
+    from studies.fleet.summary import FleetReport
     from studies.tables import Table
     from training.card import Card
     from training.checkpoint import TrainedModel
@@ -99,6 +100,43 @@ class DiagnosisResult:
 
         source = dataset_origin(self.dataset, add_command)
         write_page(diagnosis_page(self.details, self.dataset, self.vehicle, origin=source), Path(path))
+
+
+@dataclass(frozen=True, eq=False)
+class FleetResult:
+    """The flights of a fleet, each diagnosed by itself.
+
+    report: every flight's line, verdicts by vehicle, drifts over the dates, outliers.
+    folder: of the results.
+    """
+
+    report: FleetReport
+    folder: Path
+
+    @property
+    def sentences(self) -> Sequence[str]:
+        """What the fleet shows, a sentence a line."""
+        from studies.fleet.words import sentences
+
+        return sentences(self.report)
+
+    @property
+    def files(self) -> Sequence[Path]:
+        """The lines and the table."""
+        from studies.fleet.store import LINES, TABLE
+
+        return (self.folder / LINES, self.folder / TABLE)
+
+    def write_json(self, path: str | Path) -> None:
+        """Write the report as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
+        write_json(self.report, Path(path))
+
+    def write_html(self, path: str | Path) -> None:
+        """Write a page with tables and pictures, one file. Raises RequestError when it cannot be written."""
+        from studies.fleet.page import fleet_page
+        from studio.pages.page import write_page
+
+        write_page(fleet_page(self.report), Path(path))
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,9 +12,11 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import Effects, HoldOut, Logs, Mapping, Page, Pose, VehicleOption
+from alula.cli.fleet import FLEET, diagnose_fleet
+from alula.cli.options import Effects, HoldOut, Mapping, Page, Pose
 from alula.cli.output import options, print_next
 from alula.cli.planning import planning_progress
+from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from dynamics.references.catalogue import IDENTIFY
 
@@ -29,8 +31,13 @@ Normal = Annotated[
 
 
 def diagnose(
-    logs: Logs,
-    vehicle: VehicleOption,
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(help="Logs of one vehicle in any format, or folders of them.", metavar="LOG..."),
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option("--vehicle", help="Vehicle file (TOML), or the name of a bundled one.")
+    ] = None,
     hold_out: HoldOut = None,
     effects: Effects = None,
     mapping: Mapping = None,
@@ -42,12 +49,45 @@ def diagnose(
         Path | None,
         typer.Option(help="Plan the flight for the effects that are open, and write it to this file (CSV) for `fly`."),
     ] = None,
+    fleet: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of logs of many vehicles: diagnoses each log by itself, with --vehicle or the nearest "
+            "vehicle.toml at or above it.",
+            rich_help_panel=FLEET,
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the results, where a stopped run continues; FOLDER.fleet by default.",
+            rich_help_panel=FLEET,
+        ),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Processes; one for every core by default.", rich_help_panel=FLEET)
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(
+            help="Address of a Dask scheduler (tcp://host:port); its workers need the same folders.",
+            rich_help_panel=FLEET,
+        ),
+    ] = None,
 ) -> None:
     """Name the physical effect that is missing from a vehicle's model, or report that the model explains the flights.
 
     With --normal: whether a rotor works harder in hover than in normal flights of the same vehicle. Motor commands are
-    enough for that.
+    enough for that. With --fleet: every log of a folder, one JSON line each, and what changes over their dates.
     """
+    if fleet is not None:
+        _refuse_beside_fleet({"LOG": logs, "--hold-out": hold_out, "--normal": normal, "--next-flight": next_flight})
+        diagnose_fleet(fleet, vehicle, effects, mapping, pose, json, html, out, workers, scheduler)
+        return
+    _refuse_without_fleet({"--out": out, "--workers": workers, "--scheduler": scheduler})
+    if not logs or vehicle is None:
+        missing = "logs: alula diagnose LOG... --vehicle V.toml, or a folder with --fleet" if not logs else "--vehicle"
+        raise RequestError(f"a diagnosis needs {missing}. Give it.")
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return
@@ -66,6 +106,18 @@ def diagnose(
         _print(result, Console(file=sys.stdout))
         following = _following(result, logs, vehicle, tuple(shared.items()))
         print_next(*(following if next_flight is None else _flying(vehicle, next_flight, effects)))
+
+
+def _refuse_beside_fleet(values: dict[str, object]) -> None:
+    """Raise RequestError for what only the diagnosis of one vehicle's flights has."""
+    if used := [name for name, value in values.items() if value]:
+        raise RequestError(f"{', '.join(used)} with --fleet, which diagnoses every log of its folder. Leave it out.")
+
+
+def _refuse_without_fleet(values: dict[str, object]) -> None:
+    """Raise RequestError for what only a fleet has."""
+    if used := [name for name, value in values.items() if value is not None]:
+        raise RequestError(f"{', '.join(used)} without --fleet FOLDER. Give the folder, or leave it out.")
 
 
 def _write_next_flight(result: DiagnosisResult, path: Path) -> None:

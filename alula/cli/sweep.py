@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from alula.cli.options import Effects, Mapping, VehicleOption
 from alula.cli.output import print_next
+from alula.cli.progress import counting_bar
 from alula.workbench import workbench
 from dynamics.files import STANDARD_OUTPUT
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES
@@ -124,21 +124,9 @@ def sweep(
 def _outcomes(made: Sweep, console: Console) -> tuple[Outcome, ...]:
     """Every cell's outcome in the cells' order, under a progress bar."""
     finished: dict[int, Outcome] = {}
-    with _bar(console) as bar:
+    with counting_bar(console) as bar:
         task = bar.add_task(made.study, total=made.count, last="")
         for place, outcome in made.outcomes():
             finished[place] = outcome
             bar.update(task, completed=len(finished), last=outcome.cell.name)
     return tuple(finished[place] for place in sorted(finished))
-
-
-def _bar(console: Console) -> Progress:
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("{task.fields[last]}"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-        console=console,
-    )

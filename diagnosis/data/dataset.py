@@ -87,7 +87,11 @@ def read_flights(
     """
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
-    streams = [read_log(path, mapping=mapping, pose=pose) for path in logs]
+    return align_logs([read_log(path, mapping=mapping, pose=pose) for path in logs], thresholds)
+
+
+def align_logs(streams: Sequence[Log], thresholds: SegmentThresholds = DEFAULT.segment) -> list[Flight]:
+    """The flights of logs that were read, at one rate, that of the slowest. Raises DataError as `read_flights`."""
     flights = [_flight(log, thresholds) for log in streams]
     rates = [flight.rate for flight in flights if flight.rate > 0]
     if not rates:

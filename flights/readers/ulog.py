@@ -6,6 +6,7 @@ Every topic keeps its own clock: the sample's time where it is logged, or else t
 from __future__ import annotations
 
 import contextlib
+import datetime
 import io
 import mmap
 from collections.abc import Callable, Sequence
@@ -25,6 +26,8 @@ from flights.readers import ulog_rotors
 from flights.readers.ulog_topics import TOPIC_ALIASES, Topic, Topics
 from flights.source import Source
 
+AIRFRAME, UTC_START = "sys_uuid", "utc_start"  # of the metadata
+_MIN_UTC = 1e15  # us since 1970; receivers without a fix count from zero or from an old firmware's date
 _MAGIC = b"ULog\x01\x12\x35"
 _HEADER_BYTES = 16
 _MAX_BACK = 64 << 20  # bytes in all that pyulog may step back around damage
@@ -40,7 +43,7 @@ _TOPICS = (
     "vehicle_local_position", "vehicle_odometry", "vehicle_visual_odometry", "vehicle_attitude",
     "vehicle_angular_velocity", "sensor_combined", "actuator_armed", "vehicle_status", "vehicle_land_detected",
     "battery_status", "trajectory_setpoint", "vehicle_local_position_setpoint", "vehicle_attitude_setpoint",
-    "vehicle_rates_setpoint", "vehicle_mocap_odometry",
+    "vehicle_rates_setpoint", "vehicle_mocap_odometry", "vehicle_gps_position", "sensor_gps",
     *ulog_rotors.TOPICS, *(old for names in TOPIC_ALIASES.values() for old in names),
 )  # fmt: skip
 
@@ -111,9 +114,11 @@ def _is_torn(file: Path) -> bool:
 
 def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
     """Add metadata. Returns MAV_TYPE, None where the log has none."""
-    for key in ("sys_name", "ver_hw", "ver_sw"):
+    for key in ("sys_name", AIRFRAME, "ver_hw", "ver_sw"):
         if key in log.msg_info_dict:
             assembly.metadata[key] = str(log.msg_info_dict[key])
+    if date := _utc_start(topics):
+        assembly.metadata[UTC_START] = date
     if isinstance(log.msg_info_dict.get("ver_sw_release"), int) and (version := log.get_version_info_str()):
         assembly.metadata["version"] = version
     status = topics.get("vehicle_status")
@@ -123,6 +128,20 @@ def _describe(log: ULog, topics: Topics, assembly: Assembly) -> int | None:
     if kind is not None:
         assembly.metadata["vehicle_type"] = str(kind)
     return kind
+
+
+def _utc_start(topics: Topics) -> str:
+    """Date and time of the first fix of a satellite receiver (ISO 8601, UTC), empty where the log has none."""
+    for name in ("vehicle_gps_position", "sensor_gps"):
+        topic = topics.get(name)
+        if topic is None or not topic.has("time_utc_usec"):
+            continue
+        stamps = topic["time_utc_usec"]
+        fixed = stamps[stamps > _MIN_UTC]
+        if len(fixed):
+            date = datetime.datetime.fromtimestamp(float(fixed[0]) * 1e-6, tz=datetime.UTC)
+            return date.replace(tzinfo=None).isoformat(timespec="seconds")
+    return ""
 
 
 def _local_position(assembly: Assembly, topics: Topics) -> None:

@@ -44,6 +44,28 @@ def test_a_killed_process_is_named() -> None:
         list(parallel_map(die, [1, 2], jobs=2))
 
 
+def die_on_two(number: int) -> int:
+    return die(number) if number == 2 else number * number
+
+
+def test_an_item_that_kills_its_process_twice_has_the_result_for_that_and_the_others_continue() -> None:
+    results = dict(parallel_map(die_on_two, range(5), jobs=2, killed=lambda number: -number))
+    assert results == {0: 0, 1: 1, 2: -2, 3: 9, 4: 16}
+
+
+def die_first(path: Path) -> str:
+    if path.exists():
+        return "done"
+    path.touch()
+    os.kill(os.getpid(), signal.SIGKILL)
+    return "never"
+
+
+def test_an_item_whose_process_is_killed_once_is_done_again(tmp_path: Path) -> None:
+    results = dict(parallel_map(die_first, [tmp_path / "mark"], jobs=1, killed=lambda _: "killed"))
+    assert results == {0: "done"}
+
+
 ORPHANS = """
 import os, sys, time
 from pathlib import Path

@@ -5,18 +5,16 @@ from __future__ import annotations
 import json
 import os
 import signal
-import subprocess
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import msgspec
 import pytest
-from dask import distributed
 
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import vehicle_toml
+from fixtures.dask_cluster import Cluster, dask_cluster
 from studies.sweep.catalogue import FACTORS, STUDIES
 from studies.sweep.cell import Cell, CellResult, FailedCell, Outcome, StudyOptions, with_factors
 from studies.sweep.cell_work import CellWork, failure, finished
@@ -163,36 +161,15 @@ def test_a_network_without_motors_and_a_wrong_prior_are_other_cells(work: MakeWo
         with_factors(arpl_250g, {"Jxy": 1.0})
 
 
-def dask_process(*arguments: str) -> subprocess.Popen[bytes]:
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[2]), "OMP_NUM_THREADS": "1"}
-    command = [sys.executable, "-W", "ignore", "-m", "distributed.cli." + arguments[0], *arguments[1:]]
-    return subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-
-
 @pytest.fixture
-def cluster(tmp_path: Path) -> Iterator[tuple[str, list[subprocess.Popen[bytes]]]]:
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
     """Address of a scheduler, and two workers in processes of their own."""
-    address_file = tmp_path / "scheduler.json"
-    scheduler = dask_process(
-        "dask_scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard", "--scheduler-file", str(address_file)
-    )
-    options = ("--scheduler-file", str(address_file), "--no-nanny", "--nthreads", "1", "--no-dashboard")
-    workers = [dask_process("dask_worker", *options, "--local-directory", str(tmp_path / str(i))) for i in range(2)]
-    try:
-        client = distributed.Client(scheduler_file=str(address_file), timeout=250, set_as_default=False)
-        client.wait_for_workers(2, timeout=250)
-        client.close()
-        yield json.loads(address_file.read_text())["address"], workers
-    finally:
-        for process in (*workers, scheduler):
-            process.kill()
-            process.wait()
+    with dask_cluster(tmp_path) as made:
+        yield made
 
 
 @pytest.mark.realtime(alone=False)  # repeated where it was starved; it bears company
-def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(
-    work: MakeWork, cluster: tuple[str, list[subprocess.Popen[bytes]]]
-) -> None:
+def test_a_worker_killed_on_the_way_loses_nothing_and_repeats_nothing(work: MakeWork, cluster: Cluster) -> None:
     address, workers = cluster
     works = [work(f"cell_{i}", seed=i, steps=40) for i in range(4)]
     results = run_cells(works, jobs=None, scheduler=address)

@@ -13,6 +13,7 @@ import msgspec
 import alula
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, write_vehicle
+from fixtures.fleet_flights import write_fleet
 from fixtures.planted import planted_flights
 from tests.support.flight_files import manoeuvre, paper_bag
 from tests.support.pages import ROOT
@@ -64,6 +65,7 @@ def prepare_reader_folder(folder: Path, vehicle: Vehicle) -> Path:
     shutil.copy(REAL_LOG, folder / "logs")
     planted_logs(folder / "planted", vehicle, ["rotor_drag:coefficient=6e-5"])
     hovering_logs(folder)
+    write_fleet(folder / "fleet", {"alpha": [()], "beta": [()]})
     (folder / "recordings").mkdir()
     shutil.copy(RECORDED, folder / "recordings" / "20260301-101500.mcap")
     (folder / "flights").mkdir()

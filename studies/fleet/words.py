@@ -1,0 +1,50 @@
+"""What a fleet shows, in sentences."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+from studies.fleet.summary import FleetReport
+
+SHOWN = 3  # effects that a sentence names
+
+
+def sentences(report: FleetReport) -> tuple[str, ...]:
+    """The verdicts, the effects, drifts and outliers, and what was left out; a sentence each."""
+    total, counts = sum(report.verdicts.values()), report.verdicts
+    diagnosed = total - counts.get("refused", 0) - counts.get("failed", 0)
+    vehicles = len(report.vehicles)
+    lines = [
+        f"{_number(diagnosed, 'flight')} of {_number(vehicles, 'vehicle')}: the model explains "
+        f"{counts.get('explained', 0)}, misses an effect in {counts.get('effect', 0)}, cannot be decided in "
+        f"{counts.get('ambiguous', 0)}, and in {counts.get('unknown', 0)} something is missing that no effect explains."
+    ]
+    effects = Counter(effect.key for flight in report.flights for effect in flight.effects)
+    if effects:
+        named = ", ".join(f"{name} in {_number(count, 'flight')}" for name, count in effects.most_common(SHOWN))
+        lines.append(f"Most often missing: {named}.")
+    drifting = [drift for drift in report.drifts if drift.is_drift]
+    if drifting:
+        number = _number(len(drifting), "drift")
+        of = _number(len({drift.vehicle for drift in drifting}), "vehicle")
+        lines.append(f"{number} over the dates, of {of}: first of all {drifting[0].quantity} of {drifting[0].vehicle}.")
+    if report.outliers:
+        logs = {outlier.log for outlier in report.outliers}
+        lines.append(
+            f"{_number(len(logs), 'flight')} unlike the others of the vehicle: first of all {report.outliers[0].log}."
+        )
+    without = total - diagnosed
+    if without:
+        lines.append(f"{_number(without, 'log')} without a diagnosis: each line has the reason.")
+    if report.copies:
+        lines.append(f"{_number(len(report.copies), 'log')} with the content of another one, not counted.")
+    if report.undated:
+        lines.append(
+            f"{_number(report.undated, 'flight')} without a date in log or name, not in the drifts. Write the date "
+            "into the names."
+        )
+    return tuple(lines)
+
+
+def _number(count: int, one: str) -> str:
+    return f"{count:,} {one}{'' if count == 1 else 's'}"
