@@ -12,7 +12,7 @@ import numpy as np
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.diagnose import diagnose_dataset
+from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from diagnosis.estimation.acceptance import deviations_from_neutral, judged_fit, with_faults_of
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import reduced_chi_square, sensors_floor
@@ -33,6 +33,7 @@ from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
+from dynamics.progress import Progress, unseen
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
 from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
@@ -77,6 +78,8 @@ def add_effect(
     command: str = "",
     rotor: int | None = None,
     thresholds: Thresholds = DEFAULT,
+    diagnosed: DiagnosisDetails | None = None,
+    progress: Progress = unseen,
 ) -> Addition:
     """Fit effects on the fitted flights and judge them on those held out. name: None for all that a diagnosis names.
 
@@ -84,6 +87,7 @@ def add_effect(
     output error where held-out windows then end closer.
 
     date, command: for the line of history. rotor: for an effect of one rotor; None for the one that fits best.
+    diagnosed: the diagnosis of this data set and vehicle, where there is one already; of use without a name.
     Raises RequestError for an effect that is unknown, DataError where held-out flights do not bear it out or an error
     of any kind rises.
     """
@@ -91,19 +95,22 @@ def add_effect(
     require_answerable(dataset.everything, vehicle, thresholds)
     notes: tuple[str, ...] = ()
     if name is None:
-        result = diagnose_dataset(dataset, vehicle, catalogue, thresholds)
+        result = diagnosed or diagnose_dataset(dataset, vehicle, catalogue, thresholds, _first_half(progress))
         notes = notes_of_set(result.diagnosis, catalogue)
         regression, accepted = result.regression, result.accepted
     else:
+        progress(0.1, "signals of the catalogue's effects")
         regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
         candidate = _best_candidate(regression, name, rotor)
         accepted = judged_fit(regression, [candidate], dataset, vehicle, resampled=False)
         if candidate.key not in accepted.fit.keys:
             raise DataError(f"{candidate.key} was not added: {reason_of(accepted.refused[-1])}. {ADVICE}")
+    progress(0.5, "output error, over simulated half seconds")
     judge = HeldOut(regression, dataset.held_out)
     present = fit(regression, (), vehicle=vehicle).vehicle  # with the gain of commands that fits without the effects
     fitted, by_output_error = _better_fit(judge, accepted.fit, present, dataset, regression)
     before = with_faults_of(fitted, present)
+    progress(0.9, "errors on held-out flights")
     _require_no_loss(judge, present, before, fitted)
     floor = judge.floor(fitted.vehicle)
     sensors = sensors_floor(regression, fitted.vehicle, dataset.held_out, floor)
@@ -121,11 +128,16 @@ def add_effect(
             reduced_chi_square(judge.rows(present), regression.noise),
             reduced_chi_square(judge.rows(fitted.vehicle), regression.noise),
         ),
-        open_loop=(_horizons(judge, before), _horizons(judge, fitted.vehicle)),
+        open_loop=(horizons_of(judge, before), horizons_of(judge, fitted.vehicle)),
         by_output_error=by_output_error,
         refused=accepted.refused,
         notes=(*notes, *(note for c in fitted.candidates for note in _caveat(fitted, c))),
     )
+
+
+def _first_half(progress: Progress) -> Progress:
+    """Progress of a part that takes the first half."""
+    return lambda share, stage: progress(0.5 * share, stage)
 
 
 def _better_fit(
@@ -194,7 +206,8 @@ def _action(fitted: Fit, vehicle: Vehicle) -> str:
     return ", ".join(f"{verb} {', '.join(keys)}" for verb, keys in parts.items() if keys)
 
 
-def _horizons(judge: HeldOut, vehicle: Vehicle) -> tuple[HorizonError, ...]:
+def horizons_of(judge: HeldOut, vehicle: Vehicle) -> tuple[HorizonError, ...]:
+    """Prediction errors of a vehicle on held-out flights; empty where they hold no pose."""
     return tuple(horizon_error(h, np.vstack(parts)) for h, parts in judge.open_loop(vehicle).items())
 
 

@@ -42,6 +42,7 @@ from diagnosis.verdict import (
 )
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
+from dynamics.progress import Progress, unseen
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 
@@ -74,19 +75,27 @@ class DiagnosisDetails:
 
 
 def diagnose_dataset(
-    dataset: Dataset, vehicle: Vehicle, catalogue: Mapping[str, Effect], thresholds: Thresholds = DEFAULT
+    dataset: Dataset,
+    vehicle: Vehicle,
+    catalogue: Mapping[str, Effect],
+    thresholds: Thresholds = DEFAULT,
+    progress: Progress = unseen,
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 
     thresholds: all but those that are applied when flights are read. Raises DataError when the flights cannot answer.
     """
     require_answerable(dataset.everything, vehicle, thresholds)
+    progress(0.05, "signals of the catalogue's effects")
     regression = make_regression(vehicle, catalogue, dataset.fitted, dataset.flight_of, thresholds)
+    progress(0.35, "search of the effects")
     regression, selection = search_jointly(regression)
+    progress(0.55, "joint fit and acceptance")
     present = fit(regression, ()).vehicle  # with the gain of commands that fits without further effects
     before = residuals_in(regression, present, dataset.held_out)
     judgement = _Judgement(regression, selection, dataset, before)
     accepted = accepted_fit(regression, selection, dataset)
+    progress(0.85, "tests of what remains")
     judged = judgement.of(accepted)
     while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
         accepted = without(regression, accepted, standing_in, dataset)

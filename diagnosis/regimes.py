@@ -90,7 +90,7 @@ def regime_maps(
 ) -> tuple[Regime, ...]:
     """Error over floor of each kind of channel along each quantity. rows: (m, 12) residuals; floor: (12,)."""
     squares = _over_floor(rows, floor)
-    values = _common(segments, vehicle, thresholds)
+    values = row_quantities(segments, vehicle, thresholds)
     placed = [_placed(one, thresholds) for one in values.values()]
     places = np.array([place for _, place in placed])
     ranks = np.array([causes_first(squares[:, kind], places, thresholds.bins) for kind in range(len(KINDS))]).T
@@ -135,7 +135,7 @@ def regime_planes(
     thresholds: RegimeThresholds = DEFAULT.regimes,
 ) -> tuple[Plane, ...]:
     """The same over two quantities at once: speed and thrust, roll and pitch rate, place."""
-    squares, values, bins = _over_floor(rows, floor), _common(segments, vehicle, thresholds), thresholds.bins
+    squares, values, bins = _over_floor(rows, floor), row_quantities(segments, vehicle, thresholds), thresholds.bins
     planes = []
     for across, up in PLANES:
         if across not in values or up not in values:
@@ -183,7 +183,7 @@ def _over_floor(rows: Sequence[Floats], floor: Floats) -> Floats:
     return np.asarray(squares / np.where(levels > 0, levels, np.nan))
 
 
-def _common(segments: Sequence[Segment], vehicle: Vehicle, thresholds: RegimeThresholds) -> dict[str, Floats]:
+def row_quantities(segments: Sequence[Segment], vehicle: Vehicle, thresholds: RegimeThresholds) -> dict[str, Floats]:
     """The quantities that all segments have, (m,) over all of them."""
     values = [_quantities(s, vehicle, thresholds) for s in segments]
     return {name: np.concatenate([v[name] for v in values]) for name in values[0] if all(name in v for v in values)}

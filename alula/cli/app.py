@@ -48,6 +48,7 @@ COMMANDS = (
     "add",
     "train",
     "evaluate",
+    "studio",
     "sweep",
     "export",
     "effects",

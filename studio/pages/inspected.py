@@ -51,7 +51,7 @@ class Section:
 
 def section(inspection: Inspection, flight: Flight) -> Section:
     """The part of the page that is about one log."""
-    return Section(inspection, _flight_lines(inspection, flight), _delay_points(inspection), _coverage_maps(inspection))
+    return Section(inspection, _flight_lines(inspection, flight), delay_points(inspection), coverage_maps(inspection))
 
 
 def inspection_page(sections: Sequence[Section], *, origin: Origin) -> str:
@@ -88,7 +88,8 @@ def _flight_lines(inspection: Inspection, flight: Flight) -> Picture | None:
     return picture(figure, 150 * len(panels) + 60, "Lines: the log's quantities over time.")
 
 
-def _delay_points(inspection: Inspection) -> Picture | None:
+def delay_points(inspection: Inspection) -> Picture | None:
+    """Delays between a log's streams; None where none was estimated."""
     if not inspection.delays:
         return None
     figure = go.Figure()
@@ -113,7 +114,8 @@ def _delay_points(inspection: Inspection) -> Picture | None:
     return picture(figure, 90 + 48 * len(inspection.delays), "Points with bars: delays between the log's streams.")
 
 
-def _coverage_maps(inspection: Inspection) -> tuple[Picture, ...]:
+def coverage_maps(inspection: Inspection) -> tuple[Picture, ...]:
+    """Where a log's time was spent."""
     pictures = []
     for cells in inspection.coverage:
         seconds = np.array(cells.seconds)

@@ -1,0 +1,111 @@
+"""`alula studio`: the way from logs to a better model as a local page in the browser."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from alula.api.inputs import log_paths
+from alula.cli.options import Effects, HoldOut, Mapping, Pose
+from alula.workbench import workbench
+from dynamics.errors import RequestError
+
+if TYPE_CHECKING:
+    from studio.app.studio import Studio
+
+GIB = 1 << 30
+
+
+def studio(
+    logs: Annotated[list[Path] | None, typer.Argument(help="Logs to begin a case with, or folders of them.")] = None,
+    vehicle: Annotated[str | None, typer.Option(help="Vehicle file, or the name of a bundled one.")] = None,
+    case: Annotated[
+        Path | None, typer.Option(help="Folder of the case: opened where there is one, else made there.")
+    ] = None,
+    hold_out: HoldOut = None,
+    effects: Effects = None,
+    mapping: Mapping = None,
+    pose: Pose = None,
+    cases: Annotated[Path | None, typer.Option(help="Folder in which new cases are made.")] = None,
+    port: Annotated[
+        int | None, typer.Option(min=0, max=65535, help="Port on this computer; 0 for a free one. [default: 8642]")
+    ] = None,
+    memory: Annotated[
+        float | None, typer.Option(min=0.5, help="GB that the working process may take; by default 60 % of all.")
+    ] = None,
+    browser: Annotated[bool, typer.Option(help="Open the page in the browser.")] = True,
+) -> None:
+    """Open the studio: compare, see, add, and watch the error fall, by clicks.
+
+    A local page; nothing leaves this computer and nothing is loaded from a network. Ctrl-C ends it; a case stays in its
+    folder as it stood.
+    """
+    with workbench("alula studio"):
+        from studio.app.server import serve
+        from studio.app.studio import Studio, default_root
+    room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
+    try:
+        place = _case(room, logs or [], vehicle, case, hold_out, effects or [], mapping, pose)
+        server, address = serve(room, port=port)
+    except BaseException:
+        room.close()
+        raise
+    address += place
+    console = Console()
+    console.print(f"studio: {address}", highlight=False)
+    console.print("Ctrl-C ends it.", highlight=False)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: threading.Thread(target=server.shutdown, daemon=True).start())
+    if browser and not os.environ.get("ALULA_NO_BROWSER"):
+        webbrowser.open(address)
+    try:
+        server.serve_forever()
+    finally:
+        server.server_close()
+        room.close()
+
+
+def _case(
+    room: Studio,
+    logs: list[Path],
+    vehicle: str | None,
+    case: Path | None,
+    hold_out: str | None,
+    effects: list[Path],
+    mapping: Path | None,
+    pose: str | None,
+) -> str:
+    """The case of a command line, opened or made, and its page's address; the list of cases where none is asked for."""
+    from studio.case.case import is_case
+    from studio.case.state import Options
+
+    if case is not None and is_case(case):
+        if logs or vehicle:
+            raise RequestError(f"{case} holds a case already. Open it alone, and add logs on its page.")
+        return f"case/{room.open(case)}/log"
+    if case is None and not logs:
+        if vehicle:
+            raise RequestError("a vehicle without a log. Give logs too, or choose the vehicle on the page.")
+        return ""
+    files = log_paths(logs) if logs else []
+    name = room.create(case, name=case.name if case else files[0].name.partition(".")[0])
+    opened = room.case(name)
+    if opened is None:
+        raise RequestError(f"{case} cannot be opened.")
+    options = Options(str(mapping.resolve()) if mapping else "", pose or "", hold_out or "")
+    opened.case.set_options(options)
+    for file in effects:
+        opened.case.add_effect_file(file)
+    opened.case.add_logs(files)
+    if vehicle is not None:
+        opened.case.set_vehicle(vehicle)
+    if files:
+        opened.start("check")
+    return f"case/{name}/log"

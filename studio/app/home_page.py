@@ -1,0 +1,55 @@
+"""The first page: cases that there are, and new ones."""
+
+from __future__ import annotations
+
+import datetime
+from typing import Any
+
+import dash_mantine_components as dmc
+from dash import dcc, html
+
+from studio.app.log_page import drop_zone
+from studio.app.parts import action, card
+from studio.app.studio import Studio, name_of
+
+
+def layout(studio: Studio) -> Any:
+    """The list of cases, a new one, one from a file."""
+    entries = studio.entries()
+    rows = [
+        html.Li(
+            [
+                dcc.Link(entry.name, href=f"/case/{name_of(entry.folder)}/log"),
+                dmc.Text(
+                    f" {datetime.datetime.fromtimestamp(entry.changed):%Y-%m-%d %H:%M}, {entry.folder}",
+                    size="sm",
+                    c="dimmed",
+                    span=True,
+                ),
+            ]
+        )
+        for entry in entries
+    ]
+    new = dmc.Group(
+        [
+            dmc.TextInput(id={"field": "case-name"}, label="Name", placeholder="my quadrotor, November"),
+            action("create", "New case"),
+        ],
+        align="end",
+    )
+    return dmc.Stack(
+        [
+            dmc.Title("Which effect does your model miss?", order=1, size="h2"),
+            dmc.Text(
+                "Bring flight logs and a vehicle file. Six steps lead from the logs to a model that predicts flights "
+                "it was not fitted on. Everything stays on this computer."
+            ),
+            card("A new case", new, note=f"A case is a folder; new ones are made in {studio.root}."),
+            card("Cases", html.Ul(rows) if rows else dmc.Text("none yet", c="dimmed")),
+            card(
+                "Open a case that somebody sent",
+                drop_zone("archive", "/archive", "Drop the file (.alula.zip), or", goto="/case/ANSWER/log"),
+            ),
+        ],
+        gap="md",
+    )

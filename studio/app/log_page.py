@@ -1,0 +1,283 @@
+"""Step 1: logs and vehicle; the flights are drawn as soon as they are read."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import dash
+import dash_mantine_components as dmc
+import msgspec
+import plotly.graph_objects as go
+from dash import Input, Output, State, dcc, html, no_update
+from plotly.subplots import make_subplots
+
+from diagnosis.vehicle_from_logs import vehicle_from_logs
+from dynamics.errors import RequestError
+from studio.app.opened import OpenCase
+from studio.app.parts import action, card, command_box, graph, message
+from studio.app.studio import Studio
+from studio.app.theme import EMPTY, styled
+from studio.app.traces import flight_line, window_of
+from studio.case.state import Options
+from studio.pages.figure import GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from studio.pages.inspected import ROWS
+from studio.work.results import FlightInfo
+from vehicles import FOLDER
+
+COLOURS = (SKY, ORANGE, GREEN, PURPLE, VERMILION, "#0072B2", "#8a8f98", YELLOW)
+PANEL = 130  # px
+OWN_FILE, FROM_LOG = "a file of your own", "made from the log"
+
+
+def layout(opened: OpenCase, name: str, scheme: str) -> Any:
+    """Drop zone, the logs, the vehicle, how logs are read, and the first picture."""
+    case = opened.case
+    parts = [
+        dmc.Title("Logs and vehicle", order=1, size="h2"),
+        card(
+            "Flight logs",
+            drop_zone(
+                "drop-logs",
+                f"/case/{name}/upload",
+                "Drop logs or a folder here (ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, ROS bag), or",
+                many=True,
+            ),
+            _log_list(opened),
+        ),
+        card("Vehicle", *_vehicle_choice(opened, name)),
+        _flight_card(opened),
+        dmc.Accordion([_options_item(opened)], chevronPosition="left"),
+    ]
+    if opened.failure:
+        parts.insert(1, message(opened.failure, title="The last step failed", colour="red"))
+    if case.state.logs and case.version is not None:
+        parts.append(dcc.Link("Next: is the log good enough?", href=f"/case/{name}/check", className="next"))
+        parts.append(command_box(opened.command("check")))
+    return dmc.Stack(parts, gap="md")
+
+
+def drop_zone(name: str, url: str, text: str, *, many: bool = False, goto: str = "") -> Any:
+    """A place to drop files on; each is streamed to the address. goto: page to open then, ANSWER for the answer."""
+    choose = html.Button("choose files" if many else "choose a file", type="button", className="choose")
+    line = html.Div("", className="answer", role="status")
+    data = {"data-url": url, "data-goto": goto, "data-many": "yes" if many else ""}
+    return html.Div([html.Div([text + " ", choose]), line], id=name, className="drop", **data)
+
+
+def _log_list(opened: OpenCase) -> Any:
+    state = opened.case.state
+    if not state.logs:
+        return dmc.Text("No log yet.", c="dimmed")
+    flights = opened.flights()
+    infos = {info.path: info for info in flights[1]} if flights else {}
+    rows = []
+    for log, path in zip(state.logs, opened.case.log_paths, strict=True):
+        info = infos.get(str(path))
+        about = f"{log.size / 1e6:.1f} MB"
+        if info is not None and not info.refused:
+            about += f", {info.duration:.1f} s at {info.rate:.0f} Hz"
+        refused = [dmc.Text(info.refused, c="red", size="sm")] if info is not None and info.refused else []
+        remove = dmc.Button(
+            "Remove",
+            id={"act": "remove-log", "step": "", "value": log.path},
+            size="compact-sm",
+            variant="default",
+            n_clicks=0,
+            **{"aria-label": f"remove {Path(log.path).name}"},
+        )
+        name = dmc.Text([html.B(Path(log.path).name), f" ({about})"])
+        rows.append(html.Li(dmc.Stack([dmc.Group([name, remove]), *refused], gap=2)))
+    return html.Ul(rows)
+
+
+def _vehicle_choice(opened: OpenCase, name: str) -> list[Any]:
+    state, version = opened.case.state, opened.case.version
+    bundled = sorted(path.stem for path in FOLDER.glob("*.toml"))
+    now = "none chosen" if version is None else f"{opened.case.vehicle().name} ({state.vehicle})"
+    choose = dmc.Group(
+        [
+            dmc.Select(
+                id={"field": "bundled"},
+                label="A bundled vehicle",
+                data=bundled,
+                value=state.vehicle if state.vehicle in bundled else None,
+                searchable=True,
+                w=240,
+            ),
+            action("vehicle", "Use it", variant="light"),
+        ],
+        align="end",
+    )
+    made = dmc.Group(
+        [
+            dmc.TextInput(id={"field": "made-name"}, label="Name", value="vehicle", w=130),
+            dmc.NumberInput(id={"field": "made-mass"}, label="Mass as flown, kg", min=0, step=0.01, w=150),
+            dmc.NumberInput(id={"field": "made-arm"}, label="Arm, m (if not in the log)", min=0, step=0.005, w=190),
+            dmc.NumberInput(id={"field": "made-speed"}, label="Full rotor speed, rad/s", min=0, step=10, w=180),
+            action("make-vehicle", "Make it from the log", variant="light"),
+        ],
+        align="end",
+    )
+    upload = drop_zone("drop-vehicle", f"/case/{name}/vehicle", "Drop a vehicle file (TOML), or")
+    effects = drop_zone("drop-effects", f"/case/{name}/effects", "Drop a Python file with effects of your own, or")
+    return [
+        dmc.Text(["Now: ", html.B(now)]),
+        choose,
+        dmc.Accordion(
+            [
+                _item("file", "A file of your own", upload),
+                _item("made", "Made from the autopilot's parameters in the log", made),
+                _item(
+                    "effects", "Effects of your own, which compete with the catalogue's", effects, _effect_list(opened)
+                ),
+            ],
+            chevronPosition="left",
+        ),
+    ]
+
+
+def _effect_list(opened: OpenCase) -> Any:
+    return html.Ul([html.Li(Path(file).name) for file in opened.case.state.effect_files])
+
+
+def _item(value: str, label: str, *children: Any) -> Any:
+    return dmc.AccordionItem([dmc.AccordionControl(label), dmc.AccordionPanel(list(children))], value=value)
+
+
+def _options_item(opened: OpenCase) -> Any:
+    options = opened.case.state.options
+    fields = dmc.Group(
+        [
+            dmc.Select(
+                id={"field": "pose"},
+                label="Where the pose comes from",
+                data=[
+                    {"value": "", "label": "as the log tells"},
+                    {"value": "mocap", "label": "motion capture"},
+                    {"value": "estimator", "label": "the autopilot's estimator"},
+                ],
+                value=options.pose,
+                w=240,
+            ),
+            dmc.TextInput(
+                id={"field": "hold-out"}, label="Files to hold out", placeholder="hold_*", value=options.hold_out, w=180
+            ),
+            dmc.TextInput(
+                id={"field": "mapping"}, label="Column mapping of a CSV (TOML)", value=options.mapping, w=280
+            ),
+            action("options", "Use these", variant="light"),
+        ],
+        align="end",
+    )
+    return _item("options", "How the logs are read", fields)
+
+
+def _flight_card(opened: OpenCase) -> Any:
+    flights = opened.flights()
+    if flights is None:
+        return card("Flights", dmc.Text("The logs are drawn here as soon as they are read.", c="dimmed"))
+    readable = [(n, info) for n, info in enumerate(flights[1]) if not info.refused]
+    if not readable:
+        return card("Flights", dmc.Text("None of the logs can be read; each says why above.", c="dimmed"))
+    choice = dmc.Select(
+        id="log-flight",
+        label="Flight",
+        data=[{"value": str(number), "label": info.name} for number, info in readable],
+        value=str(readable[0][0]),
+        allowDeselect=False,
+        w=320,
+    )
+    return card(
+        "Flights",
+        choice,
+        graph("log-lines", EMPTY, "Lines: the log's quantities over time"),
+        note="Drag to zoom: the lines are drawn again from all rows. Double-click to see the whole flight.",
+    )
+
+
+def register(app: dash.Dash, studio: Studio) -> None:
+    """The callbacks of the first picture."""
+    app.callback(
+        Output("log-lines", "figure"),
+        Input("log-flight", "value"),
+        Input("log-lines", "relayoutData"),
+        State("url", "pathname"),
+        State("scheme", "data"),
+    )(lambda flight, zoom, path, scheme: _lines(studio, flight, zoom, path, scheme))
+
+
+def _lines(studio: Studio, flight: str | None, zoom: Any, path: str, scheme: str) -> Any:
+    from studio.app.shell import opened_at
+
+    opened = opened_at(studio, path)
+    flights = opened.flights() if opened else None
+    if flights is None or flight is None or int(flight) >= len(flights[1]):
+        return no_update
+    changed = dash.ctx.triggered_id == "log-lines"
+    if changed and not any(name.startswith("xaxis") for name in zoom or {}):
+        return no_update
+    return flight_figure(flights[0], flights[1][int(flight)], int(flight), window_of(zoom) if changed else None, scheme)
+
+
+def flight_figure(folder: Path, info: FlightInfo, number: int, window: Any, scheme: str) -> go.Figure:
+    """The quantities of a log over time, a panel each, in one window of time."""
+    names = {column.quantity for column in info.columns}
+    panels = [row for row in ROWS if row[0] in names]
+    figure = make_subplots(rows=max(1, len(panels)), shared_xaxes=True, vertical_spacing=0.035)
+    for row, (quantity, title, unit) in enumerate(panels, start=1):
+        columns = [column.name for column in info.columns if column.quantity == quantity]
+        for index, column in enumerate(columns):
+            line = flight_line(folder, info, number, column, window)
+            figure.add_trace(
+                go.Scatter(
+                    x=line.x,
+                    y=line.y,
+                    name=column,
+                    mode="lines",
+                    line={"color": COLOURS[index % len(COLOURS)], "width": 1.1},
+                    showlegend=False,
+                    hovertemplate=f"{column}: %{{y:.4g}} {unit}<extra></extra>",
+                ),
+                row=row,
+                col=1,
+            )
+        figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
+    figure.update_xaxes(title_text="time, s", row=max(1, len(panels)), col=1)
+    styled(figure, scheme, height=PANEL * max(1, len(panels)) + 70)
+    if window is not None:
+        figure.update_xaxes(range=list(window))
+    figure.update_layout(hovermode="x unified", uirevision=f"{number} {window}")
+    return figure
+
+
+def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
+    """Choose or make a vehicle, or change how logs are read. Raises RequestError and DataError."""
+    case = opened.case
+    if act == "vehicle":
+        if not fields.get("bundled"):
+            raise RequestError("no vehicle is selected in the list. Select one, or drop a file.")
+        case.set_vehicle(str(fields["bundled"]))
+    elif act == "make-vehicle":
+        made = vehicle_from_logs(
+            case.log_paths,
+            name=str(fields.get("made-name") or "vehicle"),
+            mass=_number(fields.get("made-mass")),
+            arm=_number(fields.get("made-arm")),
+            speed_max=_number(fields.get("made-speed")),
+            mapping=case.state.options.mapping or None,
+        )
+        path = case.folder / f"{made.draft.vehicle.name}.toml"
+        case.set_vehicle_text(made.draft.toml, source=str(path), action=f"made {made.draft.vehicle.name} from the log")
+        path.write_text(made.draft.toml, encoding="utf-8")
+    else:
+        keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping"}
+        values = {name: str(fields.get(field) or "") for name, field in keys.items()}
+        case.set_options(msgspec.convert(values, Options))
+    if case.state.logs:
+        opened.start("check")
+        opened.start_if_open("compare")
+
+
+def _number(value: Any) -> float | None:
+    return None if value in (None, "") else float(value)

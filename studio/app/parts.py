@@ -1,0 +1,91 @@
+"""Pieces that the pages of the studio share."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import dash_ag_grid as dag
+import dash_mantine_components as dmc
+from dash import dcc, html
+
+from studio.app.theme import CONFIG
+
+VERDICT_COLOURS = {
+    "explained": "teal",
+    "effect": "blue",
+    "ambiguous": "yellow",
+    "unknown": "orange",
+    "good": "teal",
+    "limited": "yellow",
+    "unusable": "red",
+}
+
+
+def action(name: str, label: str, *, disabled: bool = False, variant: str = "filled", **arguments: str) -> Any:
+    """A button that does something to the case: one callback serves them all."""
+    return dmc.Button(label, id={"act": name, **_spelt(arguments)}, disabled=disabled, variant=variant, n_clicks=0)
+
+
+def _spelt(arguments: dict[str, str]) -> dict[str, str]:
+    return {"step": "", "value": "", **arguments}
+
+
+def graph(name: str, figure: Any, description: str, **more: Any) -> Any:
+    """A picture with its description for screen readers."""
+    drawn = dcc.Graph(id=name, figure=figure, config=CONFIG, **more)
+    return html.Div(drawn, role="img", **{"aria-label": description})
+
+
+def card(title: str, *children: Any, note: str = "") -> Any:
+    """A part of a page under a heading."""
+    head: list[Any] = [dmc.Title(title, order=2, size="h4")]
+    if note:
+        head.append(dmc.Text(note, size="sm", c="dimmed"))
+    return dmc.Card([dmc.Stack([*head, *children], gap="xs")], withBorder=True, radius="md", padding="md")
+
+
+def command_box(command: str, *, name: str = "command") -> Any:
+    """The command line that does the same, with a button that copies it."""
+    box = html.Pre(command, id=name, tabIndex=0, className="command")
+    copy = dcc.Clipboard(target_id=name, title="copy the command", className="copy")
+    return html.Div([dmc.Text("The same as a command:", size="sm", c="dimmed"), html.Div([box, copy], className="row")])
+
+
+def message(text: str, *, title: str, colour: str = "blue") -> Any:
+    """A sentence that a user must not miss."""
+    return dmc.Alert(text, title=title, color=colour, variant="light", role="status")
+
+
+def out_of_date(step: str, *, running: bool) -> Any:
+    """The banner above a result that was made before something changed."""
+    text = "Something above has changed since this was made."
+    button = [] if running else [action("start", "Bring it up to date", step=step, variant="light")]
+    return dmc.Alert(dmc.Group([dmc.Text(text), *button]), title="Out of date", color="yellow", variant="light")
+
+
+def table(name: str, rows: Sequence[dict[str, Any]], columns: Sequence[dict[str, Any]], **more: Any) -> Any:
+    """A table that can be sorted; the text of a cell wraps, so that nothing is cut."""
+    default = {"sortable": True, "resizable": True, "wrapText": True, "autoHeight": True, "minWidth": 90}
+    options = {"domLayout": "autoHeight", "animateRows": False, "suppressCellFocus": False, **more.pop("options", {})}
+    return dag.AgGrid(
+        id=name,
+        rowData=list(rows),
+        columnDefs=list(columns),
+        defaultColDef=default,
+        dashGridOptions=options,
+        columnSize="responsiveSizeToFit",
+        className="ag-theme-quartz",
+        style={"height": None, "width": "100%"},
+        **more,
+    )
+
+
+def badge(text: str) -> Any:
+    """A verdict."""
+    return dmc.Badge(text, color=VERDICT_COLOURS.get(text, "gray"), size="lg", autoContrast=True)
+
+
+def grid(*children: Any, width: int = 420) -> Any:
+    """Parts side by side, as many as the screen is wide."""
+    return html.Div(children, className="grid", style={"--width": f"{width}px"})

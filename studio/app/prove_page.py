@@ -1,0 +1,173 @@
+"""Step 6: held-out errors and open loop before and after, the bundle, and a flight on the mock with both models."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import dash_mantine_components as dmc
+import numpy as np
+import plotly.graph_objects as go
+from dash import html
+from plotly.subplots import make_subplots
+
+from diagnosis.models.channels import NAMES
+from diagnosis.models.open_loop import HorizonError
+from studio.app.opened import OpenCase
+from studio.app.parts import action, card, command_box, graph, message, out_of_date, table
+from studio.app.theme import PRESENT, improved_colour, measured_colour, styled
+from studio.pages.numbers import unit_shown
+from studio.work.results import Exported, Flown, Proved
+
+REFERENCES = ("Lemniscate", "Ellipse_1", "hover")
+QUANTITIES = (
+    ("position", "position, m"),
+    ("velocity", "velocity, m/s"),
+    ("attitude", "attitude, rad"),
+    ("rate", "rate, rad/s"),
+)
+
+
+def layout(opened: OpenCase, name: str, scheme: str) -> Any:
+    """What the additions are worth on flights that nothing was fitted to, and in the controller."""
+    parts: list[Any] = [dmc.Title("Prove it", order=1, size="h2")]
+    if opened.failure:
+        parts.append(message(opened.failure, title="The last step failed", colour="red"))
+    reason = opened.lock_reason("prove")
+    if reason:
+        parts.append(message(reason, title="Locked"))
+        return dmc.Stack(parts, gap="md")
+    running = opened.job is not None
+    parts.append(_held_out(opened, scheme, running=running))
+    parts.append(_mock(opened, scheme, running=running))
+    parts.append(_bundle(opened, running=running))
+    return dmc.Stack(parts, gap="md")
+
+
+def _held_out(opened: OpenCase, scheme: str, *, running: bool) -> Any:
+    title, refusal = "On flights that nothing was fitted to", opened.refusal("prove")
+    if refusal is not None:
+        return card(title, message(refusal.message, title="Not proved", colour="yellow"))
+    proved = opened.result(Proved, "prove")
+    if proved is None:
+        return card(title, action("start", "Compare both versions", step="prove", disabled=running))
+    rows = [
+        {
+            "channel": NAMES[kind],
+            "before": f"{error.before:.4g}",
+            "after": f"{error.after:.4g}",
+            "floor": f"{error.floor:.4g}",
+            "unit": unit_shown(error.unit),
+            "change": f"{100 * (error.after / error.before - 1):+.1f} %",
+        }
+        for kind, error in proved.channels.items()
+    ]
+    columns = [{"field": key, "headerName": key} for key in ("channel", "before", "after", "change", "floor", "unit")]
+    banner = [] if opened.is_fresh("prove") else [out_of_date("prove", running=running)]
+    drawn = []
+    if proved.open_loop_before:
+        figure = _open_loop_figure(proved.open_loop_before, proved.open_loop_after, scheme)
+        drawn = [graph("open-loop", figure, "Lines: prediction error over the horizon, before and after")]
+    return card(
+        title,
+        *banner,
+        table("proved", rows, columns),
+        *drawn,
+        note="RMS of each channel, and of predictions without later measurements.",
+    )
+
+
+def _open_loop_figure(before: Sequence[HorizonError], after: Sequence[HorizonError], scheme: str) -> go.Figure:
+    figure = make_subplots(cols=2, rows=2, subplot_titles=[title for _, title in QUANTITIES], vertical_spacing=0.2)
+    for number, (quantity, _) in enumerate(QUANTITIES):
+        for label, colour, errors in (("before", PRESENT, before), ("after", improved_colour(scheme), after)):
+            drawn = go.Scatter(
+                x=[e.horizon for e in errors],
+                y=[getattr(e, quantity) for e in errors],
+                name=label,
+                legendgroup=label,
+                showlegend=number == 0,
+                mode="lines+markers",
+                line={"color": colour, "width": 2},
+            )
+            figure.add_trace(drawn, row=number // 2 + 1, col=number % 2 + 1)
+    figure.update_xaxes(title_text="horizon, s")
+    figure.update_yaxes(rangemode="tozero")
+    styled(figure, scheme, height=520)
+    figure.update_layout(legend={"y": 1.08})
+    return figure
+
+
+def _mock(opened: OpenCase, scheme: str, *, running: bool) -> Any:
+    choose = dmc.Group(
+        [
+            dmc.Select(
+                id={"field": "reference"},
+                label="Manoeuvre",
+                data=list(REFERENCES),
+                value=REFERENCES[0],
+                allowDeselect=False,
+                w=200,
+            ),
+            action("start", "Fly it on the mock", step="fly", disabled=running),
+        ],
+        align="end",
+    )
+    flown = []
+    for reference in REFERENCES:
+        step = f"fly:{reference}"
+        refusal, result = opened.refusal(step), opened.result(Flown, step, shown=False)
+        if refusal is not None:
+            flown.append(message(refusal.message, title=f"{reference} was not flown", colour="yellow"))
+        if result is not None:
+            flown.append(_flown(result, scheme))
+    return card(
+        "In the controller",
+        choose,
+        *flown,
+        note="The mock's vehicle has the effects of the present version; the controller flies the first version's model, "
+        "then the present one's. It shows what the controller gains if the effects are real, and not that they are.",
+    )
+
+
+def _flown(flown: Flown, scheme: str) -> Any:
+    text = (
+        f"{flown.reference}: {100 * flown.before.rmse:.1f} cm with the first version in the controller, "
+        f"{100 * flown.after.rmse:.1f} cm with the present one (RMS position error)."
+    )
+    aborted = [run.aborted for run in (flown.before, flown.after) if run.aborted]
+    figure = go.Figure()
+    for name, colour, points, width in (
+        ("reference", measured_colour(scheme), flown.setpoint, 1.2),
+        ("first version", PRESENT, flown.before.path, 1.6),
+        ("present version", improved_colour(scheme), flown.after.path, 1.6),
+    ):
+        path = np.array(points or [[np.nan] * 3])
+        figure.add_trace(
+            go.Scatter(x=path[:, 0], y=path[:, 1], name=name, mode="lines", line={"color": colour, "width": width})
+        )
+    figure.update_xaxes(title_text="x, m")
+    figure.update_yaxes(title_text="y, m", scaleanchor="x")
+    styled(figure, scheme, height=380)
+    return html.Div(
+        [
+            dmc.Text(text, fw=600, className="flown"),
+            *(dmc.Text(f"Ended early: {reason}", c="red") for reason in aborted),
+            graph(f"flown-{flown.reference}", figure, f"Paths of {flown.reference} from above"),
+        ]
+    )
+
+
+def _bundle(opened: OpenCase, *, running: bool) -> Any:
+    exported, refusal = opened.result(Exported, "export", shown=False), opened.refusal("export")
+    title = "A bundle for `alula fly`"
+    if refusal is not None:
+        return card(title, message(refusal.message, title="Not exported", colour="yellow"))
+    if exported is None:
+        return card(title, action("start", "Export the present version", step="export", disabled=running))
+    lines = html.Ul([html.Li(line.strip()) for line in exported.summary])
+    return card(
+        title,
+        lines,
+        command_box(f"alula fly --bundle {exported.folder} --reference Lemniscate", name="fly-command"),
+    )

@@ -1,0 +1,234 @@
+"""The studio's server on the loopback interface: the page, uploads that are streamed to disk, downloads.
+
+Only this computer reaches it, and only pages that it served itself: a foreign Host header, which DNS rebinding would
+bring, and requests from another origin are refused.
+"""
+
+from __future__ import annotations
+
+import shutil
+import socket
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import dash
+import flask
+from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
+
+from dynamics.errors import AlulaError, RequestError
+from dynamics.files import write_whole
+from dynamics.vehicle_file import with_effect_files
+from studio.app.opened import OpenCase
+from studio.app.shell import build
+from studio.app.studio import Studio
+from studio.case.archive import ENDING, write_archive
+
+HOST = "127.0.0.1"
+PORT = 8642
+CHUNK = 1 << 20  # bytes of an upload in memory
+MAX_TEXT = 4 << 20  # bytes of a vehicle or effect file
+
+
+class QuietHandler(WSGIRequestHandler):
+    """Requests are not printed."""
+
+    def log_request(self, *_: Any, **__: Any) -> None:
+        """Print nothing."""
+
+
+def make_app(studio: Studio, port: int) -> dash.Dash:
+    """The page of a studio and its routes. port: that it will be served on, which a Host header must name."""
+    server = flask.Flask("studio")
+    app = dash.Dash(
+        "studio",
+        server=server,
+        title="Alula studio",
+        update_title=None,
+        serve_locally=True,
+        suppress_callback_exceptions=True,
+        assets_folder=str(Path(__file__).parent / "assets"),
+    )
+    server.before_request(lambda: _refuse_foreign(port))
+    server.after_request(_with_headers)
+    _add_routes(server, studio)
+    build(app, studio)
+    return app
+
+
+def serve(studio: Studio, *, port: int | None = None) -> tuple[BaseWSGIServer, str]:
+    """A server that is bound and waits for `serve_forever`, and the page's address.
+
+    port: None for the usual one, or the next that is free. Raises RequestError for a port that is taken.
+    """
+    bound = _bound_socket(port)
+    number = bound.getsockname()[1]
+    app = make_app(studio, number)
+    server = make_server(HOST, number, app.server, threaded=True, request_handler=QuietHandler, fd=bound.detach())
+    return server, f"http://{HOST}:{number}/"
+
+
+def _bound_socket(port: int | None) -> socket.socket:
+    candidates = range(PORT, PORT + 20) if port is None else (port,)
+    for number in candidates:
+        bound = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            bound.bind((HOST, number))
+            bound.listen(64)
+        except OSError as error:
+            bound.close()
+            if port is not None:
+                advice = "Another studio may be open there; give another --port, or 0 for a free one."
+                raise RequestError(f"port {port} cannot be used: {error.strerror or error}. {advice}") from None
+        else:
+            return bound
+    raise RequestError(f"ports {PORT} to {PORT + 19} are all taken. Give a --port, or 0 for a free one.")
+
+
+def _refuse_foreign(port: int) -> Any:
+    """An answer to a request that no page of ours on this computer sent, None for the others."""
+    names = {f"{name}:{port}" for name in ("127.0.0.1", "localhost", "[::1]")}
+    if flask.request.host not in names:
+        return flask.Response(f"This studio answers to http://{HOST}:{port}/ alone.", status=403)
+    origin = flask.request.headers.get("Origin")
+    if origin is not None and origin not in {f"http://{name}" for name in names}:
+        return flask.Response("A page of another site may not use this studio.", status=403)
+    if flask.request.headers.get("Sec-Fetch-Site", "same-origin") not in ("same-origin", "none"):
+        return flask.Response("A page of another site may not use this studio.", status=403)
+    return None
+
+
+def _with_headers(response: flask.Response) -> flask.Response:
+    """Headers by which a browser loads nothing from elsewhere, and shows the page in no frame."""
+    inline = "script-src 'self' 'unsafe-inline' 'unsafe-eval'; style-src 'self' 'unsafe-inline'"
+    policy = (
+        f"default-src 'self'; {inline}; img-src 'self' data: blob:; frame-ancestors 'none'; worker-src 'self' blob:"
+    )
+    response.headers["Content-Security-Policy"] = policy
+    response.headers["X-Content-Type-Options"] = "nosniff"
+    response.headers["Referrer-Policy"] = "no-referrer"
+    return response
+
+
+def _add_routes(server: flask.Flask, studio: Studio) -> None:
+    """Uploads and downloads."""
+
+    def answered(act: Callable[[OpenCase], Any], name: str) -> Any:
+        opened = studio.case(name)
+        if opened is None:
+            return flask.Response("There is no such case here.", status=404)
+        try:
+            return act(opened)
+        except AlulaError as error:
+            return flask.Response(str(error), status=400)
+
+    def upload(name: str) -> Any:
+        return answered(_receive_log, name)
+
+    def upload_vehicle(name: str) -> Any:
+        return answered(_receive_vehicle, name)
+
+    def upload_effects(name: str) -> Any:
+        return answered(_receive_effects, name)
+
+    def download_vehicle(name: str, number: int) -> Any:
+        return answered(lambda opened: _vehicle_file(opened, number), name)
+
+    def download_archive(name: str) -> Any:
+        return answered(_archive, name)
+
+    def upload_archive() -> Any:
+        return _receive_archive(studio)
+
+    server.add_url_rule("/case/<name>/upload", view_func=upload, methods=["PUT"])
+    server.add_url_rule("/case/<name>/vehicle", view_func=upload_vehicle, methods=["PUT"])
+    server.add_url_rule("/case/<name>/effects", view_func=upload_effects, methods=["PUT"])
+    server.add_url_rule("/case/<name>/vehicle/<int:number>.toml", view_func=download_vehicle)
+    server.add_url_rule("/case/<name>/archive", view_func=download_archive)
+    server.add_url_rule("/archive", view_func=upload_archive, methods=["PUT"])
+
+
+def _receive_log(opened: OpenCase) -> str:
+    """Stream an uploaded log to the case's folder; only one chunk of it is ever in memory."""
+    path = opened.case.new_log_path(flask.request.args.get("name", "log"))
+    write_whole(path, _stream_to, advice="Make room on the disk.")
+    opened.case.add_logs([path])
+    opened.start("check")
+    return path.name
+
+
+def _stream_to(part: Path) -> None:
+    """Write the request's body to a file. Raises OSError where the browser ended it before its time."""
+    wanted, size = flask.request.content_length, 0
+    with part.open("wb") as file:
+        while chunk := flask.request.stream.read(CHUNK):
+            file.write(chunk)
+            size += len(chunk)
+    if wanted is not None and size != wanted:
+        raise OSError(f"the upload ended after {size} of {wanted} bytes")
+
+
+def _text() -> str:
+    """The request's body as text. Raises RequestError for one that is none."""
+    body = flask.request.stream.read(MAX_TEXT + 1)
+    if len(body) > MAX_TEXT:
+        raise RequestError(f"the file has more than {MAX_TEXT >> 20} MB; a vehicle or effect file is text.")
+    try:
+        return body.decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise RequestError(f"the file is no text: {error}. Give a TOML or Python file.") from error
+
+
+def _receive_vehicle(opened: OpenCase) -> str:
+    name = Path(flask.request.args.get("name", "vehicle.toml")).name
+    folder = opened.case.folder
+    files = [folder / file for file in opened.case.state.effect_files]
+    text = with_effect_files(_text(), folder, files)
+    target = folder / f"uploaded_{name}"
+    opened.case.set_vehicle_text(text, source=str(target), action=f"chose {Path(name).stem}")
+    write_whole(target, lambda part: part.write_text(text, encoding="utf-8"), advice="Make room on the disk.")
+    if opened.case.state.logs:
+        opened.start("check")
+        opened.start_if_open("compare")
+    return name
+
+
+def _receive_effects(opened: OpenCase) -> str:
+    name = Path(flask.request.args.get("name", "effects.py")).name
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / name
+        path.write_text(_text(), encoding="utf-8")
+        opened.case.add_effect_file(path)
+    if opened.case.state.logs:
+        opened.start("check")
+    return name
+
+
+def _vehicle_file(opened: OpenCase, number: int) -> Any:
+    version = opened.case.version_number(number)
+    if version is None:
+        raise RequestError(f"the case has no version {number}.")
+    name = f"{opened.case.vehicle(version).name}.v{number}.toml"
+    return flask.send_file(opened.case.vehicle_path(version), as_attachment=True, download_name=name)
+
+
+def _archive(opened: OpenCase) -> Any:
+    """The case as one file, which is removed when it has been sent."""
+    folder = Path(tempfile.mkdtemp())
+    path = write_archive(opened.case, folder / f"case{ENDING}")
+    response = flask.send_file(path, as_attachment=True, download_name=f"{opened.case.state.name}{ENDING}")
+    response.call_on_close(lambda: shutil.rmtree(folder, ignore_errors=True))
+    return response
+
+
+def _receive_archive(studio: Studio) -> Any:
+    name = Path(flask.request.args.get("name", "case")).name.removesuffix(ENDING)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"case{ENDING}"
+        try:
+            write_whole(path, _stream_to, advice="Make room on the disk.")
+            return studio.unpack(path, name)
+        except AlulaError as error:
+            return flask.Response(str(error), status=400)

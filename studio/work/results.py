@@ -1,0 +1,215 @@
+"""What the steps of a case write beside their tables, as JSON."""
+
+from __future__ import annotations
+
+import msgspec
+
+from diagnosis.addition_report import AdditionReport
+from diagnosis.comparison import Comparison
+from diagnosis.models.open_loop import HorizonError
+from diagnosis.report import ChannelError, Diagnosis
+from flights.quality import Inspection
+
+
+class ColumnInfo(msgspec.Struct, frozen=True):
+    """A column of a flight's table: name, quantity that it is of, unit."""
+
+    name: str
+    quantity: str
+    unit: str
+
+
+class FlightInfo(msgspec.Struct, frozen=True):
+    """A log's table, or why there is none.
+
+    name: of the file.
+    path: of the log.
+    duration: s.
+    rate: of the rows, Hz.
+    columns: in the order of the table's rows.
+    refused: the reader's message.
+    """
+
+    name: str
+    path: str
+    duration: float = 0.0
+    rate: float = 0.0
+    columns: tuple[ColumnInfo, ...] = ()
+    refused: str = ""
+
+
+class PictureInfo(msgspec.Struct, frozen=True):
+    """A picture as Plotly's JSON, its height in px, and what it shows."""
+
+    data: str
+    height: int
+    description: str
+
+
+class Checked(msgspec.Struct, frozen=True):
+    """The inspection of each log that could be read, and what a log says of its vehicle.
+
+    by_log: the inspection, None where the log was refused.
+    pictures: of each log, by name.
+    has_layout: whether a vehicle file can be made of the logs' parameters.
+    """
+
+    flights: tuple[FlightInfo, ...]
+    by_log: tuple[Inspection | None, ...]
+    pictures: tuple[dict[str, PictureInfo], ...]
+    has_layout: bool
+
+    @property
+    def usable(self) -> bool:
+        """Whether at least one log can answer something."""
+        return any(one is not None and one.verdict != "unusable" for one in self.by_log)
+
+
+class SegmentInfo(msgspec.Struct, frozen=True):
+    """An uninterrupted segment among the rows of a comparison.
+
+    flight: name of the log's file; log: its place among the case's flights.
+    start: of the first row, s in the log's time.
+    first, stop: rows.
+    held_out: whether nothing is fitted to it.
+    """
+
+    flight: str
+    log: int
+    start: float
+    first: int
+    stop: int
+    held_out: bool
+
+
+class QuantityInfo(msgspec.Struct, frozen=True):
+    """A quantity of the regime maps: name with unit, and the edges of its cells."""
+
+    name: str
+    edges: list[float]
+
+
+class Rows(msgspec.Struct, frozen=True):
+    """The rows of a comparison or diagnosis. floor: (12,); rate: Hz."""
+
+    segments: tuple[SegmentInfo, ...]
+    rate: float
+    floor: list[float]
+    quantities: tuple[QuantityInfo, ...]
+
+
+class Compared(msgspec.Struct, frozen=True):
+    """A comparison, its rows and its pictures by name."""
+
+    comparison: Comparison
+    rows: Rows
+    pictures: dict[str, PictureInfo]
+
+
+class RankedEffect(msgspec.Struct, frozen=True):
+    """A candidate as the ranking lists it.
+
+    key: its name in a model, the rotor in brackets.
+    summary: what it is, one sentence.
+    score: of the candidate alone; null where it is impossible.
+    outcome: named, refused, not_selected or impossible.
+    reason: why it is not named, empty where it is.
+    value: fitted values in words, empty where it was not fitted.
+    own: whether it is the user's.
+    """
+
+    key: str
+    summary: str
+    score: float | None
+    outcome: str
+    reason: str
+    value: str
+    own: bool
+
+
+class Diagnosed(msgspec.Struct, frozen=True):
+    """A diagnosis in words, its ranking, rows and pictures."""
+
+    diagnosis: Diagnosis
+    sentence: str
+    notes: tuple[str, ...]
+    leftovers: tuple[str, ...]
+    ranking: tuple[RankedEffect, ...]
+    addable: tuple[str, ...]
+    rows: Rows
+    pictures: dict[str, PictureInfo]
+
+
+class Slider(msgspec.Struct, frozen=True):
+    """A parameter of an effect that can be moved by hand.
+
+    name, unit: of the parameter.
+    values: (g,) of the grid, its best one among them.
+    best: place of the value that fits best.
+    rms: (g, 4) error of each kind of channel over its floor, null where a kind is absent.
+    """
+
+    name: str
+    unit: str
+    values: list[float]
+    best: int
+    rms: list[list[float | None]]
+
+
+class Evidence(msgspec.Struct, frozen=True):
+    """What one effect alone explains.
+
+    key: the effect; value: fitted values in words.
+    score: as in the ranking.
+    sliders: of its parameters.
+    share: by kind of channel, the part of the squared error above the floor that it explains.
+    """
+
+    key: str
+    formula: str
+    value: str
+    score: float | None
+    sliders: tuple[Slider, ...]
+    share: dict[str, float]
+    pictures: dict[str, PictureInfo]
+
+
+class Added(msgspec.Struct, frozen=True):
+    """An addition; the vehicle's file lies beside it."""
+
+    report: AdditionReport
+    action: str
+
+
+class Proved(msgspec.Struct, frozen=True):
+    """The first and the present version on the held-out flights."""
+
+    channels: dict[str, ChannelError]
+    open_loop_before: tuple[HorizonError, ...]
+    open_loop_after: tuple[HorizonError, ...]
+    effects: tuple[str, ...]
+
+
+class FlownPath(msgspec.Struct, frozen=True):
+    """A flight on the mock: tracking error, and paths (n, 3) thinned for a picture."""
+
+    rmse: float
+    aborted: str
+    path: list[list[float]]
+
+
+class Flown(msgspec.Struct, frozen=True):
+    """A manoeuvre on the mock with the first version in the controller and with the present one."""
+
+    reference: str
+    before: FlownPath
+    after: FlownPath
+    setpoint: list[list[float]]
+    effects: tuple[str, ...]
+
+
+class Exported(msgspec.Struct, frozen=True):
+    """A bundle that was written: its folder and what was compared, in words."""
+
+    folder: str
+    summary: tuple[str, ...]
