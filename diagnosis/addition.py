@@ -33,7 +33,7 @@ from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
-from dynamics.progress import Progress, unseen
+from dynamics.progress import Progress, no_progress
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
 from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
@@ -79,7 +79,7 @@ def add_effect(
     rotor: int | None = None,
     thresholds: Thresholds = DEFAULT,
     diagnosed: DiagnosisDetails | None = None,
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
 ) -> Addition:
     """Fit effects on the fitted flights and judge them on those held out. name: None for all that a diagnosis names.
 

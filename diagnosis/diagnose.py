@@ -42,7 +42,7 @@ from diagnosis.verdict import (
 )
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
-from dynamics.progress import Progress, unseen
+from dynamics.progress import Progress, no_progress
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
 
@@ -79,7 +79,7 @@ def diagnose_dataset(
     vehicle: Vehicle,
     catalogue: Mapping[str, Effect],
     thresholds: Thresholds = DEFAULT,
-    progress: Progress = unseen,
+    progress: Progress = no_progress,
 ) -> DiagnosisDetails:
     """Name the physical effect that is missing from a vehicle's model.
 

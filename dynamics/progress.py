@@ -7,5 +7,5 @@ from collections.abc import Callable
 Progress = Callable[[float, str], None]  # share that is done, 0 to 1, and what is done now
 
 
-def unseen(share: float, stage: str) -> None:
+def no_progress(share: float, stage: str) -> None:
     """Progress that nobody looks at."""

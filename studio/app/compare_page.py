@@ -39,6 +39,7 @@ from studio.app.traces import (
     thinned,
     window_of,
     worst_windows,
+    zoomed,
 )
 from studio.pages.inspected import ROWS
 from studio.pages.numbers import quantity_shown, unit_shown
@@ -47,7 +48,7 @@ from studio.work.results import Compared, Diagnosed, Rows
 
 AXIS_NAMES = "xyz"
 SHOWN_SECONDS = 8  # buttons of a cell
-MAX_SPANS = 60  # shaded stretches in a picture
+MAX_SPANS = 60  # shaded spans in a picture
 NEAR = 2.0  # s on each side of a moment that was clicked
 PATH_POINTS = 4000
 
@@ -129,7 +130,7 @@ def _summary(compared: Compared) -> Any:
         f"{worst.rms / worst.floor:.2g} times what noise explains."
     )
     cells = [
-        f"{quantity_shown(c.regime)} {c.low:.3g} to {c.high:.3g}: {NAMES[c.channel]} {c.rms_over_floor:.2g} times its floor"
+        f"{quantity_shown(c.regime)} {c.low:.3g} to {c.high:.3g}: {NAMES[c.channel]} {c.rms_over_floor:.2g} × its floor"
         for c in compared.comparison.fails_where
     ]
     return card("In words", dmc.Text(text, fw=600), html.Ul([html.Li(cell) for cell in cells]))
@@ -210,7 +211,7 @@ def _panels(opened: OpenCase, compared: Compared, folder: Path) -> Any:
             className="grid",
             style={"--width": "560px"},
         ),
-        note="Drag to zoom all panels; double-click to see the whole flight. Lines are drawn from all rows at every zoom.",
+        note="Drag to zoom all panels; double-click to see the whole flight. Every zoom is drawn from all rows.",
     )
 
 
@@ -227,12 +228,20 @@ def register(app: dash.Dash, studio: Studio) -> None:
         Input("compare-log", "value"),
         Input("compare-kind", "value"),
         Input("compare-signal", "value"),
-        Input("compare-lines", "relayoutData"),
         Input("compare-window", "data"),
         Input("compare-cell", "data"),
         State("url", "pathname"),
         State("scheme", "data"),
     )(lambda *arguments: _draw(studio, *arguments))
+    app.callback(
+        Output("compare-lines", "figure", allow_duplicate=True),
+        Input("compare-lines", "relayoutData"),
+        State("compare-log", "value"),
+        State("compare-kind", "value"),
+        State("compare-signal", "value"),
+        State("url", "pathname"),
+        prevent_initial_call=True,
+    )(lambda *arguments: _zoom(studio, *arguments))
     app.callback(
         Output("compare-lines-2", "figure"),
         Output("second-panel", "hidden"),
@@ -278,40 +287,36 @@ def _result(studio: Studio, path: str) -> tuple[OpenCase, Compared, Path] | None
     return None if compared is None or folder is None else (opened, compared, folder)
 
 
+def _zoom(studio: Studio, zoom: Any, log: str, kind: str, signal: str | None, path: str) -> Any:
+    """The lines again from all rows of the time that is shown."""
+    there = _result(studio, path)
+    if there is None or log is None or not zoomed(zoom):
+        return no_update
+    opened, compared, folder = there
+    patch = Patch()
+    for number, place in enumerate(_lines(opened, compared.rows, folder, int(log), kind, signal, window_of(zoom))):
+        patch["data"][number]["x"] = place[-1].x
+        patch["data"][number]["y"] = place[-1].y
+    return patch
+
+
 def _draw(
-    studio: Studio,
-    log: str,
-    kind: str,
-    signal: str | None,
-    zoom: Any,
-    window: Any,
-    cell: Any,
-    path: str,
-    scheme: str,
+    studio: Studio, log: str, kind: str, signal: str | None, window: Any, cell: Any, path: str, scheme: str
 ) -> tuple[Any, Any]:
+    """The panels, about a window of time where one was asked for; spans of a cell are shaded."""
     there = _result(studio, path)
     if there is None or log is None:
         return no_update, no_update
     opened, compared, folder = there
     triggered = ctx.triggered_id
-    if triggered == "compare-lines":
-        span = window_of(zoom)
-        if span is None and not any("autorange" in key for key in zoom or {}):
-            return no_update, no_update
-        lines = _lines(opened, compared.rows, folder, int(log), kind, signal, span)
-        patch = Patch()
-        for number, (_, _, _, _, line) in enumerate(lines):
-            patch["data"][number]["x"] = line.x
-            patch["data"][number]["y"] = line.y
-        return patch, no_update
     span = None
     if window is not None and (triggered in (None, "compare-window") or int(log) == window["log"]):
         log, span = str(window["log"]), (window["start"], window["stop"])
     lines = _lines(opened, compared.rows, folder, int(log), kind, signal, span)
     figure = _lines_figure(lines, kind, signal, scheme, span)
-    for stretch in (cell or {}).get("stretches", [])[:MAX_SPANS]:
-        if stretch[0] == int(log):
-            figure.add_vrect(x0=stretch[1], x1=stretch[2], fillcolor=HIGHLIGHT, opacity=0.25, line_width=0)
+    for shaded in (cell or {}).get("spans", [])[:MAX_SPANS]:
+        if shaded[0] == int(log):
+            figure.add_vrect(x0=shaded[1], x1=shaded[2], fillcolor=HIGHLIGHT, opacity=0.25, line_width=0)
     return figure, log
 
 
@@ -435,7 +440,7 @@ def _jump(clicks: list[Any], clicked: Any) -> Any:
 
 
 def _seconds_of_cell(studio: Studio, clicked: Any, path: str) -> tuple[Any, Any]:
-    """The stretches of flight in a cell, and buttons that lead to the longest."""
+    """The spans of flight in a cell, and buttons that lead to the longest."""
     there = _result(studio, path)
     if there is None or not clicked:
         return no_update, no_update
@@ -445,7 +450,7 @@ def _seconds_of_cell(studio: Studio, clicked: Any, path: str) -> tuple[Any, Any]
     if point["y"] not in names:
         return no_update, no_update
     quantity, cell = names.index(point["y"]), int(point["x"]) - 1
-    stretches = cell_seconds(folder, rows, quantity, cell)
+    spans = cell_seconds(folder, rows, quantity, cell)
     flights = {s.log: s.flight for s in rows.segments}
     edges = rows.quantities[quantity].edges
     label = f"{names[quantity]} from {edges[cell]:.3g} to {edges[cell + 1]:.3g}"
@@ -457,11 +462,11 @@ def _seconds_of_cell(studio: Studio, clicked: Any, path: str) -> tuple[Any, Any]
             variant="default",
             n_clicks=0,
         )
-        for log, start, stop in stretches[:SHOWN_SECONDS]
+        for log, start, stop in spans[:SHOWN_SECONDS]
     ]
-    total = sum(stop - start for _, start, stop in stretches)
-    text = dmc.Text(f"{label}: {total:.1f} s in {len(stretches)} stretches, shaded above. The longest:", size="sm")
-    return {"stretches": stretches, "label": label}, dmc.Group([text, *buttons], gap="xs")
+    total = sum(stop - start for _, start, stop in spans)
+    text = dmc.Text(f"{label}: {total:.1f} s in {len(spans)} spans, shaded above. The longest:", size="sm")
+    return {"spans": spans, "label": label}, dmc.Group([text, *buttons], gap="xs")
 
 
 def _map(studio: Studio, kind: str, clicked: Any, log: str, path: str, scheme: str) -> Any:

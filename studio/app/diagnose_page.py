@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +21,7 @@ from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, message, out_of_date, table
 from studio.app.studio import Studio
 from studio.app.theme import BY_HAND, EMPTY, PRESENT, figure_of, improved_colour, measured_colour, styled
-from studio.app.traces import channel_line, row_numbers, thinned, window_of
+from studio.app.traces import Line, channel_line, row_numbers, thinned, window_of, zoomed
 from studio.pages.figure import GREEN, PURPLE, SKY
 from studio.pages.numbers import unit_shown
 from studio.work.arrays import read_array
@@ -131,6 +133,7 @@ def _ranking(diagnosed: Diagnosed) -> Any:
             "ranking",
             rows,
             columns,
+            height=420,
             options={"rowSelection": {"mode": "singleRow", "checkboxes": False, "enableClickSelection": True}},
             selectedRows=rows[:1],
             getRowId="params.data.key",
@@ -157,11 +160,21 @@ def register(app: dash.Dash, studio: Studio) -> None:
         Input({"slider": ALL}, "value"),
         Input("evidence-log", "value"),
         Input("evidence-kind", "value"),
-        Input("evidence-lines", "relayoutData"),
+        State("evidence-lines", "relayoutData"),
         State("ranking", "selectedRows"),
         State("url", "pathname"),
         State("scheme", "data"),
     )(lambda *arguments: _move(studio, *arguments))
+    app.callback(
+        Output("evidence-lines", "figure", allow_duplicate=True),
+        Input("evidence-lines", "relayoutData"),
+        State({"slider": ALL}, "value"),
+        State("evidence-log", "value"),
+        State("evidence-kind", "value"),
+        State("ranking", "selectedRows"),
+        State("url", "pathname"),
+        prevent_initial_call=True,
+    )(lambda *arguments: _zoom(studio, *arguments))
 
 
 def _opened(studio: Studio, path: str) -> OpenCase | None:
@@ -281,56 +294,62 @@ def _slider(number: int, slider: Slider) -> Any:
     )
 
 
-def _move(
-    studio: Studio,
-    values: list[float],
-    log: str,
-    kind: str,
-    zoom: Any,
-    selected: Any,
-    path: str,
-    scheme: str,
-) -> tuple[Any, Any, Any]:
-    """Redraw for a slider's value: lines of the moved model, the errors in words, and the mark on their curve."""
+@dataclass(frozen=True)
+class _Shown:
+    """The evidence that is shown: its folder, that of the diagnosis, and what they hold."""
+
+    folder: Path
+    base: Path
+    evidence: Evidence
+    rows: Rows
+
+
+def _shown(studio: Studio, selected: Any, values: list[float], path: str) -> _Shown | None:
+    """The evidence of the selected effect, None until it is there. values: of its sliders."""
     opened = _opened(studio, path)
     if opened is None or not selected or not values:
-        return no_update, no_update, no_update
-    key = selected[0]["key"]
-    folder, evidence = (
-        opened.case.result_folder(f"explain:{key}"),
-        opened.result(Evidence, f"explain:{key}", shown=False),
-    )
+        return None
+    step = f"explain:{selected[0]['key']}"
+    folder, evidence = opened.case.result_folder(step), opened.result(Evidence, step, shown=False)
     diagnosed, base = opened.result(Diagnosed, "diagnose"), opened.case.shown_result("diagnose")
     if evidence is None or diagnosed is None or base is None or len(values) != len(evidence.sliders):
+        return None
+    return _Shown(folder, base, evidence, diagnosed.rows)
+
+
+def _move(
+    studio: Studio, values: list[float], log: str, kind: str, zoom: Any, selected: Any, path: str, scheme: str
+) -> tuple[Any, Any, Any]:
+    """Redraw for a slider's value: lines of the moved model, the errors in words, and the mark on their curve."""
+    shown = _shown(studio, selected, values, path)
+    if shown is None:
         return no_update, no_update, no_update
-    trigger = ctx.triggered_id
-    moved = trigger["slider"] if isinstance(trigger, dict) else 0
-    place = float(values[moved])
-    readout = _readout(evidence.sliders[moved], place, diagnosed.rows)
-    span = window_of(zoom)
-    if isinstance(trigger, dict) or (trigger == "evidence-lines" and span is not None):
-        return (
-            _patched_lines(folder, base, diagnosed.rows, int(log), kind, moved, place, span),
-            readout,
-            _patched_errors(evidence.sliders[moved], place) if moved == 0 else no_update,
-        )
-    lines = _lines(folder, base, diagnosed.rows, int(log), kind, moved, place, None)
-    return (
-        _lines_figure(lines, kind, scheme),
-        readout,
-        _errors_figure(evidence.sliders[0], float(values[0]), diagnosed.rows, scheme),
-    )
+    by_slider = isinstance(ctx.triggered_id, dict)
+    moved = ctx.triggered_id["slider"] if by_slider else 0
+    slider, place = shown.evidence.sliders[moved], float(values[moved])
+    span = window_of(zoom) if by_slider else None
+    lines = _lines(shown, int(log), kind, moved, place, span)
+    drawn = _patched(lines, {"with the effect"}) if by_slider else _lines_figure(lines, kind, scheme)
+    return drawn, _readout(slider, place), _errors_figure(slider, place, scheme)
 
 
-def _lines(
-    folder: Path, base: Path, rows: Rows, log: int, kind: str, slider: int, place: float, span: Any
-) -> list[tuple[int, str, Any]]:
+def _zoom(studio: Studio, zoom: Any, values: list[float], log: str, kind: str, selected: Any, path: str) -> Any:
+    """The lines again from all rows of the time that is shown."""
+    shown = _shown(studio, selected, values, path)
+    if shown is None or not zoomed(zoom):
+        return no_update
+    lines = _lines(shown, int(log), kind, 0, float(values[0]), window_of(zoom))
+    return _patched(lines, {name for _, name, _ in lines})
+
+
+def _lines(shown: _Shown, log: int, kind: str, slider: int, place: float, span: Any) -> list[tuple[int, str, Line]]:
     """Measured, present and moved model, axis by axis."""
+    base, rows = shown.base, shown.rows
     numbers = row_numbers(rows, log)
     time = read_array(base, "time")[numbers]
     low = min(int(place), GRID - 2)
-    grid_tables = read_array(folder, f"grid_{slider}")
-    lines: list[tuple[int, str, Any]] = []
+    grid_tables = read_array(shown.folder, f"grid_{slider}")
+    lines: list[tuple[int, str, Line]] = []
     for axis in range(AXES):
         channel = AXES * KINDS.index(kind) + axis
         measured = np.asarray(read_array(base, "measured")[numbers, channel])
@@ -342,7 +361,7 @@ def _lines(
     return lines
 
 
-def _lines_figure(lines: list[tuple[int, str, Any]], kind: str, scheme: str) -> go.Figure:
+def _lines_figure(lines: list[tuple[int, str, Line]], kind: str, scheme: str) -> go.Figure:
     colours = {
         "measured": measured_colour(scheme),
         "present model": PRESENT,
@@ -367,12 +386,11 @@ def _lines_figure(lines: list[tuple[int, str, Any]], kind: str, scheme: str) -> 
     return figure
 
 
-def _patched_lines(
-    folder: Path, base: Path, rows: Rows, log: int, kind: str, slider: int, place: float, span: Any
-) -> Any:
+def _patched(lines: list[tuple[int, str, Line]], names: Collection[str]) -> Any:
+    """New points for the lines of these names."""
     patch = Patch()
-    for number, (_, name, line) in enumerate(_lines(folder, base, rows, log, kind, slider, place, span)):
-        if span is not None or name == "with the effect":
+    for number, (_, name, line) in enumerate(lines):
+        if name in names:
             patch["data"][number]["x"] = line.x
             patch["data"][number]["y"] = line.y
     return patch
@@ -390,7 +408,7 @@ def _at(slider: Slider, place: float) -> tuple[float, list[float | None]]:
     return value, errors
 
 
-def _readout(slider: Slider, place: float, rows: Rows) -> Any:
+def _readout(slider: Slider, place: float) -> Any:
     value, errors = _at(slider, place)
     listed = ", ".join(f"{NAMES[k]} {e:.3g}" for k, e in zip(KINDS, errors, strict=True) if e is not None)
     return dmc.Text(
@@ -398,7 +416,7 @@ def _readout(slider: Slider, place: float, rows: Rows) -> Any:
     )
 
 
-def _errors_figure(slider: Slider, place: float, rows: Rows, scheme: str) -> go.Figure:
+def _errors_figure(slider: Slider, place: float, scheme: str) -> go.Figure:
     """Error over floor against the parameter's value, the best one and the chosen one marked."""
     figure = go.Figure()
     for number, kind in enumerate(KINDS):
@@ -416,11 +434,3 @@ def _errors_figure(slider: Slider, place: float, rows: Rows, scheme: str) -> go.
     figure.update_xaxes(title_text=f"{slider.name}{unit}")
     figure.update_yaxes(title_text="error, × floor", rangemode="tozero")
     return styled(figure, scheme, height=460)
-
-
-def _patched_errors(slider: Slider, place: float) -> Any:
-    value, _ = _at(slider, place)
-    patch = Patch()
-    patch["layout"]["shapes"][1]["x0"] = value
-    patch["layout"]["shapes"][1]["x1"] = value
-    return patch

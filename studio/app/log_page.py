@@ -18,7 +18,7 @@ from studio.app.opened import OpenCase
 from studio.app.parts import action, card, command_box, graph, message
 from studio.app.studio import Studio
 from studio.app.theme import EMPTY, styled
-from studio.app.traces import flight_line, window_of
+from studio.app.traces import flight_line, window_of, zoomed
 from studio.case.state import Options
 from studio.pages.figure import GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from studio.pages.inspected import ROWS
@@ -201,23 +201,27 @@ def register(app: dash.Dash, studio: Studio) -> None:
     app.callback(
         Output("log-lines", "figure"),
         Input("log-flight", "value"),
-        Input("log-lines", "relayoutData"),
         State("url", "pathname"),
         State("scheme", "data"),
-    )(lambda flight, zoom, path, scheme: _lines(studio, flight, zoom, path, scheme))
+    )(lambda flight, path, scheme: _draw(studio, flight, None, path, scheme))
+    app.callback(
+        Output("log-lines", "figure", allow_duplicate=True),
+        Input("log-lines", "relayoutData"),
+        State("log-flight", "value"),
+        State("url", "pathname"),
+        State("scheme", "data"),
+        prevent_initial_call=True,
+    )(lambda zoom, flight, path, scheme: _draw(studio, flight, zoom, path, scheme) if zoomed(zoom) else no_update)
 
 
-def _lines(studio: Studio, flight: str | None, zoom: Any, path: str, scheme: str) -> Any:
+def _draw(studio: Studio, flight: str | None, zoom: Any, path: str, scheme: str) -> Any:
     from studio.app.shell import opened_at
 
     opened = opened_at(studio, path)
     flights = opened.flights() if opened else None
     if flights is None or flight is None or int(flight) >= len(flights[1]):
         return no_update
-    changed = dash.ctx.triggered_id == "log-lines"
-    if changed and not any(name.startswith("xaxis") for name in zoom or {}):
-        return no_update
-    return flight_figure(flights[0], flights[1][int(flight)], int(flight), window_of(zoom) if changed else None, scheme)
+    return flight_figure(flights[0], flights[1][int(flight)], int(flight), window_of(zoom), scheme)
 
 
 def flight_figure(folder: Path, info: FlightInfo, number: int, window: Any, scheme: str) -> go.Figure:

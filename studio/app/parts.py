@@ -24,11 +24,8 @@ VERDICT_COLOURS = {
 
 def action(name: str, label: str, *, disabled: bool = False, variant: str = "filled", **arguments: str) -> Any:
     """A button that does something to the case: one callback serves them all."""
-    return dmc.Button(label, id={"act": name, **_spelt(arguments)}, disabled=disabled, variant=variant, n_clicks=0)
-
-
-def _spelt(arguments: dict[str, str]) -> dict[str, str]:
-    return {"step": "", "value": "", **arguments}
+    place = {"act": name, "step": "", "value": "", **arguments}
+    return dmc.Button(label, id=place, disabled=disabled, variant=variant, n_clicks=0)
 
 
 def graph(name: str, figure: Any, description: str, **more: Any) -> Any:
@@ -60,14 +57,25 @@ def message(text: str, *, title: str, colour: str = "blue") -> Any:
 def out_of_date(step: str, *, running: bool) -> Any:
     """The banner above a result that was made before something changed."""
     text = "Something above has changed since this was made."
-    button = [] if running else [action("start", "Bring it up to date", step=step, variant="light")]
+    button = [] if running else [action("start", "Bring it up to date", step=step, value="again", variant="light")]
     return dmc.Alert(dmc.Group([dmc.Text(text), *button]), title="Out of date", color="yellow", variant="light")
 
 
-def table(name: str, rows: Sequence[dict[str, Any]], columns: Sequence[dict[str, Any]], **more: Any) -> Any:
-    """A table that can be sorted; the text of a cell wraps, so that nothing is cut."""
+def table(
+    name: str,
+    rows: Sequence[dict[str, Any]],
+    columns: Sequence[dict[str, Any]],
+    *,
+    height: int | None = None,
+    **more: Any,
+) -> Any:
+    """A table that can be sorted; the text of a cell wraps, so that nothing is cut.
+
+    height: px, after which it scrolls.
+    """
     default = {"sortable": True, "resizable": True, "wrapText": True, "autoHeight": True, "minWidth": 90}
-    options = {"domLayout": "autoHeight", "animateRows": False, "suppressCellFocus": False, **more.pop("options", {})}
+    layout = "autoHeight" if height is None else "normal"
+    options = {"domLayout": layout, "animateRows": False, **more.pop("options", {})}
     return dag.AgGrid(
         id=name,
         rowData=list(rows),
@@ -76,7 +84,7 @@ def table(name: str, rows: Sequence[dict[str, Any]], columns: Sequence[dict[str,
         dashGridOptions=options,
         columnSize="responsiveSizeToFit",
         className="ag-theme-quartz",
-        style={"height": None, "width": "100%"},
+        style={"height": height, "width": "100%"},
         **more,
     )
 

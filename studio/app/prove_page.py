@@ -20,12 +20,7 @@ from studio.pages.numbers import unit_shown
 from studio.work.results import Exported, Flown, Proved
 
 REFERENCES = ("Lemniscate", "Ellipse_1", "hover")
-QUANTITIES = (
-    ("position", "position, m"),
-    ("velocity", "velocity, m/s"),
-    ("attitude", "attitude, rad"),
-    ("rate", "rate, rad/s"),
-)
+UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
@@ -68,18 +63,14 @@ def _held_out(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     if proved.open_loop_before:
         figure = _open_loop_figure(proved.open_loop_before, proved.open_loop_after, scheme)
         drawn = [graph("open-loop", figure, "Lines: prediction error over the horizon, before and after")]
-    return card(
-        title,
-        *banner,
-        table("proved", rows, columns),
-        *drawn,
-        note="RMS of each channel, and of predictions without later measurements.",
-    )
+    note = "RMS of each channel, and of predictions without later measurements."
+    return card(title, *banner, table("proved", rows, columns), *drawn, note=note)
 
 
 def _open_loop_figure(before: Sequence[HorizonError], after: Sequence[HorizonError], scheme: str) -> go.Figure:
-    figure = make_subplots(cols=2, rows=2, subplot_titles=[title for _, title in QUANTITIES], vertical_spacing=0.2)
-    for number, (quantity, _) in enumerate(QUANTITIES):
+    titles = [f"{name}, {unit}" for name, unit in UNITS.items()]
+    figure = make_subplots(cols=2, rows=2, subplot_titles=titles, vertical_spacing=0.2)
+    for number, quantity in enumerate(UNITS):
         for label, colour, errors in (("before", PRESENT, before), ("after", improved_colour(scheme), after)):
             drawn = go.Scatter(
                 x=[e.horizon for e in errors],
@@ -125,8 +116,8 @@ def _mock(opened: OpenCase, scheme: str, *, running: bool) -> Any:
         "In the controller",
         choose,
         *flown,
-        note="The mock's vehicle has the effects of the present version; the controller flies the first version's model, "
-        "then the present one's. It shows what the controller gains if the effects are real, and not that they are.",
+        note="The mock's vehicle has the effects of the present version. The controller flies the first version's "
+        "model, then the present one's: what the controller gains if the effects are real, and not that they are.",
     )
 
 
@@ -137,6 +128,8 @@ def _flown(flown: Flown, scheme: str) -> Any:
     )
     aborted = [run.aborted for run in (flown.before, flown.after) if run.aborted]
     figure = go.Figure()
+    everything = np.array([*flown.setpoint, *flown.after.path] or [[0.0] * 3])
+    across, up = np.sort(np.argsort(-np.ptp(everything, axis=0))[:2])  # the plane in which the path is widest
     for name, colour, points, width in (
         ("reference", measured_colour(scheme), flown.setpoint, 1.2),
         ("first version", PRESENT, flown.before.path, 1.6),
@@ -144,23 +137,25 @@ def _flown(flown: Flown, scheme: str) -> Any:
     ):
         path = np.array(points or [[np.nan] * 3])
         figure.add_trace(
-            go.Scatter(x=path[:, 0], y=path[:, 1], name=name, mode="lines", line={"color": colour, "width": width})
+            go.Scatter(
+                x=path[:, across], y=path[:, up], name=name, mode="lines", line={"color": colour, "width": width}
+            )
         )
-    figure.update_xaxes(title_text="x, m")
-    figure.update_yaxes(title_text="y, m", scaleanchor="x")
+    figure.update_xaxes(title_text=f"{'xyz'[across]}, m")
+    figure.update_yaxes(title_text=f"{'xyz'[up]}, m", scaleanchor="x")
     styled(figure, scheme, height=380)
     return html.Div(
         [
             dmc.Text(text, fw=600, className="flown"),
             *(dmc.Text(f"Ended early: {reason}", c="red") for reason in aborted),
-            graph(f"flown-{flown.reference}", figure, f"Paths of {flown.reference} from above"),
+            graph(f"flown-{flown.reference}", figure, f"Paths of {flown.reference}"),
         ]
     )
 
 
 def _bundle(opened: OpenCase, *, running: bool) -> Any:
     exported, refusal = opened.result(Exported, "export", shown=False), opened.refusal("export")
-    title = "A bundle for `alula fly`"
+    title = "A bundle for alula fly"
     if refusal is not None:
         return card(title, message(refusal.message, title="Not exported", colour="yellow"))
     if exported is None:

@@ -31,7 +31,7 @@ CHUNK = 1 << 20  # bytes of an upload in memory
 MAX_TEXT = 4 << 20  # bytes of a vehicle or effect file
 
 
-class QuietHandler(WSGIRequestHandler):
+class QuietHandler(WSGIRequestHandler):  # type: ignore[misc]
     """Requests are not printed."""
 
     def log_request(self, *_: Any, **__: Any) -> None:
@@ -161,13 +161,13 @@ def _receive_log(opened: OpenCase) -> str:
 
 def _stream_to(part: Path) -> None:
     """Write the request's body to a file. Raises OSError where the browser ended it before its time."""
-    wanted, size = flask.request.content_length, 0
+    expected, size = flask.request.content_length, 0
     with part.open("wb") as file:
         while chunk := flask.request.stream.read(CHUNK):
             file.write(chunk)
             size += len(chunk)
-    if wanted is not None and size != wanted:
-        raise OSError(f"the upload ended after {size} of {wanted} bytes")
+    if expected is not None and size != expected:
+        raise OSError(f"the upload ended after {size} of {expected} bytes")
 
 
 def _text() -> str:
@@ -176,7 +176,7 @@ def _text() -> str:
     if len(body) > MAX_TEXT:
         raise RequestError(f"the file has more than {MAX_TEXT >> 20} MB; a vehicle or effect file is text.")
     try:
-        return body.decode("utf-8")
+        return str(body, "utf-8")
     except UnicodeDecodeError as error:
         raise RequestError(f"the file is no text: {error}. Give a TOML or Python file.") from error
 

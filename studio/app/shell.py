@@ -63,7 +63,7 @@ def build(app: dash.Dash, studio: Studio) -> None:
         Input("tick", "n_intervals"),
         State("url", "pathname"),
         State("revision", "data"),
-    )(lambda _, path, seen: _look(studio, path, seen))
+    )(lambda _, path, last: _look(studio, path, last))
     app.callback(
         Output("notices", "sendNotifications"),
         Output("url", "pathname"),
@@ -138,11 +138,11 @@ def opened_at(studio: Studio, path: str | None) -> OpenCase | None:
         return None
 
 
-def _show(studio: Studio, revision: Any, path: str, scheme: str, seen: str | None) -> tuple[Any, ...]:
+def _show(studio: Studio, revision: Any, path: str, scheme: str, last: str | None) -> tuple[Any, ...]:
     name, page = place_of(path)
     if not name:
         signature = f"home {len(studio.entries())} {scheme}"
-        return (), "", no_update if signature == seen else home_page.layout(studio), signature
+        return (), "", no_update if signature == last else home_page.layout(studio), signature
     try:
         opened = studio.case(name)
     except AlulaError as error:
@@ -150,7 +150,7 @@ def _show(studio: Studio, revision: Any, path: str, scheme: str, seen: str | Non
     if opened is None:
         return (), "", message("There is no such case on this computer.", title="No case", colour="red"), ""
     signature = f"{path} {scheme} {signature_of(opened, page)}"
-    main = no_update if signature == seen else CASE_PAGES[page](opened, name, scheme)
+    main = no_update if signature == last else CASE_PAGES[page](opened, name, scheme)
     return _navigation(opened, name, page), _heading(opened, name), main, signature
 
 
@@ -159,7 +159,13 @@ def signature_of(opened: OpenCase, page: str) -> str:
     case = opened.case
     state = case.state
     running = opened.job.step if opened.job is not None else ""
-    parts = [opened.status(page), running == page, opened.failure, opened.lock_reason(page), case.key("prove")]
+    parts: list[Any] = [
+        opened.status(page),
+        running == page,
+        opened.failure,
+        opened.lock_reason(page),
+        case.key("prove"),
+    ]
     parts += [case.shown_result(step) for step in ("check", "compare", "diagnose", "prove")]
     parts += [state.current, state.undone, state.options, state.vehicle, case.has_result("flights")]
     if page == "add":
@@ -170,7 +176,7 @@ def signature_of(opened: OpenCase, page: str) -> str:
     return repr(parts)
 
 
-def _look(studio: Studio, path: str, seen: Any) -> tuple[Any, Any]:
+def _look(studio: Studio, path: str, last: Any) -> tuple[Any, Any]:
     """What runs, and whether anything changed."""
     opened = opened_at(studio, path)
     if opened is None:
@@ -192,7 +198,7 @@ def _look(studio: Studio, path: str, seen: Any) -> tuple[Any, Any]:
             p="xs",
             mb="sm",
         )
-    return bar, revision if revision != seen else no_update
+    return bar, revision if revision != last else no_update
 
 
 def _navigation(opened: OpenCase, name: str, page: str) -> Any:

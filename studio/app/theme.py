@@ -34,7 +34,15 @@ CONFIG = {
     "toImageButtonOptions": {"format": "svg"},
     "modeBarButtonsToRemove": ["select2d", "lasso2d"],
 }
-EMPTY = go.Figure(layout={"xaxis": {"visible": False}, "yaxis": {"visible": False}, "margin": {"t": 10, "b": 10}})
+EMPTY = go.Figure(
+    layout={
+        "template": "none",
+        "xaxis": {"visible": False},
+        "yaxis": {"visible": False},
+        "paper_bgcolor": "rgba(0,0,0,0)",
+        "plot_bgcolor": "rgba(0,0,0,0)",
+    }
+)
 
 
 def figure_of(picture: PictureInfo, scheme: str, *, choice: str = "") -> dict[str, Any]:

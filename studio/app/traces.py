@@ -107,17 +107,17 @@ def worst_windows(
 
 
 def cell_seconds(folder: Path, rows: Rows, quantity: int, cell: int) -> list[tuple[int, float, float]]:
-    """Log, start and stop (s in the log's time) of the stretches that lie in a cell of a regime map, longest first."""
+    """Log, start and stop (s in the log's time) of the spans that lie in a cell of a regime map, longest first."""
     inside = cells_of(folder, rows, quantity) == cell
     time = read_array(folder, "time")
-    stretches = []
+    spans = []
     for segment in rows.segments:
         part = inside[segment.first : segment.stop].astype(int)
         edges = np.flatnonzero(np.diff(np.concatenate([[0], part, [0]])))
         for first, stop in edges.reshape(-1, 2):
             start, end = time[segment.first + first], time[segment.first + stop - 1]
-            stretches.append((segment.log, float(start), float(end) + 1 / rows.rate))
-    return sorted(stretches, key=lambda s: s[1] - s[2])
+            spans.append((segment.log, float(start), float(end) + 1 / rows.rate))
+    return sorted(spans, key=lambda s: s[1] - s[2])
 
 
 def cells_of(folder: Path, rows: Rows, quantity: int) -> NDArray[np.intp]:
@@ -143,3 +143,8 @@ def window_of(relayout: Any) -> tuple[float, float] | None:
         if name.startswith("xaxis") and name.endswith("range[0]"):
             return float(value), float(relayout[name.replace("[0]", "[1]")])
     return None
+
+
+def zoomed(relayout: Any) -> bool:
+    """Whether a change of a picture's layout is one of the time that it shows."""
+    return any(name.startswith("xaxis") and ("range" in name) for name in relayout or {})

@@ -95,8 +95,8 @@ class Case:
         while version is not None:
             versions.insert(0, version)
             version = self.version_number(version.parent)
-        ahead = [v for number in reversed(self._state.undone) if (v := self.version_number(number)) is not None]
-        return (*versions, *ahead)
+        undone = [v for number in reversed(self._state.undone) if (v := self.version_number(number)) is not None]
+        return (*versions, *undone)
 
     def version_number(self, number: int) -> Version | None:
         """A version by its number, None where there is none."""
@@ -314,8 +314,8 @@ def _read_state(folder: Path) -> CaseState:
     try:
         number = msgspec.json.decode(content, type=dict[str, Any]).get("format")
         if number != FORMAT:
-            wanted = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
-            raise RequestError(f"{path} is of format {number!r}. {wanted}")
+            advice = f"This Alula reads format {FORMAT}; its logs and vehicle files are as they were, in {folder}."
+            raise RequestError(f"{path} is of format {number!r}. {advice}")
         return msgspec.json.decode(content, type=CaseState)
     except msgspec.MsgspecError as error:
         raise RequestError(f"{path} is damaged: {error}. Its logs and vehicle files lie beside it.") from None

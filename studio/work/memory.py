@@ -11,7 +11,7 @@ from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
 from dynamics.effect import Effect
 from dynamics.errors import AlulaError, RequestError
 from dynamics.own_effects import catalogue_of
-from dynamics.progress import Progress, unseen
+from dynamics.progress import Progress, no_progress
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
 from flights import Log, read_log
@@ -26,7 +26,7 @@ class CaseMemory:
     def __init__(self) -> None:
         self._held: dict[str, tuple[str, object]] = {}
 
-    def logs(self, task: Task, progress: Progress = unseen) -> list[Log | AlulaError]:
+    def logs(self, task: Task, progress: Progress = no_progress) -> list[Log | AlulaError]:
         """The case's logs, in place of one that cannot be read the error."""
         return self._made("logs", task.data_key, lambda: _read(task, progress))
 
@@ -44,11 +44,11 @@ class CaseMemory:
         """The effects that compete: the catalogue's and the user's own."""
         return catalogue_of(self.vehicle(task))
 
-    def dataset(self, task: Task, progress: Progress = unseen) -> Dataset:
+    def dataset(self, task: Task, progress: Progress = no_progress) -> Dataset:
         """The data set of the logs that can be read. Raises the first log's error where none can."""
         return self._made("dataset", task.vehicle_key, lambda: self._read_dataset(task, progress))
 
-    def diagnosis(self, task: Task, progress: Progress = unseen) -> DiagnosisDetails:
+    def diagnosis(self, task: Task, progress: Progress = no_progress) -> DiagnosisDetails:
         """The diagnosis of the vehicle that is worked on. Raises DataError when the flights cannot answer."""
         return self._made("diagnosis", task.vehicle_key, lambda: self._diagnose(task, progress))
 
