@@ -48,11 +48,16 @@ def _turns_or_scales(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str, E
     """Whether an effect turns the axes of the inertial sensors against the body, or changes their scale."""
     measure = _alone(effect, vehicle, catalogue).measure
     turns = measure.jac_sparsity(GYRO_AXES, PARAMETERS).nnz() > 0
-    return not effect.moves_vehicle and (turns or bool(_scaled(measure)))
+    return not effect.moves_vehicle and (turns or bool(_scaled(effect, measure)))
 
 
-def _scaled(measure: ca.Function) -> set[int]:
-    """Places of the inertial sensors' readings of which parameters change the scale, axis by axis."""
+def _scaled(effect: Effect, measure: ca.Function) -> set[int]:
+    """Places of the inertial sensors' readings of which parameters change the scale, axis by axis.
+
+    None for a fault with a sensor prior, which bounds it where nothing else shows it.
+    """
+    if effect.sensor_prior is not None:
+        return set()
     symbols = [ca.SX.sym(name, measure.size1_in(i)) for i, name in enumerate(measure.name_in())]
     read = measure(*symbols)
     slopes = {place: ca.jacobian(read[place], symbols[place]) for place in (FORCE_READING, RATE_READING)}
@@ -81,7 +86,7 @@ def state_dependencies(effect: Effect, vehicle: Vehicle, catalogue: Mapping[str,
 
     if depends(RATE_READING, POSE_AGE, ATTITUDE_AGE):
         quantities.add("attitude")  # a fault of the gyro or of the pose's clock shows against the attitude
-    if depends(POSE_ARM) or FORCE_READING in _scaled(model.measure):
+    if depends(POSE_ARM) or FORCE_READING in _scaled(effect, model.measure):
         quantities |= {"velocity", "attitude"}  # without a pose a scale of the accelerometer looks like thrust
     return frozenset(quantities)
 

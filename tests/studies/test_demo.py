@@ -12,28 +12,16 @@ from dynamics.errors import RequestError, VehicleError
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import find_vehicle, read_vehicle, write_vehicle
 from runtime.flight_setup import FlightSetup, prepare_flight
-from runtime.record.recording import read_recording
 from simulation.mock_process import mock_process
 from studies.demo import run as demo_module
 from studies.demo.flights import DemoOptions, clear_of_the_ground, clear_old_files
-from studies.demo.report import closing_lines, tracked, write_report
+from studies.demo.report import closing_lines, write_report
 from studies.demo.result import DemoReport, FlownManoeuvre
 from studies.demo.run import check_options, run_demo
 
 
 def ignore(_: str) -> None:
     """Discard an announcement."""
-
-
-@pytest.fixture(scope="module")
-def flown(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, DemoReport, list[str]]:
-    """The first half over a real link."""
-    folder = tmp_path_factory.mktemp("demo")
-    options = DemoOptions(folder, manoeuvres=("WarpedEllipse_1",), duration=8.0, learn=False)
-    announcements: list[str] = []
-    report, learning = run_demo(options, announcements.append, announcements.append)
-    assert learning is None
-    return options, write_report(report, folder), announcements
 
 
 @pytest.fixture(scope="module")
@@ -44,39 +32,6 @@ def learned(tmp_path_factory: pytest.TempPathFactory) -> tuple[DemoOptions, Demo
     parts: list[str] = []
     report, learning = run_demo(options, ignore, parts.append, command="alula demo --lockstep")
     return options, write_report(report, folder, learning), parts
-
-
-@pytest.mark.realtime
-def test_a_manoeuvre_is_tracked_over_mavlink_with_an_effect_hidden(flown) -> None:
-    options, report, announcements = flown
-    (manoeuvre,) = report.nominal
-    assert manoeuvre.name == "WarpedEllipse_1"
-    assert 0 < manoeuvre.position_rmse < 0.3
-    assert manoeuvre.position_max >= manoeuvre.position_rmse
-    assert report.hidden_effects == options.effects
-    assert any("ENGAGED" in line for line in announcements)
-
-
-@pytest.mark.realtime
-def test_the_report_says_the_same_in_every_form(flown) -> None:
-    options, report, _ = flown
-    with (options.folder / "tracking.csv").open() as file:
-        (row,) = csv.DictReader(file)
-    assert float(row["position_rmse"]) == pytest.approx(report.nominal[0].position_rmse, rel=1e-5)
-    assert msgspec.json.decode((options.folder / "report.json").read_bytes(), type=DemoReport) == report
-    text = (options.folder / "report.md").read_text()
-    assert f"{report.nominal[0].position_rmse:.3f}" in text
-    assert "rotor_drag" in text
-    assert not list(options.folder.glob(".part-*"))
-
-
-@pytest.mark.realtime
-def test_the_recording_holds_reference_and_flight_while_tracking(flown) -> None:
-    _, report, _ = flown
-    times, position, setpoint = tracked(read_recording(Path(report.nominal[0].recording)))
-    assert 6 < times[-1] - times[0] < 9
-    error = ((position - setpoint) ** 2).sum(axis=1).mean() ** 0.5
-    assert error == pytest.approx(report.nominal[0].position_rmse, rel=0.15)
 
 
 def test_the_demo_finds_what_is_hidden_and_the_prediction_error_falls_to_the_noise(learned) -> None:
@@ -201,28 +156,6 @@ def test_a_table_without_a_paper_figure_leaves_its_cell_empty(tmp_path: Path) ->
     with (tmp_path / "tracking.csv").open() as file:
         (row,) = csv.DictReader(file)
     assert (row["manoeuvre"], row["paper_rmse"]) == ("circle", "")
-
-
-@pytest.mark.realtime
-def test_a_vehicle_that_cannot_be_flown_ends_the_demo_with_an_error(tmp_path: Path) -> None:
-    options = DemoOptions(
-        tmp_path, vehicle="arpl_250g", effects=("weak_rotor:rotor=1,loss=0.9",), manoeuvres=("hover",)
-    )
-    with pytest.raises(VehicleError):
-        run_demo(msgspec.structs.replace(options, duration=5.0), ignore, ignore)
-
-
-@pytest.mark.realtime
-def test_a_mock_that_dies_is_named_as_the_cause_of_the_flights_end() -> None:
-    def fly_until_it_is_gone() -> None:
-        with mock_process(vehicle="arpl_250g") as mock:
-            mock.process.kill()
-            mock.process.wait()
-            raise VehicleError("no vehicle was heard")
-
-    with pytest.raises(VehicleError, match=r"the mock ended by itself with exit code -9") as caught:
-        fly_until_it_is_gone()
-    assert "no vehicle was heard" in str(caught.value.__cause__)
 
 
 def test_a_mock_that_does_not_start_is_an_error_with_its_message() -> None:

@@ -7,11 +7,14 @@ import pytest
 from diagnosis.data.dataset import make_dataset
 from diagnosis.selection.visibility import can_show
 from dynamics.effects import CATALOGUE
+from fixtures.compiled_flights import compiled_flights
 
 
 @pytest.fixture(scope="module")
-def segment(arpl_250g, plain_flights):
-    return make_dataset(plain_flights, arpl_250g).everything[0]
+def segment(arpl_250g):
+    manoeuvres = ("line:laps=3,ramp=1", "Lemniscate:laps=4,ramp=1.5,speed=0.9")
+    flights = compiled_flights(arpl_250g, catalogue=CATALOGUE, seed=2, manoeuvres=manoeuvres)
+    return make_dataset(flights, arpl_250g).everything[0]
 
 
 @pytest.mark.parametrize("name", ["gyro_scale", "imu_scale"])
