@@ -14,16 +14,18 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.state import RATE, RIGID_BODY_STATES, VELOCITY
+from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
+from dynamics.vehicle import GRAVITY
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.flight_filter import FlightFilter
 from runtime.control.followed_parameters import followed_parameters, rotor_loss_effect
-from runtime.control.rotor_watch import RotorWatch
+from runtime.control.rotor_watch import RotorWatch, up_of
 from runtime.control.rti.solver import AXES, RtiSolver
 from runtime.control.thrust_history import ThrustHistory
 
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
 DESCRIBE_EVERY = 10  # commands
+DRAG_STEP = 0.002  # s over which the model's forces are averaged
 MOTION = np.r_[VELOCITY, RATE]
 FLOWN_FADES = slice(AXES, 2 * AXES)  # of a solver's disturbance
 
@@ -89,6 +91,7 @@ class Adaptation:
         noise = settings.linear, settings.angular
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
         self.rotors = None if learned else RotorWatch(solver, settings.rotors, motor_lag=settings.motor_lag)
+        self._drag_state = solver.model.initial_state(np.zeros(RIGID_BODY_STATES))  # rotors turn as in hover
         self._loss_effect = rotor_loss_effect(solver.model)
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
@@ -122,6 +125,22 @@ class Adaptation:
         effect, parameter = self._loss_effect
         named = ((f"{effect}[{loss.rotor}].{parameter}", loss) for loss in self.rotors.losses)
         return [(name, FollowedValue(loss.share, loss.deviation, 0.0, "1")) for name, loss in named]
+
+    def specific_drag(self, state: Floats) -> float:
+        """Specific force along body z that the model has beside its thrust, m/s^2, as far as it is flown.
+
+        state: (13,). What is not thrust would pass for effectiveness otherwise. 0 where the model is not flown by its
+        own parameters or is a network's.
+        """
+        if not self.flies or self._learned:
+            return 0.0
+        solver, hover = self._solver, self._solver.trim.rotor_speed
+        before = self._drag_state
+        before[:RIGID_BODY_STATES] = state
+        change = solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]
+        acceleration = change / DRAG_STEP - solver.disturbance[:3] - solver.disturbance[AXES : AXES + 3]
+        up = up_of(state[ATTITUDE])
+        return float(acceleration @ up) + GRAVITY * float(up[2]) - GRAVITY
 
     def read_force(self, time: float, specific_force: float) -> None:
         """Take a specific force along body z, m/s^2, as it arrived; NaN when there is no new one."""

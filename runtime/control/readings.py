@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 
 import numpy as np
 
@@ -15,44 +16,46 @@ MAX_SPACING = 0.06  # s between two readings, beyond which what was in between i
 class Readings:
     """The last readings of some quantities. Pure: times are arguments."""
 
-    def __init__(self, count: int) -> None:
-        """count: quantities."""
-        self._times = np.zeros(CAPACITY)
-        self._values = np.zeros((CAPACITY, count))
-        self._count = 0
+    def __init__(self) -> None:
+        self._rows: deque[tuple[float, Floats]] = deque(maxlen=CAPACITY)
 
     def clear(self) -> None:
         """Forget all readings."""
-        self._count = 0
+        self._rows.clear()
 
     @property
     def newest(self) -> float:
         """Time of the newest reading, s; -inf without one."""
-        return float(self._times[(self._count - 1) % CAPACITY]) if self._count else -math.inf
+        return self._rows[-1][0] if self._rows else -math.inf
 
     @property
     def last(self) -> Floats | None:
         """The newest reading (n,), None without one."""
-        return self._values[(self._count - 1) % CAPACITY] if self._count else None
+        return self._rows[-1][1] if self._rows else None
 
     def add(self, time: float, values: Floats) -> None:
         """Add a reading (n,), unless it is not finite or none of a later time."""
-        if not math.isfinite(time + float(values.sum())) or time <= self.newest:
-            return
-        slot = self._count % CAPACITY
-        self._times[slot], self._values[slot] = time, values
-        self._count += 1
+        if math.isfinite(time + float(values.sum())) and time > self.newest:
+            self._rows.append((time, values))
 
     def mean(self, start: float, stop: float) -> Floats | None:
         """Mean (n,) between two times, linear between readings; None where they do not cover them."""
-        slots = np.arange(max(0, self._count - CAPACITY), self._count) % CAPACITY
-        times = self._times[slots]
-        first, last = int(np.searchsorted(times, start, "right")) - 1, int(np.searchsorted(times, stop, "left"))
-        if first < 0 or last >= len(times) or np.diff(times[first : last + 1]).max() > MAX_SPACING:
+        if not start < stop <= self.newest:
             return None
-        near, values = times[first : last + 1], self._values[slots[first : last + 1]]
-        grid = np.concatenate([[start], near[1:-1], [stop]])
-        after = np.clip(np.searchsorted(near, grid, "left"), 1, len(near) - 1)
-        share = (grid - near[after - 1]) / (near[after] - near[after - 1])
-        at = values[after - 1] + share[:, None] * (values[after] - values[after - 1])
-        return np.asarray(np.diff(grid) @ (0.5 * (at[1:] + at[:-1])) / (stop - start))
+        total: Floats | None = None
+        after, values_after = self._rows[-1]
+        for time, values in reversed(self._rows):
+            if time == after:
+                continue
+            low, high = max(time, start), min(after, stop)
+            if low < high:
+                if after - time > MAX_SPACING:
+                    return None
+                # a line's mean is its value in the middle
+                share = (0.5 * (low + high) - time) / (after - time)
+                part = (high - low) / (stop - start) * (values + share * (values_after - values))
+                total = part if total is None else total + part
+            after, values_after = time, values
+            if time <= start:
+                return np.asarray(total)
+        return None

@@ -99,11 +99,11 @@ class RotorLossTest:
         self._seconds += seconds
         if self._seconds < self._settings.block - 1e-6:
             return None
-        known = np.zeros(len(shares))
+        named = np.zeros(len(shares))
         for loss in self.losses.values():
-            known[loss.rotor] = loss.share
+            named[loss.rotor] = loss.share
         mean_shares = self._sum_shares / self._seconds
-        self._append(self._sum_beyond / self._seconds + known @ mean_shares, mean_shares)
+        self._append(self._sum_beyond / self._seconds + named @ mean_shares, mean_shares)
         self._restart_block()
         return self._judge()
 
@@ -119,8 +119,11 @@ class RotorLossTest:
 
     def _judge(self) -> RotorLoss | None:
         settings = self._settings
-        least = settings.before[0] + settings.gap
-        candidates = (self._step(blocks) for blocks in settings.after if self._count - blocks >= least)
+        if not self._moved():
+            self._in_a_row, self._named = 0, None
+            return None
+        minimum = settings.before[0] + settings.gap
+        candidates = (self._step(blocks) for blocks in settings.after if self._count - blocks >= minimum)
         best = max((c for c in candidates if c is not None), key=lambda c: c.share / c.deviation, default=None)
         rotor = None if best is None else best.rotor
         self._in_a_row = self._in_a_row + 1 if rotor == self._named else 1
@@ -132,6 +135,16 @@ class RotorLossTest:
         self.losses[best.rotor] = loss = RotorLoss(best.rotor, share, best.deviation)
         self.clear()  # the step is over: what comes next is compared with what is now
         return loss
+
+    def _moved(self) -> bool:
+        """Whether moments are others than before at all, by half of the smallest loss: the cheap question first."""
+        start = self._count - self._settings.after[0]
+        if start < 1:
+            return False
+        beyond = self._beyond[: self._count, 1:]
+        step = np.abs(beyond[start:].mean(axis=0) - beyond[:start].mean(axis=0))
+        size = np.abs(self._shares[self._count - 1, :, 1:]).max(axis=0)
+        return bool((step > 0.5 * self._settings.smallest * size).any())
 
     def _step(self, blocks: int) -> RotorLoss | None:
         """The rotor that explains a step so many blocks ago, if one does and nothing else."""

@@ -16,10 +16,10 @@ class RotorSpeeds:
     measured: whether the readings are speeds of the ESCs.
     """
 
-    def __init__(self, count: int, *, lag: float) -> None:
-        """count: rotors. lag: s, of the motors behind the outputs."""
+    def __init__(self, *, lag: float) -> None:
+        """lag: s, of the motors behind the outputs."""
         self._lag = lag
-        self._readings = Readings(count)
+        self._readings = Readings()
         self.measured = False
 
     def clear(self) -> None:

@@ -6,13 +6,12 @@ from collections import deque
 
 import numpy as np
 
-from dynamics import quaternion
 from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, VELOCITY
 from dynamics.vehicle import GRAVITY
 from runtime.control.flight_filter import MAX_INTERVAL
 from runtime.control.readings import Readings
-from runtime.control.rotor_loss import RotorLoss, RotorLossSettings, RotorLossTest
+from runtime.control.rotor_loss import SHOWN, RotorLoss, RotorLossSettings, RotorLossTest
 from runtime.control.rotor_speeds import RotorSpeeds
 from runtime.control.rti.solver import RtiSolver
 
@@ -24,10 +23,12 @@ class RotorWatch:
 
     def __init__(self, solver: RtiSolver, settings: RotorLossSettings, *, motor_lag: float) -> None:
         """solver: of a model that is none of a network. motor_lag: s, of the motors behind the autopilot's outputs."""
-        self.speeds = RotorSpeeds(solver.inputs.shape[1], lag=motor_lag)
-        self._force = Readings(1)
+        self.speeds = RotorSpeeds(lag=motor_lag)
+        self._force = Readings()
         self._solver, self._settings = solver, settings
         self._test = RotorLossTest(solver.inputs.shape[1], settings)
+        rotors = solver.inputs.shape[1]
+        self._shown, self._shown_shares = np.zeros(SHOWN), np.zeros((rotors, SHOWN))
         self._waiting: deque[tuple[float, Floats]] = deque(maxlen=WAITING)
 
     @property
@@ -73,10 +74,17 @@ class RotorWatch:
     def _compare(self, before: Floats, speeds: Floats, state: Floats, start: float, stop: float) -> None:
         seconds = stop - start
         beyond, shares = self._solver.rotor_shares(before, speeds, state, seconds)
-        up = quaternion.rotate(before[ATTITUDE], np.array([0.0, 0.0, 1.0]))
+        up = up_of(before[ATTITUDE])
         along, force = float(beyond[:3] @ up), self._force.mean(start, stop)
         if force is not None:  # which errors of the estimate do not reach
-            acceleration = (state[VELOCITY] - before[VELOCITY]) / seconds
-            along += float(force[0]) - float(acceleration @ up) - GRAVITY * float(up[2])
-        along_shares = np.column_stack([shares[:, :3] @ up, shares[:, 3:5]])
-        self._test.add(np.array([along, *beyond[3:5]]), along_shares, seconds)
+            rise = (state[VELOCITY] - before[VELOCITY]) @ up / seconds
+            along += float(force[0]) - float(rise) - GRAVITY * float(up[2])
+        self._shown[0], self._shown[1:] = along, beyond[3:5]
+        self._shown_shares[:, 0], self._shown_shares[:, 1:] = shares[:, :3] @ up, shares[:, 3:5]
+        self._test.add(self._shown, self._shown_shares, seconds)
+
+
+def up_of(attitude: Floats) -> Floats:
+    """(3,) body z in world axes. attitude: (4,) body to world, w first."""
+    w, x, y, z = attitude.tolist()
+    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])

@@ -275,6 +275,8 @@ class Flyer:
         if isnan(force) and previous is not None and now.time - previous.time > 1e-3:
             elapsed = now.time - previous.time
             force = specific_force_z(previous.velocity_world, now.velocity_world, elapsed, now.attitude)
+        if self.adaptation is not None:
+            force -= self.adaptation.specific_drag(now.state)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
 
     def _measure_force(self, time: float, reference: Floats | None) -> None:

@@ -13,6 +13,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT, build_model
 from dynamics.references import named_reference
 from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import read_vehicle
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.flight_filter import FlightFilter
@@ -20,6 +21,7 @@ from runtime.control.followed_parameters import followed_parameters, with_follow
 from runtime.control.rti.problem import Problem, fill_options
 from runtime.control.rti.solver import RtiSolver
 from simulation.lockstep import FlownReference, fly_reference
+from vehicles import FOLDER
 
 HOVER = np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
 DRAGS = ("wind", "rotor_drag", "parasitic_drag")
@@ -197,6 +199,13 @@ def test_in_hover_neither_drag_nor_wind_is_named(arpl_250g: Vehicle) -> None:
 def test_with_nothing_hidden_it_flies_no_worse(arpl_250g: Vehicle) -> None:
     usual = flown(arpl_250g, "Lemniscate", mode="off")[0].position_rmse
     assert flown(arpl_250g, "Lemniscate", follow=DRAGS)[0].position_rmse < 1.1 * usual
+
+
+def test_a_drag_of_the_model_is_no_thrust_that_is_missing() -> None:
+    """At speed the drag along body z passed for effectiveness, and the disturbance for the difference of both."""
+    px4_sih = read_vehicle(FOLDER / "px4_sih.toml")
+    usual = flown(px4_sih, "Lemniscate", mode="off", seconds=12.0)[0].position_rmse
+    assert flown(px4_sih, "Lemniscate", seconds=12.0)[0].position_rmse < 1.03 * usual
 
 
 def test_a_model_that_forecasts_worse_than_the_file_s_is_not_flown(arpl_250g: Vehicle) -> None:

@@ -7,7 +7,7 @@ from runtime.control.rotor_speeds import RotorSpeeds
 
 
 def test_means_are_those_of_lines_between_readings() -> None:
-    speeds = RotorSpeeds(2, lag=0.0)
+    speeds = RotorSpeeds(lag=0.0)
     for time in (0.0, 0.01, 0.03):
         speeds.add(time, np.array([1000.0 * time, 5.0]), measured=True)
     mean = speeds.mean(0.005, 0.025)
@@ -20,7 +20,7 @@ def test_means_are_those_of_lines_between_readings() -> None:
 
 @pytest.mark.parametrize(("start", "stop"), [(-0.01, 0.005), (0.005, 0.02), (0.0, 0.01)])
 def test_what_readings_do_not_cover_is_not_known(start: float, stop: float) -> None:
-    speeds = RotorSpeeds(1, lag=0.0)
+    speeds = RotorSpeeds(lag=0.0)
     assert speeds.mean(start, stop) is None
     speeds.add(0.0, np.array([1.0]), measured=True)
     speeds.add(0.01, np.array([1.0]), measured=True)
@@ -28,7 +28,7 @@ def test_what_readings_do_not_cover_is_not_known(start: float, stop: float) -> N
 
 
 def test_speeds_across_a_gap_are_not_known() -> None:
-    speeds = RotorSpeeds(1, lag=0.0)
+    speeds = RotorSpeeds(lag=0.0)
     for time in (0.0, 0.01, 0.2, 0.21):
         speeds.add(time, np.array([1.0]), measured=True)
     assert speeds.mean(0.005, 0.205) is None
@@ -36,7 +36,7 @@ def test_speeds_across_a_gap_are_not_known() -> None:
 
 
 def test_outputs_lag_and_give_way_to_measured_speeds() -> None:
-    speeds = RotorSpeeds(1, lag=0.05)
+    speeds = RotorSpeeds(lag=0.05)
     speeds.add(0.0, np.array([100.0]), measured=False)
     for step in range(1, 6):
         speeds.add(0.01 * step, np.array([200.0]), measured=False)
@@ -51,7 +51,7 @@ def test_outputs_lag_and_give_way_to_measured_speeds() -> None:
 
 
 def test_what_is_no_reading_is_left_out() -> None:
-    speeds = RotorSpeeds(1, lag=0.0)
+    speeds = RotorSpeeds(lag=0.0)
     speeds.add(0.0, np.array([1.0]), measured=True)
     speeds.add(0.01, np.array([np.nan]), measured=True)
     speeds.add(np.nan, np.array([1.0]), measured=True)

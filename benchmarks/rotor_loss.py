@@ -1,0 +1,202 @@
+"""Flights in which a rotor loses thrust, and flights in which something else happens: which rotor is named, and when.
+
+In lockstep, with measured rotor speeds, on vehicles and manoeuvres drawn by the seed. Writes results/rotor_loss.md.
+Finished flights are kept, so that a run that was stopped resumes.
+
+    python -m benchmarks.rotor_loss --flights 200 --others 100 --jobs 2 --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.provenance import write_result
+from dynamics.effects import CATALOGUE
+from dynamics.references import named_reference
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from flights.parallel import parallel_map
+from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rotor_watch import RotorWatch
+from simulation.lockstep import ParameterStep, fly_reference
+from vehicles import FOLDER
+
+VEHICLES = ("arpl_250g", "px4_sih", "crazyflie")
+MANOEUVRES = ("Hover", "Lemniscate", "circle", "line", "Ellipse_1", "WarpedEllipse_1")
+AIR: Mapping[str, tuple[tuple[str, dict[str, float]], ...]] = {
+    "still air": (),
+    "gusts of 0.5 m/s": (("rotor_drag", {"coefficient": 2.2e-5}), ("gust", {"intensity": 0.5})),
+    "wind of 3 m/s": (("rotor_drag", {"coefficient": 2.2e-5}), ("wind", {"x": 3.0, "y": 0.0, "z": 0.0})),
+}
+OTHERS = ("nothing", "payload dropped", "payload taken up", "centre of mass", "payload off the centre", "wind rises")
+LOSS, SECONDS, PATIENCE = 0.15, 15.0, 5.0
+FIRST_SEED = 52_000  # settings were chosen on others
+
+
+def drawn(kind: str, number: int) -> dict[str, Any]:
+    """A flight by its number. kind: "loss", or "other" for what is no rotor's."""
+    random = np.random.default_rng((FIRST_SEED, number, kind == "loss"))
+    vehicle = str(random.choice(VEHICLES))
+    air = str(random.choice(list(AIR))) if vehicle == "arpl_250g" else "still air"
+    return {
+        "key": f"{kind} {number}",
+        "vehicle": vehicle,
+        "reference": str(random.choice(MANOEUVRES)),
+        "air": air,
+        "rotor": int(random.integers(4)) if kind == "loss" else None,
+        "what": "rotor" if kind == "loss" else OTHERS[number % len(OTHERS)],
+        "at": float(random.uniform(5.0, 9.0)),
+        "sizes": random.uniform(-1.0, 1.0, size=2).tolist(),
+    }
+
+
+def happening(case: Mapping[str, Any], arm: float) -> tuple[list[EffectUse], dict[str, float]]:
+    """Effects as they are before, and the parameters that change."""
+    mass = EffectUse("mass", {"ratio": 1.0})
+    centre = EffectUse("centre_of_mass", {"x": 0.0, "y": 0.0, "z": 0.0, "sensors_stay": 1.0})
+    x, y = (0.15 * arm * float(size) for size in case["sizes"])
+    match case["what"]:
+        case "rotor":
+            use = EffectUse("weak_rotor", {"loss": 0.0, "torque_loss": 0.0}, case["rotor"])
+            return [use], {f"{use.label}.loss": LOSS}
+        case "payload dropped":
+            return [mass], {"mass.ratio": 0.8}
+        case "payload taken up":
+            return [mass], {"mass.ratio": 1.2}
+        case "centre of mass":
+            return [centre], {"centre_of_mass.x": x, "centre_of_mass.y": y}
+        case "payload off the centre":
+            return [mass, centre], {"mass.ratio": 1.2, "centre_of_mass.x": x, "centre_of_mass.y": y}
+        case "wind rises":
+            drag = EffectUse("rotor_drag", {"coefficient": 2.2e-5})
+            return [drag, EffectUse("wind", {"x": 0.0, "y": 0.0, "z": 0.0})], {"wind.x": 4.0}
+        case _:
+            return [], {}
+
+
+def flown(case: Mapping[str, Any]) -> dict[str, Any]:
+    """What was named, s after it happened, and errors before and after, m."""
+    vehicle = read_vehicle(FOLDER / f"{case['vehicle']}.toml")
+    arm = float(np.abs(np.array(vehicle.rotors.position)[:, 0]).mean())
+    before, step = happening(case, arm)
+    there = {use.name for use in before}
+    air = AIR[case["air"]] if case["what"] != "wind rises" else ()
+    effects = [EffectUse(n, {**CATALOGUE[n].defaults(vehicle), **v}) for n, v in air if n not in there]
+    settings = AdaptationSettings(mode="on")
+    controller = Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, adaptation=settings))
+    assert controller.adaptation is not None
+    watch = controller.adaptation.rotors
+    assert watch is not None
+    named: list[tuple[float, int, float, float]] = []
+    _note_names(watch, named)
+    reference = named_reference(case["reference"], vehicle, duration=SECONDS)
+    flight = fly_reference(
+        vehicle,
+        reference,
+        effects=[*effects, *before],
+        seed=FIRST_SEED + int(case["key"].split()[1]),
+        controller=controller,
+        steps=[ParameterStep(case["at"], step)],
+    )
+    position, setpoint = flight.truth.stream("position"), flight.log.stream("position_setpoint")
+    assert position is not None
+    assert setpoint is not None
+    error = np.linalg.norm(position.values - setpoint.values, axis=1)
+    early, late = position.time < case["at"], position.time > case["at"] + 2.0
+    began = controller.adaptation.newest - flight.seconds  # of the reference, on the flight's clock
+    return {
+        **case,
+        "named": [(time - began - case["at"], rotor, share, std) for time, rotor, share, std in named],
+        "before": float(np.sqrt(np.mean(error[early] ** 2))),
+        "after": float(np.sqrt(np.mean(error[late] ** 2))) if late.any() else float("nan"),
+        "worst": float(error[~early].max()),
+        "aborted": flight.aborted,
+    }
+
+
+def _note_names(watch: RotorWatch, named: list[tuple[float, int, float, float]]) -> None:
+    update = watch.update
+
+    def noted() -> None:
+        count = len(watch.losses)
+        update()
+        if len(watch.losses) > count:
+            loss = watch.losses[-1]
+            named.append((watch.speeds.newest, loss.rotor, loss.share, loss.deviation))
+
+    watch.update = noted  # type: ignore[method-assign]
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """Losses by vehicle, then what was named though it was none."""
+    body = [
+        f"A rotor loses {LOSS:.0%} of its thrust in flight, its torque stays. Named right: within {PATIENCE:g} s. "
+        "Interval: 95 %, of the losses that were named. Tracking: error from 2 s after the loss over the one before.",
+        "",
+        "| vehicle | flights | named right | wrong rotor | never | s until named, median (worst) | loss, median | "
+        "interval holds | tracking, median (worst) |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    losses = [result for result in results if result["what"] == "rotor"]
+    for name in (*VEHICLES, "all"):
+        some = [r for r in losses if name in (r["vehicle"], "all")]
+        if some:
+            body.append(_row(name, some))
+    body += ["", "Something else happens: flights in which a rotor was named.", ""]
+    body += ["| what | flights | a rotor was named |", "| --- | --- | --- |"]
+    for what in OTHERS:
+        some = [r for r in results if r["what"] == what]
+        body.append(f"| {what} | {len(some)} | {sum(bool(r['named']) for r in some)} |")
+    return "\n".join(body)
+
+
+def _row(name: str, some: Sequence[Mapping[str, Any]]) -> str:
+    first = [r["named"][0] if r["named"] else None for r in some]
+    right = [n for r, n in zip(some, first, strict=True) if n is not None and n[1] == r["rotor"] and n[0] >= 0]
+    wrong = sum(any(n[1] != r["rotor"] or n[0] < 0 for n in r["named"]) for r in some)
+    soon = sum(n[0] <= PATIENCE for n in right)
+    holds = sum(abs(n[2] - LOSS) <= 1.96 * n[3] for n in right)
+    ratio = [r["after"] / r["before"] for r in some if np.isfinite(r["after"])]
+    times = [n[0] for n in right]
+    return (
+        f"| {name} | {len(some)} | {soon} | {wrong} | {sum(n is None for n in first)} | {np.median(times):.1f} "
+        f"({max(times):.1f}) | {np.median([n[2] for n in right]):.3f} | {holds} of {len(right)} | "
+        f"{np.median(ratio):.2f} ({max(ratio):.2f}) |"
+    )
+
+
+def main() -> None:
+    """Fly what has not been flown, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=200, help="with a rotor that loses thrust")
+    parser.add_argument("--others", type=int, default=100, help="with something else")
+    parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--kept", type=Path, default=Path("build/rotor_loss.jsonl"))
+    parser.add_argument("--table", action="store_true", help="write benchmarks/results/rotor_loss.md")
+    options = parser.parse_args()
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+    done = {result["key"]: result for result in map(json.loads, lines)}
+    cases = [drawn("loss", n) for n in range(options.flights)] + [drawn("other", n) for n in range(options.others)]
+    todo = [case for case in cases if case["key"] not in done]
+    for _, result in parallel_map(flown, todo, jobs=options.jobs):
+        done[result["key"]] = result
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+        print(f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}", flush=True)
+    results = [done[case["key"]] for case in cases if case["key"] in done]
+    if options.table:
+        write_result("rotor_loss", "A rotor that loses thrust in flight", table(results))
+    else:
+        print(table(results))
+
+
+if __name__ == "__main__":
+    main()
