@@ -94,6 +94,11 @@ class FleetFlight(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     error: str = ""
 
     @property
+    def is_dated(self) -> bool:
+        """Whether the date is that of the flight; a file's time of change may be that of a copy."""
+        return self.date_from in ("log", "name")
+
+    @property
     def owner(self) -> tuple[str, str, str]:
         """Whose history the flight belongs to: the vehicle, its file and its airframe."""
         return self.vehicle, self.vehicle_file, self.airframe

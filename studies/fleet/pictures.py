@@ -42,7 +42,7 @@ def verdict_bars(report: FleetReport) -> Picture:
                 hovertemplate="%{y}: %{x} " + verdict + "<extra></extra>",
             )
         )
-    figure.update_layout(barmode="stack")
+    figure.update_layout(barmode="stack", legend_traceorder="normal")
     figure.update_xaxes(title_text="flights", rangemode="tozero")
     figure.update_yaxes(automargin=True, autorange="reversed")
     return picture(figure, 120 + 30 * len(vehicles), "Bars: number of flights of each vehicle by verdict.")
@@ -70,13 +70,13 @@ def drift_points(report: FleetReport) -> Picture | None:
         )
     choosing(figure, choices, label="vehicle and quantity")
     figure.update_xaxes(type="date")
-    figure.update_yaxes(title_text=choices[0].layout["yaxis.title.text"], automargin=True)
+    figure.update_yaxes(title_text=choices[0].layout["yaxis.title.text"], automargin=True, exponentformat="power")
     return picture(figure, 420, "Points: a quantity of a vehicle by date of the flight, with the line of its drift.")
 
 
 def _add_points(figure: go.Figure, drift: Drift, history: History) -> None:
     """A quantity's values with 95 % intervals, and the line of Theil and Sen."""
-    rows = [place for place, flight in enumerate(history.flights) if flight.date_from in ("log", "name")]
+    rows = [place for place, flight in enumerate(history.flights) if flight.is_dated]
     rows.sort(key=lambda place: history.flights[place].date)
     dates = [history.flights[place].date for place in rows]
     values = np.array([history.values[place] for place in rows])

@@ -165,7 +165,7 @@ def summarise(folder: str, flights: Sequence[FleetFlight], thresholds: FleetThre
         drifts=drifts(series, names, thresholds),
         outliers=outliers(series, names, thresholds),
         copies=copies,
-        undated=sum(flight.status == "diagnosed" and flight.date_from in ("file", "") for flight in distinct),
+        undated=sum(flight.status == "diagnosed" and not flight.is_dated for flight in distinct),
         flights=tuple(flights),
     )
 
@@ -215,7 +215,7 @@ def vehicle_summaries(flights: Sequence[FleetFlight], names: dict[Owner, str]) -
             for kind, channel in flight.channels.items():
                 if channel.over_floor is not None:
                     ratios[kind].append(channel.over_floor)
-        dates = sorted(flight.date for flight in own if flight.date)
+        dates = sorted(flight.date for flight in own if flight.is_dated) or sorted(f.date for f in own if f.date)
         summaries.append(
             VehicleSummary(
                 label,
@@ -269,9 +269,7 @@ def drifts(
 def _drift(history: History, label: str, thresholds: FleetThresholds) -> Drift | None:
     """The drift of a quantity; None without enough values or with all of them on one date."""
     dated = [
-        (flight.date, value)
-        for flight, value in zip(history.flights, history.values, strict=True)
-        if flight.date_from in ("log", "name")
+        (flight.date, value) for flight, value in zip(history.flights, history.values, strict=True) if flight.is_dated
     ]
     dated.sort()
     if len(dated) < thresholds.min_drift_flights or dated[0][0] == dated[-1][0]:

@@ -7,6 +7,12 @@ from collections import Counter
 from studies.fleet.summary import FleetReport
 
 SHOWN = 3  # effects that a sentence names
+OUTCOMES = {
+    "explained": "the model explains {}",
+    "effect": "it misses a named effect in {}",
+    "ambiguous": "it misses one of several that the flight cannot tell apart in {}",
+    "unknown": "it misses something that no effect of the catalogue explains in {}",
+}
 
 
 def sentences(report: FleetReport) -> tuple[str, ...]:
@@ -14,11 +20,8 @@ def sentences(report: FleetReport) -> tuple[str, ...]:
     total, counts = sum(report.verdicts.values()), report.verdicts
     diagnosed = total - counts.get("refused", 0) - counts.get("failed", 0)
     vehicles = len(report.vehicles)
-    lines = [
-        f"{_number(diagnosed, 'flight')} of {_number(vehicles, 'vehicle')}: the model explains "
-        f"{counts.get('explained', 0)}, misses an effect in {counts.get('effect', 0)}, cannot be decided in "
-        f"{counts.get('ambiguous', 0)}, and in {counts.get('unknown', 0)} something is missing that no effect explains."
-    ]
+    outcomes = "; ".join(text.format(f"{counts[name]:,}") for name, text in OUTCOMES.items() if counts.get(name))
+    lines = [f"{_number(diagnosed, 'flight')} of {_number(vehicles, 'vehicle')}{': ' if outcomes else ''}{outcomes}."]
     effects = Counter(effect.key for flight in report.flights for effect in flight.effects)
     if effects:
         named = ", ".join(f"{name} in {_number(count, 'flight')}" for name, count in effects.most_common(SHOWN))

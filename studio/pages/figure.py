@@ -12,21 +12,52 @@ import plotly.graph_objects as go
 from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
+from studio.pages.colours import (
+    AFTER,
+    AXIS,
+    BEFORE,
+    BLACK,
+    BLUE,
+    FLOOR,
+    GREEN,
+    GRID,
+    MEASURED,
+    ORANGE,
+    PAPER,
+    PURPLE,
+    SKY,
+    TEXT,
+    UNFLOWN,
+    VERMILION,
+    YELLOW,
+)
 from studio.pages.page import embedded
 
-# Okabe and Ito's colours.
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
-    "#000000",
-    "#E69F00",
-    "#56B4E9",
-    "#009E73",
-    "#F0E442",
-    "#0072B2",
-    "#D55E00",
-    "#CC79A7",
-)
-MEASURED, BEFORE, AFTER, FLOOR = BLACK, VERMILION, BLUE, "#6b7280"
-GRID, UNFLOWN = "#e5e7eb", "#d4d8de"
+__all__ = [
+    "AFTER",
+    "BEFORE",
+    "BLACK",
+    "BLUE",
+    "FLOOR",
+    "GREEN",
+    "GRID",
+    "MAX_POINTS",
+    "MEASURED",
+    "ORANGE",
+    "PURPLE",
+    "SKY",
+    "UNFLOWN",
+    "VERMILION",
+    "YELLOW",
+    "Choice",
+    "Picture",
+    "choosing",
+    "line",
+    "picture",
+    "thinned",
+]
+
+
 MAX_POINTS = 3000  # of a line
 
 
@@ -61,13 +92,15 @@ def picture(figure: go.Figure, height: int, description: str, *, titles: bool = 
         template="none",
         height=height,
         margin={"l": 62, "r": 12, "t": head, "b": foot},
-        font={"size": 12, "family": "system-ui, sans-serif", "color": "#1c2430"},
+        font={"size": 12, "family": "system-ui, sans-serif", "color": TEXT},
         hoverlabel={"font_size": 12},
-        paper_bgcolor="#ffffff",
+        paper_bgcolor=PAPER,
+        plot_bgcolor=figure.layout.plot_bgcolor or PAPER,
+        modebar={"bgcolor": "rgba(0,0,0,0)", "color": FLOOR, "activecolor": TEXT},
         legend={"orientation": "h", "x": 0, "y": above, "yanchor": "bottom"},
     )
-    figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
-    figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor="#9ca3af", title_standoff=6)
+    figure.update_xaxes(gridcolor=GRID, zeroline=False, linecolor=AXIS, title_standoff=6)
+    figure.update_yaxes(gridcolor=GRID, zeroline=False, linecolor=AXIS, title_standoff=6)
     return Picture(embedded(figure.to_json(engine="json")), height, description)
 
 

@@ -11,11 +11,12 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from dynamics.arrays import Floats
+from studio.pages.colours import AXIS, SPACE_GRID
 from studio.pages.figure import AFTER, BEFORE, Picture, line, picture, thinned
 
 MAX_POINTS = 1200  # of a line
 OBLIQUE, DISTANCE, THINNEST = 0.25, 1.5, 0.05  # of the view on a path in space, in sizes of the path
-REFERENCE = "#9ca3af"
+REFERENCE = AXIS
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,7 +99,7 @@ def flight_in_space(flown: FlownComparison) -> Picture:
     figure.add_trace(_curve(flown.before.reference, "reference", REFERENCE, 6))
     for name, colour, (track,) in _sides([flown]):
         figure.add_trace(_curve(track.position, name, colour, 3))
-    axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": "#d1d5db"} for axis in "xyz"}
+    axes = {f"{axis}axis": {"title": f"{axis}, m", "gridcolor": SPACE_GRID} for axis in "xyz"}
     eye = dict(zip("xyz", best_view(flown.before.reference).tolist(), strict=True))
     paths = np.vstack([flown.before.reference, flown.before.position, flown.after.position])
     sides = dict(zip("xyz", sides_of(paths).tolist(), strict=True))

@@ -18,6 +18,7 @@ from plotly import offline
 from diagnosis.models.channels import channel_name
 from diagnosis.report import refusal_sentence, remains
 from dynamics.files import write_whole
+from studio.pages.colours import DARK
 from studio.pages.numbers import quantity_shown, shown, unit_shown
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -48,7 +49,9 @@ def render(template: str, *, title: str, origin: Origin, **content: Any) -> str:
     page: str = (
         _environment()
         .get_template(template)
-        .render(title=title, origin=origin, versions=versions, plotly=_packed_plotly(), **content)
+        .render(
+            title=title, origin=origin, versions=versions, plotly=_packed_plotly(), dark=embedded(dict(DARK)), **content
+        )
     )
     return page
 
