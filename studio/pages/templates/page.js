@@ -4,7 +4,7 @@ const system = matchMedia("(prefers-color-scheme: dark)");
 const DARK = JSON.parse(document.getElementById("dark").textContent);
 const TO_DARK = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [light.toLowerCase(), dark]));
 const TO_LIGHT = Object.fromEntries(Object.entries(DARK).map(([light, dark]) => [dark, light]));
-const LETTER = 6.4, LINE = 15; // px, of an axis title: width of a letter, height of a line
+const LETTER = 7.6, LINE = 15; // px, of an axis title: width of a letter, height of a line
 
 const isDark = () => (root.dataset.theme || (system.matches ? "dark" : "light")) === "dark";
 

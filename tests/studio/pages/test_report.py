@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import re
-import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
@@ -17,12 +14,27 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
 from dynamics.errors import RequestError
 from dynamics.vehicle import Vehicle
+from studio.pages.colours import (
+    AFTER,
+    BEFORE,
+    BLACK,
+    DARK,
+    FLOOR,
+    GREEN,
+    MEASURED,
+    ORANGE,
+    PAPER,
+    PURPLE,
+    SKY,
+    TEXT,
+)
 from studio.pages.evidence import likeness, overlay
 from studio.pages.flown import FlownComparison, FlownTrack, best_view, sides_of
 from studio.pages.numbers import quantity_shown, shown
 from studio.pages.page import Origin, write_page
 from studio.pages.provenance import dataset_origin
 from studio.pages.report import add_command, comparison_page, demo_page, diagnosis_page
+from tests.support.browser import browser, drawn_page, needs_browser
 
 MAX_SIZE = 5_000_000  # bytes
 ORIGIN = Origin("alula diagnose <a> & b.csv", "2026-01-01T00:00:00+00:00", {"b.csv": "0" * 64}, "alula add rotor_drag")
@@ -134,56 +146,84 @@ def test_units_stand_behind_a_comma() -> None:
     assert quantity_shown("thrust over weight") == "thrust over weight"
 
 
-BROWSER = next(
-    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), None
-)
-NARROW = """<body style="margin:0">
-<iframe id="phone" src="page.html" style="width:390px;height:4000px"></iframe>
-<script>
-  const phone = document.getElementById("phone");
-  const look = () => {
-    const page = phone.contentDocument.documentElement;
-    if (!page.dataset.drawn) return setTimeout(look, 200);
-    document.title = `drawn ${page.dataset.drawn} of ${page.querySelectorAll(".plot").length}, ` +
-      `wide ${page.scrollWidth}, errors ${page.querySelectorAll(".plot:not(:has(.main-svg))").length}`;
-  };
-  look();
-</script></body>"""
+CUT = """() => {
+  const width = document.documentElement.clientWidth;
+  const cut = [...document.querySelectorAll("table")].filter((table) => {
+    const place = table.parentElement, right = table.getBoundingClientRect().right;
+    return place.clientWidth && (place.scrollWidth > place.clientWidth + 1 || right > width + 1);
+  });
+  return [document.documentElement.scrollWidth > width, cut.map((table) => table.textContent.trim().slice(0, 40))];
+}"""
 
 
-@pytest.mark.skipif(BROWSER is None and os.environ.get("CI") != "true", reason="no Chromium here; CI has one")
+@needs_browser
 @pytest.mark.parametrize("name", ["diagnose", "compare", "demo"])
-def test_a_page_draws_all_pictures_on_a_phone_without_sideways_scrolling(
-    pages: dict[str, str], name: str, tmp_path: Path
-) -> None:
-    assert BROWSER is not None, "CI must have Chromium"
-    write_page(pages[name], tmp_path / "page.html")
-    (tmp_path / "phone.html").write_text(NARROW)
-    title = None
-    for budget in (30_000, 120_000, 480_000):  # ms of the browser's own clock, which a busy machine cannot keep up with
-        command = [
-            BROWSER,
-            "--headless",
-            "--no-sandbox",
-            "--disable-gpu",
-            "--use-gl=swiftshader",
-            "--enable-unsafe-swiftshader",
-            "--proxy-server=127.0.0.1:9",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            "--allow-file-access-from-files",
-            f"--virtual-time-budget={budget}",
-            "--dump-dom",
-            (tmp_path / "phone.html").as_uri(),
-        ]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=250, check=True)
-        title = re.search(r"<title>drawn (\d+) of (\d+), wide (\d+), errors (\d+)</title>", done.stdout)
-        if title is not None:
-            break
-    assert title is not None, done.stderr[-2000:]
-    drawn, pictures, wide, failed = map(int, title.groups())
-    assert drawn == pictures > 5
-    assert wide <= 390
-    assert failed == 0
+def test_a_page_draws_all_pictures_and_cuts_no_table(pages: dict[str, str], name: str, tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page(pages[name], path)
+    with browser() as started:
+        for width, dark in ((390, False), (390, True), (1280, False), (1280, True)):
+            with drawn_page(started, path, width=width, dark=dark) as page:
+                assert page.locator(".plot .main-svg").count() >= page.locator(".plot").count() > 5
+                assert page.evaluate(CUT) == [False, []]
+
+
+@needs_browser
+def test_a_dark_page_has_dark_pictures_and_light_lines_and_turns_back(pages: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page(pages["diagnose"], path)
+    look = """() => {
+      const measured = (plot) => plot.data.find((line) => line.name === "measured");
+      const plot = [...document.querySelectorAll(".plot")].find(measured);
+      const line = measured(plot).line.color;
+      return [getComputedStyle(document.body).backgroundColor, plot.layout.paper_bgcolor, line];
+    }"""
+    light, night = ["rgb(255, 255, 255)", PAPER, BLACK], ["rgb(18, 23, 30)", DARK[PAPER], DARK[BLACK]]
+    with browser() as started, drawn_page(started, path, dark=True) as page:
+        assert page.evaluate(look) == night
+        page.get_by_role("button", name="Light").click()
+        assert page.evaluate(look) == light
+        page.get_by_role("button", name="Dark").click()
+        page.wait_for_function(f"({look})()[2] === '{DARK[BLACK]}'")
+        page.emulate_media(color_scheme="light")  # the reader's choice stays
+        assert page.evaluate(look) == night
+
+
+@needs_browser
+def test_a_picture_is_saved_as_png_and_as_svg_on_white(pages: dict[str, str], tmp_path: Path) -> None:
+    path = tmp_path / "page.html"
+    write_page(pages["diagnose"], path)
+    with browser() as started, drawn_page(started, path, dark=True) as page:
+        for ending, magic in (("png", b"\x89PNG"), ("svg", b"<svg")):
+            page.locator(".plot").first.hover()
+            with page.expect_download() as saved:
+                page.locator(".plot").first.locator(f'[data-title="Save as {ending.upper()}"]').click()
+            file = tmp_path / saved.value.suggested_filename
+            saved.value.save_as(file)
+            assert file.name == f"what_the_model_of_arpl_250g_misses_errors_1.{ending}"
+            assert file.read_bytes().startswith(magic)
+        assert b"rgb(255, 255, 255)" in file.read_bytes()
+
+
+def test_colours_of_pictures_have_one_dark_counterpart_each_that_stands_out() -> None:
+    assert len(set(DARK.values())) == len(DARK)
+    assert not set(DARK) & set(DARK.values())
+    for colour in (MEASURED, BEFORE, AFTER, FLOOR, ORANGE, GREEN, SKY, PURPLE):
+        assert contrast(DARK.get(colour, colour), DARK[PAPER]) > 3
+    assert contrast(TEXT, PAPER) > 7
+    assert contrast(DARK[TEXT], DARK[PAPER]) > 7
+
+
+def contrast(first: str, second: str) -> float:
+    """Of two colours, from 1 to 21 (WCAG 2.2)."""
+
+    def luminance(colour: str) -> float:
+        shares = [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+        linear = [share / 12.92 if share <= 0.04045 else ((share + 0.055) / 1.055) ** 2.4 for share in shares]
+        return float(np.dot(linear, [0.2126, 0.7152, 0.0722]))
+
+    darker, lighter = sorted([luminance(first), luminance(second)])
+    return (lighter + 0.05) / (darker + 0.05)
 
 
 @pytest.mark.parametrize("normal", [(0, 0, 1), (0, 1, 0), (1, -1, 0.2), (-0.3, 0.5, -1)])
@@ -209,5 +249,5 @@ def test_files_that_nothing_was_fitted_to_are_marked(
 ) -> None:
     marked = dataclasses.replace(dataset, hashes={"a.csv": "1" * 64}, held_hashes={"b.csv": "2" * 64})
     page = diagnosis_page(findings, dataset, vehicle, origin=dataset_origin(marked))
-    assert "<td>a.csv</td>" in page
-    assert "<td>b.csv (held out)</td>" in page
+    assert '<td class="name">a.csv</td>' in page
+    assert '<td class="name">b.csv (held out)</td>' in page
