@@ -62,6 +62,16 @@ class ComparisonResult:
         page = comparison_page(self.details, self.dataset, self.vehicle, origin=dataset_origin(self.dataset))
         write_page(page, Path(path))
 
+    def write_pictures(self, folder: str | Path) -> list[Path]:
+        """Draw every picture of the page as PDF, SVG and PNG. Returns the files.
+
+        Raises RequestError when they cannot be written, and without Chromium or Chrome.
+        """
+        from studio.pages.picture_files import write_pictures
+        from studio.pages.report import comparison_pictures
+
+        return write_pictures(comparison_pictures(self.details, self.dataset), Path(folder))
+
 
 @dataclass(frozen=True, eq=False)
 class DiagnosisResult:
@@ -100,6 +110,16 @@ class DiagnosisResult:
 
         source = dataset_origin(self.dataset, add_command)
         write_page(diagnosis_page(self.details, self.dataset, self.vehicle, origin=source), Path(path))
+
+    def write_pictures(self, folder: str | Path) -> list[Path]:
+        """Draw every picture of the page as PDF, SVG and PNG. Returns the files.
+
+        Raises RequestError when they cannot be written, and without Chromium or Chrome.
+        """
+        from studio.pages.picture_files import write_pictures
+        from studio.pages.report import diagnosis_pictures
+
+        return write_pictures(diagnosis_pictures(self.details, self.dataset, self.vehicle), Path(folder))
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,8 @@ from rich.console import Console
 from rich.table import Table
 
 import alula
-from alula.cli.options import Effects, Logs, Mapping, Page, Pose, VehicleOption
-from alula.cli.output import options, print_next
+from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, VehicleOption
+from alula.cli.output import options, print_next, print_written
 from dynamics.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -26,6 +26,7 @@ def compare(
     pose: Pose = None,
     json: Annotated[Path | None, typer.Option(help="Write the comparison as JSON; - for standard output.")] = None,
     html: Page = None,
+    figures: Figures = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
     result = alula.compare(logs, vehicle, effect_files=effects or (), mapping=mapping, pose=pose)
@@ -33,6 +34,8 @@ def compare(
         result.write_json(json)
     if html is not None:
         result.write_html(html)
+    if figures is not None:
+        print_written(result.write_pictures(figures), figures)
     if json != STANDARD_OUTPUT:
         _print(result.report, Console())
         shared = options([("--effects", effects), ("--mapping", mapping), ("--pose", pose)])

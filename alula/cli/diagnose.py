@@ -13,8 +13,8 @@ from rich.table import Table
 
 import alula
 from alula.cli.fleet import FLEET, diagnose_fleet
-from alula.cli.options import Effects, HoldOut, Mapping, Page, Pose
-from alula.cli.output import options, print_next
+from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose
+from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
@@ -45,6 +45,7 @@ def diagnose(
     normal: Normal = None,
     json: Annotated[Path | None, typer.Option(help="Write the verdict as JSON; - for standard output.")] = None,
     html: Page = None,
+    figures: Figures = None,
     next_flight: Annotated[
         Path | None,
         typer.Option(help="Plan the flight for the effects that are open, and write it to this file (CSV) for `fly`."),
@@ -81,7 +82,15 @@ def diagnose(
     enough for that. With --fleet: every log of a folder, one JSON line each, and what changes over their dates.
     """
     if fleet is not None:
-        _refuse_beside_fleet({"LOG": logs, "--hold-out": hold_out, "--normal": normal, "--next-flight": next_flight})
+        _refuse_beside_fleet(
+            {
+                "LOG": logs,
+                "--hold-out": hold_out,
+                "--normal": normal,
+                "--next-flight": next_flight,
+                "--figures": figures,
+            }
+        )
         diagnose_fleet(fleet, vehicle, effects, mapping, pose, json, html, out, workers, scheduler)
         return
     _refuse_without_fleet({"--out": out, "--workers": workers, "--scheduler": scheduler})
@@ -100,6 +109,8 @@ def diagnose(
 
         adding = add_command(result.report, logs, vehicle, shared, result.details.regression.catalogue)
         result.write_html(html, add_command=adding)
+    if figures is not None:
+        print_written(result.write_pictures(figures), figures)
     if next_flight is not None:
         _write_next_flight(result, next_flight)
     if json != STANDARD_OUTPUT:

@@ -23,6 +23,10 @@ Effects = Annotated[
     typer.Option("--effects", help="Python file with effects of your own, beside the vehicle file's; repeatable."),
 ]
 Page = Annotated[Path | None, typer.Option("--html", help="Write a page with all pictures, one file, to this path.")]
+Figures = Annotated[
+    Path | None,
+    typer.Option("--figures", help="Folder for every picture as PDF, SVG and PNG; needs Chromium or Chrome."),
+]
 Mapping = Annotated[Path | None, typer.Option("--mapping", help="Column mapping (TOML) for CSV files of other tools.")]
 Pose = Annotated[
     str | None,

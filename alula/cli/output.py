@@ -145,6 +145,11 @@ def print_next(*words: object) -> None:
     print(f"next: {command(*words)}", flush=True)
 
 
+def print_written(files: Sequence[Path], folder: Path) -> None:
+    """Print how many files were written into a folder, as a message beside the output."""
+    print(f"written: {len(files)} files in {folder}", file=sys.stderr)
+
+
 def terminal_width() -> int:
     """Characters in a line of the terminal; 80 where there is none."""
     try:

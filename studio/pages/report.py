@@ -23,8 +23,31 @@ from studio.pages import diagnosed as pictures
 from studio.pages import flown as flown_pictures
 from studio.pages import regions
 from studio.pages.evidence import agreement, likeness, overlay
+from studio.pages.figure import Picture
 from studio.pages.flown import FlownComparison
 from studio.pages.page import Origin, render
+
+
+def diagnosis_pictures(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Picture]:
+    """The pictures of `diagnosis_page` by name. vehicle: with the model that was judged."""
+    return _pictures(_diagnosed(result, dataset, vehicle))
+
+
+def comparison_pictures(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Picture]:
+    """The pictures of `comparison_page` by name."""
+    return _pictures(_compared(compared, dataset))
+
+
+def _pictures(content: Mapping[str, Any]) -> dict[str, Picture]:
+    """The pictures of a page's content; several of one name are numbered."""
+    named: dict[str, Picture] = {}
+    for name, value in content.items():
+        if isinstance(value, Picture):
+            named[name] = value
+        elif isinstance(value, list):
+            several = [one for one in value if isinstance(one, Picture)]
+            named |= {f"{name}_{place}": one for place, one in enumerate(several, start=1)}
+    return named
 
 
 def diagnosis_page(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
@@ -40,23 +63,12 @@ def diagnosis_page(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle,
 
 def comparison_page(compared: ComparisonDetails, dataset: Dataset, vehicle: Vehicle, *, origin: Origin) -> str:
     """The page of `alula compare --html`."""
-    rows = compared.residuals
-    view = overlay(dataset.everything, rows, rows, compared.regression)
-    both = agreement(rows)
     return render(
         "comparison.html",
         title=f"The model of {vehicle.name} against its flights",
         origin=origin,
         vehicle=vehicle,
-        compared=compared.comparison,
-        names=NAMES,
-        bars=pictures.axis_bars(compared.comparison.axes),
-        view=view,
-        lines=pictures.overlay_lines(view, improved=False),
-        regimes=regions.regime_map(compared.maps),
-        planes=[regions.plane_map(plane) for plane in compared.planes],
-        spectrum=pictures.spectrum_lines(compared.spectrum, None),
-        agreement=None if both is None else pictures.agreement_points(both),
+        **_compared(compared, dataset),
     )
 
 
@@ -106,6 +118,24 @@ def add_command(
         values = [value] if isinstance(value, str | Path) else value or []
         words += [word for one in values for word in (name, str(one))]
     return shlex.join(words)
+
+
+def _compared(compared: ComparisonDetails, dataset: Dataset) -> dict[str, Any]:
+    """What the page of a comparison shows."""
+    rows = compared.residuals
+    view = overlay(dataset.everything, rows, rows, compared.regression)
+    both = agreement(rows)
+    return {
+        "compared": compared.comparison,
+        "names": NAMES,
+        "bars": pictures.axis_bars(compared.comparison.axes),
+        "view": view,
+        "lines": pictures.overlay_lines(view, improved=False),
+        "regimes": regions.regime_map(compared.maps),
+        "planes": [regions.plane_map(plane) for plane in compared.planes],
+        "spectrum": pictures.spectrum_lines(compared.spectrum, None),
+        "agreement": None if both is None else pictures.agreement_points(both),
+    }
 
 
 def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> dict[str, Any]:
