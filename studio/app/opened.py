@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shlex
+import shutil
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -74,6 +75,12 @@ class OpenCase:
         """What runs now."""
         return self._job
 
+    @property
+    def busy(self) -> bool:
+        """Whether something runs or waits."""
+        with self._lock:
+            return self._job is not None or bool(self._queue)
+
     def start(self, step: str, *, effect: str = "", reference: str = "", command: str = "") -> None:
         """Begin a step, or put it behind the one that runs; a step that has its result is not done again.
 
@@ -116,7 +123,7 @@ class OpenCase:
     def wait(self, timeout: float = 120.0) -> None:
         """Wait until nothing runs. Raises TimeoutError."""
         deadline = time.monotonic() + timeout
-        while self._job is not None or self._queue:
+        while self.busy:
             if time.monotonic() > deadline:
                 raise TimeoutError(f"{self._job} still runs")
             time.sleep(0.02)
@@ -263,6 +270,8 @@ class OpenCase:
         self.failure = outcome.text if outcome.kind in ("failed", "refused") else ""
         result = Path(task.result)
         if outcome.kind != "done":
+            for part in result.parent.glob("*.part*"):  # of a process that was ended in the middle
+                shutil.rmtree(part, ignore_errors=True)
             return
         key = result.name.rpartition("-")[2]
         refused = refusal_of(result) is not None

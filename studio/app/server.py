@@ -15,6 +15,7 @@ from typing import Any
 
 import dash
 import flask
+from werkzeug.exceptions import ClientDisconnected
 from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
 
 from dynamics.errors import AlulaError, RequestError
@@ -163,9 +164,12 @@ def _stream_to(part: Path) -> None:
     """Write the request's body to a file. Raises OSError where the browser ended it before its time."""
     expected, size = flask.request.content_length, 0
     with part.open("wb") as file:
-        while chunk := flask.request.stream.read(CHUNK):
-            file.write(chunk)
-            size += len(chunk)
+        try:
+            while chunk := flask.request.stream.read(CHUNK):
+                file.write(chunk)
+                size += len(chunk)
+        except ClientDisconnected as error:
+            raise OSError(f"the upload ended after {size} of {expected} bytes") from error
     if expected is not None and size != expected:
         raise OSError(f"the upload ended after {size} of {expected} bytes")
 

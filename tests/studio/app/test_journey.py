@@ -1,0 +1,144 @@
+"""From dropping a log to the fallen error, by clicks, in a browser, on three formats of logs with a hidden effect."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect
+
+PATIENCE = 120_000  # ms on a busy machine; alone the longest step takes some seconds
+
+
+@pytest.fixture
+def page(browser: Browser) -> Iterator[Page]:
+    opened = browser.new_page(viewport={"width": 1280, "height": 900})
+    opened.set_default_timeout(PATIENCE)
+    errors: list[str] = []
+    opened.on("pageerror", lambda error: errors.append(str(error)))
+    opened.on("requestfailed", lambda request: errors.append(f"{request.url}: {request.failure}"))
+    opened.on("request", lambda request: _require_local(request.url, errors))
+    yield opened
+    opened.close()
+    faults = [error for error in errors if "net::ERR_ABORTED" not in error]
+    assert not faults
+
+
+def _require_local(url: str, errors: list[str]) -> None:
+    if not url.startswith(("http://127.0.0.1:", "data:", "blob:")):
+        errors.append(f"the page asked for {url}")
+
+
+def _drop(page: Page, zone: str, files: list[Path]) -> None:
+    """Choose files, which is what dropping them does."""
+    with page.expect_file_chooser() as chosen:
+        page.locator(f"#{zone} .choose").click()
+    chosen.value.set_files([str(path) for path in files])
+
+
+def _go(page: Page, step: str) -> None:
+    page.locator(f"#step-{step}").click()
+    expect(page.locator(f"#step-{step}")).to_have_attribute("aria-current", "step", timeout=PATIENCE)
+
+
+def _wait(page: Page, step: str, status: str) -> None:
+    expect(page.locator(f"#step-{step}")).to_have_attribute("data-status", status, timeout=PATIENCE)
+
+
+def _numbers(text: str) -> list[float]:
+    return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
+
+
+@pytest.mark.parametrize("logs", ["ulogs", "csvs", "recordings"])
+@pytest.mark.timeout(600)
+def test_a_log_becomes_a_better_model_by_clicks(
+    page: Page, address: str, logs: str, request: pytest.FixtureRequest
+) -> None:
+    files: list[Path] = request.getfixturevalue(logs)
+    page.goto(address)
+    page.get_by_label("Name").fill(f"journey {logs}")
+    page.get_by_role("button", name="New case").click()
+    _drop(page, "drop-logs", files)
+    expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible(timeout=PATIENCE)
+    page.get_by_role("textbox", name="A bundled vehicle").click()
+    page.get_by_role("option", name="px4_sih").click()
+    page.get_by_role("button", name="Use it").click()
+    _wait(page, "compare", "done")
+
+    _go(page, "check")
+    expect(page.get_by_text(files[0].name).first).to_be_visible()
+
+    _go(page, "compare")
+    expect(page.locator("#compare-lines .scatterlayer .trace").first).to_be_visible()
+    cell = page.locator("#compare-map .heatmaplayer")
+    expect(cell).to_be_visible()
+    box = page.locator("#compare-map .cartesianlayer .plot").bounding_box()
+    assert box is not None
+    page.mouse.click(
+        box["x"] + 0.9 * box["width"], box["y"] + 0.03 * box["height"]
+    )  # the fastest cell of the first row
+    expect(page.locator("#cell-seconds")).to_contain_text("stretches")
+
+    _go(page, "diagnose")
+    page.get_by_role("button", name="Diagnose", exact=True).click()
+    expect(page.locator("#verdict-sentence")).to_contain_text("linear_drag")
+    expect(page.locator("#evidence-lines .scatterlayer .trace").first).to_be_visible()
+    readout = page.locator("#evidence-readout")
+    best = readout.inner_text()
+    page.locator(".mantine-Slider-thumb").first.focus()
+    page.keyboard.press("ArrowRight")
+    expect(readout).not_to_have_text(best)
+
+    _go(page, "add")
+    page.get_by_role("button", name=re.compile("^Add .*linear_drag")).click()
+    expect(page.locator("#falls .scatterlayer .trace").first).to_be_visible()
+    expect(page.locator("#history")).to_contain_text("linear_drag")
+    page.get_by_role("button", name="Undo").click()
+    _wait(page, "add", "open")
+    page.get_by_role("button", name="Redo").click()
+    _wait(page, "add", "done")
+    _wait(page, "compare", "done")
+
+    _go(page, "prove")
+    page.get_by_role("button", name="Compare both versions").click()
+    expect(page.locator("#open-loop .scatterlayer .trace").first).to_be_visible()
+    expect(page.locator("#proved")).to_contain_text(re.compile(r"-[4-9]\d"))  # per cent of a channel's error
+    page.get_by_role("button", name="Fly it on the mock").click()
+    before, after = _numbers(page.locator(".flown").inner_text())
+    assert after < 0.5 * before
+
+
+def test_a_file_that_is_no_log_is_refused_on_the_page_and_the_page_lives_on(
+    page: Page, address: str, tmp_path: Path, ulogs: list[Path]
+) -> None:
+    bad = tmp_path / "no_log.csv"
+    bad.write_text("a,b\n1,2\n")
+    page.goto(address)
+    page.get_by_role("button", name="New case").click()
+    _drop(page, "drop-logs", [bad])
+    expect(page.get_by_text("no_log.csv").first).to_be_visible()
+    expect(page.locator("#main")).to_contain_text("is no")
+    _drop(page, "drop-logs", ulogs[:1])
+    expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible(timeout=PATIENCE)
+
+
+def test_a_case_that_is_opened_again_stands_where_it_stood(
+    page: Page, browser: Browser, address: str, ulogs: list[Path]
+) -> None:
+    page.goto(address)
+    page.get_by_label("Name").fill("again")
+    page.get_by_role("button", name="New case").click()
+    _drop(page, "drop-logs", ulogs[:1])
+    _wait(page, "check", "done")
+    place = page.url
+    other = browser.new_page()
+    other.goto(place)
+    other.set_default_timeout(PATIENCE)
+    expect(other.locator("#step-check")).to_have_attribute("data-status", "done", timeout=PATIENCE)
+    other.goto(address)
+    other.get_by_role("button", name="New case").click()
+    expect(other.get_by_text("No log yet.")).to_be_visible(timeout=PATIENCE)
+    expect(page.get_by_text(ulogs[0].name).first).to_be_visible()  # two windows on two cases do not mix
+    other.close()

@@ -1,0 +1,194 @@
+"""The steps of a case in a process of their own: from logs of real PX4 to the version whose error fell."""
+
+from __future__ import annotations
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from alula.api.diagnosis import add_effect
+from studio.app.opened import PAGES, OpenCase
+from studio.case.case import Case
+from studio.work.arrays import read_array
+from studio.work.results import Added, Checked, Compared, Diagnosed, Evidence, Flown, Proved
+from studio.work.worker import Worker
+
+TIMEOUT = 250.0  # s on a busy machine; alone each step takes some seconds
+
+
+def _do(opened: OpenCase, step: str, **arguments: str) -> None:
+    opened.start(step, **arguments)
+    opened.wait(TIMEOUT)
+    assert opened.failure == ""
+
+
+def _statuses(opened: OpenCase) -> dict[str, str]:
+    return {page: opened.status(page) for page in PAGES}
+
+
+def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulogs: list[Path]) -> None:
+    locked = dict.fromkeys(PAGES[1:], "locked")
+    assert _statuses(opened) == {"log": "open", **locked}
+    opened.case.add_logs(ulogs)
+    assert opened.status("check") == "open"
+    _do(opened, "check")
+    assert opened.lock_reason("compare") == "choose a vehicle first."
+    opened.case.set_vehicle("px4_sih")
+    opened.start_if_open("compare")
+    opened.wait(TIMEOUT)
+    assert _statuses(opened) == {
+        "log": "done", "check": "done", "compare": "done", "diagnose": "open", "add": "locked", "prove": "locked"
+    }  # fmt: skip
+    compared = opened.result(Compared, "compare")
+    folder = opened.case.shown_result("compare")
+    assert compared is not None
+    assert folder is not None
+    rows = read_array(folder, "residual")
+    worst = max(compared.comparison.axes, key=lambda axis: axis.rms / axis.floor)
+    channel = 3 * ["imu", "mocap", "angular", "attitude_rate"].index(worst.kind) + "xyz".index(worst.axis)
+    assert np.sqrt(np.mean(np.square(rows[:, channel], dtype=float))) == pytest.approx(worst.rms, rel=1e-4)
+
+    _do(opened, "diagnose")
+    diagnosed = opened.result(Diagnosed, "diagnose")
+    assert diagnosed is not None
+    assert "linear_drag" in diagnosed.sentence
+    assert diagnosed.ranking[0].key == "linear_drag"
+
+    _do(opened, "explain", effect="linear_drag")
+    evidence = opened.result(Evidence, "explain:linear_drag")
+    assert evidence is not None
+    slider = evidence.sliders[0]
+    assert slider.values[slider.best] == pytest.approx(2.0, rel=0.05)  # N s/m, planted
+    errors = [sum(value for value in row if value is not None) for row in slider.rms]
+    assert np.argmin(errors) in (slider.best - 1, slider.best, slider.best + 1)
+    assert evidence.share["mocap"] > 0.8
+
+    _do(opened, "add")
+    added = opened.result(Added, "add", shown=True)
+    assert added is not None
+    version = opened.case.version
+    assert version is not None
+    assert (version.number, version.parent, version.effects) == (2, 1, ("linear_drag",))
+    assert version.channels["mocap"].after < 0.5 * version.channels["mocap"].before
+    assert opened.status("compare") == "done"  # follows by itself
+    assert opened.status("diagnose") == "out of date"
+    assert opened.status("prove") == "open"
+
+    _do(opened, "prove")
+    proved = opened.result(Proved, "prove")
+    assert proved is not None
+    assert proved.channels["mocap"].after < 0.5 * proved.channels["mocap"].before
+    assert proved.open_loop_after[-1].position < proved.open_loop_before[-1].position
+    _do(opened, "fly", reference="Lemniscate")
+    flown = opened.result(Flown, "fly:Lemniscate")
+    assert flown is not None
+    assert flown.after.rmse < 0.5 * flown.before.rmse
+
+    opened.case.undo()
+    assert _statuses(opened)["diagnose"] == "done"  # the result of before is there at once
+    assert opened.status("prove") == "locked"
+
+
+def test_the_command_that_a_page_shows_does_the_same(opened: OpenCase, ulogs: list[Path]) -> None:
+    opened.case.add_logs(ulogs)
+    opened.case.set_vehicle("px4_sih")
+    _do(opened, "check")
+    _do(opened, "diagnose")
+    _do(opened, "add")
+    version = opened.case.version
+    assert version is not None
+    assert version.command == f"alula add {ulogs[0]} {ulogs[1]} --vehicle px4_sih"
+    by_command = add_effect(ulogs, "px4_sih").report.parameters
+    added = opened.result(Added, "add", shown=True)
+    assert added is not None
+    assert added.report.parameters == by_command
+
+
+def test_a_log_that_the_reader_refuses_is_said_and_the_others_go_on(
+    opened: OpenCase, ulogs: list[Path], tmp_path: Path
+) -> None:
+    bad = tmp_path / "no_log.csv"
+    bad.write_text("a,b\n1,2\n")
+    opened.case.add_logs([ulogs[0], bad])
+    opened.case.set_vehicle("px4_sih")
+    _do(opened, "check")
+    checked = opened.result(Checked, "check")
+    assert checked is not None
+    assert checked.flights[0].refused == ""
+    assert "no_log.csv" in checked.flights[1].refused
+    assert checked.by_log[1] is None
+    assert checked.usable
+    assert opened.status("compare") == "done"
+
+
+def test_logs_that_cannot_answer_lock_what_follows(opened: OpenCase, tmp_path: Path) -> None:
+    bad = tmp_path / "no_log.csv"
+    bad.write_text("a,b\n1,2\n")
+    opened.case.add_logs([bad])
+    opened.case.set_vehicle("px4_sih")
+    _do(opened, "check")
+    assert opened.lock_reason("compare") == "none of the logs can be used; the check says why."
+
+
+def test_a_vehicle_of_another_size_is_refused_with_the_diagnosis_own_words(opened: OpenCase, ulogs: list[Path]) -> None:
+    opened.case.add_logs(ulogs[:1])
+    opened.case.set_vehicle("arpl_250g")
+    opened.start("check")
+    opened.wait(TIMEOUT)
+    refusal = opened.refusal("compare")
+    assert refusal is not None
+    assert refusal.exit_code in (2, 3)
+    assert "vehicle" in refusal.message
+    assert opened.status("compare") == "refused"
+
+
+def test_work_can_be_cancelled_and_begun_again(tmp_path: Path, ulogs: list[Path]) -> None:
+    opened = OpenCase(Case.create(tmp_path / "case"), Worker)
+    try:
+        opened.case.add_logs(ulogs)
+        opened.case.set_vehicle("px4_sih")
+        _do(opened, "check")
+        opened.start("diagnose")
+        while opened.job is not None and opened.job.share < 0.1:
+            time.sleep(0.01)
+        opened.cancel()
+        opened.wait(30.0)
+        assert opened.failure == ""
+        assert opened.status("diagnose") == "open"
+        assert not list((opened.case.folder / "results").glob("diagnose*"))
+        _do(opened, "diagnose")
+        assert opened.status("diagnose") == "done"
+    finally:
+        opened.close()
+
+
+def test_a_working_process_that_dies_is_replaced_and_said(tmp_path: Path, ulogs: list[Path]) -> None:
+    worker = Worker()
+    opened = OpenCase(Case.create(tmp_path / "case"), lambda: worker)
+    try:
+        opened.case.add_logs(ulogs)
+        opened.start("check")
+        threading.Timer(0.2, worker._process.kill).start()
+        opened.wait(60.0)
+        assert "ended by itself" in opened.failure
+        _do(opened, "check")
+        assert opened.result(Checked, "check") is not None
+    finally:
+        opened.close()
+
+
+def test_a_log_that_needs_more_memory_than_there_is_ends_with_a_message(tmp_path: Path, ulogs: list[Path]) -> None:
+    worker = Worker(memory=260 << 20)
+    opened = OpenCase(Case.create(tmp_path / "case"), lambda: worker)
+    try:
+        opened.case.add_logs(ulogs)
+        opened.case.set_vehicle("px4_sih")
+        opened.start("check")
+        opened.wait(TIMEOUT)
+        assert opened.failure
+        assert "GB" in opened.failure
+    finally:
+        opened.close()
