@@ -10,6 +10,7 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 PATIENCE = 120_000  # ms on a busy machine; alone the longest step takes some seconds
+expect.set_options(timeout=PATIENCE)
 
 
 @pytest.fixture
@@ -40,11 +41,11 @@ def _drop(page: Page, zone: str, files: list[Path]) -> None:
 
 def _go(page: Page, step: str) -> None:
     page.locator(f"#step-{step}").click()
-    expect(page.locator(f"#step-{step}")).to_have_attribute("aria-current", "step", timeout=PATIENCE)
+    expect(page.locator(f"#step-{step}")).to_have_attribute("aria-current", "step")
 
 
 def _wait(page: Page, step: str, status: str) -> None:
-    expect(page.locator(f"#step-{step}")).to_have_attribute("data-status", status, timeout=PATIENCE)
+    expect(page.locator(f"#step-{step}")).to_have_attribute("data-status", status)
 
 
 def _numbers(text: str) -> list[float]:
@@ -135,7 +136,7 @@ def test_a_case_that_is_opened_again_stands_where_it_stood(
     other = browser.new_page()
     other.goto(place)
     other.set_default_timeout(PATIENCE)
-    expect(other.locator("#step-check")).to_have_attribute("data-status", "done", timeout=PATIENCE)
+    expect(other.locator("#step-check")).to_have_attribute("data-status", "done")
     other.goto(address)
     other.get_by_role("button", name="New case").click()
     expect(other.get_by_text("No log yet.")).to_be_visible(timeout=PATIENCE)
