@@ -111,6 +111,6 @@ def test_a_scheduler_that_does_not_answer_is_named() -> None:
 def test_a_dask_cluster_does_the_same() -> None:
     distributed = pytest.importorskip("dask.distributed")
     with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="tcp"
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0", protocol="tcp"
     ) as cluster:
         assert sorted(parallel_map(square, [1, 2, 3], scheduler=cluster.scheduler_address)) == [(0, 1), (1, 4), (2, 9)]
