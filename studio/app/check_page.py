@@ -51,7 +51,10 @@ def _log(number: int, info: FlightInfo, inspection: Inspection | None, checked: 
         f"pose: {inspection.pose_source}"
     )
     findings = html.Ul(
-        [html.Li([html.B(f"{f.severity}: "), f.text, f" {f.advice}." if f.advice else ""]) for f in inspection.findings]
+        [
+            html.Li([html.B(f"{f.severity}: "), f.text, f". To do: {f.advice}." if f.advice else ""])
+            for f in inspection.findings
+        ]
     )
     pictures = checked.pictures[number] if number < len(checked.pictures) else {}
     drawn = [

@@ -31,7 +31,7 @@ def action(name: str, label: str, *, disabled: bool = False, variant: str = "fil
 def graph(name: str, figure: Any, description: str, **more: Any) -> Any:
     """A picture with its description for screen readers."""
     drawn = dcc.Graph(id=name, figure=figure, config=CONFIG, **more)
-    return html.Div(drawn, role="img", **{"aria-label": description})
+    return html.Div(drawn, role="group", **{"aria-label": description})
 
 
 def card(title: str, *children: Any, note: str = "") -> Any:
@@ -91,7 +91,7 @@ def table(
 
 def badge(text: str) -> Any:
     """A verdict."""
-    return dmc.Badge(text, color=VERDICT_COLOURS.get(text, "gray"), size="lg", autoContrast=True)
+    return dmc.Badge(text, color=VERDICT_COLOURS.get(text, "gray"), size="lg", variant="light")
 
 
 def grid(*children: Any, width: int = 420) -> Any:

@@ -47,6 +47,7 @@ CASE_PAGES: Mapping[str, Callable[[OpenCase, str, str], Any]] = {
 def build(app: dash.Dash, studio: Studio) -> None:
     """Set the app's layout and callbacks."""
     app.layout = _frame
+    app.index_string = app.index_string.replace("<html>", '<html lang="en">')
     app.callback(
         Output("navigation", "children"),
         Output("heading", "children"),
@@ -98,6 +99,7 @@ def _frame() -> Any:
     return dmc.MantineProvider(
         id="theme",
         forceColorScheme="light",
+        theme={"primaryColor": "blue", "primaryShade": {"light": 8, "dark": 8}},
         children=[
             dcc.Location(id="url"),
             dcc.Interval(id="tick", interval=TICK),

@@ -12,6 +12,7 @@ import shlex
 import shutil
 import subprocess
 import sys
+import urllib.request
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import chain
@@ -89,6 +90,11 @@ COMMANDS = commands_of_pages(tutorials=False)
 def is_linked(text: str) -> bool:
     """Whether a command needs a vehicle, or is one."""
     return words_of(text)[0] in ON_A_LINK
+
+
+def is_served(text: str) -> bool:
+    """Whether a command goes on until it is ended."""
+    return words_of(text)[0] == "studio"
 
 
 def run_key(words: Sequence[str]) -> str:
@@ -169,19 +175,36 @@ def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> 
     return command_line(monkeypatch, capsys)
 
 
-@pytest.mark.parametrize("page", [page for page in COMMANDS if any(not is_linked(text) for text in COMMANDS[page])])
+def runs_here(text: str) -> bool:
+    """Whether a command ends by itself, without a vehicle."""
+    return not (is_linked(text) or is_served(text))
+
+
+@pytest.mark.parametrize("page", [page for page in COMMANDS if any(map(runs_here, COMMANDS[page]))])
 def test_the_commands_of_a_page_run(page: str, run: Run, here: Path) -> None:
     for name, replacement in INSTEAD.get(page, {}).items():
         shutil.rmtree(name)
         shutil.copytree(replacement, name)
     for text in COMMANDS[page]:
-        if is_linked(text) or RUN_BY[run_key(words_of(text))] != page:
+        if not runs_here(text) or RUN_BY[run_key(words_of(text))] != page:
             continue
         words = expanded(words_of(text), text)
         make_way(words)
         code, shown, wrong = run(*words)
         assert code == 0, f"{text}\nran as: alula {shlex.join(words)}\nended with {code}:\n{shown}\n{wrong}"
         assert "Traceback" not in wrong
+
+
+def test_the_studio_of_a_page_answers_until_it_is_ended(here: Path) -> None:
+    for text in (text for texts in COMMANDS.values() for text in texts if is_served(text)):
+        command = [sys.executable, "-m", "alula", *words_of(text), "--cases", "cases", "--port", "0", "--no-browser"]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+            assert process.stdout is not None
+            address = process.stdout.readline().split()[-1]
+            with urllib.request.urlopen(address) as answer:
+                assert answer.status == 200, text
+            process.terminate()
+        assert process.returncode == 0, text
 
 
 def test_quick_commands_in_sentences_run(here: Path, run: Run) -> None:

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
 PATIENCE = 120_000  # ms on a busy machine; alone the longest step takes some seconds
@@ -48,6 +49,13 @@ def _wait(page: Page, step: str, status: str) -> None:
     expect(page.locator(f"#step-{step}")).to_have_attribute("data-status", status)
 
 
+def _require_accessible(page: Page) -> None:
+    """No finding of axe-core that is serious or critical."""
+    page.wait_for_timeout(1000)
+    findings = [v for v in Axe().run(page).response["violations"] if v["impact"] in ("serious", "critical")]
+    assert not findings, [(v["id"], v["nodes"][0]["html"]) for v in findings]
+
+
 def _numbers(text: str) -> list[float]:
     return [float(number) for number in re.findall(r"(\d+(?:\.\d+)?) cm", text)]
 
@@ -70,6 +78,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
 
     _go(page, "check")
     expect(page.get_by_text(files[0].name).first).to_be_visible()
+    _require_accessible(page)
 
     _go(page, "compare")
     expect(page.locator("#compare-lines .scatterlayer .trace").first).to_be_visible()
@@ -80,6 +89,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     assert box is not None
     page.mouse.click(box["x"] + 0.9 * box["width"], box["y"] + 0.03 * box["height"])  # the fastest flight
     expect(page.locator("#cell-seconds")).to_contain_text("shaded above")
+    _require_accessible(page)
 
     _go(page, "diagnose")
     page.get_by_role("button", name="Diagnose", exact=True).click()
@@ -90,6 +100,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     page.locator(".mantine-Slider-thumb").first.focus()
     page.keyboard.press("ArrowRight")
     expect(readout).not_to_have_text(best)
+    _require_accessible(page)
 
     _go(page, "add")
     page.get_by_role("button", name=re.compile("^Add .*linear_drag")).click()
@@ -106,6 +117,7 @@ def test_a_log_becomes_a_better_model_by_clicks(
     expect(page.locator("#open-loop .scatterlayer .trace").first).to_be_visible()
     expect(page.locator("#proved")).to_contain_text(re.compile(r"-[4-9]\d"))  # per cent of a channel's error
     page.get_by_role("button", name="Fly it on the mock").click()
+    _require_accessible(page)
     before, after = _numbers(page.locator(".flown").inner_text())
     assert after < 0.5 * before
 
@@ -119,7 +131,7 @@ def test_a_file_that_is_no_log_is_refused_on_the_page_and_the_page_lives_on(
     page.get_by_role("button", name="New case").click()
     _drop(page, "drop-logs", [bad])
     expect(page.get_by_text("no_log.csv").first).to_be_visible()
-    expect(page.locator("#main")).to_contain_text("is no")
+    expect(page.locator("#main")).to_contain_text("is a text table, but its columns")
     _drop(page, "drop-logs", ulogs[:1])
     expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible(timeout=PATIENCE)
 
