@@ -220,7 +220,11 @@ def _navigation(opened: OpenCase, name: str, page: str) -> Any:
                 href=f"/case/{name}/{step}",
                 active=step == page,
                 disabled=status == "locked",
-                **{"data-status": status, "aria-current": "step" if step == page else "false"},
+                **{
+                    "data-status": status,
+                    "aria-current": "step" if step == page else "false",
+                    "aria-disabled": str(status == "locked").lower(),
+                },
             )
         )
     return links
