@@ -177,7 +177,8 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
         value = msgspec.to_builtins(getattr(getattr(DEFAULT, group), field))
         shown = ", ".join(f"{one:g}" for one in value) if isinstance(value, (list, tuple)) else f"{value:g}"
         cells = [
-            _changed_answers([r for r in some if r["factor"] == factor], usual, name in reads) for factor in FACTORS
+            _changed_answers([r for r in some if r["factor"] == factor], usual, is_read=name in reads)
+            for factor in FACTORS
         ]
         lines.append(f"| {name} | {shown} | {len({r['case'] for r in some})} | {' | '.join(cells)} |")
     return "\n".join(lines)
