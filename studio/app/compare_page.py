@@ -34,6 +34,7 @@ from studio.app.traces import (
     channel_line,
     flight_line,
     over_floor,
+    patched,
     row_at,
     row_numbers,
     thinned,
@@ -293,11 +294,8 @@ def _zoom(studio: Studio, zoom: Any, log: str, kind: str, signal: str | None, pa
     if there is None or log is None or not zoomed(zoom):
         return no_update
     opened, compared, folder = there
-    patch = Patch()
-    for number, place in enumerate(_lines(opened, compared.rows, folder, int(log), kind, signal, window_of(zoom))):
-        patch["data"][number]["x"] = place[-1].x
-        patch["data"][number]["y"] = place[-1].y
-    return patch
+    lines = _lines(opened, compared.rows, folder, int(log), kind, signal, window_of(zoom))
+    return patched({number: place[-1] for number, place in enumerate(lines)})
 
 
 def _draw(

@@ -11,7 +11,7 @@ import dash
 import dash_mantine_components as dmc
 import numpy as np
 import plotly.graph_objects as go
-from dash import ALL, Input, Output, Patch, State, ctx, dcc, html, no_update
+from dash import ALL, Input, Output, State, ctx, dcc, html, no_update
 from plotly.subplots import make_subplots
 
 from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
@@ -21,7 +21,7 @@ from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, message, out_of_date, table
 from studio.app.studio import Studio
 from studio.app.theme import BY_HAND, EMPTY, PRESENT, figure_of, improved_colour, measured_colour, styled
-from studio.app.traces import Line, channel_line, row_numbers, thinned, window_of, zoomed
+from studio.app.traces import Line, channel_line, patched, row_numbers, thinned, window_of, zoomed
 from studio.pages.figure import GREEN, PURPLE, SKY
 from studio.pages.numbers import unit_shown
 from studio.work.arrays import read_array
@@ -388,12 +388,7 @@ def _lines_figure(lines: list[tuple[int, str, Line]], kind: str, scheme: str) ->
 
 def _patched(lines: list[tuple[int, str, Line]], names: Collection[str]) -> Any:
     """New points for the lines of these names."""
-    patch = Patch()
-    for number, (_, name, line) in enumerate(lines):
-        if name in names:
-            patch["data"][number]["x"] = line.x
-            patch["data"][number]["y"] = line.y
-    return patch
+    return patched({number: line for number, (_, name, line) in enumerate(lines) if name in names})
 
 
 def _at(slider: Slider, place: float) -> tuple[float, list[float | None]]:

@@ -18,7 +18,7 @@ from studio.app.opened import OpenCase
 from studio.app.parts import action, card, command_box, graph, message
 from studio.app.studio import Studio
 from studio.app.theme import EMPTY, styled
-from studio.app.traces import flight_line, window_of, zoomed
+from studio.app.traces import flight_line, patched, window_of, zoomed
 from studio.case.state import Options
 from studio.pages.figure import GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from studio.pages.inspected import ROWS
@@ -203,36 +203,56 @@ def register(app: dash.Dash, studio: Studio) -> None:
         Input("log-flight", "value"),
         State("url", "pathname"),
         State("scheme", "data"),
-    )(lambda flight, path, scheme: _draw(studio, flight, None, path, scheme))
+    )(lambda flight, path, scheme: _draw(studio, flight, path, scheme))
     app.callback(
         Output("log-lines", "figure", allow_duplicate=True),
         Input("log-lines", "relayoutData"),
         State("log-flight", "value"),
         State("url", "pathname"),
-        State("scheme", "data"),
         prevent_initial_call=True,
-    )(lambda zoom, flight, path, scheme: _draw(studio, flight, zoom, path, scheme) if zoomed(zoom) else no_update)
+    )(lambda zoom, flight, path: _zoom(studio, zoom, flight, path))
 
 
-def _draw(studio: Studio, flight: str | None, zoom: Any, path: str, scheme: str) -> Any:
+def _flight(studio: Studio, flight: str | None, path: str) -> tuple[Path, FlightInfo, int] | None:
+    """The folder of the logs' tables, a log, and its place; None where there is none."""
     from studio.app.shell import opened_at
 
     opened = opened_at(studio, path)
     flights = opened.flights() if opened else None
     if flights is None or flight is None or int(flight) >= len(flights[1]):
+        return None
+    return flights[0], flights[1][int(flight)], int(flight)
+
+
+def _draw(studio: Studio, flight: str | None, path: str, scheme: str) -> Any:
+    there = _flight(studio, flight, path)
+    return no_update if there is None else flight_figure(*there, scheme)
+
+
+def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
+    """The lines again from all rows of the time that is shown."""
+    there = _flight(studio, flight, path)
+    if there is None or not zoomed(zoom):
         return no_update
-    return flight_figure(flights[0], flights[1][int(flight)], int(flight), window_of(zoom), scheme)
+    folder, info, number = there
+    columns = [column for _, names in panels_of(info) for column in names]
+    lines = [flight_line(folder, info, number, column, window_of(zoom)) for column in columns]
+    return patched(dict(enumerate(lines)))
 
 
-def flight_figure(folder: Path, info: FlightInfo, number: int, window: Any, scheme: str) -> go.Figure:
-    """The quantities of a log over time, a panel each, in one window of time."""
-    names = {column.quantity for column in info.columns}
-    panels = [row for row in ROWS if row[0] in names]
+def panels_of(info: FlightInfo) -> list[tuple[tuple[str, str, str], list[str]]]:
+    """The panels of a log's picture, and the columns that are drawn in each."""
+    columns = {row: [c.name for c in info.columns if c.quantity == row[0]] for row in ROWS}
+    return [(row, names) for row, names in columns.items() if names]
+
+
+def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> go.Figure:
+    """The quantities of a log over time, a panel each."""
+    panels = panels_of(info)
     figure = make_subplots(rows=max(1, len(panels)), shared_xaxes=True, vertical_spacing=0.035)
-    for row, (quantity, title, unit) in enumerate(panels, start=1):
-        columns = [column.name for column in info.columns if column.quantity == quantity]
+    for row, ((_, title, unit), columns) in enumerate(panels, start=1):
         for index, column in enumerate(columns):
-            line = flight_line(folder, info, number, column, window)
+            line = flight_line(folder, info, number, column)
             figure.add_trace(
                 go.Scatter(
                     x=line.x,
@@ -249,9 +269,7 @@ def flight_figure(folder: Path, info: FlightInfo, number: int, window: Any, sche
         figure.update_yaxes(title_text=f"{title}, {unit}" if unit else title, title_font_size=11, row=row, col=1)
     figure.update_xaxes(title_text="time, s", row=max(1, len(panels)), col=1)
     styled(figure, scheme, height=PANEL * max(1, len(panels)) + 70)
-    if window is not None:
-        figure.update_xaxes(range=list(window))
-    figure.update_layout(hovermode="x unified", uirevision=f"{number} {window}")
+    figure.update_layout(hovermode="x unified")
     return figure
 
 

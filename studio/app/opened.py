@@ -113,6 +113,18 @@ class OpenCase:
         if worker is not None and running:
             worker.cancel()
 
+    @property
+    def has_idle_worker(self) -> bool:
+        """Whether a process holds this case's flights and has nothing to do."""
+        return self._worker is not None and not self.busy
+
+    def release(self) -> None:
+        """End the process of a case that is not worked on; the next step starts another one."""
+        with self._lock:
+            if self._job is None and not self._queue and self._worker is not None:
+                self._worker.close()
+                self._worker = None
+
     def close(self) -> None:
         """End the work, and let other processes open the case."""
         self.cancel()

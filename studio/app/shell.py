@@ -16,7 +16,7 @@ from studio.app.opened import PAGES, OpenCase, page_of
 from studio.app.parts import message
 from studio.app.studio import Studio
 
-TICK = 400  # ms between two looks at what runs
+TICK = 250  # ms between two looks at what runs
 LABELS = {
     "log": ("Log", "flights and vehicle"),
     "check": ("Check", "good for what?"),

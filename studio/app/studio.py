@@ -14,6 +14,9 @@ from studio.case.archive import unpack_archive
 from studio.case.case import ADVICE, Case, is_case
 from studio.work.worker import Worker
 
+MAX_WORKERS = 2  # of all cases, beside the one that waits; each holds a case's flights
+SPARE_DELAY = 8.0  # s
+
 
 @dataclass(frozen=True)
 class CaseEntry:
@@ -36,6 +39,7 @@ class Studio:
         self._memory = memory
         self._cases: dict[str, OpenCase] = {}
         self._lock = threading.Lock()
+        self._closed = False
         self._spare: Worker | None = Worker(memory)  # has loaded its libraries when the first case needs it
 
     def open(self, folder: Path) -> str:
@@ -77,6 +81,8 @@ class Studio:
 
     def close(self) -> None:
         """End all work and close all cases."""
+        with self._lock:
+            self._closed = True
         for opened in self._cases.values():
             opened.close()
         self._cases.clear()
@@ -87,7 +93,19 @@ class Studio:
         """A process for a case: the one that waits, with another one to wait in its place."""
         with self._lock:
             worker, self._spare = self._spare, None
+            idle = [opened for opened in self._cases.values() if opened.has_idle_worker]
+        for opened in idle[: max(0, len(idle) + 1 - MAX_WORKERS)]:
+            opened.release()
+        timer = threading.Timer(SPARE_DELAY, self._prepare)  # not beside the first work of this one
+        timer.daemon = True
+        timer.start()
         return worker or Worker(self._memory)
+
+    def _prepare(self) -> None:
+        """Have a process ready for the next case."""
+        with self._lock:
+            if self._spare is None and not self._closed:
+                self._spare = Worker(self._memory)
 
     def _free_folder(self, name: str) -> Path:
         make_folder(self.root, advice=ADVICE)
