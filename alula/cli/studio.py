@@ -14,6 +14,7 @@ from rich.console import Console
 
 from alula.api.inputs import log_paths
 from alula.cli.options import Effects, HoldOut, Mapping, Pose
+from alula.cli.output import print_next
 from alula.workbench import workbench
 from dynamics.errors import RequestError
 
@@ -69,7 +70,10 @@ def studio(
         server.serve_forever()
     finally:
         server.server_close()
+        folders = [entry.folder for entry in room.entries()]  # the newest first
         room.close()
+    if folders:
+        print_next("studio", "--case", folders[0])
 
 
 def _case(
