@@ -134,8 +134,10 @@ def test_one_log_alone_gives_what_diagnose_gives(flown: Path, diagnosed: FleetRe
     alone = alula.diagnose(log, flown / "alpha" / "vehicle.toml").report
     flight = diagnosed.report.flights[1]
     assert (flight.log, flight.verdict) == ("alpha/2026-01-12.csv", alone.verdict)
-    assert flight.effects[0].parameters["coefficient"].value == alone.effects[0].parameters["coefficient"].value
-    assert flight.channels["imu"].before == alone.channels["imu"].before
+    # to rounding: another process sums in another order
+    value = alone.effects[0].parameters["coefficient"].value
+    assert flight.effects[0].parameters["coefficient"].value == pytest.approx(value, rel=1e-9)
+    assert flight.channels["imu"].before == pytest.approx(alone.channels["imu"].before, rel=1e-9)
 
 
 def test_a_finished_fleet_is_not_done_again(flown: Path, diagnosed: FleetResult, quick: list[str]) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from dynamics.active_effect import activate
 from dynamics.errors import RequestError
-from dynamics.model import ENVIRONMENT_DEFAULT
+from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.own_effects import catalogue_of
 from dynamics.state import RIGID_BODY_STATES
 from runtime.control.kernel_model import FlownModel, trim_of
@@ -284,6 +284,9 @@ class RtiSolver:
 
 def _speed_states(model: FlownModel) -> int:
     """Where a model's states of the rotors' real speeds begin; -1 without a lag."""
-    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
+    if isinstance(model, Model):  # with the catalogue that it was built with
+        active = model.effects
+    else:
+        active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
     places = [item.hidden[item.effect.rotor_speed_state] for item in active if item.effect.rotor_speed_state]
     return int(places[-1].start) if places else -1
