@@ -59,11 +59,11 @@ def studio(
         room.close()
         raise
     address += place
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: threading.Thread(target=server.shutdown, daemon=True).start())
     console = Console()
     console.print(f"studio: {address}", highlight=False)
     console.print("Ctrl-C ends it.", highlight=False)
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda *_: threading.Thread(target=server.shutdown, daemon=True).start())
     if browser and not os.environ.get("ALULA_NO_BROWSER"):
         webbrowser.open(address)
     try:

@@ -204,7 +204,9 @@ def test_the_studio_of_a_page_answers_until_it_is_ended(here: Path) -> None:
             with urllib.request.urlopen(address) as answer:
                 assert answer.status == 200, text
             process.terminate()
+            rest, _ = process.communicate(timeout=60)  # read: what it prints at its end needs a reader
         assert process.returncode == 0, text
+        assert "alula studio --case" in rest, text
 
 
 def test_quick_commands_in_sentences_run(here: Path, run: Run) -> None:
