@@ -19,6 +19,8 @@ Factor = Annotated[float, Meta(ge=1)]
 Correlation = Annotated[float, Meta(ge=-1, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 Range = tuple[Score, Score]
+Shares = tuple[Share, Share]
+Percent = Annotated[float, Meta(ge=0, le=100)]
 
 
 class ThresholdGroup(Struct, frozen=True, forbid_unknown_fields=True):
@@ -148,7 +150,7 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     lift_std: Positive = 0.02
     max_curved_ratio: Share = 0.8
     max_motor_difference: Share = 0.25
-    command_percentiles: Range = (0.5, 99.5)
+    command_percentiles: tuple[Percent, Percent] = (0.5, 99.5)
     gain_std: Positive = 0.05
     flight_gain_std: Positive = 0.03
     motor_std: Positive = 0.03
@@ -635,7 +637,7 @@ class RegimeThresholds(ThresholdGroup, frozen=True):
     """
 
     bins: Annotated[int, Meta(ge=2)] = 6
-    quantiles: Range = (0.005, 0.995)
+    quantiles: Shares = (0.005, 0.995)
     min_rows: Count = 25
     min_failing: Factor = 1.5
     min_failing_share: Factor = 1.2

@@ -172,9 +172,8 @@ class Search:
         """The best single effect: cross-validated among those of similar score; the simpler one of equal gain."""
         top, thresholds = singles[0], self.thresholds
         if top.score > thresholds.min_gain:
-            near = [
-                s for s in singles[: thresholds.max_contenders] if s.score > thresholds.min_contender_share * top.score
-            ]
+            required = thresholds.min_contender_share * top.score
+            near = [s for s in singles[: thresholds.max_contenders] if s.score >= required]
             top = max(near, key=lambda s: self.regression.cross_validated_gain(s.columns) - (s.gain - s.score))
         for other in singles:
             simpler = len(other.columns) < len(top.columns) and other.score > IMPOSSIBLE

@@ -77,6 +77,8 @@ def test_a_file_changes_what_it_names_and_leaves_the_rest(tmp_path):
         ("[filters]\nrate = 12", "below half the rate 6 Hz - at `\\$.filters`"),
         ("[regimes]\nbins = 1", ">= 2 - at `\\$.regimes.bins`"),
         ("[search]\namplitude = [1.9, 0.4]", "the first must be below the second"),
+        ("[regimes]\nquantiles = [0.01, 1.99]", "<= 1.0 - at `\\$.regimes.quantiles"),
+        ("[command_curve]\ncommand_percentiles = [1.0, 199.0]", "<= 100.0 - at `\\$.command_curve"),
         ("[search]\nmin_gain = 'high'", "Expected `float`"),
         ("[search", "cannot use the thresholds"),
     ],

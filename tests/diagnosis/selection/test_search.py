@@ -141,6 +141,13 @@ def test_a_set_with_an_impossible_effect_is_tried_without_it(arpl_250g):
     assert [scored.names for scored in search.possible_scores([(a, b)])] == [{"a"}]
 
 
+@pytest.mark.parametrize("share", [0.0, 1.0])
+def test_the_best_effect_contends_with_itself_whatever_share_of_its_score_a_contender_needs(arpl_250g, share):
+    thresholds = with_search(min_contender_share=share)
+    search = Search(planted(arpl_250g, [0.2, 0.0, 0.3], seed=0, thresholds=thresholds))
+    assert search.first(search.singles()).names == {"c"}
+
+
 def test_every_step_of_the_search_raises_what_it_maximises(arpl_250g):
     search = Search(planted(arpl_250g, [0.3, 0.0, 0.2, 0.0, 0.25, 0.15], seed=3))
     chosen, worths = search.score([search.regression.candidates[1]]), []
