@@ -45,7 +45,7 @@ from runtime.link.telemetry import EstimatorSample, VehicleStatus
 from runtime.record.recorder import Recorder
 from runtime.record.records import EventRecord, ParameterRecord
 from runtime.request_worker import RequestWorker, link_handlers
-from runtime.rotor_loss_note import require_no_note, write_note
+from runtime.rotor_loss_note import leave_note, require_no_note
 from runtime.service_manager import ServiceManager
 from runtime.stream_requests import StreamRequests
 from runtime.telemetry_buffer import TelemetryBuffer
@@ -477,9 +477,11 @@ class Daemon:
         if control.defect:
             outcome = f"{outcome}; a defect of the daemon: {control.defect}"
         outcome += self._left_behind(status)
-        if self._recorder is not None and (loss := flyer.events.active.get(Event.ROTOR_FAILING)):
-            note = write_note(self._recorder.path.parent, self._vehicle.name, f"{loss} ({self._recorder.path.name})")
-            self._announce(f"no take-off until {note} is deleted")
+        if loss := flyer.events.active.get(Event.ROTOR_FAILING):
+            folder, text = None, loss
+            if self._recorder is not None:
+                folder, text = self._recorder.path.parent, f"{loss} ({self._recorder.path.name})"
+            self._announce(leave_note(folder, self._vehicle.name, text))
         landed, cut_short = flyer.landed and not status.armed, flyer.mission.landing_reason
         start_up, origin = control.first_setpoint - self._created, flyer.mission.origin
         return FlightReport(

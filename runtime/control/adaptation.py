@@ -92,6 +92,8 @@ class Adaptation:
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
         self.rotors = None if learned else RotorWatch(solver, settings.rotors, motor_lag=settings.motor_lag)
         self._drag_state = solver.model.initial_state(np.zeros(RIGID_BODY_STATES))  # rotors turn as in hover
+        hover = solver.trim.rotor_speed
+        self._weight = float(thrust_constants @ (hover * hover))  # N
         self._loss_effect = rotor_loss_effect(solver.model)
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
@@ -127,10 +129,9 @@ class Adaptation:
         return [(name, FollowedValue(loss.share, loss.deviation, 0.0, "1")) for name, loss in named]
 
     def specific_drag(self, state: Floats) -> float:
-        """Specific force along body z that the model has beside its thrust, m/s^2, as far as it is flown.
+        """Specific force along body z that the model has beside its thrust, m/s^2: drag, and what pushes sideways.
 
-        state: (13,). What is not thrust would pass for effectiveness otherwise. 0 where the model is not flown by its
-        own parameters or is a network's.
+        As far as it is flown; it would pass for effectiveness otherwise. 0 for a network's model. state: (13,).
         """
         if not self.flies or self._learned:
             return 0.0
@@ -138,7 +139,8 @@ class Adaptation:
         before = self._drag_state
         before[:RIGID_BODY_STATES] = state
         change = solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]
-        acceleration = change / DRAG_STEP - solver.disturbance[:3] - solver.disturbance[AXES : AXES + 3]
+        acceleration = change / DRAG_STEP
+        acceleration[2] -= solver.disturbance[2] + solver.disturbance[AXES + 2]  # upwards it is effectiveness as well
         up = up_of(state[ATTITUDE])
         return float(acceleration @ up) + GRAVITY * float(up[2]) - GRAVITY
 
@@ -172,6 +174,16 @@ class Adaptation:
             return ""
         own, file = self.filter.squares[0]
         return f"{math.sqrt(own / max(file, 1e-12)):.2g} times its error"
+
+    @property
+    def excess(self) -> str:
+        """What pushes the vehicle where it is beyond the limit of the estimate, or of the thrust; else empty."""
+        push = self.filter.staying[:3] + self.filter.fading[:3]
+        needed = math.hypot(push[0], push[1], GRAVITY - push[2]) / GRAVITY
+        available = float(self._thrust_constants @ self._solver.input_upper**2) / self._weight
+        if needed < available and float(np.abs(push).max()) < self._settings.linear.limit:
+            return ""
+        return f"{math.hypot(*push.tolist()):.1f} m/s^2"
 
     @property
     def flies(self) -> bool:

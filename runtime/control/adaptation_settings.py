@@ -78,7 +78,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     follow: tuple[str, ...] = ()
     thrust_lag: NotNegative = 0.0
     moments: bool = False
-    linear: AxisNoise = AxisNoise(measurement=0.02, drift=0.5, fading=1.0, fading_time=1.0, limit=5.0)
+    linear: AxisNoise = AxisNoise(measurement=0.02, drift=0.5, fading=1.0, fading_time=1.0, limit=8.0)
     angular: AxisNoise = AxisNoise(measurement=0.05, drift=0.5, fading=2.0, fading_time=0.3, limit=30.0)
     gate: Positive = 6.0
     start: Positive = 1.0

@@ -20,6 +20,7 @@ UP = np.array([0.0, 0.0, 1.0])
 GRAVITY_WORLD = np.array([0.0, 0.0, GRAVITY])
 MEAN_TIME = 0.1  # s over which the force is averaged: it takes PX4's 1.4 m/s^2 of noise at 100 Hz down to 0.45
 USUAL_TIME = 1.5  # s over which the usual force of a flight is averaged
+MIN_UPRIGHTNESS = 0.1  # cosine of the tilt, below which a thrust shows nothing vertical
 MAX_GAP = 0.2  # s between two samples after which the mean starts again
 
 
@@ -77,7 +78,7 @@ class ExternalForce:
 
     @property
     def up(self) -> float:
-        """Its vertical part, m/s^2: what carries the vehicle."""
+        """Its vertical part, m/s^2."""
         return float(self.value[2])
 
 
@@ -100,17 +101,27 @@ class ForceMeter:
         self.force.clear()
         self.usual = np.zeros(3)
         self.thrust, self.by_velocity = 0.0, False
+        self._upright, self._missing = 1.0, 0.0
         self._measured, self._before = -inf, (0.0, np.zeros(3))
 
     def update(
-        self, specific_force: Floats, thrust: float, attitude: Floats, velocity: tuple[float, Floats], time: float
+        self,
+        specific_force: Floats,
+        thrust: float,
+        attitude: Floats,
+        velocity: tuple[float, Floats],
+        time: float,
+        *,
+        missing_thrust: float = 0.0,
     ) -> None:
         """Take one tick.
 
         specific_force: (3,) m/s^2, body, NaN where none is new. thrust: modelled, per mass, m/s^2. attitude: (4,).
         velocity: time of the newest estimate, s, and its velocity, (3,) m/s. time: s.
+        missing_thrust: what the model has lost of it since lift-off, per mass, m/s^2.
         """
-        self.thrust = thrust
+        self.thrust, self._upright = thrust, max(uprightness(attitude), MIN_UPRIGHTNESS)
+        self._missing = max(missing_thrust, 0.0)
         (before, velocity_before), self._before = self._before, velocity
         elapsed = velocity[0] - before
         if isfinite(specific_force[2]):
@@ -121,6 +132,16 @@ class ForceMeter:
             world = (velocity[1] - velocity_before) / elapsed + GRAVITY_WORLD
             self.force.add(time, np.asarray(quaternion.rotate_inverse(attitude, world)), thrust, attitude)
         self.force.expire(time)
+
+    @property
+    def carrying(self) -> float:
+        """Vertical part of the force that carries the vehicle, m/s^2, in any case.
+
+        A wind from the side that passed for missing thrust leaves a force across the thrust, which points upwards: as
+        much of it as thrust has gone missing in flight does not count, unless it is along the thrust as well.
+        """
+        assured = self.force.up - self._missing * self._upright
+        return min(self.force.up, max(assured, self.force.along_thrust / self._upright))
 
     def learn(self, duration: float) -> None:
         """Take the present force as a usual one of free flight, for `duration` s."""
@@ -179,8 +200,9 @@ class Ground(Enum):
 class GroundProbe:
     """Takes thrust away after a contact, level, and finds out whether the ground carries the vehicle.
 
-    On the ground the specific force stays gravity's while thrust goes away; in the air it goes away with thrust. So a
-    gust that was mistaken for the ground, or a bounce, costs a moment of reduced thrust, and the vehicle is caught.
+    On the ground the specific force stays gravity's while thrust goes away; in the air it goes away with thrust, down
+    to what was usual in flight. So a gust that was mistaken for the ground, or a bounce, costs a moment of reduced
+    thrust, and the vehicle is caught.
     """
 
     RAMP = 0.3  # s in which thrust goes away
@@ -192,8 +214,14 @@ class GroundProbe:
     HOLD = 0.04  # s that either must hold
     PATIENCE = 0.8  # s after which the likelier of the two counts
 
-    def __init__(self, time: float, thrust: float, weight: float, *, tilt: float, landing: bool) -> None:
-        """time: s. thrust: at that time, N. weight: N. tilt: rad. landing: whether thrust may go to zero meanwhile."""
+    def __init__(
+        self, time: float, thrust: float, weight: float, *, tilt: float, landing: bool, usual: Floats | None = None
+    ) -> None:
+        """time: s. thrust: at that time, N. weight: N. tilt: rad. landing: whether thrust may go to zero meanwhile.
+
+        usual: (3,) external force of the flight before, m/s^2, world: a wind goes on in the air. None for none.
+        """
+        self._usual = np.zeros(3) if usual is None else usual
         levelling = min(tilt / self.LEVELLING, self.MAX_LEVELLING) if landing else 0.0
         self._started, self._ramp = time, time + levelling
         self._first = min(thrust, self.FIRST * weight)
@@ -206,10 +234,10 @@ class GroundProbe:
 
     def update(self, force: ExternalForce, thrust: float, attitude: Floats, time: float) -> Ground:
         """Take one tick. thrust: modelled, per mass, m/s^2. attitude: (4,). time: s."""
-        lacking = GRAVITY_WORLD - thrust * quaternion.rotate(attitude, UP)
+        lacking = GRAVITY_WORLD - thrust * quaternion.rotate(attitude, UP) - self._usual
         deficit = float(np.linalg.norm(lacking))
         judged = force.covered and deficit > self.MIN_DEFICIT * GRAVITY
-        share = float(force.value @ lacking) / deficit**2 if judged else 0.0
+        share = float((force.value - self._usual) @ lacking) / deficit**2 if judged else 0.0
         carried = self._carried.update(judged and share > self.CARRIED, time)
         if carried and time >= self._ramp:  # levelled
             return Ground.CARRIES

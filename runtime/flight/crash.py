@@ -70,8 +70,8 @@ class CrashDetector:
             present[Event.IMPACT] = f"an unexplained {jump / GRAVITY:.1f} g within {limits.impact_time:g} s"
         slow = float(np.linalg.norm(velocity)) < limits.slow
         allowance = limits.per_thrust * max(thrust - GRAVITY, 0.0)
-        if self._carried.update(slow and force.up > limits.carried * GRAVITY + allowance, time):
-            present[Event.GROUND_CONTACT] = f"it carries {force.up / GRAVITY:.0%} of the weight"
+        if self._carried.update(slow and meter.carrying > limits.carried * GRAVITY + allowance, time):
+            present[Event.GROUND_CONTACT] = f"it carries {meter.carrying / GRAVITY:.0%} of the weight"
         if self._pressed.update(slow and -force.up > limits.pressed * GRAVITY + allowance, time):
             present[Event.HELD] = f"{-force.up / GRAVITY:.0%} of the weight is missing in its motion"
         return present

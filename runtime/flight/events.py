@@ -69,6 +69,7 @@ class Event(Enum):
     MODEL_WAITING = "model_waiting"
     MODEL_CHANGED = "model_changed"
     ADAPTATION_REFUSED = "adaptation_refused"
+    PUSHED = "pushed"
     ROTOR_WEAK = "rotor_weak"
     ROTOR_FAILING = "rotor_failing"
     RATES_LOW = "rates_low"
@@ -170,6 +171,13 @@ POLICIES: Mapping[Event, Policy] = {
     Event.MODEL_CHANGED: Policy("the vehicle is not as in its file", Severity.NOTICE, onset=1.0, clear_after=5.0),
     Event.ADAPTATION_REFUSED: Policy(
         "what was estimated in flight forecasts worse than the vehicle file, which flies", Severity.WARNING, onset=0.5
+    ),
+    Event.PUSHED: Policy(
+        "something pushes the vehicle by more than it can hold",
+        Severity.CRITICAL,
+        onset=1.0,
+        clear_after=NEVER,
+        lands=True,
     ),
     Event.ROTOR_WEAK: Policy("look at the propeller", Severity.WARNING, clear_after=NEVER),
     Event.ROTOR_FAILING: Policy(

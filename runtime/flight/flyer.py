@@ -215,6 +215,8 @@ class Flyer:
         if (adaptation := self._controller.adaptation) is not None:
             if changed := adaptation.changed:
                 self._pending[Event.MODEL_CHANGED] = changed
+            if adaptation.flies and (excess := adaptation.excess):
+                self._pending[Event.PUSHED] = excess
             if refusal := adaptation.refusal:
                 self._pending[Event.ADAPTATION_REFUSED] = refusal
 
@@ -286,7 +288,10 @@ class Flyer:
             self._ground.clear()
             return
         thrust = self.effectiveness.thrust(time) / self._vehicle.body.mass
-        self._pending |= self._ground.measure(self.mission, estimate, reference, self._force, thrust, time)
+        missing = thrust * (self.effectiveness.initial / self.effectiveness.value - 1)
+        self._pending |= self._ground.measure(
+            self.mission, estimate, reference, self._force, thrust, time, missing_thrust=missing
+        )
 
     def _findings(self, observation: ObservationRecord, estimate: StateEstimate | None) -> dict[Event, str]:
         present, self._pending = self._pending, {}
@@ -475,7 +480,8 @@ class Flyer:
         """cause: event after which the ground is probed in flight; empty in a landing."""
         assert self._state is not None
         thrust, tilt = self._last_setpoint[1], tilt_of(self._state[ATTITUDE])
-        self._probe = GroundProbe(time, thrust, self._vehicle.weight, tilt=tilt, landing=not cause)
+        usual = self._ground.meter.usual.copy()
+        self._probe = GroundProbe(time, thrust, self._vehicle.weight, tilt=tilt, landing=not cause, usual=usual)
         self._probe_cause = cause
         self.mission.settle(time)
 

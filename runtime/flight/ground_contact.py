@@ -47,15 +47,17 @@ class GroundContact:
         specific_force: Floats,
         thrust: float,
         time: float,
+        *,
+        missing_thrust: float = 0.0,
     ) -> dict[Event, str]:
         """Take one tick of a flight. Returns the events of a crash that force and motion show.
 
         reference: its state (13,) at this time, None where none is tracked. specific_force: (3,) m/s^2, body.
-        thrust: modelled, per mass, m/s^2. time: s.
+        thrust: modelled, per mass, m/s^2. time: s. missing_thrust: lost since lift-off, per mass, m/s^2.
         """
         self._reference = reference
         velocity = (estimate.time, estimate.velocity_world)
-        self.meter.update(specific_force, thrust, estimate.attitude, velocity, time)
+        self.meter.update(specific_force, thrust, estimate.attitude, velocity, time, missing_thrust=missing_thrust)
         settled = mission.phase is not Phase.CLIMB or time - mission.phase_started > SETTLED_START
         if mission.phase in LANDING or reference is None or not settled:
             self._crash.reset()

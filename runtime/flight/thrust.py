@@ -148,6 +148,8 @@ class EffectivenessEstimator:
 
     The quantity of PX4's hover thrust estimator (ZeroOrderHoverThrustEkf), but linear, because the measurement k F / m
     is linear in the effectiveness k. Pure: times are arguments.
+
+    value: k. initial: the same at lift-off.
     """
 
     def __init__(self, mass: float, settings: EffectivenessSettings | None = None) -> None:
@@ -160,7 +162,7 @@ class EffectivenessEstimator:
 
     def start(self, value: float) -> None:
         """Restart from a value, as at lift-off."""
-        self.value = self._bounded(value)
+        self.value = self.initial = self._bounded(value)
         self.variance = self._settings.initial_deviation**2
         self.rejected = 0
         self._rejected_since: float | None = None

@@ -110,6 +110,19 @@ def test_a_vehicle_at_rest_is_carried_at_any_tilt_and_one_that_falls_is_not(tilt
     assert probed(falling + wind, LEVEL, thrust) is not Ground.CARRIES or tilt > 45.0
 
 
+@pytest.mark.parametrize("carried", [False, True])
+def test_a_storm_that_was_there_before_the_probe_does_not_carry(carried: bool) -> None:
+    storm, thrust = np.array([8.5, 0.0, 0.0]), 0.3 * GRAVITY
+    attitude = quaternion.from_euler(0.0, -np.radians(40.0), 0.0)
+    up = np.asarray(quaternion.rotate(attitude, np.array([0.0, 0.0, 1.0])))
+    acceleration = np.zeros(3) if carried else thrust * up - np.array([0.0, 0.0, GRAVITY]) + storm
+    force = samples(acceleration, thrust, attitude)
+    probe = GroundProbe(0.0, 9.81, 9.81, tilt=0.0, landing=False, usual=storm)
+    verdicts = [probe.update(force, thrust, attitude, 0.3 + 0.01 * tick) for tick in range(10)]
+    assert (Ground.CARRIES in verdicts) == carried
+    assert (Ground.ABSENT in verdicts) == (not carried)
+
+
 def test_thrust_goes_away_within_half_a_second_and_not_below_its_floor_in_flight() -> None:
     landing = GroundProbe(0.0, 8.0, 9.81, tilt=0.1, landing=True)
     assert landing.thrust(0.01) < 0.61 * 9.81
