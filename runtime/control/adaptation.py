@@ -19,6 +19,7 @@ from dynamics.vehicle import GRAVITY
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.flight_filter import FlightFilter
 from runtime.control.followed_parameters import followed_parameters, rotor_loss_effect
+from runtime.control.rotor_loss import RotorLoss
 from runtime.control.rotor_watch import RotorWatch, up_of
 from runtime.control.rti.solver import AXES, RtiSolver
 from runtime.control.thrust_history import ThrustHistory
@@ -127,6 +128,11 @@ class Adaptation:
         effect, parameter = self._loss_effect
         named = ((f"{effect}[{loss.rotor}].{parameter}", loss) for loss in self.rotors.losses)
         return [(name, FollowedValue(loss.share, loss.deviation, 0.0, "1")) for name, loss in named]
+
+    def load_of(self, loss: RotorLoss) -> float:
+        """Mass under the rotor that would look the same, kg: its weight is the thrust that the rotor lost in hover."""
+        hover = self._solver.trim.rotor_speed[loss.rotor]
+        return float(loss.share * self._thrust_constants[loss.rotor] * hover * hover) / GRAVITY
 
     def specific_drag(self, state: Floats) -> float:
         """Specific force along body z that the model has beside its thrust, m/s^2: drag, and what pushes sideways.

@@ -179,7 +179,7 @@ POLICIES: Mapping[Event, Policy] = {
         clear_after=NEVER,
         lands=True,
     ),
-    Event.ROTOR_WEAK: Policy("look at the propeller", Severity.WARNING, clear_after=NEVER),
+    Event.ROTOR_WEAK: Policy("look at propeller and load", Severity.WARNING, clear_after=NEVER),
     Event.ROTOR_FAILING: Policy(
         "a rotor has lost too much thrust to fly on", Severity.CRITICAL, clear_after=NEVER, refuses=True, lands=True
     ),

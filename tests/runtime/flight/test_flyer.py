@@ -564,10 +564,13 @@ def test_a_rotor_that_lost_too_much_lands_the_vehicle_which_does_not_take_off_ag
     controller.adaptation.rotors._test.losses[0] = RotorLoss(0, 0.15, 0.02)
     flight.run(0.5)
     assert flight.flyer.mission.phase is Phase.TRACK
+    weak = next(change.text for change in flight.story.event_changes if change.event is Event.ROTOR_WEAK)
+    assert "rotor 0 (motor 3) has lost 15 +- 4 % of thrust, or a load of 0.0094 kg hangs under it" in weak
     controller.adaptation.rotors._test.losses[0] = RotorLoss(0, 0.3, 0.02)
     story = flight.run(30.0)
     assert story.phases[-1] is Phase.SHUTDOWN
-    assert "rotor 0 (motor 3) has lost 30 +- 4 % of thrust" in flight.flyer.mission.landing_reason
+    text = "rotor 0 (motor 3) has lost 30 +- 4 % of thrust, or a load of 0.019 kg hangs under it"  # 0.3 of m/4
+    assert text in flight.flyer.mission.landing_reason
     flight.engage = True
     transitions = len(story.transitions)
     story = flight.run(5.0)
