@@ -312,15 +312,15 @@ class Flyer:
         return present
 
     def _rotor_findings(self, adaptation: Adaptation) -> dict[Event, str]:
-        """Rotors that have lost thrust, or a load under them; beyond the limit only where the model's changes are flown.
+        """Rotors that have lost thrust, or have a load under them: both take the same force at the same place away.
 
-        Both take the same force at the same place away.
+        Beyond the limit only where the model's changes are flown.
         """
         if adaptation.rotors is None or not (losses := adaptation.rotors.losses):
             return {}
         text = "; ".join(
-            f"{self._rotor_name(loss.rotor)} has lost {100 * loss.share:.0f} +- {196 * loss.deviation:.0f} % of thrust, "
-            f"or a load of {adaptation.load_of(loss):.2g} kg hangs under it"
+            f"{self._rotor_name(loss.rotor)} has lost {100 * loss.share:.0f} +- {196 * loss.deviation:.0f} % of thrust"
+            f", or a load of {adaptation.load_of(loss):.2g} kg hangs under it"
             for loss in losses
         )
         present = {Event.ROTOR_WEAK: text}
