@@ -177,7 +177,8 @@ class DataChecks(ThresholdGroup, frozen=True):
     flights of 12 s with PX4's errors reach 0.61, half of them 0.37]
     max_velocity_share: the same over the speed. [benchmarks/mutated_flights.py]
     max_clipped: share of a gyro's or accelerometer's rows at its greatest value. [benchmarks/mutated_flights.py]
-    max_rotor_clipped: the same of a measured rotor speed, which may fly at its limit. [benchmarks/mutated_flights.py]
+    max_rotor_clipped: the same of a rotor's speed or command, which may fly at its limit.
+    [benchmarks/mutated_flights.py]
     """
 
     min_duration: Positive = 20.0

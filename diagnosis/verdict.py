@@ -85,8 +85,12 @@ def missing_effects(
 
 
 def _alike(regression: Regression, candidate: Candidate, taken: Collection[str]) -> list[str]:
-    """Candidates that the catalogue declares to have nearly the signal of one, but for those taken."""
+    """What the catalogue declares to have nearly the signal of a candidate, but for effects that are taken.
+
+    Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
+    """
     name, others = candidate.effect.name, {c.effect.name: c.effect for c in regression.candidates}
+    others |= {e.name: e for e in regression.catalogue.values() if e.acts_on == "rotor_clock"}
     return [
         other.name
         for other in others.values()

@@ -23,7 +23,7 @@ from dynamics.vehicle import Vehicle
 
 Expression = Any  # casadi.SX or casadi.MX
 Values = Mapping[str, Expression]
-ActsOn = Literal["motion", "command_gain", "weight", "rotor_speed_reading"]
+ActsOn = Literal["motion", "command_gain", "weight", "rotor_speed_reading", "rotor_clock"]
 
 
 @dataclass(frozen=True)
@@ -163,6 +163,7 @@ class Reading:
     attitude_age: s by which the attitude is older than that still.
     pose_arm: (3,) body FLU, from the centre of mass to the point whose position and velocity are logged, m.
     angular_acceleration: (3,) true, rad/s^2: no reading, but what an accelerometer off the centre of mass responds to.
+    rotor_age: s by which the rotors' speeds or commands are older than their stamps.
     """
 
     specific_force: Expression
@@ -173,6 +174,7 @@ class Reading:
     attitude_age: Expression
     pose_arm: Expression
     angular_acceleration: Expression
+    rotor_age: Expression
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,8 @@ class Effect:
     lost_thrust: parameter that is the share of its thrust that a rotor has lost, of an effect of one rotor: this is
         named in flight (docs/adaptation.md).
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, and "weight" too unless the vehicle file
-        has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "motion" is everything else.
+        has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "rotor_clock" shows
+        there alone, too: with commands a lag of the rotors absorbs it. "motion" is everything else.
     sensor_prior: standard deviation that a healthy sensor's fault has from flight to flight, in the parameters' unit.
     excitation: logged quantities and motion that a flight needs to show it; None where that is not stated.
     confounded_with: effects with nearly the same signal in most flights.

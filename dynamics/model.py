@@ -35,7 +35,8 @@ class Model(StateShape):
     observe: (x, u, p, e) -> specific_force (3,) body m/s^2, angular_acceleration (3,) rad/s^2, rotor_speed (n,) rad/s.
     respond: (x, u, a, p, e) -> specific_force, angular_acceleration; the rotors accelerate by a (n,) rad/s^2.
     measure: (specific_force, rate_body, rotor_speed, p, angular_acceleration) -> the first three as the sensors read
-        them, the rate still in the body's axes, pose_age s, attitude_age s, pose_arm (3,) m, gyro_axes (4,).
+        them, the rate still in the body's axes, pose_age s, attitude_age s, pose_arm (3,) m, gyro_axes (4,),
+        rotor_age s.
     constants: (p, e) -> mass kg, thrust_constant (n,) N s^2/rad^2, centre_of_mass (3,) m, as the effects change them.
     structure: rotors and effects; models of the same structure have the same functions.
     """
@@ -239,19 +240,19 @@ def _respond(
 def _measure(active: Sequence[ActiveEffect], values: Values, p: Expression, count: int) -> ca.Function:
     force, rate, speed, angular = (ca.SX.sym(name, size) for name, size in (("f", 3), ("r", 3), ("s", count), ("a", 3)))
     aligned = ca.SX([1.0, 0.0, 0.0, 0.0])
-    read = Reading(force, rate, speed, aligned, ca.SX(0), ca.SX(0), ca.SX.zeros(3), angular)
+    read = Reading(force, rate, speed, aligned, ca.SX(0), ca.SX(0), ca.SX.zeros(3), angular, ca.SX(0))
     for item in active:
         if item.effect.measurement is not None:
             read = item.effect.measurement(read, item.parameters(values), item.rotor)
     labels = ["specific_force", "rate", "rotor_speed"]
     readings = [read.specific_force, read.rate_body, read.rotor_speed]
-    outputs = [*readings, read.pose_age, read.attitude_age, read.pose_arm, read.gyro_axes]
+    outputs = [*readings, read.pose_age, read.attitude_age, read.pose_arm, read.gyro_axes, read.rotor_age]
     return ca.Function(
         "measure",
         [force, rate, speed, p, angular],
         outputs,
         [*labels, "p", "angular_acceleration"],
-        [*(f"{name}_read" for name in labels), "pose_age", "attitude_age", "pose_arm", "gyro_axes"],
+        [*(f"{name}_read" for name in labels), "pose_age", "attitude_age", "pose_arm", "gyro_axes", "rotor_age"],
     )
 
 

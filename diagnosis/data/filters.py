@@ -56,6 +56,24 @@ def delayed(values: Floats, rate: float, delay: float) -> Floats:
     return np.stack([np.interp(time - delay, time, column) for column in values.T], axis=1)
 
 
+def advanced(values: Floats, rate: float, by: float) -> Floats:
+    """values (n, k) as they are `by` s later: the cubic through the four nearest rows, the ends held.
+
+    A straight line between two rows would lose 3 % at 8 Hz in a log of 100 Hz (Laakso et al., Splitting the unit delay,
+    IEEE Signal Processing Magazine 13, 1996).
+    """
+    rows, share = divmod(by * rate, 1.0)
+    weights = (
+        -share * (share - 1) * (share - 2) / 6,
+        (share + 1) * (share - 1) * (share - 2) / 2,
+        -(share + 1) * share * (share - 2) / 2,
+        (share + 1) * share * (share - 1) / 6,
+    )
+    place = np.arange(len(values)) + int(rows)
+    near = (np.clip(place + offset, 0, len(values) - 1) for offset in (-1, 0, 1, 2))
+    return np.asarray(sum(weight * values[at] for weight, at in zip(weights, near, strict=True)))
+
+
 def decimation(rate: float, filters: FilterThresholds) -> int:
     """Number of rows at rate Hz for each row of the regression."""
     return max(1, round(rate / filters.rate))

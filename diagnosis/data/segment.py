@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from diagnosis.data.decimating_filter import filtered_rows
-from diagnosis.data.filters import decimated_rows, decimation, rate_of_change, simpson_inverse
+from diagnosis.data.filters import advanced, decimated_rows, decimation, rate_of_change, simpson_inverse
 from diagnosis.data.pose import pose_source
 from diagnosis.thresholds import DEFAULT, FilterThresholds, SegmentThresholds, Thresholds
 from dynamics import quaternion
@@ -151,6 +151,12 @@ class Segment:
         ratio = np.ones(len(self)) if self.battery_ratio is None else self.battery_ratio
         return np.column_stack([np.zeros(len(self)), ratio])
 
+    def with_rotors_later(self, age: float) -> Segment:
+        """The segment with the rotors' speeds that were logged `age` s later; its motion is not computed again."""
+        moved = replace(self, rotor_speed=advanced(self.rotor_speed, self.rate, age))
+        moved.__dict__.update({name: getattr(self, name) for name in _OF_MOTION})  # where cached properties are kept
+        return moved
+
     def between(self, start: int, stop: int) -> Segment:
         """The rows from start to before stop."""
 
@@ -168,6 +174,9 @@ class Segment:
             rotor_speed=self.rotor_speed[start:stop],
             battery_ratio=cut(self.battery_ratio),
         )
+
+
+_OF_MOTION = ("to_world", "axes_in_world", "body_rate", "smooth", "angular_acceleration", "environment")
 
 
 def segments(flight: Flight, vehicle: Vehicle, thresholds: Thresholds = DEFAULT) -> tuple[Segment, ...]:

@@ -38,7 +38,7 @@ def require_velocity(segments: Sequence[Segment], limits: DataChecks) -> None:
 
 
 def require_range(segments: Sequence[Segment], limits: DataChecks) -> None:
-    """Raise DataError for a gyro, an accelerometer or measured rotor speeds that stand at their range's end."""
+    """Raise DataError for a gyro, an accelerometer, rotor speeds or commands that stand at their range's end."""
     for flight in dict.fromkeys(s.flight for s in segments):
         own = [s for s in segments if s.flight == flight]
         for name, share, limit in _at_ends(own, limits):
@@ -61,10 +61,11 @@ def _velocity_difference(segment: Segment, span: float) -> Floats:
 
 def _at_ends(segments: Sequence[Segment], limits: DataChecks) -> list[tuple[str, float, float]]:
     """(sensor, greatest share of a channel's rows at its extreme, limit of that share)."""
+    rotors = "rotor speed" if segments[0].rotor_source == "measured" else "command of the rotors"
     sensors: list[tuple[str, list[Floats], float]] = [
         ("gyro", [s.gyro for s in segments if s.gyro is not None], limits.max_clipped),
         ("accelerometer", [s.specific_force for s in segments if s.specific_force is not None], limits.max_clipped),
-        ("rotor speed", [s.rotor_speed for s in segments if s.rotor_source == "measured"], limits.max_rotor_clipped),
+        (rotors, [s.rotor_speed for s in segments], limits.max_rotor_clipped),
     ]
     return [(name, _share_at_ends(np.vstack(parts)), limit) for name, parts, limit in sensors if parts]
 

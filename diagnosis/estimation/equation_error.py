@@ -408,11 +408,13 @@ def _priors(regression: Regression, free: Sequence[tuple[Candidate, str]]) -> tu
 
 
 def clock_variance(effect: Effect, name: str, rate: float) -> float:
-    """Variance, s^2, that a lag of the rotors behind their commands has by the commands' clock, 0 for other parameters.
+    """Variance, s^2, that clocks add to a lag of the rotors behind their commands or to their age, 0 for others.
 
     Commands are as old as clocks are apart, and are held for a time between none and a row: half of it is their mean
-    age, of which the logs show nothing and the estimate takes none. rate: of the rows, Hz.
+    age, of which the logs show nothing and the estimate of a lag takes none. rate: of the rows, Hz.
     """
+    if effect.acts_on == "rotor_clock":
+        return float(CLOCK_OFFSET**2)
     if effect.rotor_speed is None or name not in effect.time_constants:
         return 0.0
     return float(CLOCK_OFFSET**2 + (0.5 / rate) ** 2 / 3)

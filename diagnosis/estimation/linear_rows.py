@@ -12,7 +12,7 @@ from diagnosis.data.segment import Segment
 from diagnosis.estimation.fitted import with_candidates
 from diagnosis.models import channels
 from diagnosis.models.predictor import Predictor
-from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, without_lag
+from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, shifts_rotors, without_lag
 from diagnosis.thresholds import Thresholds
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
@@ -60,7 +60,7 @@ class LinearRows:
         self.linear = [f"{c.key}.{n}" for c in candidates for n in c.free]
         uses = with_candidates(vehicle, candidates, {}).effects
         self.predictor = self._model(uses, self.linear)
-        self._lags = {f"{c.key}.{n}" for c, n in self.free if c.effect.rotor_speed is not None}
+        self._lags = {f"{c.key}.{n}" for c, n in self.free if shifts_rotors(c)}
         self._instrumented = [scales_rotors(c) for c, _ in self.free]
         example = regression.segments[0]
         self.of_commands = example.rotor_source != "measured"

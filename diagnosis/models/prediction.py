@@ -42,6 +42,6 @@ class Prediction:
 
     @classmethod
     def from_outputs(cls, outputs: Floats, ages: Floats) -> Prediction:
-        """From what `_outputs` computes, (n, 12). ages: (2,) of the pose, and of the attitude beyond it."""
+        """From what `_outputs` computes, (n, 12). ages: of the pose, and of the attitude beyond it, s."""
         force, angular, rate, pose_force = (outputs[:, i : i + 3] for i in range(0, 12, 3))
         return cls(force, angular, rate, pose_force, float(ages[0]), float(ages[1]))

@@ -33,6 +33,7 @@ POSE_AND_VELOCITY = slice(0, ATTITUDE.stop)
 PARAMETERS = 4  # place of the parameters among the functions' inputs
 MAX_KEPT = 256  # structures whose functions are kept
 MAX_FOLLOWED = 24  # sets of hidden states that are kept of a segment
+MAX_MOVED = 6  # ages of the rotors' speeds with which a segment is kept
 
 
 class Predictor:
@@ -75,9 +76,9 @@ class Predictor:
 
     def predict(self, segment: Segment, changed: Mapping[str, float] | None = None) -> Prediction:
         """The model's prediction along a segment."""
-        p = self.values(changed)
-        outputs = self._functions.evaluate(*self._arguments(segment, p, None, None))
-        return Prediction.from_outputs(outputs, np.array(self._functions.ages(p)).ravel())
+        p, ages = self._values_and_ages(changed)
+        outputs = self._functions.evaluate(*self._arguments(_at_age(segment, ages[2]), p, None, None))
+        return Prediction.from_outputs(outputs, ages)
 
     def slopes(
         self,
@@ -93,12 +94,15 @@ class Predictor:
         free: those of these parameters alone.
         """
         names = self.free if free is None else tuple(free)
-        p = self.values(changed)
-        arguments = self._arguments(segment, p, rotor_speed, rotor_acceleration)
+        p, ages = self._values_and_ages(changed)
+        arguments = self._arguments(_at_age(segment, ages[2]), p, rotor_speed, rotor_acceleration)
         columns = _functions_of(self.model, names).slopes(*arguments)
         parts = columns.reshape(len(columns), len(names), 12)
-        ages = np.array(self._functions.ages(p)).ravel()
         return [Prediction.from_outputs(part, ages) for part in parts.transpose(1, 0, 2)]
+
+    def _values_and_ages(self, changed: Mapping[str, float] | None) -> tuple[Floats, Floats]:
+        p = self.values(changed)
+        return p, np.array(self._functions.ages(p)).ravel()
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's.
@@ -106,6 +110,15 @@ class Predictor:
         Hidden states are not finite where the rate is too low for them.
         """
         values = self.values() if p is None else p
+        if not self.model.hidden_count:
+            return segment.smooth
+        return self._states(_at_age(segment, self._rotor_age(values)), values)
+
+    def _rotor_age(self, p: Floats) -> float:
+        return float(np.array(self._functions.ages(p)).ravel()[2])
+
+    def _states(self, segment: Segment, values: Floats) -> Floats:
+        """(n, nx) the same along a segment whose rotors' speeds have the age of its other rows."""
         if not self.model.hidden_count:
             return segment.smooth
         initial = self._initial(segment, values)
@@ -125,11 +138,12 @@ class Predictor:
 
     def predict_from(self, segment: Segment, changed: Mapping[str, float], start: Floats) -> Prediction:
         """The model's prediction along a segment at whose start the hidden states are (h,) start."""
-        p = self.values(changed)
-        states = np.vstack([segment.smooth.T, self._hidden(segment, p, start).T]).T
-        here = segment.body_rate, segment.rotor_speed, segment.rotor_acceleration
-        outputs = self._functions.evaluate(states, *here, p, segment.environment, segment.angular_acceleration)
-        return Prediction.from_outputs(outputs, np.array(self._functions.ages(p)).ravel())
+        p, ages = self._values_and_ages(changed)
+        moved = _at_age(segment, ages[2])
+        states = np.vstack([moved.smooth.T, self._hidden(moved, p, start).T]).T
+        here = moved.body_rate, moved.rotor_speed, moved.rotor_acceleration
+        outputs = self._functions.evaluate(states, *here, p, moved.environment, moved.angular_acceleration)
+        return Prediction.from_outputs(outputs, ages)
 
     def _initial(self, segment: Segment, p: Floats) -> Floats:
         """(h,) hidden states at a segment's start: those of hover, or where the first seconds show them to begin."""
@@ -168,10 +182,9 @@ class Predictor:
 
     def rotor_speed(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, rotors) speeds of the rotors, rad/s: those of the log, or behind these where the model has their lag."""
-        places = self.model.rotor_speed_places
-        if not places:
-            return segment.rotor_speed
-        return np.asarray(self.states(segment, p)[:, places[-1]])
+        places, values = self.model.rotor_speed_places, self.values() if p is None else p
+        moved = _at_age(segment, self._rotor_age(values))
+        return np.asarray(self._states(moved, values)[:, places[-1]]) if places else moved.rotor_speed
 
     def _arguments(
         self, segment: Segment, p: Floats, rotor_speed: Floats | None, rotor_acceleration: Floats | None
@@ -179,7 +192,7 @@ class Predictor:
         speed = segment.rotor_speed if rotor_speed is None else rotor_speed
         acceleration = segment.rotor_acceleration if rotor_acceleration is None else rotor_acceleration
         angular = segment.angular_acceleration
-        return [self.states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
+        return [self._states(segment, p), segment.body_rate, speed, acceleration, p, segment.environment, angular]
 
     def substeps(self, period: float, p: Floats) -> int | None:
         """Integration steps over a period, s, that hidden states need; None if more than are taken."""
@@ -207,6 +220,19 @@ class Predictor:
 
 
 _followed: WeakKeyDictionary[Segment, dict[Hashable, Floats]] = WeakKeyDictionary()  # hidden states along segments
+_moved: WeakKeyDictionary[Segment, dict[float, Segment]] = WeakKeyDictionary()
+
+
+def _at_age(segment: Segment, age: float) -> Segment:
+    """The segment with the rotors' speeds that were logged `age` s later."""
+    if age == 0.0:
+        return segment
+    of_segment = _moved.setdefault(segment, {})
+    if age not in of_segment:
+        if len(of_segment) >= MAX_MOVED:
+            del of_segment[next(iter(of_segment))]
+        of_segment[age] = segment.with_rotors_later(age)
+    return of_segment[age]
 
 
 class _Functions:
@@ -325,16 +351,16 @@ def _symbols(model: Model) -> dict[str, Expression]:
 
 
 def _ages(model: Model, p: Expression) -> Expression:
-    """(2,) age of the pose, and of the attitude beyond it, s."""
+    """(3,) age of the pose, of the attitude beyond it, and of the rotors' speeds, s."""
     nothing = ca.SX.zeros(3)
     read = model.measure(nothing, nothing, ca.SX.zeros(model.input_count), p, nothing)
-    return ca.vertcat(read[3], read[4])
+    return ca.vertcat(read[3], read[4], read[7])
 
 
 def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> tuple[Expression, Expression]:
     """Body rate and rotor speeds from their readings, which are affine in them, the rate behind a turn of the gyro."""
     nothing, true_speed = ca.SX.zeros(3), ca.SX.sym("true_speed", model.input_count)
-    _, offset, speed_read, *_, axes = model.measure(nothing, nothing, true_speed, p, nothing)
+    _, offset, speed_read, _, _, _, axes, _ = model.measure(nothing, nothing, true_speed, p, nothing)
     still = ca.substitute(speed_read, true_speed, ca.SX.zeros(true_speed.shape))
     true_rate = _solved(_gyro_gain(model, p), quaternion.rotate(axes, rate) - offset)
     return true_rate, _solved(ca.jacobian(speed_read, true_speed), speed - still)
@@ -342,7 +368,7 @@ def _true(model: Model, rate: Expression, speed: Expression, p: Expression) -> t
 
 def _true_acceleration(model: Model, measured: Expression, p: Expression) -> Expression:
     """(3,) angular acceleration from the gyro's derivative, which has the gyro's scale and axes."""
-    axes = model.measure(*(ca.SX.zeros(n) for n in (3, 3, model.input_count)), p, ca.SX.zeros(3))[-1]
+    axes = model.measure(*(ca.SX.zeros(n) for n in (3, 3, model.input_count)), p, ca.SX.zeros(3))[6]
     return _solved(_gyro_gain(model, p), quaternion.rotate(axes, measured))
 
 
@@ -368,7 +394,7 @@ def _outputs(model: Model, s: Mapping[str, Expression]) -> Expression:
     smooth_rate, speed = _true(model, s["x"][RATE], s["speed"], p)
     gyro, _ = _true(model, s["gyro"], s["speed"], p)
     turning = _true_acceleration(model, s["angular"], p)
-    *_, attitude_age, arm, gyro_axes = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, turning)
+    *_, attitude_age, arm, gyro_axes, _ = model.measure(ca.SX.zeros(3), smooth_rate, speed, p, turning)
     late = quaternion.small_turn(attitude_age * smooth_rate)
     attitude = quaternion.multiply(s["x"][ATTITUDE], late)
     state = ca.vertcat(s["x"][: ATTITUDE.start], attitude, smooth_rate, s["x"][HIDDEN])

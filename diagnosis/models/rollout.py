@@ -14,6 +14,7 @@ import casadi as ca
 import msgspec
 import numpy as np
 
+from diagnosis.data.filters import advanced
 from diagnosis.data.segment import Segment
 from diagnosis.models.batched_function import RowFunction
 from diagnosis.models.predictor import MAX_KEPT, Predictor
@@ -149,7 +150,7 @@ def _without_faults(segment: Segment, model: Model) -> Segment:
     def read(rate: Floats, speed: Floats) -> list[Floats]:
         return [np.array(reading).ravel() for reading in model.measure(nothing, rate, speed, p, nothing)]
 
-    _, rate, speed, age, attitude_age, arm, axes = read(nothing, still)
+    _, rate, speed, age, attitude_age, arm, axes, rotor_age = read(nothing, still)
     slope = np.column_stack([read(axis, still)[1] - rate for axis in np.eye(3)])
     gain = read(nothing, still + 1)[2] - speed
     gyro = None
@@ -161,7 +162,7 @@ def _without_faults(segment: Segment, model: Model) -> Segment:
     return replace(
         posed,
         gyro=gyro,
-        rotor_speed=(segment.rotor_speed - speed) / gain,
+        rotor_speed=(advanced(segment.rotor_speed, segment.rate, float(rotor_age[0])) - speed) / gain,
         position=posed.position - to_world @ arm,
         velocity=posed.velocity - np.einsum("nij,nj->ni", to_world, np.cross(rate_body, arm)),
     )

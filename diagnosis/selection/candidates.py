@@ -161,6 +161,11 @@ def scales_rotors(candidate: Candidate) -> bool:
     return effect.physics is not None or effect.acts_on == "command_gain" or effect.name in COMMAND_EFFECTS
 
 
+def shifts_rotors(candidate: Candidate) -> bool:
+    """Whether a candidate's columns are the rotors' forces earlier or later, with which feedback correlates, too."""
+    return candidate.effect.rotor_speed is not None or candidate.effect.acts_on == "rotor_clock"
+
+
 def without(vehicle: Vehicle, candidate: Candidate) -> tuple[EffectUse, ...]:
     """The vehicle file's effects except this one."""
     return tuple(u for u in vehicle.effects if (u.name, u.rotor) != (candidate.effect.name, candidate.rotor))

@@ -26,6 +26,7 @@ from diagnosis.selection.candidates import (
     make_instruments,
     make_predictor,
     scales_rotors,
+    shifts_rotors,
 )
 from diagnosis.thresholds import DEFAULT, PredictionThresholds
 from dynamics.arrays import Floats
@@ -282,7 +283,7 @@ def _fill(
         column = columns[:, :, i]
         if candidate.fixed_shape:
             column = column - base.of(candidate)
-        slow_only = candidate.effect.rotor_speed is not None or (lagged and scales_rotors(candidate))
+        slow_only = shifts_rotors(candidate) or (lagged and scales_rotors(candidate))
         if instrumented and slow_only:
             column = with_slow_moments(column, segment)
         matrix[:, :, place] = column

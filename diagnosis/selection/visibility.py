@@ -30,7 +30,7 @@ def can_show(effect: Effect, segments: Sequence[Segment], vehicle: Vehicle, cata
     source = segments[0].rotor_source
     if effect.rotor_speed is not None:
         return source != "measured"  # between command and speed, which does not matter where speed is measured
-    if effect.acts_on == "rotor_speed_reading":
+    if effect.acts_on in ("rotor_speed_reading", "rotor_clock"):
         return source == "measured"
     if effect.acts_on == "command_gain" and source == "command":
         return False  # where only commands were logged their gain is an unknown of its own, which is this

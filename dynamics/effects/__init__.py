@@ -25,6 +25,7 @@ from dynamics.effects import (
     pose_lever_arm,
     rotational_damping,
     rotor_cant,
+    rotor_delay,
     rotor_drag,
     rotor_gyroscopic,
     rotor_speed_fault,
@@ -73,6 +74,7 @@ CATALOGUE: Mapping[str, Effect] = {
         gyro_scale,
         time_delay,
         attitude_delay,
+        rotor_delay,
         pose_lever_arm,
         rotor_speed_fault,
     )

@@ -222,7 +222,7 @@ def _measure(
     read: outputs of the model's `measure`, as the sensors would read them without noise.
     turning: whether the rotors turn, whose vibration is most of the inertial sensors' noise.
     """
-    force_read, rate_read, *_, arm, gyro_axes = read
+    force_read, rate_read, *_, arm, gyro_axes, _ = read
     gyro_noise = ca.if_else(turning, constants["gyro_noise"], constants["gyro_rest_noise"])
     force_noise = ca.if_else(turning, constants["accelerometer_noise"], constants["accelerometer_rest_noise"])
     gyro = quaternion.rotate_inverse(gyro_axes, rate_read) + constants["gyro_bias"] + gyro_noise * noise["gyro"]

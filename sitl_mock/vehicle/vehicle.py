@@ -110,8 +110,10 @@ class SimulatedVehicle:
         self._thrust = 0.0
         self._gnss_lost_at = math.inf
         values = self.plant.model.parameter_values
-        ages = [float(age) for age in self.plant.model.measure(0, 0, 0, values, 0)[3:5]]
-        self._pose_age, self._attitude_age = (max(round(age / DT), 0) for age in (ages[0], sum(ages)))  # steps
+        read = self.plant.model.measure(0, 0, 0, values, 0)
+        pose, attitude, rotor = (float(read[place]) for place in (3, 4, 7))
+        ages = (max(round(age / DT), 0) for age in (pose, pose + attitude, rotor))
+        self._pose_age, self._attitude_age, self._rotor_age = ages  # steps
         self.land_detector = LandDetector()
         self._set_constants()
         self._set_state(drifting)
@@ -178,7 +180,7 @@ class SimulatedVehicle:
     @property
     def estimate(self) -> MotionState:
         """The estimator's output: as old as its delay, with its errors, rates from the filtered gyro."""
-        oldest = min(self._step, len(self._loop.records) - 1)
+        oldest = self._oldest
         delay, period = (
             round(value / DT) for value in (self.options.sensors.delay, self.options.sensors.estimate_period)
         )
@@ -222,13 +224,14 @@ class SimulatedVehicle:
     @property
     def rotor_speed(self) -> Floats:
         """(rotors,) measured, rad/s, in the vehicle file's order."""
-        return self._read_speed(self._newest("rotor_speed_measured"))
+        return self._read_speed(self._of_rotors("rotor_speed_measured"))
 
     def mean_rotor_speed(self, duration: float) -> Floats:
         """(rotors,) measured over the last `duration` s, as a sensor that counts turns does, rad/s."""
         count = min(max(1, round(duration / DT)), len(self._loop.records) - 1)
-        mean = self._records["rotor_speed"][[self._row(age) for age in range(count)]].mean(axis=0)
-        now, measured = self._newest("rotor_speed"), self._newest("rotor_speed_measured")
+        ages = np.minimum(np.arange(count) + self._rotor_age, self._oldest)
+        mean = self._records["rotor_speed"][[self._row(age) for age in ages]].mean(axis=0)
+        now, measured = self._of_rotors("rotor_speed"), self._of_rotors("rotor_speed_measured")
         turning = now > 1.0  # rad/s; the error of the newest reading is relative to a speed
         return self._read_speed(np.where(turning, measured * mean / np.where(turning, now, 1.0), measured))
 
@@ -321,6 +324,16 @@ class SimulatedVehicle:
 
     def _newest(self, name: str) -> Floats:
         part: Floats = self._records[name][self._row(0)].copy()
+        return part
+
+    @property
+    def _oldest(self) -> int:
+        """Age of the oldest record, steps."""
+        return min(self._step, len(self._loop.records) - 1)
+
+    def _of_rotors(self, name: str) -> Floats:
+        """What the rotors' sensors read: as old as these are."""
+        part: Floats = self._records[name][self._row(min(self._rotor_age, self._oldest))].copy()
         return part
 
     def _motion(self, name: str, age: int) -> MotionState:

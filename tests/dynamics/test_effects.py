@@ -238,6 +238,7 @@ SENSOR_FAULTS = {
     "gyro_bias": {"x": 0.01, "y": -0.02, "z": 0.03},
     "time_delay": {"delay": 0.03},
     "attitude_delay": {"delay": 0.015},
+    "rotor_delay": {"delay": 0.01},
     "pose_lever_arm": {"x": 0.02, "y": -0.01, "z": 0.03},
     "rotor_speed_fault": {"gain": 0.5},
 }
@@ -263,6 +264,7 @@ READINGS = {  # force, rate, rotor speed, age of the pose, of the attitude beyon
     "gyro_bias": lambda p: {"rate": RATE + axes(p)},
     "time_delay": lambda p: {"pose_age": p["delay"]},
     "attitude_delay": lambda p: {"attitude_age": p["delay"]},
+    "rotor_delay": lambda p: {"rotor_age": p["delay"]},
     "pose_lever_arm": lambda p: {"pose_arm": axes(p)},
     "rotor_speed_fault": lambda p: {"speed": SPEED * np.array([1, p["gain"], 1, 1])},
 }
@@ -427,8 +429,8 @@ def test_a_sensors_fault_changes_its_reading_and_no_motion(arpl_250g, name):
     force, torque = added(now, use(name, values))
     assert_allclose(np.concatenate([force, torque]), 0.0, atol=1e-15)
     assert not CATALOGUE[name].moves_vehicle
-    plain = {"force": FORCE, "rate": RATE, "speed": SPEED, "pose_age": 0.0, "attitude_age": 0.0, "pose_arm": [0, 0, 0]}
-    expected = plain | READINGS[name](values)
+    still = dict.fromkeys(("pose_age", "attitude_age", "rotor_age"), 0.0)
+    expected = {"force": FORCE, "rate": RATE, "speed": SPEED, "pose_arm": [0, 0, 0]} | still | READINGS[name](values)
     for quantity, value in reading(arpl_250g, use(name, values)).items():
         assert_allclose(value.squeeze(), expected[quantity], rtol=2e-3 if name == "imu_misalignment" else 1e-12)
 
@@ -447,7 +449,7 @@ def reading(vehicle, *uses):
     """The sensors' readings of FORCE, RATE and SPEED, and the pose's ages and arm."""
     model = build_model(vehicle, effects=uses)
     read = model.measure(FORCE, RATE, SPEED, model.parameter_values, ANGULAR)
-    names = ("force", "rate", "speed", "pose_age", "attitude_age", "pose_arm", "gyro_axes")
+    names = ("force", "rate", "speed", "pose_age", "attitude_age", "pose_arm", "gyro_axes", "rotor_age")
     values = {name: np.array(value).ravel() for name, value in zip(names, read, strict=True)}
     return values | {"rate": quaternion.rotate_inverse(values.pop("gyro_axes"), values["rate"])}
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from diagnosis.data.decimating_filter import filtered_rows
-from diagnosis.data.filters import decimated_rows, delayed, difference, rate_of_change, simpson
+from diagnosis.data.filters import advanced, decimated_rows, delayed, difference, rate_of_change, simpson
 from diagnosis.thresholds import DEFAULT, FilterThresholds
 from flights.filters import zero_phase
 
@@ -61,3 +61,11 @@ def test_the_rows_of_the_regression_are_those_of_the_filter_over_all_rows(rate, 
     expected = everywhere[decimated_rows(count, rate, filters)]
     filtered = filtered_rows(values, rate, filters, products=products)
     np.testing.assert_allclose(filtered, expected, atol=1e-10 * np.abs(values).max())
+
+
+@pytest.mark.parametrize("by", [0.0, 0.005, 0.012, -0.005, -0.04])
+def test_what_is_advanced_is_what_comes_later(by):
+    w = 2 * np.pi * 5.0
+    later = advanced(np.sin(w * TIME)[:, None], RATE, by)
+    np.testing.assert_allclose(later[8:-8, 0], np.sin(w * (TIME + by))[8:-8], atol=3e-3)
+    assert later.shape == (len(TIME), 1)

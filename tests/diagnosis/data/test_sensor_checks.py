@@ -55,6 +55,14 @@ def test_rotors_may_fly_at_their_limit_for_a_while(plain_flights, arpl_250g):
         require_range(flown(clipped(plain_flights, "rotor_speed", 0.3), arpl_250g), LIMITS)
 
 
+def test_commands_that_stand_at_their_limit_for_most_of_a_flight_are_refused(plain_flights, arpl_250g):
+    renamed = {f"rotor_speed_{i}": f"rotor_speed_command_{i}" for i in range(4)}
+    commanded = [with_columns(f, {n: f[o] for o, n in renamed.items()} | dict.fromkeys(renamed)) for f in plain_flights]
+    require_range(flown(clipped(commanded, "rotor_speed_command", 0.9), arpl_250g), LIMITS)
+    with pytest.raises(DataError, match="the command of the rotors stands at"):
+        require_range(flown(clipped(commanded, "rotor_speed_command", 0.3), arpl_250g), LIMITS)
+
+
 def test_estimators_may_err_and_nothing_is_judged_without_a_position(plain_flights, arpl_250g):
     random = np.random.default_rng(0)
     errors = [with_columns(f, {"velocity_x": f["velocity_x"] + 0.3 * random.standard_normal()}) for f in plain_flights]

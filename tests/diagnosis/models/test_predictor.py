@@ -69,16 +69,24 @@ def test_a_late_pose_shows_the_force_of_before(segment, arpl_250g):
     np.testing.assert_allclose(late.specific_force, plain.specific_force)
 
 
+def test_late_rotor_speeds_show_the_thrust_of_before(segment, arpl_250g):
+    late = make(arpl_250g, "rotor_delay", {"delay": 0.05}).predict(segment)
+    plain = Predictor(arpl_250g, [], CATALOGUE, speed_measured=True).predict(segment)
+    np.testing.assert_allclose(late.specific_force[5:-10], plain.specific_force[10:-5], atol=1e-9)
+    np.testing.assert_allclose(late.rate, plain.rate)
+
+
 def test_where_commands_are_all_there_is_their_gain_is_no_candidate_but_every_other_effect_is(plain_flights, arpl_250g):
     from tests.diagnosis.conftest import with_columns
 
     without = {f"rotor_speed_{i}": None for i in range(4)}
+    of_speeds = {"gust", "rotor_speed_fault", "rotor_delay", "thrust_constant", "thrust_exponent"}
     part = segments(with_columns(plain_flights[0], without), arpl_250g)[0]
     names = {c.effect.name for c in make_candidates(arpl_250g, CATALOGUE, [part])}
-    assert names == set(CATALOGUE) - {"gust", "rotor_speed_fault", "mass", "thrust_constant", "thrust_exponent"}
+    assert names == set(CATALOGUE) - {*of_speeds, "mass"}
     with_drag = arpl_250g.with_effects(EffectUse("linear_drag", {"coefficient": 0.1}))
     names = {c.effect.name for c in make_candidates(with_drag, CATALOGUE, [part])}
-    assert names == set(CATALOGUE) - {"gust", "rotor_speed_fault", "thrust_constant", "thrust_exponent"}
+    assert names == set(CATALOGUE) - of_speeds
     assert part.rotor_source == "command"
 
 

@@ -383,6 +383,17 @@ def test_sensors_off_the_centre_of_mass_and_a_late_attitude_show_in_the_measurem
     assert abs(centripetal) > 0.3
 
 
+def test_late_rotor_speeds_are_those_of_before(arpl_250g: Vehicle) -> None:
+    mock = SimulatedVehicle(arpl_250g, effects=(EffectUse("rotor_delay", {"delay": 0.01}),), options=QUIET)
+    mock.advance(IDLE, True, 1.0)
+    mock.advance(rates(3.0, 0.0, 0.0, 0.4), True, 0.02)
+    before = mock.true_rotor_speed
+    mock.advance(rates(3.0, 0.0, 0.0, 0.4), True, 0.01)
+    assert np.abs(mock.true_rotor_speed - before).max() > 10.0
+    np.testing.assert_allclose(mock.rotor_speed, before, rtol=1e-6)
+    np.testing.assert_allclose(mock.mean_rotor_speed(0.001), before, rtol=1e-3)
+
+
 def test_a_mean_rotor_speed_is_that_of_the_last_milliseconds_with_the_sensors_fault(arpl_250g: Vehicle) -> None:
     options = dataclasses.replace(QUIET, rotor_speed_fault=((1, 0.5),))
     mock = SimulatedVehicle(arpl_250g, options=options)
