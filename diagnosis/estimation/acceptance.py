@@ -59,7 +59,9 @@ def accepted_fit(
     were fitted without them and may have absorbed a part of them.
     """
     lacking = regression.vehicle if vehicle is None else vehicle
-    chosen, worse = _decided_rivals(regression, selection.chosen.candidates, lacking)
+    chosen, worse = _decided_rivals(
+        regression, on_decided_rotors(regression, selection.chosen.candidates, lacking), lacking
+    )
     accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
     preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
     if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
@@ -146,6 +148,30 @@ def _own_effects(regression: Regression, chosen: Sequence[Candidate], refused: S
     own = [c for c in regression.candidates if c.identity in names and not c.fixed_shape and c.key not in taken]
     alone = search.score(chosen).score
     return [c for c in own if search.score([*chosen, c]).score > alone]
+
+
+def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
+    """The selected effects, those of one rotor on the rotor with which the full model fits best.
+
+    The search decides by columns that turbulence does not reach; the torque that a weak rotor lost and a cant of the
+    same one then share what is the cant of another. The fitted flights alone decide, among rotors of a similar score.
+    """
+    limits, search, best = regression.thresholds, Search(regression), list(chosen)
+    required = limits.rivals.score_margin / max(regression.total, 1)
+    for place in [i for i, c in enumerate(chosen) if c.effect.per_rotor]:
+        others, keys = [c for i, c in enumerate(best) if i != place], {c.key for c in best}
+        alike = [c for c in regression.candidates if c.effect is best[place].effect and c.key not in keys]
+        alone, own = search.score(others).score, search.score(best).score
+        lowest = alone + limits.search.min_contender_share * (own - alone)
+        near = sorted(
+            (s for s in search.scores([(*others, c) for c in alike]) if s.score >= lowest), key=lambda s: -s.score
+        )
+        for scored in near[: limits.acceptance.max_rivals]:
+            trial = [*best[:place], scored.candidates[-1], *best[place + 1 :]]
+            levels = [fit(regression, candidates, vehicle=vehicle).chi_square for candidates in (best, trial)]
+            if levels[1] < levels[0] - required:
+                best = trial
+    return best
 
 
 def _decided_rivals(

@@ -1,0 +1,52 @@
+"""A canted rotor is put on its own rotor by the joint fit, beside a weak one, on quadrotors and hexarotors."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from diagnosis.data.dataset import read_dataset
+from diagnosis.estimation.acceptance import on_decided_rotors
+from diagnosis.estimation.equation_error import fit
+from diagnosis.selection.regression_of_flights import make_regression
+from dynamics.effects import CATALOGUE
+from dynamics.vehicle_file import read_vehicle
+from fixtures.outside_cases import LAYOUTS, Campaign, flown, write_campaign
+from fixtures.outside_sensors import Recorder
+
+SOME = {n: CATALOGUE[n] for n in ("weak_rotor", "rotor_cant", "imu_bias", "gyro_bias", "time_delay")}
+HIDDEN = {
+    "weak_rotor": {"loss": 0.1, "rotor": 3.0},
+    "rotor_cant": {"tangential": -0.014, "radial": -0.021, "rotor": 1.0},
+}
+SEEDS = {  # the first of each layout
+    layout: next(s for s in range(100) if Campaign({}, {}, Recorder(), False, False, 1, s).layout == layout)
+    for layout in LAYOUTS
+}
+
+
+@pytest.fixture(scope="module", params=LAYOUTS)
+def regression(request, tmp_path_factory):
+    campaign = Campaign(HIDDEN, {}, Recorder(), False, False, 5, SEEDS[request.param])
+    (truths,) = flown([campaign])
+    folder = tmp_path_factory.mktemp(request.param)
+    write_campaign(campaign, truths, folder)
+    vehicle = read_vehicle(folder / "vehicle.toml")
+    data = read_dataset(sorted(map(str, folder.glob("*.csv"))), vehicle)
+    made = make_regression(vehicle, SOME, data.fitted, data.flight_of)
+    return SimpleNamespace(made=made, by_key={c.key: c for c in made.candidates})
+
+
+@pytest.mark.parametrize("wrong", [0, 2, 3])
+def test_a_cant_on_the_wrong_rotor_is_put_right(regression, wrong):
+    weak, cant = regression.by_key["weak_rotor[3]"], regression.by_key[f"rotor_cant[{wrong}]"]
+    decided = on_decided_rotors(regression.made, [weak, cant], regression.made.vehicle)
+    assert [c.key for c in decided] == ["weak_rotor[3]", "rotor_cant[1]"]
+    values = fit(regression.made, decided).values
+    assert values["rotor_cant[1]", "tangential"] == pytest.approx(-0.014, abs=0.001)
+    assert values["rotor_cant[1]", "radial"] == pytest.approx(-0.021, abs=0.001)
+    assert values["weak_rotor[3]", "torque_loss"] == pytest.approx(0.0, abs=0.02)
+
+
+def test_what_is_on_its_own_rotor_stays_there(regression):
+    right = [regression.by_key["weak_rotor[3]"], regression.by_key["rotor_cant[1]"]]
+    assert on_decided_rotors(regression.made, right, regression.made.vehicle) == right
