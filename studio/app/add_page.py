@@ -10,29 +10,22 @@ from dash import dcc, html
 
 from diagnosis.models.channels import KINDS, NAMES
 from diagnosis.report import ParameterValue
+from studio.app.heads import head, lock, refusal
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, command_box, graph, grid, message, table
-from studio.app.theme import PRESENT, improved_colour, styled
+from studio.app.parts import action, card, command_box, graph, grid, table
+from studio.app.theme import KIND_COLOURS, PRESENT, improved_colour, styled
 from studio.case.state import Version
-from studio.pages.figure import FLOOR, GREEN, PURPLE, SKY
+from studio.pages.figure import FLOOR
 from studio.pages.numbers import unit_shown
 from studio.work.results import Added, Diagnosed
-
-KIND_COLOURS = dict(zip(KINDS, (PRESENT, SKY, GREEN, PURPLE), strict=True))
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
     """What can be added, what was added, and by how much the error fell."""
-    case, parts = opened.case, [dmc.Title("Add it, and watch the error fall", order=1, size="h2")]
-    if opened.failure:
-        parts.append(message(opened.failure, title="The last step failed", colour="red"))
-    reason = opened.lock_reason("add")
-    if reason:
-        parts.append(message(reason, title="Locked"))
-        return dmc.Stack(parts, gap="md")
-    refusal = opened.refusal("add")
-    if refusal is not None:
-        parts.append(message(refusal.message, title="Nothing was added", colour="yellow"))
+    case, parts = opened.case, head(opened, "Add it, and watch the error fall")
+    if locked := lock(opened, "add"):
+        return dmc.Stack(parts + locked, gap="md")
+    parts += refusal(opened, "add", "Nothing was added")
     parts.append(_offer(opened, name))
     line = [version for version in case.line if version.channels]
     if line:

@@ -8,6 +8,7 @@ import dash_mantine_components as dmc
 from dash import dcc, html
 
 from flights.quality import Inspection
+from studio.app.heads import head, lock
 from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, message, table
 from studio.app.theme import figure_of
@@ -16,19 +17,14 @@ from studio.work.results import Checked, FlightInfo
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
     """One part for each log."""
-    parts: list[Any] = [dmc.Title("Is the log good enough, and for what?", order=1, size="h2")]
-    if opened.failure:
-        parts.append(message(opened.failure, title="The check failed", colour="red"))
+    parts = head(opened, "Is the log good enough, and for what?")
     checked = opened.result(Checked, "check", shown=False)
     if checked is None:
-        reason = opened.lock_reason("check")
         if opened.status("check") == "running":
-            parts.append(dmc.Text("The logs are being read and inspected.", c="dimmed"))
-        elif reason:
-            parts.append(message(reason, title="Locked"))
+            waiting: list[Any] = [dmc.Text("The logs are being read and inspected.", c="dimmed")]
         else:
-            parts.append(action("start", "Check the logs", step="check"))
-        return dmc.Stack(parts, gap="md")
+            waiting = lock(opened, "check") or [action("start", "Check the logs", step="check")]
+        return dmc.Stack(parts + waiting, gap="md")
     for number, (info, inspection) in enumerate(zip(checked.flights, checked.by_log, strict=True)):
         parts.append(_log(number, info, inspection, checked, scheme))
     if checked.usable:

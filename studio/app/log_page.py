@@ -14,18 +14,18 @@ from plotly.subplots import make_subplots
 
 from diagnosis.vehicle_from_logs import vehicle_from_logs
 from dynamics.errors import RequestError
+from studio.app import redraw
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, command_box, graph, message
+from studio.app.parts import action, card, command_box, message
+from studio.app.place import opened_at
 from studio.app.studio import Studio
-from studio.app.theme import EMPTY, styled
-from studio.app.traces import flight_line, patched, window_of, zoomed
+from studio.app.theme import LINE_COLOURS, styled
+from studio.app.traces import flight_line, window_of, zoomed
 from studio.case.state import Options
-from studio.pages.figure import GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from studio.pages.inspected import ROWS
 from studio.work.results import FlightInfo
 from vehicles import FOLDER
 
-COLOURS = (SKY, ORANGE, GREEN, PURPLE, VERMILION, "#0072B2", "#8a8f98", YELLOW)
 PANEL = 130  # px
 OWN_FILE, FROM_LOG = "a file of your own", "made from the log"
 
@@ -191,7 +191,7 @@ def _flight_card(opened: OpenCase) -> Any:
     return card(
         "Flights",
         choice,
-        graph("log-lines", EMPTY, "Lines: the log's quantities over time"),
+        redraw.lines_graph("log-lines", "Lines: the log's quantities over time"),
         note="Drag to zoom: the lines are drawn again from all rows. Double-click to see the whole flight.",
     )
 
@@ -205,18 +205,17 @@ def register(app: dash.Dash, studio: Studio) -> None:
         State("scheme", "data"),
     )(lambda flight, path, scheme: _draw(studio, flight, path, scheme))
     app.callback(
-        Output("log-lines", "figure", allow_duplicate=True),
+        Output(redraw.points_of("log-lines"), "data"),
         Input("log-lines", "relayoutData"),
         State("log-flight", "value"),
         State("url", "pathname"),
         prevent_initial_call=True,
     )(lambda zoom, flight, path: _zoom(studio, zoom, flight, path))
+    redraw.register(app, "log-lines")
 
 
 def _flight(studio: Studio, flight: str | None, path: str) -> tuple[Path, FlightInfo, int] | None:
     """The folder of the logs' tables, a log, and its place; None where there is none."""
-    from studio.app.shell import opened_at
-
     opened = opened_at(studio, path)
     flights = opened.flights() if opened else None
     if flights is None or flight is None or int(flight) >= len(flights[1]):
@@ -237,7 +236,7 @@ def _zoom(studio: Studio, zoom: Any, flight: str | None, path: str) -> Any:
     folder, info, number = there
     columns = [column for _, names in panels_of(info) for column in names]
     lines = [flight_line(folder, info, number, column, window_of(zoom)) for column in columns]
-    return patched(dict(enumerate(lines)))
+    return redraw.redrawn("log-lines", key_of(info, number), dict(enumerate(lines)))
 
 
 def panels_of(info: FlightInfo) -> list[tuple[tuple[str, str, str], list[str]]]:
@@ -259,7 +258,7 @@ def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> g
                     y=line.y,
                     name=column,
                     mode="lines",
-                    line={"color": COLOURS[index % len(COLOURS)], "width": 1.1},
+                    line={"color": LINE_COLOURS[index % len(LINE_COLOURS)], "width": 1.1},
                     showlegend=False,
                     hovertemplate=f"{column}: %{{y:.4g}} {unit}<extra></extra>",
                 ),
@@ -270,7 +269,12 @@ def flight_figure(folder: Path, info: FlightInfo, number: int, scheme: str) -> g
     figure.update_xaxes(title_text="time, s", row=max(1, len(panels)), col=1)
     styled(figure, scheme, height=PANEL * max(1, len(panels)) + 70)
     figure.update_layout(hovermode="x unified")
-    return figure
+    return redraw.keyed(figure, key_of(info, number))
+
+
+def key_of(info: FlightInfo, number: int) -> str:
+    """Of the lines of a log's picture."""
+    return repr((number, info.path, [names for _, names in panels_of(info)]))
 
 
 def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:

@@ -13,8 +13,9 @@ from plotly.subplots import make_subplots
 
 from diagnosis.models.channels import NAMES
 from diagnosis.models.open_loop import HorizonError
+from studio.app.heads import head, lock, refusal
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, command_box, graph, message, out_of_date, table
+from studio.app.parts import action, card, command_box, graph, out_of_date, table
 from studio.app.theme import PRESENT, improved_colour, measured_colour, styled
 from studio.pages.numbers import unit_shown
 from studio.work.results import Exported, Flown, Proved
@@ -25,13 +26,9 @@ UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
     """What the additions are worth on flights that nothing was fitted to, and in the controller."""
-    parts: list[Any] = [dmc.Title("Prove it", order=1, size="h2")]
-    if opened.failure:
-        parts.append(message(opened.failure, title="The last step failed", colour="red"))
-    reason = opened.lock_reason("prove")
-    if reason:
-        parts.append(message(reason, title="Locked"))
-        return dmc.Stack(parts, gap="md")
+    parts = head(opened, "Prove it")
+    if locked := lock(opened, "prove"):
+        return dmc.Stack(parts + locked, gap="md")
     running = opened.job is not None
     parts.append(_held_out(opened, scheme, running=running))
     parts.append(_mock(opened, scheme, running=running))
@@ -40,9 +37,9 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
 
 
 def _held_out(opened: OpenCase, scheme: str, *, running: bool) -> Any:
-    title, refusal = "On flights that nothing was fitted to", opened.refusal("prove")
-    if refusal is not None:
-        return card(title, message(refusal.message, title="Not proved", colour="yellow"))
+    title = "On flights that nothing was fitted to"
+    if refused := refusal(opened, "prove", "Not proved"):
+        return card(title, *refused)
     proved = opened.result(Proved, "prove")
     if proved is None:
         return card(title, action("start", "Compare both versions", step="prove", disabled=running))
@@ -107,9 +104,8 @@ def _mock(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     flown = []
     for reference in REFERENCES:
         step = f"fly:{reference}"
-        refusal, result = opened.refusal(step), opened.result(Flown, step, shown=False)
-        if refusal is not None:
-            flown.append(message(refusal.message, title=f"{reference} was not flown", colour="yellow"))
+        result = opened.result(Flown, step, shown=False)
+        flown += refusal(opened, step, f"{reference} was not flown")
         if result is not None:
             flown.append(_flown(result, scheme))
     return card(
@@ -154,10 +150,9 @@ def _flown(flown: Flown, scheme: str) -> Any:
 
 
 def _bundle(opened: OpenCase, *, running: bool) -> Any:
-    exported, refusal = opened.result(Exported, "export", shown=False), opened.refusal("export")
-    title = "A bundle for alula fly"
-    if refusal is not None:
-        return card(title, message(refusal.message, title="Not exported", colour="yellow"))
+    exported, title = opened.result(Exported, "export", shown=False), "A bundle for alula fly"
+    if refused := refusal(opened, "export", "Not exported"):
+        return card(title, *refused)
     if exported is None:
         return card(title, action("start", "Export the present version", step="export", disabled=running))
     lines = html.Ul([html.Li(line.strip()) for line in exported.summary])

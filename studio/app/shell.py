@@ -11,9 +11,19 @@ import dash_mantine_components as dmc
 from dash import ALL, Input, Output, State, ctx, dcc, html, no_update
 
 from dynamics.errors import AlulaError
-from studio.app import add_page, check_page, compare_page, diagnose_page, home_page, log_page, prove_page
+from studio.app import (
+    add_page,
+    check_page,
+    compare_page,
+    diagnose_page,
+    evidence_card,
+    home_page,
+    log_page,
+    prove_page,
+)
 from studio.app.opened import PAGES, OpenCase, page_of
 from studio.app.parts import message
+from studio.app.place import opened_at, place_of
 from studio.app.studio import Studio
 
 TICK = 250  # ms between two looks at what runs
@@ -79,7 +89,7 @@ def build(app: dash.Dash, studio: Studio) -> None:
         Output("scheme", "data"),
         Input("scheme-switch", "checked"),
     )(lambda dark: ("dark", "dark") if dark else ("light", "light"))
-    for page in (log_page, compare_page, diagnose_page):
+    for page in (log_page, compare_page, evidence_card):
         page.register(app, studio)
 
 
@@ -120,24 +130,6 @@ def _frame() -> Any:
             ),
         ],
     )
-
-
-def place_of(path: str | None) -> tuple[str, str]:
-    """Case and page of an address, empty for the first page."""
-    parts = [part for part in (path or "").split("/") if part]
-    if len(parts) < 2 or parts[0] != "case":
-        return "", ""
-    page = parts[2] if len(parts) > 2 and parts[2] in PAGES else "log"
-    return parts[1], page
-
-
-def opened_at(studio: Studio, path: str | None) -> OpenCase | None:
-    """The case of an address; None for none, or one that cannot be opened."""
-    name, _ = place_of(path)
-    try:
-        return studio.case(name) if name else None
-    except AlulaError:
-        return None
 
 
 def _show(studio: Studio, revision: Any, path: str, scheme: str, last: str | None) -> tuple[Any, ...]:

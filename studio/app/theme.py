@@ -7,7 +7,8 @@ from typing import Any, Literal
 
 import plotly.graph_objects as go
 
-from studio.pages.figure import AFTER, BEFORE, BLACK, FLOOR, GREEN, ORANGE, SKY
+from diagnosis.models.channels import KINDS
+from studio.pages.figure import AFTER, BEFORE, BLACK, FLOOR, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 from studio.work.results import PictureInfo
 
 Scheme = Literal["light", "dark"]
@@ -17,6 +18,8 @@ GRID = {"light": "#e5e7eb", "dark": "#3b3f46"}
 MEASURED_LINE = {"light": BLACK, "dark": "#f1f3f5"}
 SECOND_MODEL = GREEN
 PRESENT, IMPROVED, BY_HAND, HIGHLIGHT, AXIS_COLOURS = BEFORE, AFTER, ORANGE, "#E69F00", (AFTER, ORANGE, GREEN)
+KIND_COLOURS = dict(zip(KINDS, (PRESENT, SKY, GREEN, PURPLE), strict=True))
+LINE_COLOURS = (SKY, ORANGE, GREEN, PURPLE, VERMILION, "#0072B2", "#8a8f98", YELLOW)
 # what a picture of a static page is drawn with, and what stands in its place in the dark
 DARK_INSTEAD = {
     "#000000": "#f1f3f5",

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import base64
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from dash import Patch
 from numpy.typing import NDArray
 from tsdownsample import MinMaxLTTBDownsampler
 
@@ -48,20 +46,6 @@ def thinned(x: Array, y: Array, window: tuple[float, float] | None = None, point
         x, y = x[rows], y[rows]
     breaks = np.flatnonzero(np.diff(x) > max(GAP, 4 * (x[-1] - x[0]) / len(x) if len(x) else GAP)) + 1
     return Line(np.insert(x, breaks, np.nan), np.insert(y, breaks, np.nan).astype(np.float32))
-
-
-def patched(lines: Mapping[int, Line]) -> Any:
-    """New points for lines of a figure, by their places: all that is sent when a picture is zoomed."""
-    patch = Patch()
-    for place, line in lines.items():
-        patch["data"][place]["x"] = _packed(line.x, "f8")
-        patch["data"][place]["y"] = _packed(line.y, "f4")
-    return patch
-
-
-def _packed(values: Array, kind: str) -> dict[str, str]:
-    """An array as plotly.js reads it without parsing numbers."""
-    return {"dtype": kind, "bdata": base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode()}
 
 
 def flight_line(folder: Path, flight: FlightInfo, number: int, column: str, window: Any = None) -> Line:
