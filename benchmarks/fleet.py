@@ -29,8 +29,9 @@ from benchmarks.provenance import write_result
 from dynamics.vehicle import EffectUse
 from fixtures.dask_cluster import dask_cluster
 from fixtures.fleet_flights import MINUTE, write_fleet
+from studies.fleet.files import LINES, TABLE
 from studies.fleet.flight import FleetFlight
-from studies.fleet.store import LINES, TABLE, read_flights
+from studies.fleet.store import read_flights
 from studies.fleet.summary import FleetReport, summarise
 
 VEHICLES, WEEK = 20, 7  # and days

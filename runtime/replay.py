@@ -51,6 +51,20 @@ class ReplayReport(msgspec.Struct, frozen=True):
         """Whether all setpoints and transitions are as recorded, bit for bit."""
         return self.compared == self.identical and not self.unmatched and self.states_agree
 
+    @property
+    def lines(self) -> list[str]:
+        """The comparison in words."""
+        lost = f", {self.lost} were not recorded" if self.lost else ""
+        lines = [f"{self.ticks} ticks{lost}, {self.compared} setpoints compared"]
+        if self.exact:
+            return [*lines, "bit for bit as recorded"]
+        lines.append(f"{self.identical} identical, {self.unmatched} on one side only")
+        lines.append(f"rates differ by at most {self.rate_difference:.3g} rad/s")
+        lines.append(f"thrust differs by at most {self.thrust_difference:.3g}")
+        if self.first_difference is not None:
+            lines.append(f"first difference after {self.first_difference:.3f} s")
+        return [*lines, f"states {'as recorded' if self.states_agree else 'differ'}"]
+
 
 def replay(
     recording: FlightRecording, vehicle: Vehicle, reference: Motion, bundle: Bundle | None = None

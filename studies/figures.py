@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -159,3 +160,10 @@ def _stacked(axes: Any, times: Floats, errors: Sequence[Floats]) -> None:
     heights = [np.sqrt(np.bincount(which, error**2, minlength=len(edges)) / rows) for error in errors]
     axes.stackplot(edges, *heights, colors=COLOURS[: len(heights)], linewidth=0, step="post")
     axes.set_ylim(0, None)
+
+
+def as_png(figure: Figure) -> bytes:
+    """A picture for a page."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format="png", dpi=110)
+    return buffer.getvalue()

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.figure import Figure
 
+from studies import figures
 from studies.tables import Table
 from studio.pages.page import write_page
 from studio.pages.provenance import origin
@@ -31,10 +31,11 @@ def write_tables_page(
 
     Raises RequestError when it cannot be written.
     """
-    images = []
-    for figure, caption in pictures:
-        buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=110)
-        images.append(Image(buffer.getvalue(), caption))
-    shown = [PageTable(t.title, t.headings, t.rows, t.note, t.digits) for t in tables]
+    images = [Image(figures.as_png(figure), caption) for figure, caption in pictures]
+    shown = [as_page_table(table) for table in tables]
     write_page(tables_page(title, lines, shown, images, origin=origin(inputs)), path)
+
+
+def as_page_table(table: Table) -> PageTable:
+    """A study's table for a page."""
+    return PageTable(table.title, table.headings, table.rows, table.note, table.digits)

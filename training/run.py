@@ -1,6 +1,7 @@
 """A training from logs to a checkpoint: options, the members in their processes, model and card.
 
-While it runs, `MODEL.pt.run` holds the state from which each member continues after it was killed.
+While it runs, `MODEL.pt.run` holds the state from which each member continues after it was killed. Its course is in
+`MODEL.progress.jsonl`.
 """
 
 from __future__ import annotations
@@ -34,8 +35,9 @@ from training.folder import CARD_SUFFIX, STATE, claimed, require_free, run_folde
 from training.models import named_kind
 from training.overrides import overridden
 from training.plan import Plan, make_plan
+from training.progress_file import append, begin, progress_file
 from training.recipe import Recipe, named_recipe
-from training.reports import Progress, progress_channel
+from training.reports import Progress, Report, progress_channel
 from training.trainer import Member, Task, train
 
 MAX_SEED = 2**31
@@ -107,7 +109,7 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
             require_free(options.out, overwrite=options.overwrite)
             return _train(options, device, size, progress)
         with claimed(options.out, options.folder, overwrite=options.overwrite, resume=options.resume):
-            model = _train(options, device, size, progress)
+            model = _train(options, device, size, _recorded(options, progress))
             checkpoint.save(model, options.out)
             write_card(model, options.out)
             return model
@@ -120,6 +122,18 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
         ) from error
     finally:
         process_group.leave_group()
+
+
+def _recorded(options: TrainOptions, progress: Progress) -> Progress:
+    """Progress that is written beside the model, too."""
+    path = progress_file(options.out)
+    begin(path, options.ensemble, command_line(), resume=options.resume)
+
+    def record(report: Report) -> None:
+        append(path, report)
+        progress(report)
+
+    return record
 
 
 def _train(options: TrainOptions, device: torch.device, size: int, progress: Progress) -> TrainedModel:

@@ -143,7 +143,7 @@ class FleetResult:
     @property
     def files(self) -> Sequence[Path]:
         """The lines and the table."""
-        from studies.fleet.store import LINES, TABLE
+        from studies.fleet.files import LINES, TABLE
 
         return (self.folder / LINES, self.folder / TABLE)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -9,6 +10,7 @@ import typer
 
 from alula.cli.options import Effects
 from alula.cli.output import print_next
+from alula.workbench import workbench
 from dynamics.errors import DataError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from runtime.flight_setup import recorded_flight
@@ -34,6 +36,10 @@ def replay(
         typer.Option(min=0.0, help="Fail when a setpoint differs by more, rad/s or share of thrust; 0: by one bit."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
+    html: Annotated[
+        Path | None,
+        typer.Option(help="Write tracking, timing, health and what was followed as one page to this file."),
+    ] = None,
 ) -> None:
     """Fly a recording again: same estimates in, setpoints compared with the recorded ones."""
     newest = newest_recording(recording)
@@ -45,26 +51,16 @@ def replay(
     if as_json:
         write_json(report, STANDARD_OUTPUT)
     else:
-        print(_text(report))
+        print("\n".join(report.lines))
         file = vehicle or (None if bundle is None else f"{bundle}/vehicle.toml")
         print_next(*(["inspect", recording] if file is None else ["diagnose", recording, "--vehicle", file]))
+    if html is not None:
+        with workbench("alula replay --html"):
+            from studies.results.page import write_recording_page
+        write_recording_page(recording, report, html)
+        print(f"written: {html}", file=sys.stderr)
     if tolerance is not None:
         _require_agreement(report, tolerance)
-
-
-def _text(report: ReplayReport) -> str:
-    lost = f", {report.lost} were not recorded" if report.lost else ""
-    lines = [f"{report.ticks} ticks{lost}, {report.compared} setpoints compared"]
-    if report.exact:
-        lines.append("bit for bit as recorded")
-    else:
-        lines.append(f"{report.identical} identical, {report.unmatched} on one side only")
-        lines.append(f"rates differ by at most {report.rate_difference:.3g} rad/s")
-        lines.append(f"thrust differs by at most {report.thrust_difference:.3g}")
-        if report.first_difference is not None:
-            lines.append(f"first difference after {report.first_difference:.3f} s")
-        lines.append("states " + ("as recorded" if report.states_agree else "differ"))
-    return "\n".join(lines)
 
 
 def _require_agreement(report: ReplayReport, tolerance: float) -> None:

@@ -35,6 +35,10 @@ def studio(
     mapping: Mapping = None,
     pose: Pose = None,
     cases: Annotated[Path | None, typer.Option(help="Folder in which new cases are made.")] = None,
+    result: Annotated[
+        list[Path] | None,
+        typer.Option(help="A result to show: of --fleet, sweep, train, evaluate --json or fly --record; repeatable."),
+    ] = None,
     port: Annotated[
         int | None, typer.Option(min=0, max=65535, help="Port on this computer; 0 for a free one. [default: 8642]")
     ] = None,
@@ -53,7 +57,9 @@ def studio(
         from studio.app.studio import Studio, default_root
     room = Studio(cases or default_root(), memory=None if memory is None else int(memory * GIB))
     try:
+        results = [room.open_result(path) for path in result or []]
         place = _case(room, logs or [], vehicle, case, hold_out, effects or [], mapping, pose)
+        place = f"result/{results[0]}" if results and not place else place
         server, address = serve(room, port=port)
     except BaseException:
         room.close()

@@ -67,6 +67,7 @@ def run_fleet(options: FleetOptions, progress: Progress | None = None) -> tuple[
                 f"{options.out} holds the results of another fleet: none of its logs is below {options.folder}. Give "
                 "another --out."
             )
+        store.write_about(options.folder, len(logs))
         tasks = [_task(log, options, shared) for log in logs]
         waiting = [task for task in tasks if not _is_done(store.flights.get(task.empty.log), task)]
         store.drop([task.empty.log for task in waiting if task.empty.log in store.flights])

@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 
 from diagnosis.models.channels import KINDS
 from dynamics.errors import RequestError
-from dynamics.files import make_folder, write_whole
+from dynamics.files import make_folder, write_json, write_whole
+from studies.fleet.files import ABOUT, LINES, LOCK, TABLE, FleetAbout
 from studies.fleet.flight import FleetFlight
 
-LINES, TABLE, LOCK = "flights.jsonl", "flights.parquet", "flights.lock"
 ADVICE = "Free some space or give another --out; the same command goes on where this one stood."
 
 
@@ -69,6 +69,10 @@ class FleetStore:
             raise self._unwritable(error) from error
         self.flights[flight.log] = flight
 
+    def write_about(self, folder: Path, count: int) -> None:
+        """Write what the lines are of. Raises RequestError when it cannot be written."""
+        write_json(FleetAbout(str(folder.resolve()), count), self.folder / ABOUT)
+
     def drop(self, logs: Sequence[str]) -> None:
         """Remove the lines of logs, whose files or settings have changed. Raises RequestError as `append`."""
         if not logs:
@@ -90,15 +94,8 @@ class FleetStore:
             return
         except OSError as error:
             raise RequestError(f"cannot read {self.file}: {error.strerror or error}. Give another --out.") from error
-        lines = text.split(b"\n")
-        for line in lines:
-            try:
-                flight = msgspec.json.decode(line, type=FleetFlight)
-            except msgspec.MsgspecError:
-                continue
-            self.flights.pop(flight.log, None)
-            self.flights[flight.log] = flight
-        if lines[:-1] and not self.flights:
+        self.flights = _flights_of(text)
+        if b"\n" in text and not self.flights:
             raise RequestError(f"{self.file} holds no flight of a fleet. Delete it, or give another --out.")
         if text != self._text():
             self._rewrite()
@@ -121,12 +118,27 @@ def _write_all(descriptor: int, line: bytes) -> None:
 
 
 def read_flights(folder: Path) -> tuple[FleetFlight, ...]:
-    """The lines of a fleet's results. Raises RequestError where there are none."""
-    store = FleetStore(folder)
-    store._load()
-    if not store.flights:
+    """The lines of a fleet's results, also of a run that writes them now. Raises RequestError where there are none."""
+    try:
+        flights = _flights_of((folder / LINES).read_bytes())
+    except OSError:
+        flights = {}
+    if not flights:
         raise RequestError(f"{folder} holds no {LINES}. Give the --out of alula diagnose --fleet.")
-    return tuple(store.flights.values())
+    return tuple(flights.values())
+
+
+def _flights_of(text: bytes) -> dict[str, FleetFlight]:
+    """The newest whole line of each log."""
+    flights: dict[str, FleetFlight] = {}
+    for line in text.split(b"\n"):
+        try:
+            flight = msgspec.json.decode(line, type=FleetFlight)
+        except msgspec.MsgspecError:
+            continue
+        flights.pop(flight.log, None)
+        flights[flight.log] = flight
+    return flights
 
 
 def _line(flight: FleetFlight) -> bytes:

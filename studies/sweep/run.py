@@ -11,9 +11,10 @@ from typing import Any
 import msgspec
 
 from dynamics.errors import RequestError
-from dynamics.files import make_folder
+from dynamics.files import make_folder, write_json
 from dynamics.vehicle_file import find_vehicle, read_vehicle, vehicle_toml
 from studies.evaluation.run import find_flights
+from studies.sweep.about import ABOUT, SweepAbout
 from studies.sweep.catalogue import DEFAULT_RANGE, GRID, SEARCH, STARRED, STUDIES, grid_cells
 from studies.sweep.cell import Cell, CellResult, Outcome, StudyOptions
 from studies.sweep.cell_work import CellWork, file_hash, finished_cells
@@ -99,7 +100,7 @@ def make_sweep(options: SweepOptions) -> Sweep:
     works = tuple(work(cell) for cell in cells)
     for one in works:
         one.settled()  # an invalid value ends the sweep before its first training
-    make_folder(options.out, advice="Give another --out.")
+    _begin(options.out, SweepAbout(options.study, tuple(along), len(works)))
     return Sweep(
         options.study,
         along,
@@ -109,6 +110,12 @@ def make_sweep(options: SweepOptions) -> Sweep:
         flights=_hashes(works[0]),
         works=works,
     )
+
+
+def _begin(folder: Path, about: SweepAbout) -> None:
+    """Make the sweep's folder. Raises RequestError when it cannot be written."""
+    make_folder(folder, advice="Give another --out.")
+    write_json(about, folder / ABOUT)
 
 
 def _works(options: SweepOptions) -> Callable[[Cell], CellWork]:
@@ -151,10 +158,11 @@ def _search(options: SweepOptions, work: Callable[[Cell], CellWork], overrides: 
     search = Search(work, options.model, ranges, options.trials, overrides)
     example = work(Cell(SEARCH, {}, options.model, 0, recipe=overrides))
     example.settled()
-    make_folder(options.out, advice="Give another --out.")
+    along = tuple(item.name for item in ranges)
+    _begin(options.out, SweepAbout(SEARCH, along, options.trials))
     return Sweep(
         SEARCH,
-        tuple(item.name for item in ranges),
+        along,
         options.trials,
         outcomes=lambda: search.run(jobs=jobs, scheduler=options.scheduler),
         finished=search.finished,

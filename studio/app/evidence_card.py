@@ -24,8 +24,7 @@ from studio.app.theme import BY_HAND, KIND_COLOURS, PRESENT, figure_of, improved
 from studio.app.traces import Line, channel_line, row_numbers, thinned, window_of, zoomed
 from studio.pages.numbers import unit_shown
 from studio.work.arrays import read_array
-from studio.work.evidence import GRID
-from studio.work.results import Diagnosed, Evidence, Rows, Slider
+from studio.work.results import GRID, Diagnosed, Evidence, Rows, Slider
 
 MARKS = 4  # steps of a slider between two values of its grid
 MOVED = "with the effect"  # name of the lines that a slider moves

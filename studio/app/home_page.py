@@ -12,6 +12,11 @@ from studio.app.log_page import drop_zone
 from studio.app.parts import action, card
 from studio.app.studio import Studio, name_of
 
+RESULTS = (
+    "A fleet, a sweep or a training (also while it runs), an evaluation, a recording: give the path of its folder or "
+    "file on this computer."
+)
+
 
 def layout(studio: Studio) -> Any:
     """The list of cases, a new one, one from a file."""
@@ -46,6 +51,7 @@ def layout(studio: Studio) -> Any:
             ),
             card("A new case", new, note=f"A case is a folder; new ones are made in {studio.root}."),
             card("Cases", html.Ul(rows) if rows else dmc.Text("none yet", c="dimmed")),
+            card("Look at a result", *_results(studio), note=RESULTS),
             card(
                 "Open a case that somebody sent",
                 drop_zone("archive", "/archive", "Drop the file (.alula.zip), or", goto="/case/ANSWER/log"),
@@ -53,3 +59,16 @@ def layout(studio: Studio) -> Any:
         ],
         gap="md",
     )
+
+
+def _results(studio: Studio) -> list[Any]:
+    """A field for a path, and the results that are open."""
+    ask = dmc.Group(
+        [
+            dmc.TextInput(id={"field": "result-path"}, label="Path", placeholder="logs.fleet", w=420),
+            action("open-result", "Open"),
+        ],
+        align="end",
+    )
+    links = [html.Li(dcc.Link(str(path), href=f"/result/{name}")) for name, path in studio.results.items()]
+    return [ask, html.Ul(links)] if links else [ask]

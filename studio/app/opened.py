@@ -6,7 +6,7 @@ import shlex
 import shutil
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, TypeVar
@@ -17,28 +17,12 @@ from dynamics.errors import AlulaError, RequestError
 from dynamics.files import make_folder
 from studio.case.case import ADVICE, Case
 from studio.case.state import ChannelLevel
-from studio.work.adding import ADDED, VEHICLE
-from studio.work.checking import CHECKED, FLIGHTS
-from studio.work.comparing import COMPARED
-from studio.work.diagnosing import DIAGNOSED
-from studio.work.evidence import EVIDENCE
-from studio.work.proving import EXPORTED, FLOWN, PROVED
-from studio.work.results import Added, Checked, Compared, Diagnosed, Evidence, Exported, FlightInfo, Flown, Proved
+from studio.work.results import FILES, FLIGHTS, VEHICLE, Added, Checked, Diagnosed, FlightInfo
 from studio.work.task import Refusal, Task, refusal_of
 from studio.work.worker import Outcome, Worker
 
 Status = Literal["locked", "open", "running", "done", "refused", "out of date"]
 Result = TypeVar("Result", bound=msgspec.Struct)
-FILES: Mapping[type[msgspec.Struct], str] = {
-    Checked: CHECKED,
-    Compared: COMPARED,
-    Diagnosed: DIAGNOSED,
-    Evidence: EVIDENCE,
-    Added: ADDED,
-    Proved: PROVED,
-    Flown: FLOWN,
-    Exported: EXPORTED,
-}
 PAGES = ("log", "check", "compare", "diagnose", "add", "prove")
 CHAINED = {"check": "compare", "add": "compare"}  # what begins by itself when a step is done
 
@@ -296,7 +280,7 @@ class OpenCase:
             self.start_if_open(following)
 
     def _take_version(self, task: Task, result: Path) -> None:
-        added = msgspec.json.decode((result / ADDED).read_bytes(), type=Added)
+        added = msgspec.json.decode((result / FILES[Added]).read_bytes(), type=Added)
         levels = {k: ChannelLevel(e.before, e.after, e.floor, e.unit) for k, e in added.report.channels.items()}
         self.case.add_version(
             (result / VEHICLE).read_text(encoding="utf-8"),

@@ -18,6 +18,12 @@ def place_of(path: str | None) -> tuple[str, str]:
     return parts[1], page
 
 
+def result_of(path: str | None) -> str:
+    """The result of an address, empty for an address that is no result's."""
+    parts = [part for part in (path or "").split("/") if part]
+    return parts[1] if len(parts) == 2 and parts[0] == "result" else ""
+
+
 def opened_at(studio: Studio, path: str | None) -> OpenCase | None:
     """The case of an address; None for none, or one that cannot be opened."""
     name, _ = place_of(path)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import Any
 
 import dash
 import dash_mantine_components as dmc
 from dash import ALL, Input, Output, State, ctx, dcc, html, no_update
 
-from dynamics.errors import AlulaError
+from dynamics.errors import AlulaError, RequestError
 from studio.app import (
     add_page,
     check_page,
@@ -20,10 +21,11 @@ from studio.app import (
     home_page,
     log_page,
     prove_page,
+    result_page,
 )
 from studio.app.opened import PAGES, OpenCase, page_of
 from studio.app.parts import message
-from studio.app.place import opened_at, place_of
+from studio.app.place import opened_at, place_of, result_of
 from studio.app.studio import Studio
 
 TICK = 250  # ms between two looks at what runs
@@ -91,6 +93,7 @@ def build(app: dash.Dash, studio: Studio) -> None:
     )(lambda dark: ("dark", "dark") if dark else ("light", "light"))
     for page in (log_page, compare_page, evidence_card):
         page.register(app, studio)
+    result_page.register(app)
 
 
 def _frame() -> Any:
@@ -133,9 +136,11 @@ def _frame() -> Any:
 
 
 def _show(studio: Studio, revision: Any, path: str, scheme: str, last: str | None) -> tuple[Any, ...]:
+    if result_of(path):
+        return _show_result(studio, path, scheme, last)
     name, page = place_of(path)
     if not name:
-        signature = f"home {len(studio.entries())} {scheme}"
+        signature = f"home {len(studio.entries())} {len(studio.results)} {scheme}"
         return (), "", no_update if signature == last else home_page.layout(studio), signature
     try:
         opened = studio.case(name)
@@ -146,6 +151,20 @@ def _show(studio: Studio, revision: Any, path: str, scheme: str, last: str | Non
     signature = f"{path} {scheme} {signature_of(opened, page)}"
     main = no_update if signature == last else CASE_PAGES[page](opened, name, scheme)
     return _navigation(opened, name, page), _heading(opened, name), main, signature
+
+
+def _show_result(studio: Studio, path: str, scheme: str, last: str | None) -> tuple[Any, ...]:
+    name = result_of(path)
+    place = studio.results.get(name)
+    if place is None:
+        return (), "", message("There is no such result open. Open it on the first page.", title="No result"), ""
+    signature = f"{path} {scheme} {result_page.signature(studio, place)}"
+    links = [
+        dmc.NavLink(label=one.name, description=str(one.parent), href=f"/result/{key}", active=key == name)
+        for key, one in studio.results.items()
+    ]
+    main = no_update if signature == last else result_page.layout(studio, place, scheme)
+    return [dcc.Link("All cases and results", href="/"), *links], dmc.Text(place.name, fw=600), main, signature
 
 
 def signature_of(opened: OpenCase, page: str) -> str:
@@ -175,6 +194,10 @@ def signature_of(opened: OpenCase, page: str) -> str:
 
 def _look(studio: Studio, path: str, last: Any) -> tuple[Any, Any]:
     """What runs, and whether anything changed."""
+    result = studio.results.get(result_of(path))
+    if result is not None:
+        revision: Any = result_page.signature(studio, result)
+        return None, revision if revision != last else no_update
     opened = opened_at(studio, path)
     if opened is None:
         return None, no_update
@@ -243,6 +266,13 @@ def _act(studio: Studio, clicks: list[Any], path: str, values: list[Any], names:
     try:
         if trigger["act"] == "create":
             return no_update, f"/case/{studio.create(name=str(fields.get('case-name') or 'case'))}/log"
+        if trigger["act"] == "open-result":
+            return no_update, f"/result/{studio.open_result(Path(str(fields.get('result-path') or '')))}"
+        if trigger["act"] == "open-log":
+            return no_update, f"/case/{_case_of_log(studio, Path(str(fields['result-log'])))}/log"
+        if trigger["act"] == "replay":
+            studio.replays.start(Path(trigger["value"]))
+            return no_update, no_update
         opened = studio.case(name)
         if opened is None:
             return no_update, no_update
@@ -250,6 +280,17 @@ def _act(studio: Studio, clicks: list[Any], path: str, values: list[Any], names:
     except AlulaError as error:
         return [_notice(str(error))], no_update
     return no_update, no_update
+
+
+def _case_of_log(studio: Studio, log: Path) -> str:
+    """A new case with a flight of a result."""
+    name = studio.create(name=log.name.partition(".")[0])
+    opened = studio.case(name)
+    if opened is None:
+        raise RequestError(f"the case of {log} cannot be opened.")
+    opened.case.add_logs([log])
+    opened.start("check")
+    return name
 
 
 def _notice(text: str) -> dict[str, Any]:

@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from dynamics.files import make_folder
+from studies.results.kinds import kind_of
 from studio.app.opened import OpenCase
+from studio.app.replays import Replays
 from studio.case.archive import unpack_archive
 from studio.case.case import ADVICE, Case, is_case
 from studio.work.worker import Worker
@@ -32,6 +34,8 @@ class Studio:
 
     root: folder in which new cases are made.
     memory: bytes that a working process may take, None for a share of all.
+    results: paths of the results that were opened, by their names in addresses.
+    replays: of recordings among them.
     """
 
     def __init__(self, root: Path, *, memory: int | None = None) -> None:
@@ -40,6 +44,8 @@ class Studio:
         self._cases: dict[str, OpenCase] = {}
         self._lock = threading.Lock()
         self._closed = False
+        self.results: dict[str, Path] = {}
+        self.replays = Replays()
         self._spare: Worker | None = Worker(memory)  # has loaded its libraries when the first case needs it
 
     def open(self, folder: Path) -> str:
@@ -57,6 +63,13 @@ class Studio:
         with self._lock:
             self._cases[name_of(folder)] = OpenCase(case, self._worker)
         return name_of(folder)
+
+    def open_result(self, path: Path) -> str:
+        """Open a result that lies on disk. Returns its name in addresses. Raises RequestError for what is none."""
+        path = path.expanduser().resolve()
+        kind_of(path)
+        self.results[name_of(path)] = path
+        return name_of(path)
 
     def unpack(self, archive: Path, name: str) -> str:
         """Make a case of an archive. Returns its name in addresses. Raises RequestError for one that holds none."""
@@ -86,6 +99,7 @@ class Studio:
         for opened in self._cases.values():
             opened.close()
         self._cases.clear()
+        self.replays.close()
         if self._spare is not None:
             self._spare.close()
 

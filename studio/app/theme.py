@@ -8,7 +8,7 @@ from typing import Any, Literal
 import plotly.graph_objects as go
 
 from diagnosis.models.channels import KINDS
-from studio.pages.figure import AFTER, BEFORE, BLACK, FLOOR, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from studio.pages.figure import AFTER, BEFORE, BLACK, FLOOR, GREEN, ORANGE, PURPLE, SKY, VERMILION, YELLOW, Picture
 from studio.work.results import PictureInfo
 
 Scheme = Literal["light", "dark"]
@@ -48,7 +48,7 @@ EMPTY = go.Figure(
 )
 
 
-def figure_of(picture: PictureInfo, scheme: str, *, choice: str = "") -> dict[str, Any]:
+def figure_of(picture: PictureInfo | Picture, scheme: str, *, choice: str = "") -> dict[str, Any]:
     """A stored picture as a figure, in a scheme's colours. choice: which entry of its menu shows."""
     text = picture.data
     if scheme == "dark":
@@ -64,7 +64,7 @@ def figure_of(picture: PictureInfo, scheme: str, *, choice: str = "") -> dict[st
     return figure
 
 
-def choices_of(picture: PictureInfo) -> list[str]:
+def choices_of(picture: PictureInfo | Picture) -> list[str]:
     """The entries of a picture's menu."""
     return [entry["name"] for entry in (json.loads(picture.data)["layout"].get("meta") or {}).get("choices", [])]
 

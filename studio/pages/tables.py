@@ -49,4 +49,4 @@ def tables_page(
     title: str, lines: Sequence[str], tables: Sequence[PageTable], images: Sequence[Image], *, origin: Origin
 ) -> str:
     """A page. lines: the answer, a sentence each."""
-    return render("tables.html", title=title, origin=origin, lines=lines, tables=tables, images=images)
+    return render("tables.html", title=title, origin=origin, lines=lines, tables=tables, images=images, pictures={})

@@ -10,10 +10,8 @@ from diagnosis.addition_report import report
 from dynamics.files import write_json
 from dynamics.progress import Progress
 from studio.work.memory import CaseMemory
-from studio.work.results import Added
+from studio.work.results import FILES, VEHICLE, Added
 from studio.work.task import Task
-
-ADDED, VEHICLE = "added.json", "vehicle.toml"
 
 
 def add(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -39,7 +37,7 @@ def add(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> Non
     )
     text = text_after(addition.vehicle, Path(task.vehicle), Path(task.vehicle).parent, catalogue=catalogue)
     (folder / VEHICLE).write_text(text, encoding="utf-8")
-    write_json(Added(report(addition), addition.vehicle.history[-1].action), folder / ADDED)
+    write_json(Added(report(addition), addition.vehicle.history[-1].action), folder / FILES[Added])
 
 
 def _identity(key: str) -> tuple[str | None, int | None]:

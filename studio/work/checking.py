@@ -19,11 +19,9 @@ from flights.quantities import QUANTITIES, quantity_of
 from studio.pages.inspected import coverage_maps, delay_points
 from studio.work.arrays import write_arrays
 from studio.work.memory import CaseMemory
-from studio.work.results import Checked, ColumnInfo, FlightInfo, PictureInfo
+from studio.work.results import FILES, FLIGHTS, Checked, ColumnInfo, FlightInfo, PictureInfo
 from studio.work.rows import picture_info
 from studio.work.task import Task
-
-FLIGHTS, CHECKED = "flights.json", "checked.json"
 
 
 def check(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -39,7 +37,7 @@ def check(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> N
             continue
         inspections.append(judge(log, catalogue) if catalogue else judge(log))
     pictures = tuple(_pictures(one) for one in inspections)
-    write_json(Checked(tuple(infos), tuple(inspections), pictures, _has_layout(flights)), folder / CHECKED)
+    write_json(Checked(tuple(infos), tuple(inspections), pictures, _has_layout(flights)), folder / FILES[Checked])
 
 
 def _pictures(inspection: Inspection | None) -> dict[str, PictureInfo]:

@@ -11,11 +11,9 @@ from studio.pages import diagnosed as pictures
 from studio.pages import regions
 from studio.pages.evidence import agreement
 from studio.work.memory import CaseMemory
-from studio.work.results import Compared
+from studio.work.results import FILES, Compared
 from studio.work.rows import picture_info, write_rows
 from studio.work.task import Task
-
-COMPARED = "compared.json"
 
 
 def compare(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -36,4 +34,4 @@ def compare(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
         **({} if both is None else {"agreement": pictures.agreement_points(both)}),
     }
     named = {name: picture_info(picture) for name, picture in shown.items()}
-    write_json(Compared(details.comparison, rows, named), folder / COMPARED)
+    write_json(Compared(details.comparison, rows, named), folder / FILES[Compared])

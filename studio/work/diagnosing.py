@@ -22,11 +22,10 @@ from studio.pages import regions
 from studio.pages.evidence import likeness
 from studio.pages.numbers import unit_shown
 from studio.work.memory import CaseMemory
-from studio.work.results import Diagnosed, RankedEffect
+from studio.work.results import FILES, Diagnosed, RankedEffect
 from studio.work.rows import picture_info, write_rows
 from studio.work.task import Task
 
-DIAGNOSED = "diagnosed.json"
 OUTCOMES = {
     "named": "",
     "not_selected": "others explain these flights better, or nothing is missing",
@@ -69,7 +68,7 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
         rows=rows,
         pictures={name: picture_info(picture) for name, picture in shown.items()},
     )
-    write_json(result, folder / DIAGNOSED)
+    write_json(result, folder / FILES[Diagnosed])
 
 
 def _ranking(details: DiagnosisDetails, catalogue: Mapping[str, Effect]) -> tuple[RankedEffect, ...]:

@@ -30,12 +30,9 @@ from studio.pages import regions
 from studio.pages.numbers import unit_shown
 from studio.work.arrays import write_arrays
 from studio.work.memory import CaseMemory
-from studio.work.results import Evidence, Slider
+from studio.work.results import FILES, GRID, Evidence, Slider
 from studio.work.rows import picture_info
 from studio.work.task import Task
-
-EVIDENCE = "evidence.json"
-GRID = 17  # values of a slider; the best one in the middle
 
 
 def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -73,7 +70,7 @@ def explain(memory: CaseMemory, task: Task, folder: Path, progress: Progress) ->
             "spectrum": picture_info(pictures.spectrum_lines(*spectra)),
         },
     )
-    write_json(evidence, folder / EVIDENCE)
+    write_json(evidence, folder / FILES[Evidence])
 
 
 def _candidate(details: DiagnosisDetails, key: str) -> tuple[Candidate, float]:

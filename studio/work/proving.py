@@ -1,4 +1,4 @@
-"""Steps "prove", "fly" and "export": the present version against the first one, on held-out flights and on the mock."""
+"""Steps "prove" and "fly": the present version against the first one, on held-out flights and on the mock."""
 
 from __future__ import annotations
 
@@ -17,23 +17,16 @@ from dynamics.files import write_json
 from dynamics.progress import Progress
 from dynamics.references import check_feasibility, named_reference
 from dynamics.vehicle import Vehicle
-from dynamics.vehicle_file import vehicle_text
-from export.bundle import ExportOptions, export_bundle, summary
-from export.trained import read_model
 from flights.log import Log
 from runtime.control.controller import Controller, ControllerOptions
-from runtime.control.rti.problem import Problem
-from runtime.control.rti.processor import named_processor
 from runtime.flight_setup import hovering_vehicle
 from simulation.lockstep import fly_reference
 from studio.work.memory import CaseMemory
-from studio.work.results import Exported, Flown, FlownPath, Proved
+from studio.work.results import FILES, Flown, FlownPath, Proved
 from studio.work.task import Task
 
-PROVED, FLOWN, EXPORTED = "proved.json", "flown.json", "exported.json"
 MAX_POINTS = 600  # of a path
 FLIGHT_SECONDS = 12.0
-WINDOWS = 200  # on which the backends of an export are compared
 
 
 def prove(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -53,7 +46,7 @@ def prove(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> N
         open_loop_after=horizons_of(judge, present),
         effects=_effects(present),
     )
-    write_json(proved, folder / PROVED)
+    write_json(proved, folder / FILES[Proved])
 
 
 def fly(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
@@ -76,21 +69,7 @@ def fly(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> Non
         setpoint = _thinned(flown.log, "position_setpoint")
         flights.append(FlownPath(flown.position_rmse, flown.aborted, _thinned(flown.truth, "position").tolist()))
     result = Flown(task.reference, flights[0], flights[1], setpoint.tolist(), _effects(present))
-    write_json(result, folder / FLOWN)
-
-
-def export(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
-    """Write the present version as a bundle that flies, beside the report."""
-    progress(0.1, "compiling the kernel")
-    file = folder / "vehicle.toml"
-    file.write_text(vehicle_text(task.vehicle, effect_files=task.effect_files), encoding="utf-8")
-    model = read_model(file)
-    problem = Problem.from_settings(model.vehicle.controller)
-    options = ExportOptions(problem, named_processor("native"), (), WINDOWS, 0, True, task.command)
-    exported = export_bundle(model, folder / "bundle", options)
-    written = str(Path(task.result) / "bundle")
-    lines = tuple(line.replace(str(exported.folder), written) for line in summary(exported))
-    write_json(Exported(written, lines), folder / EXPORTED)
+    write_json(result, folder / FILES[Flown])
 
 
 def _thinned(log: Log, name: str) -> np.ndarray:

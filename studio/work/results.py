@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import msgspec
 
 from diagnosis.addition_report import AdditionReport
@@ -140,6 +142,9 @@ class Diagnosed(msgspec.Struct, frozen=True):
     pictures: dict[str, PictureInfo]
 
 
+GRID = 17  # values of a slider; the best one in the middle
+
+
 class Slider(msgspec.Struct, frozen=True):
     """A parameter of an effect that can be moved by hand.
 
@@ -213,3 +218,16 @@ class Exported(msgspec.Struct, frozen=True):
 
     folder: str
     summary: tuple[str, ...]
+
+
+FLIGHTS, VEHICLE = "flights.json", "vehicle.toml"
+FILES: Mapping[type[msgspec.Struct], str] = {
+    Checked: "checked.json",
+    Compared: "compared.json",
+    Diagnosed: "diagnosed.json",
+    Evidence: "evidence.json",
+    Added: "added.json",
+    Proved: "proved.json",
+    Flown: "flown.json",
+    Exported: "exported.json",
+}

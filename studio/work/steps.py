@@ -16,10 +16,19 @@ from studio.work.comparing import compare
 from studio.work.diagnosing import diagnose
 from studio.work.evidence import explain
 from studio.work.memory import CaseMemory
-from studio.work.proving import export, fly, prove
+from studio.work.proving import fly, prove
 from studio.work.task import REFUSED, Refusal, Task
 
 Step = Callable[[CaseMemory, Task, Path, Progress], None]
+
+
+def export(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -> None:
+    """Step "export", which alone needs torch: 200 MB that the other steps do without."""
+    from studio.work import exporting
+
+    exporting.export(memory, task, folder, progress)
+
+
 STEPS: Mapping[str, Step] = {
     "check": check,
     "compare": compare,

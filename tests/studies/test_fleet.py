@@ -26,11 +26,12 @@ from fixtures.fleet_flights import write_fleet
 from studies.fleet import run as fleet_run
 from studies.fleet.date import date_in_name, day_of
 from studies.fleet.diagnosis import FleetTask, diagnose_log, killed_log
+from studies.fleet.files import LINES, TABLE
 from studies.fleet.flight import FleetChannel, FleetEffect, FleetFlight, FleetParameter
 from studies.fleet.logs import find_fleet
 from studies.fleet.page import fleet_page
 from studies.fleet.run import FleetOptions, default_out, run_fleet
-from studies.fleet.store import LINES, TABLE, FleetStore, read_flights
+from studies.fleet.store import FleetStore, read_flights
 from studies.fleet.summary import FleetReport, summarise
 from tests.support.command_line import Run, command_line
 from vehicles import FOLDER

@@ -1,0 +1,24 @@
+"""The files in a fleet's folder of results, and what they are of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+LINES, TABLE, LOCK, ABOUT = "flights.jsonl", "flights.parquet", "flights.lock", "fleet.json"
+
+
+class FleetAbout(msgspec.Struct, frozen=True):
+    """What the lines are of. folder: of the logs, absolute. count: of the logs at the last run's start."""
+
+    folder: str
+    count: int
+
+
+def read_about(folder: Path) -> FleetAbout | None:
+    """What the lines of a folder are of; None for results of older versions."""
+    try:
+        return msgspec.json.decode((folder / ABOUT).read_bytes(), type=FleetAbout)
+    except (OSError, msgspec.MsgspecError):
+        return None

@@ -1,0 +1,25 @@
+"""What the cells in a sweep's folder are of."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import msgspec
+
+ABOUT = "sweep.about"
+
+
+class SweepAbout(msgspec.Struct, frozen=True):
+    """What the cells of a folder are of. along: the quantities in which they differ. count: of the cells."""
+
+    study: str
+    along: tuple[str, ...]
+    count: int
+
+
+def read_about(folder: Path) -> SweepAbout | None:
+    """What the cells of a folder are of; None for a folder that holds no sweep."""
+    try:
+        return msgspec.json.decode((folder / ABOUT).read_bytes(), type=SweepAbout)
+    except (OSError, msgspec.MsgspecError):
+        return None
