@@ -19,7 +19,7 @@ from vehicles import FOLDER
 
 START_UP = 60.0  # s; the first run compiles the plant
 STOP_PATIENCE = 10.0  # s
-LAST_OUTPUT = 500  # characters of what a mock printed that go into an error
+LAST_LINES = 8  # of its output, in an error
 
 
 @dataclass
@@ -62,9 +62,8 @@ class MockProcess:
         """Raises VehicleError when the process ended by itself."""
         code = self.process.poll()
         if code is not None and not self.stopped:
-            raise VehicleError(
-                f"the mock ended by itself with exit code {code}: {self.output().strip()[-LAST_OUTPUT:] or 'no output'}"
-            )
+            last = "\n".join(self.output().strip().splitlines()[-LAST_LINES:])
+            raise VehicleError(f"the mock ended by itself with exit code {code}: {last or 'no output'}")
 
 
 def free_port() -> int:

@@ -109,7 +109,7 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
             require_free(options.out, overwrite=options.overwrite)
             return _train(options, device, size, progress)
         with claimed(options.out, options.folder, overwrite=options.overwrite, resume=options.resume):
-            model = _train(options, device, size, _recorded(options, progress))
+            model = _train(options, device, size, progress, is_recorded=True)
             checkpoint.save(model, options.out)
             write_card(model, options.out)
             return model
@@ -125,20 +125,27 @@ def run(options: TrainOptions, progress: Progress) -> TrainedModel:
 
 
 def _recorded(options: TrainOptions, progress: Progress) -> Progress:
-    """Progress that is written beside the model, too."""
-    path = progress_file(options.out)
-    begin(path, options.ensemble, command_line(), resume=options.resume)
+    """Progress that is written beside the model, too, from the first evaluation on: what is refused leaves no file."""
+    path, began = progress_file(options.out), False
 
     def record(report: Report) -> None:
+        nonlocal began
+        if not began:
+            begin(path, options.ensemble, command_line(), resume=options.resume)
+            began = True
         append(path, report)
         progress(report)
 
     return record
 
 
-def _train(options: TrainOptions, device: torch.device, size: int, progress: Progress) -> TrainedModel:
+def _train(
+    options: TrainOptions, device: torch.device, size: int, progress: Progress, *, is_recorded: bool = False
+) -> TrainedModel:
     plan = plan_of(options)
-    members = _train_members(options, plan, device, size, progress) if plan.config.network != "none" else ()
+    members: Sequence[Member] = ()
+    if plan.config.network != "none":
+        members = _train_members(options, plan, device, size, _recorded(options, progress) if is_recorded else progress)
     return plan.assemble(members, options.seeds, command=command_line())
 
 

@@ -97,7 +97,7 @@ def _add_line(figure: go.Figure, reports: Sequence[Report], field: str, name: st
     points = [(report.step, value) for report in reports if (value := getattr(report, field)) is not None]
     if points:
         x, y = np.array(points, dtype=float).T
-        figure.add_trace(line(x, y, name=name, colour=colour, unit="", dash=dash))
+        figure.add_trace(line(x, y, name=name, colour=colour, unit="", dash=dash).update(mode="lines+markers"))
 
 
 def _members_table(members: dict[int, list[Report]]) -> PageTable:

@@ -58,7 +58,7 @@ def test_a_folder_of_flights_becomes_a_checkpoint_with_its_card(folder: Path, tm
     assert card["seeds"] == [0, 1]
     assert "flight_2.parquet" in done.output
     assert list(curves.glob("events*"))
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["curves", "m.json", "m.pt"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["curves", "m.json", "m.progress.jsonl", "m.pt"]
     with pytest.raises(RequestError, match=r"m.pt exists. Give another --out, or --overwrite"):
         train(folder, "--vehicle", "arpl_250g", "--model", "pi_tcn", "--out", out, *QUICK)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -10,6 +11,10 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
+from training.progress_file import append, begin
+from training.reports import Report
+
+RECORDING = Path(__file__).parents[2] / "data" / "recorded_flight" / "flight.mcap"
 PATIENCE = 120_000  # ms on a busy machine; alone the longest step takes some seconds
 expect.set_options(timeout=PATIENCE)
 
@@ -172,3 +177,35 @@ def test_points_of_lines_that_are_gone_are_dropped(page: Page, address: str, ulo
     assert plot.evaluate("e => e.data[0].x.length") != 2
     plot.evaluate(redraw.replace("KEY", "e.layout.meta.lines").replace("PLACE", "0"))
     assert plot.evaluate("e => e.data[0].x.length") == 2
+
+
+def test_a_result_is_shown_from_its_path_and_followed(page: Page, address: str, tmp_path: Path) -> None:
+    course = tmp_path / "m.progress.jsonl"
+    begin(course, 1, "alula train", resume=False)
+    append(course, Report(0, 100, 400, 0.5, None, 0.4, 0.4, 1e-3))
+    page.goto(address)
+    path = page.get_by_label("Path")
+    path.fill(str(tmp_path / "none"))
+    page.get_by_role("button", name="Open", exact=True).click()
+    expect(page.get_by_text("is not there")).to_be_visible()
+    path.fill(str(tmp_path / "m.pt"))
+    page.get_by_role("button", name="Open", exact=True).click()
+    expect(page.locator("h1")).to_have_text("Training of m.pt")
+    expect(page.locator("#result-share")).to_contain_text("25 %")
+    append(course, Report(0, 200, 400, 0.5, None, 0.3, 0.3, 1e-3))
+    expect(page.locator("#result-share")).to_contain_text("50 %")
+    expect(page.locator("#result-0 .scatterlayer .trace").first).to_be_visible()
+    _require_accessible(page)
+
+
+def test_a_recording_is_flown_again_and_opens_as_a_case(page: Page, address: str, tmp_path: Path) -> None:
+    recording = shutil.copy(RECORDING, tmp_path)
+    page.goto(address)
+    page.get_by_label("Path").fill(str(recording))
+    page.get_by_role("button", name="Open", exact=True).click()
+    expect(page.locator("h1")).to_contain_text("flight.mcap")
+    page.get_by_role("button", name="Fly it again").click()
+    expect(page.locator("#replayed")).to_contain_text("setpoints compared")
+    page.get_by_role("button", name="Open it as a case").click()
+    expect(page.locator("#step-log")).to_have_attribute("aria-current", "step")
+    expect(page.get_by_text("flight.mcap").first).to_be_visible()
