@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from alula.rooms import require_own_rooms
 
 if TYPE_CHECKING:
-    from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose
+    from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose, prove
     from alula.api.fleet import diagnose_fleet
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate, verify
@@ -57,6 +57,7 @@ __all__ = [
     "load_vehicle",
     "new_vehicle",
     "plan_flight",
+    "prove",
     "read_flight",
     "read_flights",
     "read_folder",
@@ -69,7 +70,7 @@ __all__ = [
 ]
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
-    "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose"),
+    "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose", "prove"),
     "alula.api.fleet": ("diagnose_fleet",),
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate", "verify"),

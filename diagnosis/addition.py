@@ -33,7 +33,7 @@ from diagnosis.verdict import channel_errors
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.errors import DataError, RequestError
-from dynamics.progress import Progress, no_progress
+from dynamics.progress import Progress, no_progress, part_of
 from dynamics.vehicle import HistoryEntry, Vehicle
 from dynamics.vehicle_editing import edited_toml, rounded, rounded_changes
 from dynamics.vehicle_file import nearest, vehicle_toml, with_effect_files, write_vehicle_text
@@ -95,7 +95,7 @@ def add_effect(
     require_answerable(dataset.everything, vehicle, thresholds)
     notes: tuple[str, ...] = ()
     if name is None:
-        result = diagnosed or diagnose_dataset(dataset, vehicle, catalogue, thresholds, _first_half(progress))
+        result = diagnosed or diagnose_dataset(dataset, vehicle, catalogue, thresholds, part_of(progress, 0.0, 0.5))
         notes = notes_of_set(result.diagnosis, catalogue)
         regression, accepted = result.regression, result.accepted
     else:
@@ -133,11 +133,6 @@ def add_effect(
         refused=accepted.refused,
         notes=(*notes, *(note for c in fitted.candidates for note in _caveat(fitted, c))),
     )
-
-
-def _first_half(progress: Progress) -> Progress:
-    """Progress of a part that takes the first half."""
-    return lambda share, stage: progress(0.5 * share, stage)
 
 
 def _better_fit(

@@ -40,6 +40,8 @@ REPORTS = (  # that functions return as they are
     ("studies.fleet.summary", "Drift"),
     ("studies.fleet.summary", "Outlier"),
     ("studies.fleet.flight", "FleetFlight"),
+    ("diagnosis.proof", "Proof"),
+    ("simulation.versions_in_flight", "VersionsInFlight"),
     ("simulation.trial_flight", "TrialFlight"),
     ("simulation.lockstep", "FlownReference"),
     ("runtime.daemon", "FlightReport"),

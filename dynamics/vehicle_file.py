@@ -159,6 +159,13 @@ def parse_effect(text: str, rotor_count: int, *, catalogue: Mapping[str, Effect]
     return use
 
 
+def effect_text(use: EffectUse) -> str:
+    """An effect as `parse_effect` reads it, its values in the shortest digits that keep them."""
+    values = [f"{key}={value!r}" for key, value in use.parameters.items()]
+    rotor = [] if use.rotor is None else [f"rotor={use.rotor}"]
+    return ":".join(filter(None, (use.name, ",".join([*values, *rotor]))))
+
+
 def check_effect(use: EffectUse, rotor_count: int, *, catalogue: Mapping[str, Effect] = CATALOGUE) -> None:
     """Refuse an effect that the catalogue does not hold, or values that it cannot have, with a RequestError."""
     if use.name not in catalogue:

@@ -8,32 +8,39 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from alula.api.inputs import dataset_of, log_paths, vehicle_of
-from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult
+from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult, ProofResult
 from alula.workbench import workbench
 from dynamics.command import command_line
 from dynamics.errors import RequestError
+from dynamics.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
     from diagnosis.hover_trim import TrimComparison
     from dynamics.vehicle import Vehicle
     from flights import Flight
 
+READING = 0.3  # share of the time of a diagnosis
+
 
 def compare(
     flights: Flight | str | Path | Sequence[Flight | str | Path],
     vehicle: Vehicle | str | Path,
     *,
+    trial: str | None = None,
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    progress: Progress = no_progress,
 ) -> ComparisonResult:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest.
 
     flights: what `read_flights` returned, or logs, or a folder of logs; of one vehicle.
     vehicle: what `load_vehicle` returned, a vehicle file, or the name of a bundled one.
+    trial: an effect with values, such as "rotor_drag:coefficient=2e-5", which the vehicle has for this comparison.
     effect_files: Python files with effects of your own that the vehicle names.
     mapping: column mapping (TOML) for CSV files of another tool.
     pose: where the pose comes from, "mocap" or "estimator"; by default as the logs tell.
+    progress: called with the share that is done, 0 to 1, and what is done now.
 
     Returns a ComparisonResult.
     Raises RequestError for logs or a vehicle that cannot be used, DataError for flights that cannot answer.
@@ -47,10 +54,14 @@ def compare(
     with workbench("alula.compare"):
         from diagnosis.comparison import compare_dataset
     from dynamics.own_effects import catalogue_of
+    from dynamics.vehicle_file import parse_effect
 
     loaded = vehicle_of(vehicle, effect_files)
     catalogue = catalogue_of(loaded)
-    dataset = dataset_of(flights, loaded, None, mapping, pose)
+    if trial is not None:
+        loaded = loaded.with_effect_replaced(parse_effect(trial, loaded.rotors.count, catalogue=catalogue))
+    dataset = dataset_of(flights, loaded, None, mapping, pose, part_of(progress, 0.0, 0.5))
+    progress(0.5, "errors and where they are largest")
     details = compare_dataset(dataset, loaded, catalogue)
     return ComparisonResult(details.comparison, loaded, dataset, details)
 
@@ -63,6 +74,7 @@ def diagnose(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    progress: Progress = no_progress,
 ) -> DiagnosisResult:
     """Name the physical effect that is missing from a vehicle's model, or that the model explains the flights.
 
@@ -72,7 +84,7 @@ def diagnose(
         or blocks of all where these do not fly as the others do.
     effect_files: Python files with effects of your own, considered beside the catalogue's.
     mapping: column mapping (TOML) for CSV files of another tool.
-    pose: as for `compare`.
+    pose, progress: as for `compare`.
 
     Returns a DiagnosisResult: `report.verdict` is "explained", "effect", "ambiguous" or "unknown".
     Raises RequestError for logs, a vehicle or a pattern that cannot be used, DataError for flights that cannot answer.
@@ -88,8 +100,8 @@ def diagnose(
 
     loaded = vehicle_of(vehicle, effect_files)
     catalogue = catalogue_of(loaded)
-    dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
-    details = diagnose_dataset(dataset, loaded, catalogue)
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING))
+    details = diagnose_dataset(dataset, loaded, catalogue, progress=part_of(progress, READING, 1.0))
     return DiagnosisResult(details.diagnosis, loaded, dataset, details)
 
 
@@ -132,13 +144,14 @@ def add_effect(
     effect_files: Sequence[str | Path] = (),
     mapping: str | Path | None = None,
     pose: str | None = None,
+    progress: Progress = no_progress,
 ) -> AdditionResult:
     """Fit effects and add them to a vehicle, if held-out flights bear them out and no error rises there.
 
     flights, vehicle: as for `compare`.
     effect: name in the catalogue; by default all that the diagnosis names, fitted jointly.
     rotor: number of the rotor, from 0, for an effect of one; by default the one that fits best.
-    hold_out, effect_files, mapping, pose: as for `diagnose`.
+    hold_out, effect_files, mapping, pose, progress: as for `diagnose`.
 
     Returns an AdditionResult, whose vehicle has the effects; nothing is written yet.
     Raises RequestError for an unknown effect, DataError with the numbers where the flights do not bear it out.
@@ -161,8 +174,62 @@ def add_effect(
     catalogue = catalogue_of(loaded)
     if effect is not None and effect in catalogue and rotor is not None:
         check_effect(EffectUse(effect, {}, rotor), loaded.rotors.count, catalogue=catalogue)
-    dataset = dataset_of(flights, loaded, hold_out, mapping, pose)
+    dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING))
     today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
-    details = add_to_vehicle(effect, dataset, loaded, catalogue, date=today, command=command_line(), rotor=rotor)
+    details = add_to_vehicle(
+        effect,
+        dataset,
+        loaded,
+        catalogue,
+        date=today,
+        command=command_line(),
+        rotor=rotor,
+        progress=part_of(progress, READING, 1.0),
+    )
     source = find_vehicle(vehicle) if isinstance(vehicle, str | Path) else None
     return AdditionResult(details.vehicle, report(details), details, source, catalogue)
+
+
+def prove(
+    flights: Flight | str | Path | Sequence[Flight | str | Path],
+    vehicle: Vehicle | str | Path,
+    before: Vehicle | str | Path,
+    *,
+    fly: str | None = None,
+    hold_out: str | None = None,
+    effect_files: Sequence[str | Path] = (),
+    mapping: str | Path | None = None,
+    pose: str | None = None,
+    progress: Progress = no_progress,
+) -> ProofResult:
+    """Compare two versions of a vehicle on held-out flights, and what the controller gains by the second.
+
+    flights, vehicle: as for `compare`.
+    before: the version to compare with, likewise.
+    fly: a reference, such as "Lemniscate", to fly in simulation on a vehicle with the effects of `vehicle`, with either
+        version in the controller.
+    hold_out, effect_files, mapping, pose, progress: as for `diagnose`.
+
+    Returns a ProofResult.
+    Raises RequestError for logs, a vehicle or a reference that cannot be used, DataError for flights that cannot
+    answer.
+
+    Example:
+        result = alula.prove("logs", "quad.v2.toml", "quad.toml")
+        for kind, error in result.report.channels.items():
+            print(kind, error.before, error.after, error.floor)
+    """
+    with workbench("alula.prove"):
+        from diagnosis.proof import prove_versions
+        from simulation.versions_in_flight import fly_versions
+    from dynamics.own_effects import catalogue_of
+
+    present, first = vehicle_of(vehicle, effect_files), vehicle_of(before, effect_files)
+    catalogue = catalogue_of(present)
+    dataset = dataset_of(flights, present, hold_out, mapping, pose, part_of(progress, 0.0, READING))
+    end = 1.0 if fly is None else 0.5
+    report = prove_versions(dataset, first, present, catalogue, part_of(progress, READING, end))
+    if fly is None:
+        return ProofResult(report, None)
+    flown = fly_versions(first, present, fly, catalogue, progress=part_of(progress, end, 1.0))
+    return ProofResult(report, flown)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from alula.workbench import workbench
 from dynamics.errors import RequestError
+from dynamics.progress import Progress, no_progress
 
 if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
@@ -61,6 +62,7 @@ def dataset_of(
     hold_out: str | None,
     mapping: str | Path | None,
     pose: str | None = None,
+    progress: Progress = no_progress,
 ) -> Dataset:
     """Flights, read where they are logs, divided into those to fit and those held out.
 
@@ -79,7 +81,7 @@ def dataset_of(
     if flights:
         flights = [replace(f, metadata=with_source(f.metadata, pose)) for f in flights]
         return make_dataset(flights, vehicle, hold_out=hold_out)
-    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping, pose=pose)
+    return read_dataset(log_paths(paths), vehicle, hold_out=hold_out, mapping=mapping, pose=pose, progress=progress)
 
 
 def _files(path: Path) -> Sequence[Path]:

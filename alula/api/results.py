@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
     from diagnosis.diagnose import DiagnosisDetails
     from diagnosis.experiment import ExpectedInterval, PlannedFlight
+    from diagnosis.proof import Proof
     from diagnosis.report import Diagnosis
     from dynamics.effect import Effect
     from dynamics.vehicle import Vehicle
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from runtime.control.bundle import Manifest
     from simulation.flight_check import FlightCheck
     from simulation.trial_flight import TrialFlight
+    from simulation.versions_in_flight import VersionsInFlight
     from studies.evaluation.run import EvaluationAnswer, Results
     from studies.fleet.summary import FleetReport
     from studies.tables import Table
@@ -196,6 +198,23 @@ class IdentificationFlight:
 
 def _unit(interval: ExpectedInterval) -> str:
     return "" if interval.unit == "1" else f" {interval.unit}"
+
+
+@dataclass(frozen=True, eq=False)
+class ProofResult:
+    """Two versions of a vehicle on flights that nothing was fitted to.
+
+    report: errors of both, one step and in open loop.
+    flown: the reference that was flown in simulation with either version in the controller; None without one.
+    """
+
+    report: Proof
+    flown: VersionsInFlight | None
+
+    def write_json(self, path: str | Path) -> None:
+        """Write both as JSON; "-" is standard output. Raises RequestError when it cannot be written."""
+        flown = None if self.flown is None else msgspec.to_builtins(self.flown)
+        write_json({**msgspec.to_builtins(self.report), "flown": flown}, Path(path))
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import msgspec
 import typer
 from rich.console import Console
-from rich.table import Table
 
 import alula
 from alula.cli.options import Effects, HoldOut, Mapping, Pose, VehicleOption
 from alula.cli.output import print_next
+from alula.cli.progress import stage_bar
+from alula.cli.tables import before_and_after, open_loop_table
 from dynamics.effects import CATALOGUE
 from dynamics.files import STANDARD_OUTPUT, write_json
 
@@ -39,9 +40,18 @@ def add(
 ) -> None:
     """Fit an effect, or all that are missing, and write the next vehicle file, if held-out flights bear it out."""
     effect, logs = _effect_and_logs(arguments)
-    result = alula.add_effect(
-        logs, vehicle, effect, rotor=rotor, hold_out=hold_out, effect_files=effects or (), mapping=mapping, pose=pose
-    )
+    with stage_bar() as progress:
+        result = alula.add_effect(
+            logs,
+            vehicle,
+            effect,
+            rotor=rotor,
+            hold_out=hold_out,
+            effect_files=effects or (),
+            mapping=mapping,
+            pose=pose,
+            progress=progress,
+        )
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:
         write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
@@ -59,31 +69,15 @@ def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
 
 
 def _print(addition: Addition, path: Path, console: Console) -> None:
-    from diagnosis.models.channels import NAMES
-
     for (key, name), estimate in addition.estimates.items():
         interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
         console.print(f"{key}.{name} = {interval}", highlight=False)
-    for kind, error in addition.channels.items():
-        console.print(
-            f"{NAMES[kind]}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit} "
-            f"({100 * (error.after / error.before - 1):+.1f} %), floor {error.floor:.4g}",
-            highlight=False,
-        )
+    for line in before_and_after(addition.channels):
+        console.print(line, highlight=False)
     if addition.open_loop[0]:
-        console.print(_open_loop(addition))
+        console.print(open_loop_table(*addition.open_loop))
     how = "output error, over simulated half seconds" if addition.by_output_error else "equation error"
     console.print(f"fitted by {how}", highlight=False)
     for note in addition.notes:
         console.print(f"note: {note}", highlight=False)
     console.print(f"written: {path}", highlight=False)
-
-
-def _open_loop(addition: Addition) -> Table:
-    table = Table("open loop, s", "model", title="prediction error on held-out flights", title_justify="left")
-    for heading in ("position m", "velocity m/s", "attitude rad", "rate rad/s"):
-        table.add_column(heading, justify="right")
-    for before, after in zip(*addition.open_loop, strict=True):
-        for which, error in (("before", before), ("after", after)):
-            table.add_row(f"{error.horizon:g}", which, *error.figures)
-    return table

@@ -46,6 +46,7 @@ COMMANDS = (
     "compare",
     "diagnose",
     "add",
+    "prove",
     "train",
     "evaluate",
     "studio",

@@ -12,6 +12,7 @@ from rich.table import Table
 import alula
 from alula.cli.options import Effects, Figures, Logs, Mapping, Page, Pose, VehicleOption
 from alula.cli.output import options, print_next, print_written
+from alula.cli.progress import stage_bar
 from dynamics.files import STANDARD_OUTPUT
 
 if TYPE_CHECKING:
@@ -21,6 +22,15 @@ if TYPE_CHECKING:
 def compare(
     logs: Logs,
     vehicle: VehicleOption,
+    trial: Annotated[
+        str | None,
+        typer.Option(
+            "--with",
+            help="An effect with values that the vehicle has for this comparison, such as rotor_drag:coefficient=2e-5, "
+            "or weak_rotor:rotor=1,loss=0.1.",
+            metavar="EFFECT",
+        ),
+    ] = None,
     effects: Effects = None,
     mapping: Mapping = None,
     pose: Pose = None,
@@ -29,7 +39,10 @@ def compare(
     figures: Figures = None,
 ) -> None:
     """Compare a vehicle's model with flights: error of each channel over its noise floor, and where it is largest."""
-    result = alula.compare(logs, vehicle, effect_files=effects or (), mapping=mapping, pose=pose)
+    with stage_bar() as progress:
+        result = alula.compare(
+            logs, vehicle, trial=trial, effect_files=effects or (), mapping=mapping, pose=pose, progress=progress
+        )
     if json is not None:
         result.write_json(json)
     if html is not None:

@@ -16,6 +16,7 @@ from alula.cli.fleet import FLEET, diagnose_fleet
 from alula.cli.options import Effects, Figures, HoldOut, Mapping, Page, Pose
 from alula.cli.output import options, print_next, print_written
 from alula.cli.planning import planning_progress
+from alula.cli.progress import stage_bar
 from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 from dynamics.references.catalogue import IDENTIFY
@@ -100,7 +101,16 @@ def diagnose(
     if normal:
         _compare_hover(logs, normal, vehicle, mapping, json)
         return
-    result = alula.diagnose(logs, vehicle, hold_out=hold_out, effect_files=effects or (), mapping=mapping, pose=pose)
+    with stage_bar() as progress:
+        result = alula.diagnose(
+            logs,
+            vehicle,
+            hold_out=hold_out,
+            effect_files=effects or (),
+            mapping=mapping,
+            pose=pose,
+            progress=progress,
+        )
     if json is not None:
         result.write_json(json)
     shared = {"--hold-out": hold_out, "--effects": effects, "--mapping": mapping, "--pose": pose}

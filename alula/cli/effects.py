@@ -13,6 +13,8 @@ import alula
 from alula.cli.options import Effects
 from alula.cli.output import print_next
 from dynamics.files import STANDARD_OUTPUT, write_json
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import effect_text
 
 if TYPE_CHECKING:
     from dynamics.effect import Parameter, Prior
@@ -54,8 +56,8 @@ def _print_list(cards: tuple[EffectCard, ...], console: Console) -> None:
 def _hidden(card: EffectCard) -> str:
     """An effect as the mock hides it: of its usual size where the vehicle is known."""
     usual = {p.name: prior.mean for p in card.effect.parameters if (prior := card.usual(p)) is not None}
-    values = [f"{name}={value:.3g}" for name, value in usual.items()] + ["rotor=0"] * card.effect.per_rotor
-    return card.effect.name + (":" + ",".join(values) if values else "")
+    values = {name: float(f"{value:.3g}") for name, value in usual.items()}
+    return effect_text(EffectUse(card.effect.name, values, 0 if card.effect.per_rotor else None))
 
 
 def _print_card(card: EffectCard, console: Console) -> None:

@@ -14,6 +14,7 @@ from diagnosis.data.inspected import doubt_note, inspected
 from diagnosis.data.segment import Segment, fast, segments, slow_quantities
 from diagnosis.thresholds import DEFAULT, DatasetThresholds, SegmentThresholds, Thresholds
 from dynamics.errors import DataError, RequestError
+from dynamics.progress import Progress, no_progress, part_of
 from dynamics.vehicle import Vehicle
 from flights import Flight, Log, read_log
 from flights.hold_out import matching
@@ -60,6 +61,7 @@ def read_dataset(
     mapping: str | Path | None = None,
     pose: str | None = None,
     thresholds: Thresholds = DEFAULT,
+    progress: Progress = no_progress,
 ) -> Dataset:
     """Read logs and set some aside: those whose file name matches hold_out, or a fifth.
 
@@ -70,7 +72,9 @@ def read_dataset(
     Raises RequestError for logs that do not exist or a pattern that matches none or all of them, DataError when
     they hold too little.
     """
-    flights = read_flights(logs, mapping=mapping, pose=pose, thresholds=thresholds.segment)
+    reading = part_of(progress, 0.0, 0.9)
+    flights = read_flights(logs, mapping=mapping, pose=pose, thresholds=thresholds.segment, progress=reading)
+    progress(0.9, "inspection of the flights")
     return make_dataset(flights, vehicle, hold_out=hold_out, thresholds=thresholds)
 
 
@@ -80,6 +84,7 @@ def read_flights(
     mapping: str | Path | None = None,
     pose: str | None = None,
     thresholds: SegmentThresholds = DEFAULT.segment,
+    progress: Progress = no_progress,
 ) -> list[Flight]:
     """The flights of logs at one rate, that of the slowest. Raises RequestError and DataError as reading does.
 
@@ -87,7 +92,11 @@ def read_flights(
     """
     if not logs:
         raise RequestError("no log was given. Give the logs of one vehicle: alula diagnose LOG... --vehicle V.toml.")
-    return align_logs([read_log(path, mapping=mapping, pose=pose) for path in logs], thresholds)
+    read = []
+    for number, path in enumerate(logs):
+        progress(number / len(logs), f"reading {Path(path).name}")
+        read.append(read_log(path, mapping=mapping, pose=pose))
+    return align_logs(read, thresholds)
 
 
 def align_logs(streams: Sequence[Log], thresholds: SegmentThresholds = DEFAULT.segment) -> list[Flight]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +16,11 @@ from plotly.subplots import make_subplots
 
 from diagnosis.models.channels import AXES, KINDS, NAMES, UNITS
 from dynamics.errors import AlulaError
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import effect_text
 from studio.app import redraw
 from studio.app.opened import OpenCase
-from studio.app.parts import action, card, graph, grid, message
+from studio.app.parts import action, card, command_box, graph, grid, message
 from studio.app.place import opened_at
 from studio.app.studio import Studio
 from studio.app.theme import BY_HAND, KIND_COLOURS, PRESENT, figure_of, improved_colour, measured_colour, styled
@@ -57,6 +60,7 @@ def register(app: dash.Dash, studio: Studio) -> None:
         Output(redraw.points_of("evidence-lines"), "data"),
         Output(redraw.points_of("evidence-errors"), "data"),
         Output("evidence-slider", "data"),
+        Output("trial-command", "children"),
         Input({"slider": ALL}, "value"),
         Input("evidence-log", "value"),
         Input("evidence-kind", "value"),
@@ -127,6 +131,7 @@ def _evidence(opened: OpenCase, evidence: Evidence, diagnosed: Diagnosed, scheme
         *sliders,
         dcc.Store(id="evidence-slider"),
         html.Div(id="evidence-readout", role="status", className="number"),
+        command_box("", name="trial-command"),
         dmc.Group(
             [
                 dmc.Select(
@@ -224,24 +229,25 @@ def _move(
     drawn: the slider whose curve is shown. place: the page's address and its scheme.
     """
     path, scheme = place
-    shown = _shown(studio, selected, values, path)
-    if shown is None:
-        return (no_update,) * 6
+    opened, shown = opened_at(studio, path), _shown(studio, selected, values, path)
+    if opened is None or shown is None:
+        return (no_update,) * 7
     by_slider = isinstance(ctx.triggered_id, dict)
     moved = ctx.triggered_id["slider"] if by_slider else 0
     slider, value = shown.evidence.sliders[moved], float(values[moved])
     key, errors_key = _key(shown, log, kind), _key(shown, moved)
+    same = opened.command("explain", trial=_trial(shown.evidence, values))
     errors = redraw.keyed(_errors_figure(slider, value, scheme), errors_key)
     if not by_slider:
         lines = redraw.keyed(_lines_figure(_lines(shown, int(log), kind, moved, value, None), kind, scheme), key)
-        return lines, errors, _readout(slider, value), no_update, no_update, moved
+        return lines, errors, _readout(slider, value), no_update, no_update, moved, same
     lines = _lines(shown, int(log), kind, moved, value, window_of(zoom))
     points = redraw.redrawn("evidence-lines", key, {n: one.line for n, one in enumerate(lines) if one.name == MOVED})
     if moved != drawn:
-        return no_update, errors, _readout(slider, value), points, no_update, moved
+        return no_update, errors, _readout(slider, value), points, no_update, moved, same
     at, _ = _at(slider, value)
     mark = redraw.redrawn("evidence-errors", errors_key, {}, {"shapes[1].x0": at, "shapes[1].x1": at})
-    return no_update, no_update, _readout(slider, value), points, mark, no_update
+    return no_update, no_update, _readout(slider, value), points, mark, no_update, same
 
 
 def _zoom(
@@ -311,6 +317,16 @@ def _at(slider: Slider, place: float) -> tuple[float, list[float | None]]:
         for a, b in zip(slider.rms[low], slider.rms[low + 1], strict=True)
     ]
     return value, errors
+
+
+def _trial(evidence: Evidence, places: Sequence[float]) -> str:
+    """The effect at the sliders' values, as `alula compare --with` takes it."""
+    name, _, rotor = evidence.key.partition("[")
+    values = {
+        slider.name: float(f"{_at(slider, float(place))[0]:.6g}")
+        for slider, place in zip(evidence.sliders, places, strict=True)
+    }
+    return effect_text(EffectUse(name, values, int(rotor.rstrip("]")) if rotor else None))
 
 
 def _readout(slider: Slider, place: float) -> Any:

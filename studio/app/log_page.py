@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from studio.app.place import opened_at
 from studio.app.studio import Studio
 from studio.app.theme import LINE_COLOURS, styled
 from studio.app.traces import flight_line, window_of, zoomed
+from studio.case.case import Case
 from studio.case.state import Options
 from studio.pages.inspected import ROWS
 from studio.work.results import FlightInfo
@@ -294,7 +296,8 @@ def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
             mapping=case.state.options.mapping or None,
         )
         path = case.folder / f"{made.draft.vehicle.name}.toml"
-        case.set_vehicle_text(made.draft.toml, source=str(path), action=f"made {made.draft.vehicle.name} from the log")
+        action = f"made {made.draft.vehicle.name} from the log"
+        case.set_vehicle_text(made.draft.toml, source=str(path), action=action, command=_making(case, fields, path))
         path.write_text(made.draft.toml, encoding="utf-8")
     else:
         keys = {"pose": "pose", "hold_out": "hold-out", "mapping": "mapping"}
@@ -303,6 +306,15 @@ def change(opened: OpenCase, act: str, fields: dict[str, Any]) -> None:
     if case.state.logs:
         opened.start("check")
         opened.start_if_open("compare")
+
+
+def _making(case: Case, fields: dict[str, Any], path: Path) -> str:
+    """The command line that makes the same vehicle."""
+    options = {"--name": "made-name", "--mass": "made-mass", "--arm": "made-arm", "--speed-max": "made-speed"}
+    words = ["alula", "vehicle", "from-log", *map(str, case.log_paths)]
+    words += [w for option, field in options.items() if fields.get(field) for w in (option, str(fields[field]))]
+    words += ["--mapping", case.state.options.mapping] if case.state.options.mapping else []
+    return shlex.join([*words, "--out", str(path)])
 
 
 def _number(value: Any) -> float | None:

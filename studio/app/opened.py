@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import shutil
 import threading
 import time
@@ -16,6 +15,7 @@ import msgspec
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import make_folder
 from studio.case.case import ADVICE, Case
+from studio.case.commands import command
 from studio.case.state import ChannelLevel
 from studio.work.results import FILES, FLIGHTS, VEHICLE, Added, Checked, Diagnosed, FlightInfo
 from studio.work.task import Refusal, Task, refusal_of
@@ -65,7 +65,7 @@ class OpenCase:
         with self._lock:
             return self._job is not None or bool(self._queue)
 
-    def start(self, step: str, *, effect: str = "", reference: str = "", command: str = "") -> None:
+    def start(self, step: str, *, effect: str = "", reference: str = "") -> None:
         """Begin a step, or put it behind the one that runs; a step that has its result is not done again.
 
         Raises RequestError for a step that is locked.
@@ -73,7 +73,7 @@ class OpenCase:
         if self.status(page_of(step)) == "locked":
             raise RequestError(f"{step} is locked: {self.lock_reason(page_of(step))}")
         name = ":".join(filter(None, (step, effect or reference)))
-        task = self._task(step, name, effect=effect, reference=reference, command=command)
+        task = self._task(step, name, effect=effect, reference=reference)
         with self._lock:
             if Path(task.result).is_dir() and refusal_of(Path(task.result)) is None:
                 return
@@ -189,26 +189,11 @@ class OpenCase:
             return "" if diagnosed else "diagnose first: it says what can be added."
         return "" if self.case.version.parent else "nothing was added yet; there is nothing to prove."
 
-    def command(self, step: str, *, effect: str = "") -> str:
-        """The command line that does the same as a step."""
-        state = self.case.state
-        words = ["alula", {"check": "inspect"}.get(step, step)]
-        name, _, rotor = effect.partition("[")
-        words += [name] if step == "add" and name else []
-        words += [str(path) for path in self.case.log_paths]
-        if step != "check":
-            version = self.case.version
-            words += ["--vehicle", state.vehicle if version and not version.parent else str(self.case.vehicle_path())]
-        words += [w for name in state.effect_files for w in ("--effects", str(self.case.folder / name))]
-        for option, value in (("--mapping", state.options.mapping), ("--pose", state.options.pose)):
-            words += [option, value] if value and (step != "check" or option == "--mapping") else []
-        words += (
-            ["--hold-out", state.options.hold_out] if state.options.hold_out and step in ("diagnose", "add") else []
-        )
-        words += ["--rotor", rotor.rstrip("]")] if step == "add" and rotor else []
-        return shlex.join(words)
+    def command(self, step: str, **what: str) -> str:
+        """The command line that does the same as a step. what: see `studio.case.commands.command`."""
+        return command(self.case, step, **what)
 
-    def _task(self, step: str, name: str, *, effect: str, reference: str, command: str) -> Task:
+    def _task(self, step: str, name: str, *, effect: str, reference: str) -> Task:
         case = self.case
         make_folder(case.folder / "results", advice=ADVICE)
         first = case.first_version
@@ -227,7 +212,7 @@ class OpenCase:
             vehicle_key=case.key("compare"),
             effect=effect,
             reference=reference,
-            command=command or self.command(step, effect=effect),
+            command=self.command(step, effect=effect, reference=reference),
         )
 
     def _next(self) -> None:

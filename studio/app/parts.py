@@ -11,6 +11,7 @@ from dash import dcc, html
 
 from studio.app.theme import CONFIG
 
+SAVED_AS = ("png", "svg", "pdf")
 VERDICT_COLOURS = {
     "explained": "teal",
     "effect": "blue",
@@ -29,9 +30,11 @@ def action(name: str, label: str, *, disabled: bool = False, variant: str = "fil
 
 
 def graph(name: str, figure: Any, description: str, **more: Any) -> Any:
-    """A picture with its description for screen readers."""
+    """A picture with its description for screen readers, and buttons that save it as it is seen."""
     drawn = dcc.Graph(id=name, figure=figure, config=CONFIG, **more)
-    return html.Div(drawn, role="group", **{"aria-label": description})
+    formats = [html.Button(kind.upper(), type="button", **{"data-format": kind}) for kind in SAVED_AS]
+    save = html.Div(["Save as ", *formats, html.Span("", className="answer", role="status")], className="save")
+    return html.Div([drawn, save], role="group", className="picture", **{"aria-label": description})
 
 
 def card(title: str, *children: Any, note: str = "") -> Any:

@@ -13,12 +13,14 @@ from plotly.subplots import make_subplots
 
 from diagnosis.models.channels import NAMES
 from diagnosis.models.open_loop import HorizonError
+from diagnosis.proof import Proof
+from simulation.versions_in_flight import VersionsInFlight
 from studio.app.heads import head, lock, refusal
 from studio.app.opened import OpenCase
 from studio.app.parts import action, card, command_box, graph, out_of_date, table
 from studio.app.theme import PRESENT, improved_colour, measured_colour, styled
 from studio.pages.numbers import unit_shown
-from studio.work.results import Exported, Flown, Proved
+from studio.work.results import Exported
 
 REFERENCES = ("Lemniscate", "Ellipse_1", "hover")
 UNITS = {"position": "m", "velocity": "m/s", "attitude": "rad", "rate": "rad/s"}
@@ -40,7 +42,7 @@ def _held_out(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     title = "On flights that nothing was fitted to"
     if refused := refusal(opened, "prove", "Not proved"):
         return card(title, *refused)
-    proved = opened.result(Proved, "prove")
+    proved = opened.result(Proof, "prove")
     if proved is None:
         return card(title, action("start", "Compare both versions", step="prove", disabled=running))
     rows = [
@@ -57,11 +59,12 @@ def _held_out(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     columns = [{"field": key, "headerName": key} for key in ("channel", "before", "after", "change", "floor", "unit")]
     banner = [] if opened.is_fresh("prove") else [out_of_date("prove", running=running)]
     drawn = []
-    if proved.open_loop_before:
-        figure = _open_loop_figure(proved.open_loop_before, proved.open_loop_after, scheme)
+    if proved.open_loop.before:
+        figure = _open_loop_figure(proved.open_loop.before, proved.open_loop.after, scheme)
         drawn = [graph("open-loop", figure, "Lines: prediction error over the horizon, before and after")]
     note = "RMS of each channel, and of predictions without later measurements."
-    return card(title, *banner, table("proved", rows, columns), *drawn, note=note)
+    command = command_box(opened.command("prove"))
+    return card(title, *banner, table("proved", rows, columns), *drawn, command, note=note)
 
 
 def _open_loop_figure(before: Sequence[HorizonError], after: Sequence[HorizonError], scheme: str) -> go.Figure:
@@ -104,10 +107,11 @@ def _mock(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     flown = []
     for reference in REFERENCES:
         step = f"fly:{reference}"
-        result = opened.result(Flown, step, shown=False)
+        result = opened.result(VersionsInFlight, step, shown=False)
         flown += refusal(opened, step, f"{reference} was not flown")
         if result is not None:
             flown.append(_flown(result, scheme))
+            flown.append(command_box(opened.command("fly", reference=reference), name=f"command-{reference}"))
     return card(
         "In the controller",
         choose,
@@ -117,7 +121,7 @@ def _mock(opened: OpenCase, scheme: str, *, running: bool) -> Any:
     )
 
 
-def _flown(flown: Flown, scheme: str) -> Any:
+def _flown(flown: VersionsInFlight, scheme: str) -> Any:
     text = (
         f"{flown.reference}: {100 * flown.before.rmse:.1f} cm with the first version in the controller, "
         f"{100 * flown.after.rmse:.1f} cm with the present one (RMS position error)."
@@ -159,5 +163,6 @@ def _bundle(opened: OpenCase, *, running: bool) -> Any:
     return card(
         title,
         lines,
+        command_box(opened.command("export"), name="export-command"),
         command_box(f"alula fly --bundle {exported.folder} --reference Lemniscate", name="fly-command"),
     )

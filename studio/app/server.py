@@ -9,14 +9,17 @@ from __future__ import annotations
 import shutil
 import socket
 import tempfile
+import threading
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import dash
 import flask
+import msgspec
 from werkzeug.exceptions import ClientDisconnected
 from werkzeug.serving import BaseWSGIServer, WSGIRequestHandler, make_server
+from werkzeug.utils import secure_filename
 
 from dynamics.errors import AlulaError, RequestError
 from dynamics.files import write_whole
@@ -25,11 +28,26 @@ from studio.app.opened import OpenCase
 from studio.app.shell import build
 from studio.app.studio import Studio
 from studio.case.archive import ENDING, write_archive
+from studio.case.commands import script
 
 HOST = "127.0.0.1"
 PORT = 8642
 CHUNK = 1 << 20  # bytes of an upload in memory
 MAX_TEXT = 4 << 20  # bytes of a vehicle or effect file
+MAX_FIGURE = 64 << 20  # bytes of a picture that is saved
+MAX_SIDE = 8000  # px of one
+
+
+Side = Annotated[int, msgspec.Meta(ge=1, le=MAX_SIDE)]
+
+
+class SavedFigure(msgspec.Struct):
+    """A picture that a page sends to be drawn. data, layout: as plotly has them; width, height: px."""
+
+    data: list[dict[str, Any]]
+    layout: dict[str, Any]
+    width: Side
+    height: Side
 
 
 class QuietHandler(WSGIRequestHandler):  # type: ignore[misc]
@@ -140,14 +158,28 @@ def _add_routes(server: flask.Flask, studio: Studio) -> None:
     def download_archive(name: str) -> Any:
         return answered(_archive, name)
 
+    def download_script(name: str) -> Any:
+        return answered(_script, name)
+
     def upload_archive() -> Any:
         return _receive_archive(studio)
 
+    drawing = threading.Lock()  # one browser at a time
+
+    def save_picture() -> Any:
+        try:
+            with drawing:
+                return flask.Response(_picture(), mimetype="application/pdf")
+        except AlulaError as error:
+            return flask.Response(str(error), status=400)
+
+    server.add_url_rule("/picture.pdf", view_func=save_picture, methods=["POST"])
     server.add_url_rule("/case/<name>/upload", view_func=upload, methods=["PUT"])
     server.add_url_rule("/case/<name>/vehicle", view_func=upload_vehicle, methods=["PUT"])
     server.add_url_rule("/case/<name>/effects", view_func=upload_effects, methods=["PUT"])
     server.add_url_rule("/case/<name>/vehicle/<int:number>.toml", view_func=download_vehicle)
     server.add_url_rule("/case/<name>/archive", view_func=download_archive)
+    server.add_url_rule("/case/<name>/script.sh", view_func=download_script)
     server.add_url_rule("/archive", view_func=upload_archive, methods=["PUT"])
 
 
@@ -210,12 +242,32 @@ def _receive_effects(opened: OpenCase) -> str:
     return name
 
 
+def _picture() -> bytes:
+    """The picture of a request as PDF. Raises RequestError for one that is none, or cannot be drawn."""
+    from studio.pages.picture_files import picture_pdf
+
+    body = flask.request.stream.read(MAX_FIGURE + 1)
+    if len(body) > MAX_FIGURE:
+        raise RequestError(f"the picture has more than {MAX_FIGURE >> 20} MB. Zoom in, or save it as PNG.")
+    try:
+        figure = msgspec.json.decode(body, type=SavedFigure)
+    except msgspec.MsgspecError as error:
+        raise RequestError(f"that is no picture: {error}. Send data, layout, width and height.") from None
+    return picture_pdf({"data": figure.data, "layout": figure.layout}, width=figure.width, height=figure.height)
+
+
 def _vehicle_file(opened: OpenCase, number: int) -> Any:
     version = opened.case.version_number(number)
     if version is None:
         raise RequestError(f"the case has no version {number}.")
     name = f"{opened.case.vehicle(version).name}.v{number}.toml"
     return flask.send_file(opened.case.vehicle_path(version), as_attachment=True, download_name=name)
+
+
+def _script(opened: OpenCase) -> Any:
+    """The way to the present version as a shell script."""
+    headers = {"Content-Disposition": f"attachment; filename={secure_filename(opened.case.state.name) or 'case'}.sh"}
+    return flask.Response(script(opened.case), mimetype="text/x-shellscript", headers=headers)
 
 
 def _archive(opened: OpenCase) -> Any:

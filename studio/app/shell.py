@@ -253,7 +253,9 @@ def _heading(opened: OpenCase, name: str) -> Any:
     case, version = opened.case, opened.case.version
     vehicle = "no vehicle yet" if version is None else f"{case.vehicle().name}, version {version.number}"
     send = html.A("Send the case as one file", href=f"/case/{name}/archive", download=True, className="send")
-    return dmc.Group([dmc.Text(case.state.name, fw=600), dmc.Text(vehicle, c="dimmed", size="sm"), send], gap="md")
+    script = html.A("Save it as a script", href=f"/case/{name}/script.sh", download=True, className="send")
+    links = [send] if version is None else [send, script]
+    return dmc.Group([dmc.Text(case.state.name, fw=600), dmc.Text(vehicle, c="dimmed", size="sm"), *links], gap="md")
 
 
 def _act(studio: Studio, clicks: list[Any], path: str, values: list[Any], names: list[Any]) -> tuple[Any, Any]:

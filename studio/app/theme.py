@@ -34,8 +34,7 @@ CONFIG = {
     "displaylogo": False,
     "responsive": True,
     "scrollZoom": False,
-    "toImageButtonOptions": {"format": "svg"},
-    "modeBarButtonsToRemove": ["select2d", "lasso2d"],
+    "modeBarButtonsToRemove": ["select2d", "lasso2d", "toImage"],
 }
 EMPTY = go.Figure(
     layout={

@@ -143,15 +143,16 @@ class Case:
         path = find_vehicle(vehicle)
         self.set_vehicle_text(vehicle_text(path), source=str(vehicle), action=f"chose {path.stem}")
 
-    def set_vehicle_text(self, text: str, *, source: str, action: str) -> None:
+    def set_vehicle_text(self, text: str, *, source: str, action: str, command: str = "") -> None:
         """Choose a vehicle by the text of its file, whose effect files are absolute.
 
-        source: where it came from, as `--vehicle` takes it. Raises RequestError for a text that is no vehicle.
+        source: where it came from, as `--vehicle` takes it; command: that made it. Raises RequestError for a text that
+        is no vehicle.
         """
         vehicle = parse_vehicle(text)
         with self._lock:
             self._copy_effects([Path(path) for path in vehicle.effect_files])
-            self._new_version(text, parent=0, action=action)
+            self._new_version(text, parent=0, action=action, command=command)
             self._change(vehicle=source)
 
     def add_effect_file(self, path: Path) -> None:

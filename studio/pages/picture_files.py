@@ -39,6 +39,18 @@ def write_pictures(pictures: Mapping[str, Picture], folder: Path) -> list[Path]:
         raise RequestError(f"cannot write to {folder}: {error.strerror or error}. {ADVICE}") from error
 
 
+def picture_pdf(figure: Mapping[str, Any], *, width: int, height: int) -> bytes:
+    """A figure as one page of PDF. figure: `data` and `layout` of plotly; width, height: px at 96 dpi.
+
+    Raises RequestError where Kaleido or a browser is missing, or the figure cannot be drawn.
+    """
+    with tempfile.TemporaryDirectory(prefix="alula-") as folder:
+        file = Path(folder, "picture.pdf")
+        options = {"format": "pdf", "width": width, "height": height, "scale": SCALE["pdf"]}
+        _draw([{"fig": dict(figure), "path": str(file), "opts": options}])
+        return file.read_bytes()
+
+
 def figures_of(name: str, picture: Picture) -> Iterator[tuple[str, dict[str, Any]]]:
     """A picture's figures by the names of their files: one, or one for each entry of its menu."""
     figure = json.loads(picture.data)

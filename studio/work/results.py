@@ -8,9 +8,10 @@ import msgspec
 
 from diagnosis.addition_report import AdditionReport
 from diagnosis.comparison import Comparison
-from diagnosis.models.open_loop import HorizonError
-from diagnosis.report import ChannelError, Diagnosis
+from diagnosis.proof import Proof
+from diagnosis.report import Diagnosis
 from flights.quality import Inspection
+from simulation.versions_in_flight import VersionsInFlight
 
 
 class ColumnInfo(msgspec.Struct, frozen=True):
@@ -186,33 +187,6 @@ class Added(msgspec.Struct, frozen=True):
     action: str
 
 
-class Proved(msgspec.Struct, frozen=True):
-    """The first and the present version on the held-out flights."""
-
-    channels: dict[str, ChannelError]
-    open_loop_before: tuple[HorizonError, ...]
-    open_loop_after: tuple[HorizonError, ...]
-    effects: tuple[str, ...]
-
-
-class FlownPath(msgspec.Struct, frozen=True):
-    """A flight on the mock: tracking error, and paths (n, 3) thinned for a picture."""
-
-    rmse: float
-    aborted: str
-    path: list[list[float]]
-
-
-class Flown(msgspec.Struct, frozen=True):
-    """A manoeuvre on the mock with the first version in the controller and with the present one."""
-
-    reference: str
-    before: FlownPath
-    after: FlownPath
-    setpoint: list[list[float]]
-    effects: tuple[str, ...]
-
-
 class Exported(msgspec.Struct, frozen=True):
     """A bundle that was written: its folder and what was compared, in words."""
 
@@ -227,7 +201,7 @@ FILES: Mapping[type[msgspec.Struct], str] = {
     Diagnosed: "diagnosed.json",
     Evidence: "evidence.json",
     Added: "added.json",
-    Proved: "proved.json",
-    Flown: "flown.json",
+    Proof: "proved.json",
+    VersionsInFlight: "flown.json",
     Exported: "exported.json",
 }

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 
 from alula.cli import app
@@ -164,6 +165,44 @@ def test_compare_prints_channels_and_open_loop_errors(run):
     assert [error["horizon"] for error in comparison["open_loop"]] == [0.1, 0.5, 1.0]
     assert comparison["open_loop"][0]["position"] < comparison["open_loop"][2]["position"]
     assert any(axis["rms"] > 1.5 * axis["floor"] for axis in comparison["axes"])
+
+
+def test_compare_tries_an_effect_by_hand(run, logs, tmp_path):
+    levels = []
+    for number, options in enumerate(([], ["--with", f"mass:ratio={1 / 1.06}"])):
+        file = tmp_path / f"{number}.json"
+        code, _, _ = run("compare", "--json", str(file), *options)
+        assert code == 0
+        levels.append([axis["rms"] for axis in json.loads(file.read_text())["axes"] if axis["kind"] == "imu"])
+    assert levels[1][2] < 0.8 * levels[0][2]  # the vertical axis
+    code, _, message = run("compare", "--with", "mass:weight=1")
+    assert code == 2
+    assert "unknown parameter 'weight'" in message
+
+
+def test_prove_compares_two_versions_on_held_out_flights_and_in_flight(run, logs, tmp_path):
+    file, before = tmp_path / "proof.json", ["--before", str(logs / "heavy.toml")]
+    code, shown, _ = run("prove", *before, "--fly", "hover", "--json", str(file), vehicle="right.toml")
+    assert code == 0
+    last = shlex.split(shown.splitlines()[-1].removeprefix("next: alula "))
+    assert last[:5] == ["fly", "--vehicle", str(logs / "right.toml"), "--reference", "hover"]
+    proof = json.loads(file.read_text())
+    assert proof["channels"]["imu"]["after"] < 0.9 * proof["channels"]["imu"]["before"]
+    assert proof["open_loop"]["after"][-1]["position"] < proof["open_loop"]["before"][-1]["position"]
+    assert 0 < proof["flown"]["after"]["rmse"] < 0.03  # m
+    assert proof["held_out"]
+
+
+def test_prove_refuses_a_version_of_another_vehicle(run, arpl_250g, tmp_path):
+    angles = np.radians([30, 90, 150, 210, 270, 330])
+    places = tuple((float(0.2 * np.cos(angle)), float(0.2 * np.sin(angle)), 0.0) for angle in angles)
+    rotors = msgspec.structs.replace(arpl_250g.rotors, position=places, spin=(1, -1) * 3, motor=())
+    other = tmp_path / "hexa.toml"
+    write_vehicle(msgspec.structs.replace(arpl_250g, rotors=rotors), other)
+    code, _, message = run("prove", "--before", str(other), vehicle="right.toml")
+    assert code == 2
+    assert "has 6 rotors" in message
+    assert "4" in message
 
 
 def test_data_that_cannot_answer_end_with_3_and_wrong_requests_with_2(run, logs, tmp_path):

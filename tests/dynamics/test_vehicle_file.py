@@ -11,7 +11,7 @@ import pytest
 from dynamics.effects import CATALOGUE
 from dynamics.errors import RequestError
 from dynamics.vehicle import EffectUse, HistoryEntry, Limits
-from dynamics.vehicle_file import find_vehicle, parse_effect, parse_vehicle, read_vehicle, write_vehicle
+from dynamics.vehicle_file import effect_text, find_vehicle, parse_effect, parse_vehicle, read_vehicle, write_vehicle
 from vehicles import FOLDER
 
 GOOD = (FOLDER / "arpl_250g.toml").read_text()
@@ -199,3 +199,8 @@ def test_anything_else_is_taken_as_a_path(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("arpl_250g").touch()
     assert find_vehicle("arpl_250g") == Path("arpl_250g")
+
+
+@pytest.mark.parametrize("text", ["motor_lag", "rotor_drag:coefficient=2.5e-05", "weak_rotor:loss=0.1,rotor=2"])
+def test_an_effect_is_written_as_it_is_read(text: str) -> None:
+    assert effect_text(parse_effect(text, 4)) == text

@@ -179,6 +179,30 @@ def test_points_of_lines_that_are_gone_are_dropped(page: Page, address: str, ulo
     assert plot.evaluate("e => e.data[0].x.length") == 2
 
 
+def test_a_picture_is_saved_as_it_is_seen(page: Page, address: str, ulogs: list[Path], tmp_path: Path) -> None:
+    page.goto(address)
+    page.get_by_label("Name").fill("papers")
+    page.get_by_role("button", name="New case").click()
+    _drop(page, "drop-logs", ulogs[:1])
+    lines = page.locator("#log-lines .js-plotly-plot")
+    expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible()
+    _wait(page, "check", "done")
+    began = lines.evaluate("e => e.calcdata[0][0].x")
+    lines.evaluate("e => window.Plotly.relayout(e, {'xaxis.range': [3, 5]})")
+    page.wait_for_function(f"document.querySelector('#log-lines .js-plotly-plot').calcdata[0][0].x !== {began}")
+    picture = page.locator(".picture", has=page.locator("#log-lines"))
+    for kind, magic in {"png": b"\x89PNG", "svg": b"<svg", "pdf": b"%PDF"}.items():
+        with page.expect_download() as saved:
+            picture.get_by_role("button", name=kind.upper(), exact=True).click()
+        assert saved.value.suggested_filename == f"papers_log_lines.{kind}"
+        file = tmp_path / saved.value.suggested_filename
+        saved.value.save_as(file)
+        assert file.read_bytes().startswith(magic)
+    drawn = (tmp_path / "papers_log_lines.svg").read_text()
+    assert ">3.5<" in drawn  # a tick of the zoom
+    assert "<image" not in drawn  # vectors
+
+
 def test_a_result_is_shown_from_its_path_and_followed(page: Page, address: str, tmp_path: Path) -> None:
     course = tmp_path / "m.progress.jsonl"
     begin(course, 1, "alula train", resume=False)

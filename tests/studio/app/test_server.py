@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import pytest
 from flask.testing import FlaskClient
 
 from dynamics.errors import RequestError
-from studio.app.server import PORT, make_app, serve
+from studio.app.server import MAX_FIGURE, PORT, make_app, serve
 from studio.app.studio import Studio, default_root
 
 BASE = f"http://127.0.0.1:{PORT}"
@@ -122,6 +123,32 @@ def test_versions_and_cases_are_downloaded(client: FlaskClient, studio: Studio) 
     assert again is not None
     assert again.case.vehicle().name == "px4_sih"
     assert client.put("/archive?name=sent.alula.zip", base_url=BASE, data=b"no zip").status_code == 400
+
+
+def _save(client: FlaskClient, body: bytes) -> Any:
+    return client.post("/picture.pdf", base_url=BASE, data=body)
+
+
+@pytest.mark.parametrize(
+    ("body", "message"),
+    [
+        (b"none", "that is no picture: JSON is malformed"),
+        (b'{"data": [], "layout": {}, "width": 700}', "missing required field `height`"),
+        (b'{"data": [], "layout": {}, "width": 700, "height": 0}', "Expected `int` >= 1 - at `$.height`"),
+        (b" " * (MAX_FIGURE + 1), "more than 64 MB"),
+    ],
+)
+def test_what_is_no_picture_is_not_drawn(client: FlaskClient, body: bytes, message: str) -> None:
+    answer = _save(client, body)
+    assert answer.status_code == 400
+    assert message in answer.get_data(as_text=True)
+
+
+def test_a_picture_cannot_be_printed_without_what_prints(client: FlaskClient, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "kaleido", None)
+    answer = _save(client, b'{"data": [], "layout": {}, "width": 700, "height": 300}')
+    assert answer.status_code == 400
+    assert "pip install 'alula[workbench]'" in answer.get_data(as_text=True)
 
 
 def test_an_unknown_case_is_no_page(client: FlaskClient) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import threading
 import time
 from pathlib import Path
@@ -9,11 +12,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from alula.api.diagnosis import add_effect
+from diagnosis.proof import Proof
+from dynamics.vehicle_file import read_vehicle
+from simulation.versions_in_flight import VersionsInFlight
 from studio.app.opened import PAGES, OpenCase
 from studio.case.case import Case
+from studio.case.commands import script
 from studio.work.arrays import read_array
-from studio.work.results import Added, Checked, Compared, Diagnosed, Evidence, Flown, Proved
+from studio.work.results import Added, Checked, Compared, Diagnosed, Evidence
 from studio.work.worker import Worker
 
 TIMEOUT = 250.0  # s on a busy machine; alone each step takes some seconds
@@ -78,12 +84,12 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulo
     assert opened.status("prove") == "open"
 
     _do(opened, "prove")
-    proved = opened.result(Proved, "prove")
+    proved = opened.result(Proof, "prove")
     assert proved is not None
     assert proved.channels["mocap"].after < 0.5 * proved.channels["mocap"].before
-    assert proved.open_loop_after[-1].position < proved.open_loop_before[-1].position
+    assert proved.open_loop.after[-1].position < proved.open_loop.before[-1].position
     _do(opened, "fly", reference="Lemniscate")
-    flown = opened.result(Flown, "fly:Lemniscate")
+    flown = opened.result(VersionsInFlight, "fly:Lemniscate")
     assert flown is not None
     assert flown.after.rmse < 0.5 * flown.before.rmse
 
@@ -92,7 +98,7 @@ def test_the_path_unlocks_step_by_step_and_the_error_falls(opened: OpenCase, ulo
     assert opened.status("prove") == "locked"
 
 
-def test_the_command_that_a_page_shows_does_the_same(opened: OpenCase, ulogs: list[Path]) -> None:
+def test_the_script_of_a_case_goes_the_same_way(opened: OpenCase, ulogs: list[Path], tmp_path: Path) -> None:
     opened.case.add_logs(ulogs)
     opened.case.set_vehicle("px4_sih")
     _do(opened, "check")
@@ -101,14 +107,22 @@ def test_the_command_that_a_page_shows_does_the_same(opened: OpenCase, ulogs: li
     version = opened.case.version
     assert version is not None
     assert version.command == f"alula add {ulogs[0]} {ulogs[1]} --vehicle px4_sih"
-    by_command = add_effect(ulogs, "px4_sih").report.parameters
-    added = opened.result(Added, "add", shown=True)
-    assert added is not None
-    assert added.report.parameters.keys() == by_command.keys()
+    opened.case.undo()
+    assert "alula add" not in script(opened.case)
+    opened.case.redo()
+    file, again = tmp_path / "case.sh", tmp_path / "once again"
+    file.write_text(script(opened.case))
+    place = str(Path(sys.executable).parent)
+    path = {"PATH": f"{place}:{os.environ['PATH']}", "PYTHONPATH": str(Path(__file__).parents[3])}
+    run = subprocess.run(["sh", file, again], capture_output=True, text=True, env={**os.environ, **path}, check=False)
+    assert run.returncode == 0, run.stderr
+    assert "held out" in run.stdout
+    made = read_vehicle(again / "px4_sih.v2.toml")
+    theirs = opened.case.vehicle()
     # to rounding: another process sums in another order
-    value, std = (getattr(added.report.parameters["linear_drag"]["coefficient"], name) for name in ("value", "std"))
-    assert by_command["linear_drag"]["coefficient"].value == pytest.approx(value, rel=1e-9)
-    assert by_command["linear_drag"]["coefficient"].std == pytest.approx(std, rel=1e-6)
+    assert [use.label for use in made.effects] == [use.label for use in theirs.effects]
+    for mine, other in zip(made.effects, theirs.effects, strict=True):
+        assert mine.parameters == pytest.approx(other.parameters, rel=1e-9)
 
 
 def test_a_log_that_the_reader_refuses_is_said_and_the_others_go_on(
