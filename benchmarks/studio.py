@@ -19,7 +19,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -186,27 +187,32 @@ def _median(times: list[float], unit: str) -> str:
     return f"{factor * statistics.median(times):.{digits}f} {unit} ({spread} of {len(times)})"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--additions", type=int, default=50)
-    count = parser.parse_args().additions
+@contextmanager
+def studio_in_browser(folder: Path, *options: str) -> Iterator[tuple[Page, str, psutil.Process]]:
+    """A studio with its cases in a folder, and a browser: a page, the studio's address, its process."""
     browser = next(p for name in ("chromium", "chromium-browser", "google-chrome") if (p := shutil.which(name)))
-    with tempfile.TemporaryDirectory() as name, sync_playwright() as playwright:
-        folder = Path(name)
-        command = [sys.executable, "-m", "alula", "studio", "--cases", str(folder / "cases"), "--port", "0"]
-        process = subprocess.Popen(
-            [*command, "--no-browser"], stdout=subprocess.PIPE, text=True, env={**os.environ, "OMP_NUM_THREADS": "1"}
-        )
+    command = [sys.executable, "-m", "alula", "studio", "--cases", str(folder / "cases"), "--port", "0", *options]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with sync_playwright() as playwright:
+        process = subprocess.Popen([*command, "--no-browser"], stdout=subprocess.PIPE, text=True, env=environment)
         try:
             assert process.stdout is not None
             address = process.stdout.readline().split()[-1]
             page = playwright.chromium.launch(executable_path=browser, args=list(FLAGS)).new_page()
             page.set_default_timeout(PATIENCE)
             expect.set_options(timeout=PATIENCE)
-            body = measure(page, address, psutil.Process(process.pid), folder, count)
+            yield page, address, psutil.Process(process.pid)
         finally:
             process.terminate()
             process.wait(20)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--additions", type=int, default=50)
+    count = parser.parse_args().additions
+    with tempfile.TemporaryDirectory() as name, studio_in_browser(Path(name)) as (page, address, process):
+        body = measure(page, address, process, Path(name), count)
     write_result("studio", "How fast the studio answers", f"{(__doc__ or '').split(chr(10) * 2)[2]}\n\n{body}")
 
 

@@ -215,7 +215,7 @@ def prove(
     answer.
 
     Example:
-        result = alula.prove("logs", "quad.v2.toml", "quad.toml")
+        result = alula.prove("logs", "my_quad.v2.toml", "my_quad.toml")
         for kind, error in result.report.channels.items():
             print(kind, error.before, error.after, error.floor)
     """

@@ -18,7 +18,7 @@ from dynamics.errors import RequestError
 from studio.app import redraw
 from studio.app.opened import OpenCase
 from studio.app.parts import action, card, command_box, message
-from studio.app.place import opened_at
+from studio.app.place import opened_at, place_of
 from studio.app.studio import Studio
 from studio.app.theme import LINE_COLOURS, styled
 from studio.app.traces import flight_line, window_of, zoomed
@@ -33,10 +33,15 @@ OWN_FILE, FROM_LOG = "a file of your own", "made from the log"
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
-    """Drop zone, the logs, the vehicle, how logs are read, and the first picture."""
-    case = opened.case
+    """Drop zone, the logs, the vehicle, how logs are read, and the first picture.
+
+    What is read from the logs appears in parts of its own, so that a list that is open and a field that is half typed
+    stay as they are.
+    """
+    shown = _parts_of_logs(opened, name)
     parts = [
         dmc.Title("Logs and vehicle", order=1, size="h2"),
+        html.Div(shown["failure"], id="log-failure"),
         card(
             "Flight logs",
             drop_zone(
@@ -45,18 +50,33 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
                 "Drop logs or a folder here (ULog, CSV, Parquet, MCAP, tlog, DataFlash, blackbox, ROS bag), or",
                 many=True,
             ),
-            _log_list(opened),
+            html.Div(shown["list"], id="log-list"),
         ),
         card("Vehicle", *_vehicle_choice(opened, name)),
-        _flight_card(opened),
+        html.Div(shown["flights"], id="log-flights"),
         dmc.Accordion([_options_item(opened)], chevronPosition="left"),
+        html.Div(shown["next"], id="log-next"),
+        dcc.Store(id="log-shown", data=_signatures(opened)),
     ]
-    if opened.failure:
-        parts.insert(1, message(opened.failure, title="The last step failed", colour="red"))
-    if case.state.logs and case.version is not None:
-        parts.append(dcc.Link("Next: is the log good enough?", href=f"/case/{name}/check", className="next"))
-        parts.append(command_box(opened.command("check")))
     return dmc.Stack(parts, gap="md")
+
+
+def _parts_of_logs(opened: OpenCase, name: str) -> dict[str, Any]:
+    """What depends on the logs and on what was read from them."""
+    failure, following = [], []
+    if opened.failure:
+        failure.append(message(opened.failure, title="The last step failed", colour="red"))
+    if opened.case.state.logs and opened.case.version is not None:
+        following.append(dcc.Link("Next: is the log good enough?", href=f"/case/{name}/check", className="next"))
+        following.append(command_box(opened.command("check")))
+    return {"failure": failure, "list": _log_list(opened), "flights": _flight_card(opened), "next": following}
+
+
+def _signatures(opened: OpenCase) -> list[str]:
+    """Of each of these parts; while one stays the same its part is left as the user has it."""
+    case = opened.case
+    flights = [case.key("flights"), case.has_result("flights")]
+    return [repr(part) for part in (opened.failure, flights, flights, case.state)]
 
 
 def drop_zone(name: str, url: str, text: str, *, many: bool = False, goto: str = "") -> Any:
@@ -199,7 +219,15 @@ def _flight_card(opened: OpenCase) -> Any:
 
 
 def register(app: dash.Dash, studio: Studio) -> None:
-    """The callbacks of the first picture."""
+    """The callbacks of what is read from the logs, and of the first picture."""
+    app.callback(
+        *(Output(f"log-{part}", "children") for part in ("failure", "list", "flights", "next")),
+        Output("log-shown", "data"),
+        Input("revision", "data"),
+        State("log-shown", "data"),
+        State("url", "pathname"),
+        prevent_initial_call=True,
+    )(lambda _, last, path: _refresh(studio, last, path))
     app.callback(
         Output("log-lines", "figure"),
         Input("log-flight", "value"),
@@ -214,6 +242,15 @@ def register(app: dash.Dash, studio: Studio) -> None:
         prevent_initial_call=True,
     )(lambda zoom, flight, path: _zoom(studio, zoom, flight, path))
     redraw.register(app, "log-lines")
+
+
+def _refresh(studio: Studio, last: list[str], path: str) -> tuple[Any, ...]:
+    """The parts that have changed, and the signatures of all."""
+    opened, (name, _) = opened_at(studio, path), place_of(path)
+    if opened is None or (now := _signatures(opened)) == last:
+        return (no_update,) * 5
+    parts = _parts_of_logs(opened, name).values()
+    return *(part if new != old else no_update for part, new, old in zip(parts, now, last, strict=True)), now
 
 
 def _flight(studio: Studio, flight: str | None, path: str) -> tuple[Path, FlightInfo, int] | None:

@@ -171,9 +171,8 @@ def signature_of(opened: OpenCase, page: str) -> str:
     """What a page shows; while it stays the same the page is left as the user has it."""
     case = opened.case
     state = case.state
-    if page == "log":  # what is found out later leaves its pictures as they are zoomed
-        logs = [opened.failure, case.key("flights"), case.has_result("flights")]
-        return repr([*logs, state.current, state.options, state.vehicle, state.effect_files])
+    if page == "log":  # what is read from the logs has parts of its own
+        return repr([state.current, state.options, state.vehicle, state.effect_files])
     running = opened.job.step if opened.job is not None else ""
     parts: list[Any] = [
         opened.status(page),

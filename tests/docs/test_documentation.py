@@ -126,7 +126,7 @@ def flights(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Pat
     hovering_logs(folder / "hover")
     for name in ("log.ulg", "Ellipse_1.bag"):  # the content decides which format it is
         shutil.copy(folder / "logs" / "flight_0.csv", folder / name)
-    for name in ("heavy.toml", "my_quad.toml"):
+    for name in ("heavy.toml", "my_quad.toml", "my_quad.v2.toml"):
         write_vehicle(heavier(arpl_250g), folder / name)
     (folder / "fleet.toml").write_text("[search]\nmin_gain = 60.0\n")
     (folder / "vehicles").symlink_to(ROOT / "vehicles")

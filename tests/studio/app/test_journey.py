@@ -161,6 +161,32 @@ def test_a_case_that_is_opened_again_stands_where_it_stood(
     other.close()
 
 
+def test_a_browser_that_is_closed_in_the_middle_of_a_fit_finds_the_result_later(
+    page: Page, browser: Browser, address: str, ulogs: list[Path]
+) -> None:
+    page.goto(address)
+    page.get_by_role("button", name="New case").click()
+    _drop(page, "drop-logs", ulogs)
+    page.get_by_role("button", name="Made from the autopilot's parameters").click()
+    page.get_by_label("Name").fill("half typed")
+    expect(page.locator("#log-lines .scatterlayer .trace").first).to_be_visible()
+    expect(page.get_by_label("Name")).to_have_value("half typed")  # what was read meanwhile leaves it
+    page.get_by_role("textbox", name="A bundled vehicle").click()
+    page.get_by_role("option", name="px4_sih").click()
+    page.get_by_role("button", name="Use it").click()
+    _wait(page, "compare", "done")
+    _go(page, "diagnose")
+    page.get_by_role("button", name="Diagnose", exact=True).click()
+    _wait(page, "diagnose", "running")
+    place = page.url
+    page.close()
+    later = browser.new_page()
+    later.goto(place)
+    _wait(later, "diagnose", "done")
+    expect(later.locator("#verdict-sentence")).to_contain_text("linear_drag")
+    later.close()
+
+
 def test_points_of_lines_that_are_gone_are_dropped(page: Page, address: str, ulogs: list[Path]) -> None:
     page.goto(address)
     page.get_by_role("button", name="New case").click()
