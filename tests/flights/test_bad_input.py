@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ import pytest
 from dynamics import frames
 from dynamics.arrays import Floats
 from dynamics.errors import AlulaError, DataError, RequestError
-from flights import Flight, Log, read_folder, read_log
+from flights import Flight, Log, read_folder, read_log, reading
 from tests.support.flight_files import Truth, crazyflie_log, flight_csv, manoeuvre, paper_bag, ros2_bag, tlog
 
 PX4 = Path(__file__).parents[1] / "data" / "px4_sih_offboard"
@@ -370,3 +371,12 @@ def test_what_is_cut_off_or_torn_is_damage(tmp_path: Path, lines: list[str]) -> 
     assert _read(tmp_path, lines).provenance.damage == ()
     lines[100] += ",1.0"
     assert "1 rows with 22 instead of 21 cells dropped" in _read(tmp_path, lines).provenance.damage
+
+
+def test_a_log_that_needs_more_memory_than_there_is_is_not_called_damaged(
+    lines: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    greedy = replace(reading.FORMATS["csv"], read=lambda source: np.empty((10**9, 10**6)))
+    monkeypatch.setitem(reading.FORMATS, "csv", greedy)
+    with pytest.raises(DataError, match=r"changed\.csv \(\d+ MB\) is a flight CSV, .* needs more memory than there is"):
+        _read(tmp_path, lines)

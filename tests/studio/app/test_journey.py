@@ -11,6 +11,7 @@ import pytest
 from axe_playwright_python.sync_playwright import Axe
 from playwright.sync_api import Browser, Page, expect
 
+from tests.support.results_on_disk import evaluation_file, fleet_folder, sweep_folder
 from training.progress_file import append, begin
 from training.reports import Report
 
@@ -72,6 +73,9 @@ def test_a_log_becomes_a_better_model_by_clicks(
 ) -> None:
     files: list[Path] = request.getfixturevalue(logs)
     page.goto(address)
+    if logs == "csvs":  # one of them in the dark scheme, for its contrasts
+        page.get_by_label("dark").check(force=True)
+        expect(page.locator("html")).to_have_attribute("data-mantine-color-scheme", "dark")
     page.get_by_label("Name").fill(f"journey {logs}")
     page.get_by_role("button", name="New case").click()
     _drop(page, "drop-logs", files)
@@ -246,6 +250,25 @@ def test_a_result_is_shown_from_its_path_and_followed(page: Page, address: str, 
     expect(page.locator("#result-share")).to_contain_text("50 %")
     expect(page.locator("#result-0 .scatterlayer .trace").first).to_be_visible()
     _require_accessible(page)
+
+
+def test_a_fleet_a_sweep_and_an_evaluation_are_shown_by_their_paths(page: Page, address: str, tmp_path: Path) -> None:
+    paths = {
+        "fleet": fleet_folder(tmp_path / "fleet"),
+        "sweep": sweep_folder(tmp_path / "sweep"),
+        "held-out flights": evaluation_file(tmp_path),
+    }
+    for title, path in paths.items():
+        page.goto(address)
+        page.get_by_label("Path").fill(str(path))
+        page.get_by_role("button", name="Open", exact=True).click()
+        expect(page.locator("h1")).to_contain_text(title, ignore_case=True)
+        expect(page.locator("#result-table-0 .ag-row").first).to_be_visible()
+        _require_accessible(page)
+    page.get_by_role("link", name=re.compile("^fleet ")).click()
+    page.get_by_role("button", name="Open it as a case").click()
+    expect(page.locator("#step-log")).to_have_attribute("aria-current", "step")
+    expect(page.locator("#main")).to_contain_text("a.csv")
 
 
 def test_a_recording_is_flown_again_and_opens_as_a_case(page: Page, address: str, tmp_path: Path) -> None:
