@@ -129,14 +129,14 @@ def measure(page: Page, address: str, process: psutil.Process, log: Path, small:
         other = page.context.browser.new_page()
         new_case(other, address)
         meanwhile = drop(other, [small])
-        said = answer(page)
+        text = answer(page)
         answered = time.perf_counter() - began
     other.close()
     figures = (peak.server / 1e6, peak.workers / 1e9)
     size = log.stat().st_size / 1e9
     return (
         f"| {log.suffix[1:]} | {size:.1f} | {sent:.0f} | {answered:.0f} | {figures[0]:.0f} | {figures[1]:.1f} | "
-        f"{meanwhile:.1f} | {said} |"
+        f"{meanwhile:.1f} | {text} |"
     )
 
 
