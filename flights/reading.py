@@ -112,8 +112,8 @@ def _read(source: Source, name: str) -> LogContent:
         megabytes = source.path.stat().st_size / 1e6
         raise DataError(
             f"{source.path} ({megabytes:.0f} MB) is a {FORMATS[name].label}, and to read it whole needs more memory "
-            "than there is. Give a shorter log, or more memory (in the studio: `alula studio --memory`). A small file that "
-            "asks for so much is damaged."
+            "than there is. Give a shorter log, or more memory (in the studio: `alula studio --memory`). A small file "
+            "that asks for so much is damaged."
         ) from error
     except Exception as error:  # third-party parsers; what damaged bytes make them raise is not documented
         raise DataError(
