@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve
+from scipy.linalg.lapack import dposv
 from scipy.ndimage import median_filter
 
 from diagnosis.data.segment import Segment
@@ -299,15 +299,37 @@ class _LeaveOneOut:
         white = [noise.whiten_one(place, x) for x in features]
         return cls(noise, place, group_of, white, _by_group([x.T @ x for x in white], group_of))
 
-    def products(self, rows: Sequence[Floats]) -> list[Floats]:
-        """(k,) of the features and residuals (m, 12), a group each."""
+    def products(self, *residuals: Sequence[Floats]) -> list[Floats]:
+        """(k, r) of the features and r residuals (m, 12), a group each."""
         channel = self.noise.active[self.place]
-        values = [self.noise.whiten_one(self.place, r[:, channel]) for r in rows]
-        return _by_group([x.T @ y for x, y in zip(self.white, values, strict=True)], self.group_of)
+        values = [np.stack([r[:, channel] for r in rows], axis=1) for rows in zip(*residuals, strict=True)]
+        white = (self.noise.whiten_one(self.place, y) for y in values)
+        return _by_group([x.T @ y for x, y in zip(self.white, white, strict=True)], self.group_of)
 
-    def best(self, products: Sequence[Floats], ridges: Sequence[float]) -> tuple[float, float]:
-        """The greatest gain, 0 if there is none, and its ridge."""
-        return max((max(cross_validated_gain(self.grams, products, ridge), 0.0), ridge) for ridge in ridges)
+    def predict(self, products: Sequence[Floats], ridge: float) -> _LeftOut:
+        """The prediction of each group from all others. products: (k, r), a group each."""
+        left_out = coefficients_without(self.grams, products, ridge)
+        groups = zip(left_out, self.grams, products, strict=True)
+        explained, sizes = zip(*((_columnwise(t, p), _columnwise(t, g @ t)) for t, g, p in groups), strict=True)
+        size = np.sum(sizes, axis=0)
+        return _LeftOut(2 * np.sum(explained, axis=0) - size, size, left_out)
+
+
+@dataclass(frozen=True, eq=False)
+class _LeftOut:
+    """What ridge regressions of r residuals predict of groups that they leave out.
+
+    gain: (r,) in twice the log-likelihood. size: (r,) squares of what is predicted. coefficients: (k, r), a group each.
+    """
+
+    gain: Floats
+    size: Floats
+    coefficients: list[Floats]
+
+
+def _columnwise(one: Floats, other: Floats) -> Floats:
+    """(r,) products of the columns of (k, r) and (k, r)."""
+    return np.asarray(np.einsum("kr,kr->r", one, other))
 
 
 def _predictable(
@@ -325,15 +347,15 @@ def _predictable(
         if channel >= MOTION.stop:
             continue
         fits = _LeaveOneOut.on(features, noise, place, group_of)
-        by_chance += [fits.best(fits.products(other), ridges)[0] for other in elsewhere]
-        products = fits.products(rows)
-        gain, ridge = fits.best(products, ridges)
-        if gain == 0.0:
+        products = fits.products(rows, *elsewhere)
+        tried = [fits.predict(products, ridge) for ridge in ridges]
+        by_chance += np.max([one.gain[1:] for one in tried], axis=0, initial=0.0)
+        best = max(tried, key=lambda one: float(one.gain[0]))
+        gain, predicted = float(best.gain[0]), float(best.size[0])
+        if gain <= 0.0:
             continue
         total += gain
-        left_out = coefficients_without(fits.grams, products, ridge)
-        part = tuple(x @ left_out[group] for x, group in zip(features, group_of, strict=True))
-        predicted = sum(float(theta @ gram @ theta) for theta, gram in zip(left_out, fits.grams, strict=True))
+        part = tuple(x @ best.coefficients[group][:, 0] for x, group in zip(features, group_of, strict=True))
         confirmed = min(1.0, gain / predicted) if predicted > 0 else 0.0
         parts[channel] = (float(np.sqrt(confirmed * np.mean(np.concatenate(part) ** 2))), part)
     return _Prediction(total, float(np.max(by_chance, initial=0.0)), parts)
@@ -348,21 +370,20 @@ def _by_group(values: Sequence[Floats], group_of: Sequence[int]) -> list[Floats]
 
 
 def coefficients_without(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> list[Floats]:
-    """Ridge coefficients (k,) from all groups but each. grams: (k, k), products: (k,), a group each."""
+    """Ridge coefficients (k, r) from all groups but each. grams: (k, k), products: (k, r), a group each."""
     all_gram, all_product = np.sum(grams, axis=0) + ridge * np.eye(len(grams[0])), np.sum(products, axis=0)
     return [
-        np.asarray(solve(all_gram - gram, all_product - product, assume_a="pos", check_finite=False))
+        _of_positive_definite(all_gram - gram, all_product - product)
         for gram, product in zip(grams, products, strict=True)
     ]
 
 
-def cross_validated_gain(grams: Sequence[Floats], products: Sequence[Floats], ridge: float) -> float:
-    """Gain on each group with ridge coefficients from the others. grams: (k, k), products: (k,), a group each."""
-    left_out = coefficients_without(grams, products, ridge)
-    return sum(
-        float(2 * theta @ product - theta @ gram @ theta)
-        for theta, gram, product in zip(left_out, grams, products, strict=True)
-    )
+def _of_positive_definite(matrix: Floats, right: Floats) -> Floats:
+    """(k, r) that a symmetric positive definite matrix (k, k) takes to (k, r), by LAPACK without checks."""
+    _, solution, info = dposv(matrix.T, right, overwrite_a=True)
+    if info:
+        raise np.linalg.LinAlgError(f"leading minor {info} of a ridge regression is not positive definite")
+    return np.asarray(solution)
 
 
 def _state(segment: Segment) -> Floats:
