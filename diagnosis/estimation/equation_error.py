@@ -18,6 +18,7 @@ from diagnosis.estimation.fitted import Fit, ParameterEstimate, bounds, with_can
 from diagnosis.estimation.linear_rows import LinearRows
 from diagnosis.estimation.significance import deviations_of
 from diagnosis.selection.candidates import Candidate, scales_rotors
+from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression, marginal
 from diagnosis.selection.sensor_errors import Biases
 from dynamics.arrays import Floats
@@ -180,6 +181,8 @@ class _EquationErrorProblem:
         self._information, self._expected = _priors(regression, self.free)
         self._own_slopes = _own_slopes(regression, self.names)
         self._errors: dict[int, tuple[Floats, Floats, Floats]] = {}
+        self._last: tuple[dict[str, float], list[tuple[Floats, Floats, Floats]]] = {}, []
+        self._white_biases: tuple[NoiseModel, list[Floats]] = self._noise, []
         self._block = max(regression.noise.order, round(self.thresholds.block * regression.rate))  # rows
 
     def start(self, initial: Mapping[tuple[str, str], float] | None) -> Floats:
@@ -327,15 +330,28 @@ class _EquationErrorProblem:
 
     def _rows(self, changed: Mapping[str, float]) -> Iterator[BlockRows]:
         """Each segment's whitened rows."""
-        r, off = self._regression, list(self._regression.biases.columns)
-        for place, (segment, columns, flight) in enumerate(zip(r.segments, r.columns, r.flight_of, strict=True)):
-            linear = self._linear.at(segment, changed)
+        r, rows = self._regression, self._linear_rows(changed)
+        for place, (linear, fixed, flight) in enumerate(zip(rows, self._biases(), r.flight_of, strict=True)):
             y, x, z = (self._noise.whiten(part) for part in linear)
             starts = np.arange(0, len(y), self._block)
             errors = self._errors_at(place, linear, changed, starts)
-            fixed = self._noise.whiten(columns[:, :, off])
             white = [self._with_biases(part, fixed) for part in (x, z)]
             yield BlockRows(flight, y, white[0], white[1], starts, *errors)
+
+    def _linear_rows(self, changed: Mapping[str, float]) -> list[tuple[Floats, Floats, Floats]]:
+        """Residuals, slopes and instruments of each segment; of the last parameters they are kept, since other weights
+        are tried, and the fit is judged, where it has ended."""
+        if not self._last[1] or self._last[0] != changed:
+            self._last = dict(changed), [self._linear.at(segment, changed) for segment in self._regression.segments]
+        return self._last[1]
+
+    def _biases(self) -> list[Floats]:
+        """(m, c, b) whitened columns of the flights' biases, a segment each."""
+        if not self._white_biases[1] or self._white_biases[0] is not self._noise:
+            off = list(self._regression.biases.columns)
+            white = [self._noise.whiten(columns[:, :, off]) for columns in self._regression.columns]
+            self._white_biases = self._noise, white
+        return self._white_biases[1]
 
     def _errors_at(
         self, place: int, linear: Sequence[Floats], changed: Mapping[str, float], starts: NDArray[np.intp]
