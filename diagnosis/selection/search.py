@@ -11,11 +11,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.gust import Gust, gust_beside
@@ -45,6 +45,30 @@ class Scored:
     def names(self) -> set[str]:
         """Its effects."""
         return {c.effect.name for c in self.candidates}
+
+
+@dataclass(frozen=True, eq=False)
+class _Solutions:
+    """Solutions of n sets.
+
+    gains, scores, worths: (n,) of each, as in `Search`; where a coefficient is physically impossible 0 and -inf.
+    fits: of each impossible set by its number, column by column whether the coefficient is possible.
+    """
+
+    sets: Sequence[Set]
+    gains: Floats
+    scores: Floats
+    worths: Floats
+    fits: Mapping[int, Sequence[bool]]
+
+    def scored(self, number: int) -> Scored:
+        """A set."""
+        return Scored(self.sets[number], float(self.scores[number]), float(self.gains[number]))
+
+    def fitting(self, number: int) -> Set:
+        """Those effects of a set whose coefficients are possible in it."""
+        fits = iter(self.fits[number])
+        return tuple(c for c in self.sets[number] if all(list(islice(fits, len(c.columns)))))
 
 
 def _distance_of_assumed(candidate: Candidate, vehicle: Vehicle) -> float:
@@ -95,6 +119,11 @@ class Search:
         self._size = math.log(regression.independent)
         self._assumed = {c.columns: _distance_of_assumed(c, regression.vehicle) for c in regression.candidates}
         self._low, self._high = self._bounds()
+        self._first, self._move, self._penalties = (np.zeros(len(self._product)) for _ in range(3))
+        for candidate in regression.candidates:
+            place = candidate.columns[0]
+            self._first[place], self._move[place] = 1.0, candidate.effect.sensor_prior is None
+            self._penalties[place] = self.penalty(candidate)
 
     def _bounds(self) -> tuple[Floats, Floats]:
         """(k,) coefficients' bounds, column by column."""
@@ -115,42 +144,44 @@ class Search:
 
     def scores(self, sets: Sequence[Set]) -> list[Scored]:
         """The score of each set, those of equal width at once."""
-        return [scored for scored, _ in self._solved(sets)]
+        solutions = self._solved(sets)
+        return [solutions.scored(number) for number in range(len(sets))]
 
-    def _solved(self, sets: Sequence[Set]) -> list[tuple[Scored, Set]]:
-        """The score of each set, and those of its effects whose coefficients are physically possible in it."""
-        places = [[i for c in one for i in c.columns] for one in sets]
+    def _solved(self, sets: Sequence[Set]) -> _Solutions:
+        """The solution of each set, those of equal width at once."""
+        places = [list(chain.from_iterable(c.columns for c in one)) for one in sets]
         by_width: dict[int, list[int]] = {}
         for number, columns in enumerate(places):
             by_width.setdefault(len(columns), []).append(number)
-        results: dict[int, tuple[Scored, Set]] = {}
+        gains, scores, worths = (np.zeros(len(sets)) for _ in range(3))
+        fits: dict[int, list[bool]] = {}
         for width, numbers in by_width.items():
             where = np.array([places[n] for n in numbers], dtype=int).reshape(len(numbers), width)
             theta, gain = solved(self._gram[where[:, :, None], where[:, None, :]], self._product[where])
             inside = (theta >= self._low[where]) & (theta <= self._high[where])
-            everywhere = inside.all(axis=1).tolist()
-            for number, gained, fits, possible in zip(numbers, gain.tolist(), inside, everywhere, strict=True):
-                one = sets[number]
-                results[number] = self._possible(one, gained) if possible else self._impossible(one, fits)
-        return [results[number] for number in range(len(sets))]
+            possible = inside.all(axis=1)
+            gains[numbers] = np.where(possible, gain, 0.0)
+            scores[numbers] = np.where(possible, gain - self._penalties[where].sum(axis=1), IMPOSSIBLE)
+            moves = self._move[where].sum(axis=1) > 0
+            required = np.where(moves, self.required, self.thresholds.min_fault_gain)
+            worths[numbers] = scores[numbers] - required * self._first[where].sum(axis=1)
+            misses = np.flatnonzero(~possible)
+            fits |= zip([numbers[n] for n in misses.tolist()], inside[misses].tolist(), strict=True)
+        return _Solutions(sets, gains, scores, worths, fits)
 
-    def _possible(self, one: Set, gain: float) -> tuple[Scored, Set]:
-        return Scored(one, gain - sum(map(self.penalty, one)), gain), one
+    def possible_scores(self, sets: Sequence[Set], above: float = IMPOSSIBLE) -> list[Scored]:
+        """The score of each set without the effects that would be impossible in it, no set twice.
 
-    def _impossible(self, one: Set, fits: NDArray[np.bool_]) -> tuple[Scored, Set]:
-        ends = np.cumsum([len(c.columns) for c in one]).tolist()
-        starts = [0, *ends[:-1]]
-        fitting = tuple(c for c, start, end in zip(one, starts, ends, strict=True) if fits[start:end].all())
-        return Scored(one, IMPOSSIBLE, 0.0), fitting
-
-    def possible_scores(self, sets: Sequence[Set]) -> list[Scored]:
-        """The score of each set without the effects that would be impossible in it, no set twice."""
-        waiting, results = list(sets), dict[frozenset[int], Scored]()
+        above: what those that are listed are worth at least.
+        """
+        waiting, results = list(sets), dict[frozenset[Candidate], Scored]()
         while waiting:
             solutions = self._solved(waiting)
-            smaller = [rest for scored, rest in solutions if scored.score == IMPOSSIBLE]
-            results |= {_identity(s.candidates): s for s, _ in solutions if s.score > IMPOSSIBLE}
-            waiting = [rest for rest in smaller if _identity(rest) not in results]
+            scored = map(solutions.scored, np.flatnonzero(solutions.worths > above).tolist())
+            named = {frozenset(one.candidates): one for one in scored}
+            results |= {identity: one for identity, one in named.items() if identity not in results}
+            rests = map(solutions.fitting, solutions.fits)
+            waiting = list({frozenset(rest): rest for rest in rests if frozenset(rest) not in results}.values())
         return list(results.values())
 
     def worth(self, scored: Scored) -> float:
@@ -188,9 +219,8 @@ class Search:
 
     def _confirmed(self, chosen: Scored, trials: Sequence[Set]) -> Scored | None:
         """The trial worth most, if cross-validation shows enough of what it improves."""
-        was, step = self.worth(chosen), self.thresholds.min_improvement
-        scored = self.possible_scores(trials)
-        worth_more = [s for s in scored if self.worth(s) > was + step and self._allowed(s)]
+        required = self.worth(chosen) + self.thresholds.min_improvement
+        worth_more = [s for s in self.possible_scores(trials, required) if self._allowed(s)]
         if not worth_more:
             return None
         before = self.regression.cross_validated_gain(chosen.columns)
@@ -264,10 +294,6 @@ class Search:
 
 def _without(chosen: Set, one: Candidate) -> Set:
     return tuple(c for c in chosen if c is not one)
-
-
-def _identity(chosen: Set) -> frozenset[int]:
-    return frozenset(c.columns[0] for c in chosen)
 
 
 def coefficient_bounds(
