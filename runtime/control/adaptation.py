@@ -135,9 +135,11 @@ class Adaptation:
         return float(loss.share * self._thrust_constants[loss.rotor] * hover * hover) / GRAVITY
 
     def specific_drag(self, state: Floats) -> float:
-        """Specific force along body z that the model has beside its thrust, m/s^2: drag, and what pushes sideways.
+        """Specific force along body z that the model has beside its thrust, m/s^2: its drag, and not the disturbance.
 
-        As far as it is flown; it would pass for effectiveness otherwise. 0 for a network's model. state: (13,).
+        As far as it is flown; it would pass for effectiveness otherwise. What pushes along body z beyond the model is
+        effectiveness: two estimates of one force would go wherever their difference takes them. 0 for a network's
+        model. state: (13,).
         """
         if not self.flies or self._learned:
             return 0.0
@@ -145,8 +147,7 @@ class Adaptation:
         before = self._drag_state
         before[:RIGID_BODY_STATES] = state
         change = solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]
-        acceleration = change / DRAG_STEP
-        acceleration[2] -= solver.disturbance[2] + solver.disturbance[AXES + 2]  # upwards it is effectiveness as well
+        acceleration = change / DRAG_STEP - solver.disturbance[:3] - solver.disturbance[FLOWN_FADES][:3]
         up = up_of(state[ATTITUDE])
         return float(acceleration @ up) + GRAVITY * float(up[2]) - GRAVITY
 

@@ -208,6 +208,16 @@ def test_a_drag_of_the_model_is_no_thrust_that_is_missing() -> None:
     assert flown(px4_sih, "Lemniscate", seconds=12.0)[0].position_rmse < 1.03 * usual
 
 
+def test_one_estimate_has_the_force_along_body_z(arpl_250g: Vehicle) -> None:
+    """A disturbance across was thrust that was missing as well, where the vehicle leaned against it: both went away."""
+    controller = Controller.build(arpl_250g, ControllerOptions.for_vehicle(arpl_250g, adaptation=ON))
+    assert controller.adaptation is not None
+    controller.solver.disturbance[:3] = 4.0, -1.0, 0.5
+    leaning = HOVER.copy()
+    leaning[6:10] = np.cos(0.2), 0.0, np.sin(0.2), 0.0
+    assert abs(controller.adaptation.specific_drag(leaning)) < 1e-3
+
+
 def test_a_model_that_forecasts_worse_than_the_file_s_is_not_flown(arpl_250g: Vehicle) -> None:
     """Velocities that swing faster than the filter expects: it expects them to go on."""
     solver = solver_of(arpl_250g)
