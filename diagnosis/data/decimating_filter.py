@@ -29,7 +29,10 @@ def filtered_rows(values: Floats, rate: float, filters: FilterThresholds, *, pro
     places = np.arange(rows.start, rows.stop, rows.step)
     result = np.empty((len(signals), len(places)))
     reach = _reach(rate, filters.cutoff)
-    if count <= 4 * reach:
+    if count <= 4 * reach and len(signals) < count:
+        weighted = simpson(signals.T) if products else signals.T
+        result[:] = zero_phase(weighted, rate, filters.cutoff)[rows].T
+    elif count <= 4 * reach:
         result[:] = signals @ _responses(count, rate, filters.cutoff, products)[places].T
     else:
         _apply(signals, places, reach, _responses(4 * reach, rate, filters.cutoff, products), result)

@@ -20,7 +20,7 @@ from scipy.special import erf, erfinv
 from dynamics.arrays import Floats
 
 BLOCK = 1024  # rows that are evaluated at once: intermediate results stay in the cache
-CHAINED_BLOCK = 256  # rows that follow each other in one call of CasADi's interpreter
+CHAINED_BLOCK = 64  # rows that follow each other in one call of CasADi's interpreter
 
 Operation = Callable[..., Any]
 _Places = Callable[[list[Floats]], tuple[Floats, ...]]  # of an operation's inputs and result among the slots

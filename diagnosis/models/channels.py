@@ -69,16 +69,17 @@ def _filtered_measurements(segment: Segment) -> Floats:
     return result
 
 
-def predicted(segment: Segment, predictions: Sequence[Prediction]) -> Floats:
-    """(m, 12, k) the same channels of k predictions, or of k slopes of one."""
+def predicted(segment: Segment, predictions: Sequence[Prediction], kinds: tuple[bool, ...] | None = None) -> Floats:
+    """(m, 12, k) the same channels of k predictions, or of k slopes of one. kinds: by default those of the segment."""
     raw = np.zeros((len(predictions), CHANNELS, len(segment)))
-    here = present(segment)
+    here = present(segment) if kinds is None else kinds
     for prediction, channel in zip(predictions, raw, strict=True):
         if here[0]:
             channel[SPECIFIC_FORCE] = prediction.specific_force.T
         if here[1]:
             channel[POSE_ACCELERATION] = prediction.world_acceleration(segment).T
-        channel[ANGULAR_ACCELERATION] = prediction.angular_acceleration.T
+        if here[2]:
+            channel[ANGULAR_ACCELERATION] = prediction.angular_acceleration.T
         if here[3]:
             channel[ATTITUDE_RATE] = prediction.attitude_rate(segment).T
     active, to_body = np.any(raw, axis=2), segment.to_world[segment.decimated].transpose(0, 2, 1)

@@ -40,8 +40,10 @@ class FromStart(Protocol):
         """(h,) its hidden states in hover."""
         ...
 
-    def predict_from(self, segment: Segment, changed: Mapping[str, float], start: Floats) -> Prediction:
-        """Its prediction along a segment. start: (h,) of the hidden states."""
+    def predict_from(
+        self, segment: Segment, changed: Mapping[str, float], starts: Sequence[Floats]
+    ) -> list[Prediction]:
+        """Its predictions along a segment. starts: (h,) of the hidden states, each."""
         ...
 
 
@@ -121,7 +123,7 @@ class FreeStart:
         """
         (off, columns), part = near, _first(segment, self.thresholds.free_start_durations[-1])
         for _ in range(self.thresholds.free_start_steps):
-            left = channels.measured(part)[:, _channel(part)] - self._force_from(part, values, off)
+            left = channels.measured(part)[:, _channel(part)] - self._forces_from(part, values, [off])[0]
             off = self._stepped(off, _posterior_step(columns, left, off))
         return off
 
@@ -153,10 +155,10 @@ class FreeStart:
         off, columns = np.zeros(len(self.places)), np.zeros((0, 0, 0))
         for duration in self.thresholds.free_start_durations:
             part = _first(segment, duration)
-            here = self._force_from(part, values, off)
             difference = self.thresholds.free_start_difference
-            rows = difference * np.eye(len(off))
-            slopes = [(self._force_from(part, values, off + row) - here) / difference for row in rows]
+            moved = [off, *(off + row for row in difference * np.eye(len(off)))]
+            here, *others = self._forces_from(part, values, moved)
+            slopes = [(force - here) / difference for force in others]
             without = self._force(part, self._absent(values), self.model.settled(part))
             columns = np.stack([*slopes, *_nuisances(part, without)], axis=2)
             left = channels.measured(part)[:, _channel(part)] - here
@@ -168,14 +170,21 @@ class FreeStart:
         step, reach = self.thresholds.free_start_step, self.thresholds.free_start_reach
         return np.clip(off + np.clip(change, -step, step), -reach, reach)
 
-    def _force_from(self, segment: Segment, values: Mapping[str, float], off: Floats) -> Floats:
-        start = self.model.settled(segment)
-        start[list(self.places)] += off * self.spread
-        return self._force(segment, values, start)
+    def _forces_from(self, segment: Segment, values: Mapping[str, float], moved: Sequence[Floats]) -> list[Floats]:
+        """(m, 3) of each start, (k,) standard deviations from hover."""
+        starts = [self.model.settled(segment) for _ in moved]
+        for start, off in zip(starts, moved, strict=True):
+            start[list(self.places)] += off * self.spread
+        return self._forces(segment, values, starts)
 
     def _force(self, segment: Segment, values: Mapping[str, float], start: Floats) -> Floats:
-        prediction = self.model.predict_from(segment, values, start)
-        return np.asarray(channels.predicted(segment, [prediction])[:, _channel(segment), 0])
+        return self._forces(segment, values, [start])[0]
+
+    def _forces(self, segment: Segment, values: Mapping[str, float], starts: Sequence[Floats]) -> list[Floats]:
+        predictions, channel = self.model.predict_from(segment, values, starts), _channel(segment)
+        kinds = tuple(channel.start == channels.AXES * i for i in range(len(channels.KINDS)))
+        predicted = channels.predicted(segment, predictions, kinds)[:, channel]
+        return [predicted[:, :, i] for i in range(len(starts))]
 
     @property
     def _strengths(self) -> dict[str, Parameter]:

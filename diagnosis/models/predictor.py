@@ -136,14 +136,19 @@ class Predictor:
             hidden[place.start - RIGID_BODY_STATES : place.stop - RIGID_BODY_STATES] = segment.rotor_speed[0]
         return hidden
 
-    def predict_from(self, segment: Segment, changed: Mapping[str, float], start: Floats) -> Prediction:
-        """The model's prediction along a segment at whose start the hidden states are (h,) start."""
+    def predict_from(
+        self, segment: Segment, changed: Mapping[str, float], starts: Sequence[Floats]
+    ) -> list[Prediction]:
+        """The model's predictions along a segment at whose start the hidden states are (h,) each of the starts."""
         p, ages = self._values_and_ages(changed)
-        moved = _at_age(segment, ages[2])
-        states = np.vstack([moved.smooth.T, self._hidden(moved, p, start).T]).T
-        here = moved.body_rate, moved.rotor_speed, moved.rotor_acceleration
-        outputs = self._functions.evaluate(states, *here, p, moved.environment, moved.angular_acceleration)
-        return Prediction.from_outputs(outputs, ages)
+        moved, count = _at_age(segment, ages[2]), len(starts)
+        hidden = np.vstack([self._hidden(moved, p, start) for start in starts])
+        states = np.vstack([np.tile(moved.smooth.T, count), hidden.T]).T
+        motion = (moved.body_rate, moved.rotor_speed, moved.rotor_acceleration, moved.environment)
+        rate, speed, acceleration, environment = (np.tile(values.T, count).T for values in motion)
+        turning = np.tile(moved.angular_acceleration.T, count).T
+        outputs = self._functions.evaluate(states, rate, speed, acceleration, p, environment, turning)
+        return [Prediction.from_outputs(part, ages) for part in np.split(outputs, count)]
 
     def _initial(self, segment: Segment, p: Floats) -> Floats:
         """(h,) hidden states at a segment's start: those of hover, or where the first seconds show them to begin."""

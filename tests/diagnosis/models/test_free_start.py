@@ -29,7 +29,7 @@ def predictor(vehicle, **load):
 
 def with_load(segment, vehicle, start, noise=0.1):
     """The segment as its accelerometer reads it with a load that starts so."""
-    feels = predictor(vehicle).predict_from(segment, {}, start).specific_force
+    feels = predictor(vehicle).predict_from(segment, {}, [start])[0].specific_force
     random = np.random.default_rng(3)
     return dataclasses.replace(segment, specific_force=feels + noise * random.standard_normal(feels.shape))
 
