@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any
 from alula.rooms import require_own_rooms
 
 if TYPE_CHECKING:
-    from alula.api.diagnosis import add_effect, compare, compare_hover, diagnose, prove
+    from alula.api.diagnosis import add_effect, add_from_flight, compare, compare_hover, diagnose, prove
     from alula.api.fleet import diagnose_fleet
     from alula.api.flights import describe_effects, inspect, load_vehicle, read_flight, read_flights
     from alula.api.flying import fly, simulate, verify
@@ -44,6 +44,7 @@ __all__ = [
     "VehicleError",
     "__version__",
     "add_effect",
+    "add_from_flight",
     "check_vehicle",
     "compare",
     "compare_hover",
@@ -70,7 +71,7 @@ __all__ = [
 ]
 
 _HOMES: Mapping[str, tuple[str, ...]] = {
-    "alula.api.diagnosis": ("add_effect", "compare", "compare_hover", "diagnose", "prove"),
+    "alula.api.diagnosis": ("add_effect", "add_from_flight", "compare", "compare_hover", "diagnose", "prove"),
     "alula.api.fleet": ("diagnose_fleet",),
     "alula.api.flights": ("describe_effects", "inspect", "load_vehicle", "read_flight", "read_flights"),
     "alula.api.flying": ("fly", "simulate", "verify"),

@@ -14,6 +14,7 @@ from diagnosis.regimes import Failure
 
 Verdict = Literal["explained", "effect", "ambiguous", "unknown"]
 Outcome = Literal["named", "refused", "not_selected", "impossible"]
+InFlightOutcome = Literal["agrees", "differs", "not_estimated"]
 
 
 class ParameterValue(msgspec.Struct, frozen=True):
@@ -123,6 +124,42 @@ class CommandGain(msgspec.Struct, frozen=True):
     look_alikes: tuple[str, ...]
 
 
+class FollowedParameter(msgspec.Struct, frozen=True):
+    """A parameter as a model followed it in flight, and as the diagnosis has it.
+
+    value, std: at the end of tracking.
+    shown: whether the flight showed it: its interval is much narrower than before the flight.
+    diagnosed, diagnosed_std: of the model with the effects that are named; 0 for a value that was not fitted.
+    """
+
+    value: float
+    std: float
+    unit: str
+    shown: bool
+    diagnosed: float
+    diagnosed_std: float
+
+
+class FollowedEffect(msgspec.Struct, frozen=True):
+    """An effect as the model of a recorded flight followed it, beside the diagnosis.
+
+    flight: file of the recording.
+    name, rotor: of the catalogue, and the rotor that it acts on, if any.
+    outcome: "agrees", "differs", or "not_estimated" where the flight did not follow or did not show it.
+    named: whether the diagnosis names it as missing.
+    parameters: those that were followed; empty where none was.
+    reason: why it differs or was not estimated, in words; empty where it agrees.
+    """
+
+    flight: str
+    name: str
+    rotor: int | None
+    outcome: InFlightOutcome
+    named: bool
+    parameters: dict[str, FollowedParameter]
+    reason: str = ""
+
+
 class Diagnosis(msgspec.Struct, frozen=True):
     """The verdict and its evidence.
 
@@ -138,6 +175,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     leftover: what no effect of the catalogue explains, the largest first.
     rotors: each rotor's name with its place and the autopilots' numbers, for people.
     command_gain: None where rotor speeds were measured.
+    in_flight: what the models of recorded flights followed, beside what is diagnosed; empty where none did.
     """
 
     verdict: Verdict
@@ -152,6 +190,7 @@ class Diagnosis(msgspec.Struct, frozen=True):
     rotors: tuple[str, ...] = ()
     next_reference: str = ""
     command_gain: CommandGain | None = None
+    in_flight: tuple[FollowedEffect, ...] = ()
 
 
 def _ground(errors: Mapping[str, ChannelError]) -> str:
@@ -195,6 +234,27 @@ def refusal_sentence(refused: Refused, rotors: Sequence[str] = ()) -> str:
     values = ", ".join(f"{name} = {value:.4g}" for name, value in refused.parameters.items())
     where = _of_rotor(refused.rotor, rotors)
     return f"{refused.name}{where}{f' ({values})' if values else ''}: {reason_of(refused)}"
+
+
+def in_flight_sentence(followed: FollowedEffect, rotors: Sequence[str] = ()) -> str:
+    """An effect in flight beside the diagnosis, without a full stop. rotors: their names, as in the report."""
+    name = followed.name + _of_rotor(followed.rotor, rotors)
+    if followed.outcome == "not_estimated":
+        return f"{name} was not estimated in flight: {followed.reason}"
+    shown = {key: p for key, p in followed.parameters.items() if p.shown}
+    values = ", ".join(_value_text(key, p.value, p.std, p.unit) for key, p in shown.items())
+    diagnosed = ", ".join(_value_text(key, p.diagnosed, p.diagnosed_std, p.unit) for key, p in shown.items())
+    fitted = followed.named or any(p.diagnosed_std for p in shown.values())
+    counterpart = (
+        f"{diagnosed} diagnosed" if fitted else f"{diagnosed} in the model, which the diagnosis leaves as it is"
+    )
+    reason = f"; {followed.reason}" if followed.reason else ""
+    return f"{name} {followed.outcome}: {values} in flight, {counterpart}{reason}"
+
+
+def _value_text(name: str, value: float, std: float, unit: str) -> str:
+    interval = f" ± {1.96 * std:.2g}" if std else ""
+    return f"{name} = {value:.4g}{interval}{'' if unit == '1' else f' {unit}'}"
 
 
 REMAINS = {
@@ -244,10 +304,5 @@ def _of_rotor(rotor: int | None, rotors: Sequence[str]) -> str:
 
 def _described(effect: MissingEffect, rotors: Sequence[str]) -> str:
     where = _of_rotor(effect.rotor, rotors)
-    values = ", ".join(
-        f"{name} = {p.value:.4g}"
-        + (f" ± {1.96 * p.std:.2g}" if p.std else "")
-        + ("" if p.unit == "1" else f" {p.unit}")
-        for name, p in effect.parameters.items()
-    )
+    values = ", ".join(_value_text(name, p.value, p.std, p.unit) for name, p in effect.parameters.items())
     return f"{effect.name}{where} ({values}; {100 * effect.confidence:.0f} % of flight resamples agree)"

@@ -647,6 +647,20 @@ class RegimeThresholds(ThresholdGroup, frozen=True):
     leftover_cells: Count = 3
 
 
+class InFlightThresholds(ThresholdGroup, frozen=True):
+    """Parameters that a model followed in flight, beside the diagnosis of the flight.
+
+    max_unshown: standard deviation at the end of tracking over that before the flight, up to which the flight showed a
+    parameter. [definition: half of its prior]
+    interval: half of a 95 % interval, over the standard deviation. [convention]
+    changed: deviations by which a parameter that the flight shows moves in it, above which it changed. [definition]
+    """
+
+    max_unshown: Share = 0.5
+    interval: Positive = 1.96
+    changed: Positive = 5.0
+
+
 class HoverTrimThresholds(ThresholdGroup, frozen=True):
     """Rotors' shares of the load in hover, compared with normal flights.
 
@@ -746,6 +760,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()
+    in_flight: InFlightThresholds = InFlightThresholds()
     hover_trim: HoverTrimThresholds = HoverTrimThresholds()
     vehicle: VehicleThresholds = VehicleThresholds()
 

@@ -24,13 +24,13 @@ from runtime.flight.events import POLICIES, Event, EventChange
 from runtime.flight.flyer import Flyer
 from runtime.flight.mission import Phase
 from runtime.flight.tracking import Tracking
+from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
 from runtime.link.link import Link
 from runtime.link.rotors import RotorReading
 from runtime.record.recorder import Recorder
 from runtime.record.records import (
     EventRecord,
-    FollowedRecord,
     HorizonRecord,
     ObservationRecord,
     PhaseRecord,
@@ -238,12 +238,8 @@ class ControlThread:
             states, inputs = flyer.horizon
             x, y, z = states[:, 0].copy(), states[:, 1].copy(), states[:, 2].copy()
             self._put(HorizonRecord(now, x, y, z, np.mean(inputs, axis=1)), now)
-            if flyer.adaptation is not None:
-                filtered, named = flyer.adaptation.filter, flyer.followed
-                estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
-                values = np.array([value.value for value in named.values()])
-                deviations = np.array([value.std for value in named.values()])
-                self._put(FollowedRecord(now, *estimated, " ".join(named), values, deviations), now)
+            if (followed := followed_record(flyer, now)) is not None:
+                self._put(followed, now)
         self._record_changes(decision, now)
 
     def _record_changes(self, decision: Decision, now: float) -> None:

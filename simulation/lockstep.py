@@ -28,8 +28,9 @@ from runtime.flight.events import Fallback
 from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits
 from runtime.flight.mission import Phase, Plan
+from runtime.followed_record import followed_record
 from runtime.link.estimate import StateEstimate
-from runtime.record.records import ObservationRecord
+from runtime.record.records import FollowedRecord, ObservationRecord
 from sitl_mock.vehicle.vehicle import SimulatedVehicle, VehicleOptions
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint
 
@@ -37,6 +38,7 @@ LATENCY = 0.005  # s from an estimate to the setpoint that follows from it, as o
 CLIMB_TIME, CLIMB_PATIENCE = 2.0, 30.0  # s
 ARRIVED = 0.15  # m and m/s
 TAKE_OVER_PATIENCE = 20.0  # s
+FOLLOWED_EVERY = 10  # ticks
 
 
 @dataclass(frozen=True)
@@ -56,6 +58,8 @@ class FlightRows:
     """A flight's data, row by row. Stamps are s since the reference's start.
 
     away: whether a fallback flew instead of the controller's own model.
+    followed: what the model followed, ten times a second.
+    effectiveness: of the thrust, per modelled thrust.
     """
 
     estimate: list[tuple[float, Floats]] = field(default_factory=list)
@@ -65,6 +69,8 @@ class FlightRows:
     setpoint: list[tuple[float, Floats]] = field(default_factory=list)
     truth: list[tuple[float, Floats]] = field(default_factory=list)
     away: list[bool] = field(default_factory=list)
+    followed: list[FollowedRecord] = field(default_factory=list)
+    effectiveness: list[float] = field(default_factory=list)
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +83,8 @@ class FlownReference:
     fallbacks: number of fallbacks from the controller's own model.
     fallback_seconds: their duration in all.
     events: how often each was raised in the whole flight.
+    followed: what the model followed, ten times a second; empty where it did not.
+    effectiveness: (n,) thrust per modelled thrust, at each setpoint.
     """
 
     log: Log
@@ -85,6 +93,8 @@ class FlownReference:
     fallbacks: int = 0
     fallback_seconds: float = 0.0
     events: Mapping[str, int] = field(default_factory=dict)
+    followed: Sequence[FollowedRecord] = ()
+    effectiveness: Sequence[float] = ()
 
     @property
     def seconds(self) -> float:
@@ -140,9 +150,10 @@ def fly_reference(
     rows, aborted = _track(plant, flyer, hold, steps)
     fallbacks = sum(now and not before for before, now in zip([False, *rows.away], rows.away, strict=False))
     events = {event.value: count for event, count in flyer.events.counts.items() if count}
-    return FlownReference(
-        _log(rows, name), _truth(rows, name), aborted, fallbacks, CONTROL_PERIOD * sum(rows.away), events
-    )
+    seconds_away = CONTROL_PERIOD * sum(rows.away)
+    log, truth = _log(rows, name), _truth(rows, name)
+    estimated = tuple(rows.followed), tuple(rows.effectiveness)
+    return FlownReference(log, truth, aborted, fallbacks, seconds_away, events, *estimated)
 
 
 def _climb(plant: SimulatedVehicle, place: Floats, yaw: float) -> None:
@@ -181,6 +192,9 @@ def _track(
                 plant.change(due.pop(0).values)
             _keep(rows, plant, since, following, flyer.reference_now(now))
             rows.away.append(decision.fallback is not Fallback.NONE)
+            rows.effectiveness.append(flyer.effectiveness.value)
+            if tick % FOLLOWED_EVERY == 0 and (followed := followed_record(flyer, since)) is not None:
+                rows.followed.append(followed)
         reason = flyer.mission.landing_reason or (flyer.engagement.refusal if flyer.over else "")
         if reason or phase is Phase.RETURN:
             return rows, reason

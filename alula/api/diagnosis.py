@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from alula.api.inputs import dataset_of, log_paths, vehicle_of
-from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult, ProofResult
+from alula.api.results import AdditionResult, ComparisonResult, DiagnosisResult, FlightAdditionResult, ProofResult
 from alula.workbench import workbench
 from dynamics.command import command_line
-from dynamics.errors import RequestError
+from dynamics.errors import DataError, RequestError
 from dynamics.progress import Progress, no_progress, part_of
 
 if TYPE_CHECKING:
+    from diagnosis.data.dataset import Dataset
     from diagnosis.hover_trim import TrimComparison
     from dynamics.vehicle import Vehicle
     from flights import Flight
@@ -96,12 +97,14 @@ def diagnose(
     """
     with workbench("alula.diagnose"):
         from diagnosis.diagnose import diagnose_dataset
+        from diagnosis.in_flight import with_in_flight
     from dynamics.own_effects import catalogue_of
 
     loaded = vehicle_of(vehicle, effect_files)
     catalogue = catalogue_of(loaded)
     dataset = dataset_of(flights, loaded, hold_out, mapping, pose, part_of(progress, 0.0, READING))
     details = diagnose_dataset(dataset, loaded, catalogue, progress=part_of(progress, READING, 1.0))
+    details = with_in_flight(details, dataset, catalogue, loaded)
     return DiagnosisResult(details.diagnosis, loaded, dataset, details)
 
 
@@ -188,6 +191,62 @@ def add_effect(
     )
     source = find_vehicle(vehicle) if isinstance(vehicle, str | Path) else None
     return AdditionResult(details.vehicle, report(details), details, source, catalogue)
+
+
+def add_from_flight(
+    recording: str | Path,
+    vehicle: Vehicle | str | Path,
+    effect: str | None = None,
+    *,
+    effect_files: Sequence[str | Path] = (),
+    pose: str | None = None,
+    progress: Progress = no_progress,
+) -> FlightAdditionResult:
+    """Add to a vehicle what its model followed in a recorded flight, if the errors of the flight do not rise with it.
+
+    What is added has a 95 % interval, at the end of tracking, without the vehicle file's own value. The wind is that of
+    the flight, and added where it is named alone.
+
+    recording: of `alula fly --adapt shadow` or `on` with this vehicle, or a folder for its newest one.
+    vehicle: as for `compare`.
+    effect: the one to add; by default all.
+    effect_files, pose, progress: as for `diagnose`.
+
+    Returns a FlightAdditionResult, whose vehicle has the values; nothing is written yet.
+    Raises RequestError for a recording of another vehicle or an effect that it did not follow, DataError where it
+    followed nothing, nothing changes, or an error rises.
+
+    Example:
+        result = alula.add_from_flight("recordings", "my_quad.toml")
+        print(result.report.parameters)
+        print(result.write_next_version("my_quad.toml"))
+    """
+    with workbench("alula.add_from_flight"):
+        from diagnosis.flight_addition import add_followed, flight_report, require_own_flight
+    from dynamics.own_effects import catalogue_of
+    from dynamics.vehicle_file import find_vehicle
+    from flights.followed import require_followed
+    from runtime.record.recording import newest_recording
+
+    path = newest_recording(Path(recording))
+    loaded = vehicle_of(vehicle, effect_files)
+    catalogue = catalogue_of(loaded)
+    followed = require_followed(path)
+    require_own_flight(followed, loaded, catalogue)
+    dataset = _dataset_or_none(path, loaded, pose, part_of(progress, 0.0, 2 * READING))
+    progress(2 * READING, "errors before and after")
+    today = datetime.datetime.now(tz=datetime.UTC).date().isoformat()
+    details = add_followed(followed, loaded, catalogue, dataset, effect=effect, date=today, command=command_line())
+    source = find_vehicle(vehicle) if isinstance(vehicle, str | Path) else None
+    return FlightAdditionResult(details.vehicle, flight_report(details, followed), details, followed, source, catalogue)
+
+
+def _dataset_or_none(path: Path, vehicle: Vehicle, pose: str | None, progress: Progress) -> Dataset | None:
+    """The data set of one recording; None where it holds too little to compare errors."""
+    try:
+        return dataset_of([path], vehicle, None, None, pose, progress)
+    except DataError:
+        return None
 
 
 def prove(

@@ -18,11 +18,13 @@ if TYPE_CHECKING:
     from diagnosis.data.dataset import Dataset
     from diagnosis.diagnose import DiagnosisDetails
     from diagnosis.experiment import ExpectedInterval, PlannedFlight
+    from diagnosis.flight_addition import FlightAddition, FlightAdditionReport
     from diagnosis.proof import Proof
     from diagnosis.report import Diagnosis
     from dynamics.effect import Effect
     from dynamics.vehicle import Vehicle
     from export.parity import Parity
+    from flights.followed import FollowedFlight
     from runtime.control.bundle import Manifest
     from simulation.flight_check import FlightCheck
     from simulation.trial_flight import TrialFlight
@@ -236,23 +238,59 @@ class AdditionResult:
 
     def write(self, path: str | Path) -> Path:
         """Write the vehicle to a new file. Raises RequestError when there is one already or it cannot be written."""
-        from diagnosis.addition import text_after
-        from dynamics.vehicle_file import write_vehicle_text
-
-        text = text_after(self.vehicle, self.source, Path(path).parent, catalogue=self.catalogue)
-        write_vehicle_text(text, Path(path))
-        return Path(path)
+        return _write_vehicle(self, path)
 
     def write_next_version(self, vehicle: str | Path) -> Path:
         """Write the vehicle beside an older file: after v.toml come v.v2.toml and v.v3.toml.
 
         vehicle: the older file, or the name of a bundled one. Raises RequestError when it cannot be written.
         """
-        from diagnosis.addition import write_next_version
-        from dynamics.vehicle_file import find_vehicle
+        return _write_next_version(self, vehicle)
 
-        path = find_vehicle(vehicle)
-        return write_next_version(self.vehicle, path, catalogue=self.catalogue, source=self.source or path)
+
+@dataclass(frozen=True, eq=False)
+class FlightAdditionResult:
+    """A vehicle with what its model followed in a recorded flight.
+
+    vehicle: with the values at the end of tracking and one more line of history.
+    report: the values, what was left out and why, errors of the flight before and after.
+    details: the addition behind the report.
+    followed: the parameters over the flight.
+    source: the vehicle's file; what is written keeps its comments and layout. None for a vehicle without one.
+    catalogue: the effects that its file may name.
+    """
+
+    vehicle: Vehicle
+    report: FlightAdditionReport
+    details: FlightAddition
+    followed: FollowedFlight
+    source: Path | None
+    catalogue: Mapping[str, Effect]
+
+    def write(self, path: str | Path) -> Path:
+        """Write the vehicle to a new file. Raises RequestError when there is one already or it cannot be written."""
+        return _write_vehicle(self, path)
+
+    def write_next_version(self, vehicle: str | Path) -> Path:
+        """Write the vehicle beside an older file, as `AdditionResult.write_next_version` does."""
+        return _write_next_version(self, vehicle)
+
+
+def _write_vehicle(result: AdditionResult | FlightAdditionResult, path: str | Path) -> Path:
+    from diagnosis.addition import text_after
+    from dynamics.vehicle_file import write_vehicle_text
+
+    text = text_after(result.vehicle, result.source, Path(path).parent, catalogue=result.catalogue)
+    write_vehicle_text(text, Path(path))
+    return Path(path)
+
+
+def _write_next_version(result: AdditionResult | FlightAdditionResult, vehicle: str | Path) -> Path:
+    from diagnosis.addition import write_next_version
+    from dynamics.vehicle_file import find_vehicle
+
+    path = find_vehicle(vehicle)
+    return write_next_version(result.vehicle, path, catalogue=result.catalogue, source=result.source or path)
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,10 +15,14 @@ from alula.cli.output import print_next
 from alula.cli.progress import stage_bar
 from alula.cli.tables import before_and_after, open_loop_table
 from dynamics.effects import CATALOGUE
+from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
     from diagnosis.addition import Addition
+    from diagnosis.estimation.fitted import ParameterEstimate
+    from diagnosis.flight_addition import FlightAdditionReport
+    from diagnosis.report import ParameterValue
 
 ARGUMENTS_HELP = (
     "Effect of the catalogue, then logs of one vehicle in any format or folders of them. Without an effect, "
@@ -35,11 +39,23 @@ def add(
     mapping: Mapping = None,
     pose: Pose = None,
     rotor: Annotated[int | None, typer.Option(min=0, help="Rotor of an effect; by default the best fit.")] = None,
+    from_flight: Annotated[
+        bool,
+        typer.Option(
+            "--from-flight",
+            help="Add what the model followed in flight, from one recording of `fly --adapt shadow` or `on` with this "
+            "vehicle (or a folder for its newest one), instead of fitting.",
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="File to write instead of the next version.")] = None,
     json: Annotated[Path | None, typer.Option(help="Write the addition as JSON; - for standard output.")] = None,
 ) -> None:
     """Fit an effect, or all that are missing, and write the next vehicle file, if held-out flights bear it out."""
     effect, logs = _effect_and_logs(arguments)
+    if from_flight:
+        _refuse_from_flight({"--hold-out": hold_out, "--mapping": mapping, "--rotor": rotor})
+        _add_from_flight(effect, logs, vehicle, effects, pose, out, json)
+        return
     with stage_bar() as progress:
         result = alula.add_effect(
             logs,
@@ -60,6 +76,35 @@ def add(
         print_next("fly", "--vehicle", path, "--reference", "Lemniscate", "--record", "recordings")
 
 
+def _refuse_from_flight(values: dict[str, object]) -> None:
+    """Raise RequestError for what only a fit has."""
+    if used := [name for name, value in values.items() if value is not None]:
+        raise RequestError(f"{', '.join(used)} with --from-flight, which fits nothing. Leave it out.")
+
+
+def _add_from_flight(
+    effect: str | None,
+    logs: list[Path],
+    vehicle: str,
+    effects: list[Path] | None,
+    pose: str | None,
+    out: Path | None,
+    json: Path | None,
+) -> None:
+    if len(logs) != 1:
+        raise RequestError(f"--from-flight takes one recording, not {len(logs)}. Give the one that flew.")
+    with stage_bar() as progress:
+        result = alula.add_from_flight(
+            logs[0], vehicle, effect, effect_files=effects or (), pose=pose, progress=progress
+        )
+    path = result.write_next_version(vehicle) if out is None else result.write(out)
+    if json is not None:
+        write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
+    if json != STANDARD_OUTPUT:
+        _print_from_flight(result.report, path, Console())
+        print_next("fly", "--vehicle", path, "--reference", "Lemniscate", "--record", "recordings")
+
+
 def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
     """The effect, None where the first argument is a log, and the logs."""
     first = arguments[0]
@@ -68,10 +113,29 @@ def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
     return effect, [Path(log) for log in logs]
 
 
+def _print_from_flight(report: FlightAdditionReport, path: Path, console: Console) -> None:
+    from diagnosis.flight_addition import left_out_sentence
+
+    for key, parameters in report.parameters.items():
+        for name, value in parameters.items():
+            _print_value(f"{key}.{name}", value, console)
+    for left_out in report.left_out:
+        console.print(f"left out: {left_out_sentence(left_out)}", highlight=False)
+    for line in before_and_after(report.channels, "in that flight"):
+        console.print(line, highlight=False)
+    for note in report.notes:
+        console.print(f"note: {note}", highlight=False)
+    console.print(f"written: {path}", highlight=False)
+
+
+def _print_value(name: str, estimate: ParameterEstimate | ParameterValue, console: Console) -> None:
+    interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
+    console.print(f"{name} = {interval}", highlight=False)
+
+
 def _print(addition: Addition, path: Path, console: Console) -> None:
     for (key, name), estimate in addition.estimates.items():
-        interval = f"{estimate.value:.5g} ± {1.96 * estimate.std:.2g} {estimate.unit}"
-        console.print(f"{key}.{name} = {interval}", highlight=False)
+        _print_value(f"{key}.{name}", estimate, console)
     for line in before_and_after(addition.channels):
         console.print(line, highlight=False)
     if addition.open_loop[0]:

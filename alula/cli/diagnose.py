@@ -196,7 +196,7 @@ def _print_hover(comparison: TrimComparison, console: Console) -> None:
 
 def _print(result: DiagnosisResult, console: Console) -> None:
     from diagnosis.models.channels import NAMES
-    from diagnosis.report import evidence_sentence, leftover_sentence, refusal_sentence
+    from diagnosis.report import evidence_sentence, in_flight_sentence, leftover_sentence, refusal_sentence
 
     diagnosis = result.report
     console.print(f"{diagnosis.verdict}: {result.sentence}", highlight=False)
@@ -221,6 +221,8 @@ def _print(result: DiagnosisResult, console: Console) -> None:
         console.print(
             f"{'a hint' if one.is_hint else 'not named'}: {refusal_sentence(one, diagnosis.rotors)}", highlight=False
         )
+    for followed in diagnosis.in_flight:
+        console.print(f"in flight: {in_flight_sentence(followed, diagnosis.rotors)}", highlight=False)
     if diagnosis.not_excited:
         console.print(
             f"not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}", highlight=False

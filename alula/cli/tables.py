@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 QUANTITIES = ("position m", "velocity m/s", "attitude rad", "rate rad/s")
 
 
-def before_and_after(channels: Mapping[str, ChannelError]) -> Iterator[str]:
-    """A line for each kind of channel with its held-out errors and its floor."""
+def before_and_after(channels: Mapping[str, ChannelError], where: str = "held out") -> Iterator[str]:
+    """A line for each kind of channel with its errors and its floor. where: on which flights."""
     from diagnosis.models.channels import NAMES
 
     for kind, error in channels.items():
         change = f"{100 * (error.after / error.before - 1):+.1f} %"
         yield (
-            f"{NAMES[kind]}, held out: {error.before:.4g} -> {error.after:.4g} {error.unit} ({change}), "
+            f"{NAMES[kind]}, {where}: {error.before:.4g} -> {error.after:.4g} {error.unit} ({change}), "
             f"floor {error.floor:.4g}"
         )
 

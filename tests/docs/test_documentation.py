@@ -46,6 +46,7 @@ SLOW = (
     "fly",
     "vehicle_from_logs",
     "check_vehicle",
+    "add_from_flight",
 )  # or need a bundle, a log
 
 

@@ -14,6 +14,7 @@ import alula
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import parse_effect, write_vehicle
 from fixtures.fleet_flights import write_fleet
+from fixtures.followed_flight import fly_following
 from fixtures.planted import planted_flights
 from tests.support.flight_files import manoeuvre, paper_bag
 from tests.support.pages import ROOT
@@ -68,6 +69,9 @@ def prepare_reader_folder(folder: Path, vehicle: Vehicle) -> Path:
     write_fleet(folder / "fleet", {"alpha": [()], "beta": [()]})
     (folder / "recordings").mkdir()
     shutil.copy(RECORDED, folder / "recordings" / "20260301-101500.mcap")
+    (folder / "adapted").mkdir()
+    drag = parse_effect("rotor_drag:coefficient=4e-5", vehicle.rotors.count)
+    fly_following(vehicle, folder / "adapted" / "flight.mcap", hidden=[drag])
     (folder / "flights").mkdir()
     shutil.copy(folder / "planted" / "holdout_0.csv", folder / "flights" / "held_out.mcap")  # its content decides
     shutil.copytree(ROOT / "vehicles", folder / "vehicles", ignore=shutil.ignore_patterns("__pycache__", "*.py"))

@@ -1,0 +1,110 @@
+"""What a model followed in flight, as a user meets it: recordings in lockstep, diagnose and add --from-flight."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+import alula
+from dynamics.vehicle import EffectUse, Vehicle
+from dynamics.vehicle_file import read_vehicle, write_vehicle
+from fixtures.followed_flight import fly_following
+from tests.support.command_line import Run, command_line
+
+DRAGS = (EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("parasitic_drag", {"coefficient": 0.01}))
+
+
+@pytest.fixture(scope="module")
+def folder(arpl_250g: Vehicle, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A vehicle file, a flight with hidden drags and one with a hidden mass, whose model followed in shadow."""
+    folder = tmp_path_factory.mktemp("followed")
+    write_vehicle(arpl_250g, folder / "quad.toml")
+    fly_following(arpl_250g, folder / "drags.mcap", hidden=DRAGS, seed=11)
+    heavy = [EffectUse("mass", {"ratio": 1.15})]
+    fly_following(
+        arpl_250g, folder / "mass.mcap", hidden=heavy, follow=["mass"], mode="shadow", reference="hover", duration=5.0
+    )
+    return folder
+
+
+@pytest.fixture
+def run(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> Run:
+    return command_line(monkeypatch, capsys)
+
+
+def test_what_was_followed_becomes_the_next_vehicle_file(run: Run, folder: Path) -> None:
+    report = folder / "added.json"
+    words = ("add", folder / "drags.mcap", "--vehicle", folder / "quad.toml", "--from-flight")
+    code, shown, _ = run(*words, "--json", report)
+    assert code == 0
+    path = folder / "quad.v2.toml"
+    assert shown.splitlines()[-1].startswith(f"next: alula fly --vehicle {path} ")
+    assert "accelerometer, in that flight: " in shown
+    assert "left out: wind (x = " in shown
+    added = read_vehicle(path)
+    by_name = {use.name: use.parameters["coefficient"] for use in added.effects}
+    answer = json.loads(report.read_text())
+    for use in DRAGS:
+        value = answer["parameters"][use.name]["coefficient"]
+        assert abs(value["value"] - use.parameters["coefficient"]) < 3 * value["std"]
+        assert by_name[use.name] == pytest.approx(value["value"], rel=1e-3)
+    (entry,) = added.history
+    assert entry.flights[0].startswith("drags.mcap ")
+    assert entry.after["imu"] < 0.3 * entry.before["imu"]
+    assert (answer["mode"], answer["vehicle"]) == ("on", str(path))
+    code, _, message = run(*words[:3], path, "--from-flight")
+    assert code == 2
+    assert "was not there in flight" in message
+
+
+def test_the_diagnosis_agrees_with_the_flight(run: Run, folder: Path) -> None:
+    report = folder / "verdict.json"
+    code, shown, _ = run("diagnose", folder / "drags.mcap", "--vehicle", folder / "quad.toml", "--json", report)
+    assert code == 0
+    assert "in flight: rotor_drag agrees: coefficient = " in shown
+    by_name = {one["name"]: one for one in json.loads(report.read_text())["in_flight"]}
+    assert by_name["rotor_drag"]["outcome"] == by_name["parasitic_drag"]["outcome"] == "agrees"
+    assert by_name["rotor_drag"]["named"]
+    assert set(by_name["wind"]["parameters"]) == {"x", "y", "z"}
+
+
+def test_a_flight_that_changes_nothing_ends_with_3_and_says_where_the_mass_is(run: Run, folder: Path) -> None:
+    code, _, message = run("add", folder / "mass.mcap", "--vehicle", folder / "quad.toml", "--from-flight")
+    assert code == 3
+    assert "mass (ratio = " in message
+    assert "in its effectiveness, 0.8" in message
+    assert not (folder / "quad.v3.toml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("--hold-out", "a*"), "--hold-out with --from-flight, which fits nothing"),
+        (("--rotor", "1"), "--rotor with --from-flight"),
+        (("mass.mcap",), "takes one recording, not 2"),
+    ],
+)
+def test_requests_that_make_no_sense_end_with_2(run: Run, folder: Path, words: tuple[str, ...], message: str) -> None:
+    code, _, error = run("add", folder / "drags.mcap", *words, "--vehicle", folder / "quad.toml", "--from-flight")
+    assert code == 2
+    assert message in error
+
+
+def test_the_newest_recording_of_a_folder_and_one_effect(folder: Path) -> None:
+    with pytest.raises(alula.RequestError, match="wind was not followed in this flight"):
+        alula.add_from_flight(folder, folder / "quad.toml", "wind")  # mass.mcap, the last by name
+    result = alula.add_from_flight(folder / "drags.mcap", folder / "quad.toml", "rotor_drag")
+    assert [use.name for use in result.vehicle.effects] == ["rotor_drag"]
+    assert result.followed.tracked.all()
+    assert result.write(folder / "own.toml").is_file()
+    with pytest.raises(alula.RequestError, match="never overwritten"):
+        result.write(folder / "own.toml")
+
+
+def test_a_log_without_is_refused(folder: Path) -> None:
+    table = folder / "flight.csv"
+    table.write_text("t\n0\n")
+    with pytest.raises(alula.DataError, match="no recording of a flight whose model followed"):
+        alula.add_from_flight(table, folder / "quad.toml")
