@@ -45,6 +45,7 @@ from dynamics.effect import Effect
 from dynamics.progress import Progress, no_progress
 from dynamics.rotor_places import rotor_names
 from dynamics.vehicle import Vehicle
+from flights.followed import FollowedFlight
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,6 +60,7 @@ class DiagnosisDetails:
     before, after: (m, 12) residuals on the held-out segments.
     chi_square_before, chi_square_after: reduced, of the same.
     notes: what the user should know of the data.
+    followed: what the models of recorded flights followed that the diagnosis was compared with.
     """
 
     diagnosis: Diagnosis
@@ -72,6 +74,7 @@ class DiagnosisDetails:
     chi_square_before: float
     chi_square_after: float
     notes: tuple[str, ...]
+    followed: tuple[FollowedFlight, ...] = ()
 
 
 def diagnose_dataset(

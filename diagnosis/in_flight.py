@@ -55,6 +55,7 @@ def with_in_flight(
     vehicle: that was diagnosed.
     """
     effects: list[FollowedEffect] = []
+    flights: list[FollowedFlight] = []
     notes = list(details.notes)
     for path in (*dataset.hashes, *dataset.held_hashes):
         followed = read_followed(path) if Path(path).is_file() else None
@@ -68,8 +69,9 @@ def with_in_flight(
             notes.append(f"not compared with what {path} followed, for its vehicle file is another: {different[0]}")
         else:
             effects += beside_diagnosis(followed, details, catalogue)
+            flights.append(followed)
     diagnosis = msgspec.structs.replace(details.diagnosis, in_flight=tuple(effects))
-    return dataclasses.replace(details, diagnosis=diagnosis, notes=tuple(notes))
+    return dataclasses.replace(details, diagnosis=diagnosis, notes=tuple(notes), followed=tuple(flights))
 
 
 def beside_diagnosis(

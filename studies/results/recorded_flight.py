@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError
+from flights.followed import TRACKED, FollowedFlight, read_followed
 from runtime.record.recording import FlightRecording, read_recording
 from runtime.record.records import (
     TOPICS,
     BatteryRecord,
     EstimateRecord,
     EventRecord,
-    FollowedRecord,
     PhaseRecord,
     ReferenceRecord,
     SetpointRecord,
@@ -25,7 +25,6 @@ from runtime.record.records import (
     TickRecord,
 )
 
-TRACKED = "track"  # the phase in which the reference is flown
 Table = dict[str, NDArray[Any]]
 
 
@@ -37,7 +36,8 @@ class RecordedFlight:
     time: (n,) s, of the estimates that have a reference.
     position, reference: (n, 3) m, world.
     tick_time: (m,) s.
-    ticks, setpoints, battery, followed: tables of their topics.
+    ticks, setpoints, battery: tables of their topics.
+    followed: what the model followed; None where it did not.
     phases: start and name.
     """
 
@@ -51,7 +51,7 @@ class RecordedFlight:
     ticks: Table
     setpoints: Table
     battery: Table
-    followed: Table
+    followed: FollowedFlight | None
     phases: tuple[tuple[float, str], ...]
 
     @property
@@ -68,12 +68,6 @@ class RecordedFlight:
             if phase == TRACKED:
                 inside |= (self.time >= start) & (self.time < end)
         return inside
-
-    @property
-    def followed_names(self) -> list[str]:
-        """Names of the parameters that were followed."""
-        names = self.followed.get("names")
-        return str(names[0]).split() if names is not None and len(names) else []
 
     def rows(self, kind: type[EventRecord | StateRecord]) -> list[dict[str, Any]]:
         """A topic's rows, with times from the start."""
@@ -108,6 +102,6 @@ def read_flight_record(path: Path) -> RecordedFlight:
         ticks,
         recording.table(TOPICS[SetpointRecord]),
         recording.table(TOPICS[BatteryRecord]),
-        recording.table(TOPICS[FollowedRecord]),
+        read_followed(path),
         phases,
     )

@@ -4,25 +4,19 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from diagnosis.thresholds import DEFAULT
 from runtime.record.recording import newest_recording
 from runtime.record.records import EventRecord, StateRecord
 from studies.results.kinds import RECORDING
-from studies.results.recorded_flight import TRACKED, RecordedFlight, read_flight_record
-from studies.results.recording_pictures import (
-    INTERVAL,
-    followed_picture,
-    health_picture,
-    quantiles,
-    timing_picture,
-    tracking_picture,
-)
+from studies.results.recorded_flight import RecordedFlight, read_flight_record
+from studies.results.recording_pictures import health_picture, quantiles, timing_picture, tracking_picture
 from studies.results.shown import Shown
 from studio.pages.figure import Picture
+from studio.pages.followed import followed_picture
 from studio.pages.tables import Cell, PageTable
 
 SEVERITIES = ("emergency", "alert", "critical", "error", "warning", "notice", "info", "debug")
@@ -46,7 +40,7 @@ def show(path: Path) -> Shown:
 def _pictures(flight: RecordedFlight) -> dict[str, Picture]:
     drawn = {
         "Tracking": tracking_picture(flight) if len(flight.time) else None,
-        "Followed in flight": followed_picture(flight),
+        "Followed in flight": None if flight.followed is None else followed_picture(flight.followed),
         "Timing": timing_picture(flight),
         "Health": health_picture(flight),
     }
@@ -96,15 +90,13 @@ def _timing(flight: RecordedFlight) -> PageTable:
 
 def _followed(flight: RecordedFlight) -> PageTable:
     """Values at first, and at the end of tracking, which is the end of what the flight shows of them."""
-    names, followed = flight.followed_names, flight.followed
     rows: list[Sequence[Cell]] = []
-    if names:
-        time = followed["time"] - flight.start
-        ends = [end for (_, phase), (end, _) in pairwise(flight.phases) if phase == TRACKED]
-        last = max(0, int(np.searchsorted(time, ends[-1])) - 1) if ends else len(time) - 1
-        for name, values, deviations in zip(names, followed["value"].T, followed["deviation"].T, strict=True):
-            value, half = float(values[last]), INTERVAL * float(deviations[last])
-            rows.append((name, float(values[0]), value, f"{value - half:.3g} to {value + half:.3g}"))
+    if (followed := flight.followed) is not None:
+        for name, last in followed.values.items():
+            first = followed.value[:, followed.names.index(name)]
+            half = DEFAULT.in_flight.interval * last.std
+            interval = f"{last.value - half:.3g} to {last.value + half:.3g}"
+            rows.append((name, float(first[np.isfinite(first)][0]), last.value, interval))
     note = "SI units. At the end of tracking, or of the recording."
     return PageTable("Followed in flight", ("parameter", "at first", "at the end", "95 % interval"), rows, note)
 

@@ -11,6 +11,7 @@ import alula
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle, write_vehicle
 from fixtures.followed_flight import fly_following
+from studies.results.read import show
 from tests.support.command_line import Run, command_line
 
 DRAGS = (EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("parasitic_drag", {"coefficient": 0.01}))
@@ -61,13 +62,28 @@ def test_what_was_followed_becomes_the_next_vehicle_file(run: Run, folder: Path)
 
 def test_the_diagnosis_agrees_with_the_flight(run: Run, folder: Path) -> None:
     report = folder / "verdict.json"
-    code, shown, _ = run("diagnose", folder / "drags.mcap", "--vehicle", folder / "quad.toml", "--json", report)
+    page = folder / "diagnosis.html"
+    words = ("diagnose", folder / "drags.mcap", "--vehicle", folder / "quad.toml", "--json", report, "--html", page)
+    code, shown, _ = run(*words)
     assert code == 0
     assert "in flight: rotor_drag agrees: coefficient = " in shown
     by_name = {one["name"]: one for one in json.loads(report.read_text())["in_flight"]}
     assert by_name["rotor_drag"]["outcome"] == by_name["parasitic_drag"]["outcome"] == "agrees"
     assert by_name["rotor_drag"]["named"]
     assert set(by_name["wind"]["parameters"]) == {"x", "y", "z"}
+    text = page.read_text()
+    assert "<li>rotor_drag agrees: coefficient = " in text
+    assert "rotor_drag.coefficient, N s" in text
+
+
+def test_the_page_of_a_recording_has_the_parameters_over_time(folder: Path) -> None:
+    shown = show(folder / "drags.mcap")
+    drawn = json.loads(shown.pictures["Followed in flight"].data)
+    bands = [trace for trace in drawn["data"] if trace.get("fill") == "toself"]
+    assert len(bands) == 5
+    (table,) = [table for table in shown.tables if table.title == "Followed in flight"]
+    assert [row[0] for row in table.rows][-1] == "parasitic_drag.coefficient"
+    assert float(str(table.rows[3][3]).split()[0]) < 2.2e-5 < float(str(table.rows[3][3]).split()[-1])
 
 
 def test_a_flight_that_changes_nothing_ends_with_3_and_says_where_the_mass_is(run: Run, folder: Path) -> None:

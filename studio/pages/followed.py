@@ -1,0 +1,96 @@
+"""The picture of what a model followed in flight: each parameter over time with its 95 % interval, the disturbance."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import plotly.graph_objects as go
+from plotly.subplots import make_subplots
+
+from diagnosis.report import FollowedEffect, FollowedParameter
+from diagnosis.thresholds import DEFAULT
+from dynamics.arrays import Floats
+from flights.followed import FollowedFlight
+from studio.pages.figure import AFTER, BEFORE, FLOOR, GREEN, ORANGE, Picture
+from studio.pages.numbers import unit_shown
+from studio.pages.panels import add_band, add_line, panels_picture
+
+AXES = "xyz"
+COLOURS = (AFTER, ORANGE, GREEN)
+SPACE = 0.3  # between two panels, over a panel's share of the height
+MARGIN = 0.1  # of a panel above and below what it shows, over the range of that
+
+
+def followed_picture(flight: FollowedFlight, effects: Sequence[FollowedEffect] = ()) -> Picture:
+    """Parameters and disturbance over time; dashed, where the flight was diagnosed, the values of the diagnosis.
+
+    effects: of this flight's diagnosis.
+    """
+    diagnosed = _diagnosed(effects)
+    count = len(flight.names)
+    titles = [*(_title(name, diagnosed.get(name)) for name in flight.names), "disturbance, m/s²", "disturbance, rad/s²"]
+    figure = make_subplots(
+        rows=count + 2, shared_xaxes=True, vertical_spacing=SPACE / (count + 2), subplot_titles=titles
+    )
+    figure.update_annotations(x=0, xanchor="left", font_size=12)
+    for row, name in enumerate(flight.names, start=1):
+        _draw_parameter(figure, flight, name, row, diagnosed.get(name))
+    for part, (unit, first) in enumerate((("m/s²", 0), ("rad/s²", 3))):
+        for axis, name in enumerate(AXES):
+            values = flight.disturbance[:, first + axis]
+            add_line(figure, flight.time, values, name, COLOURS[axis], unit, count + 1 + part, legend=part == 0)
+    for edge in _edges(flight):
+        figure.add_vline(x=float(flight.time[edge]), line={"color": FLOOR, "width": 1, "dash": "dot"})
+    figure.update_yaxes(exponentformat="power")
+    beside_text = "; dashed: the diagnosis of the flight" if diagnosed else ""
+    text = f"Lines: parameters followed in flight with 95 % intervals{beside_text}; disturbance."
+    return panels_picture(figure, count + 2, text, titles=True)
+
+
+def _draw_parameter(
+    figure: go.Figure, flight: FollowedFlight, name: str, row: int, beside: FollowedParameter | None
+) -> None:
+    place = flight.names.index(name)
+    value, deviation = flight.value[:, place], flight.deviation[:, place]
+    half = DEFAULT.in_flight.interval * deviation
+    add_band(figure, flight.time, value, half, row)
+    add_line(figure, flight.time, value, name, BEFORE, "" if beside is None else beside.unit, row, legend=False)
+    figure.update_yaxes(range=_view(value, half, beside), row=row, col=1)
+    if beside is not None:
+        figure.add_hline(y=beside.diagnosed, line={"color": AFTER, "dash": "dash", "width": 1.4}, row=row, col=1)
+
+
+def _title(name: str, beside: FollowedParameter | None) -> str:
+    unit = "" if beside is None or beside.unit == "1" else f", {unit_shown(beside.unit)}"
+    return f"{name}{unit}"
+
+
+def _diagnosed(effects: Sequence[FollowedEffect]) -> Mapping[str, FollowedParameter]:
+    """Parameters of a diagnosis by their names in the model."""
+    keys = [(e, e.name if e.rotor is None else f"{e.name}[{e.rotor}]") for e in effects]
+    return {f"{key}.{name}": parameter for effect, key in keys for name, parameter in effect.parameters.items()}
+
+
+def _edges(flight: FollowedFlight) -> list[int]:
+    """Rows at which tracking begins and ends, where something comes before or after it."""
+    if not flight.tracked.any():
+        return []
+    edges = int(np.flatnonzero(flight.tracked)[0]), flight.last
+    return [edge for edge in edges if 0 < edge < len(flight.time) - 1]
+
+
+def _view(value: Floats, half: Floats, beside: FollowedParameter | None) -> tuple[float, float] | None:
+    """Lowest and highest value of a panel; None for all.
+
+    From the rows whose interval is at most half of the widest: before them it is the prior's, which would flatten all
+    that follows.
+    """
+    there = np.isfinite(value) & np.isfinite(half)
+    if not there.any() or not half[there].max() > 0:
+        return None
+    narrow = there & (half <= DEFAULT.in_flight.max_unshown * half[there].max())
+    rows = np.flatnonzero(narrow if narrow.any() else there)
+    ends = [*(value[rows] - half[rows]), *(value[rows] + half[rows]), *([] if beside is None else [beside.diagnosed])]
+    margin = MARGIN * (max(ends) - min(ends))
+    return float(min(ends) - margin), float(max(ends) + margin)
