@@ -109,8 +109,9 @@ def answer(page: Page) -> str:
             return text
         if page.locator("#log-lines .scatterlayer .trace").count():
             return "it is drawn"
-        if page.locator("#main li").count() and "cannot" in (text := page.locator("#main li").first.inner_text()):
-            return text.splitlines()[-1]
+        refused = page.locator("#log-list .mantine-Text-root[style*=red]")
+        if refused.count():
+            return refused.first.inner_text()
         page.wait_for_timeout(500)
     return "nothing"
 

@@ -130,7 +130,8 @@ def rejections(
         them has refused the gust before (`gust_refusal`).
     """
     share, sizes = thresholds.max_share, after.statistics
-    limits = {"spectral_line": thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging}
+    max_line = thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging
+    limits = {"spectral_line": max(max_line, after.line_by_chance)}
     if not gusty:
         limits["low_frequency_agreement"] = max(thresholds.max_agreement, share * before.low_frequency_agreement)
         limits["predictable_from_state"] = max(thresholds.max_predictable, share * before.predictable_from_state)

@@ -1,7 +1,7 @@
 """Draw the pages that docs/ shows: report.png of `alula demo --lockstep`, diagnosis.png of the first tutorial's logs,
-studio_STEP.png of each step of the studio on the same logs.
+studio_STEP.png of each step of the studio on the same logs, studio_fleet.png and studio_recording.png of results.
 
-python docs/make_pictures.py [--studio]    # needs chromium; some minutes; the studio's alone
+python -m docs.make_pictures [--studio]    # needs chromium; some minutes; the studio's alone
 """
 
 from __future__ import annotations
@@ -11,11 +11,21 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+from dynamics.vehicle import EffectUse
+from fixtures.fleet_flights import write_fleet
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Page
 
 ROOT = Path(__file__).parents[1]
 PICTURES = Path(__file__).with_name("pictures")
 LOGS = (ROOT / "tests/data/px4_sih_flights").glob("drag2_*.ulg.gz")
+RECORDING = ROOT / "tests/data/recorded_flight/flight.mcap"
 VEHICLE = ROOT / "vehicles/px4_sih.toml"
 WIDTH, HEIGHT = 1000, 1150
 
@@ -33,14 +43,14 @@ def draw(page: Path, picture: Path, folder: Path) -> None:
     subprocess.run(command, check=True, stderr=subprocess.DEVNULL)
 
 
-def draw_studio(folder: Path) -> None:
-    """Each step of the studio, from the logs to the proof."""
+@contextmanager
+def studio_page(folder: Path, *arguments: object) -> Iterator[Page]:
+    """A browser's page on a studio with its cases in a folder."""
     from playwright.sync_api import expect, sync_playwright
 
     expect.set_options(timeout=180_000)
-    command = [sys.executable, "-m", "alula", "studio", *map(str, sorted((folder / "logs").iterdir()))]
-    options = ["--vehicle", "px4_sih", "--cases", str(folder / "cases"), "--port", "0", "--no-browser"]
-    process = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+    command = [sys.executable, "-m", "alula", "studio", *map(str, arguments), "--cases", str(folder / "cases")]
+    process = subprocess.Popen([*command, "--port", "0", "--no-browser"], stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None
     address = process.stdout.readline().split()[-1]
     with sync_playwright() as playwright:
@@ -49,6 +59,29 @@ def draw_studio(folder: Path) -> None:
         page.set_viewport_size({"width": 1280, "height": 1000})
         page.set_default_timeout(180_000)
         page.goto(address)
+        yield page
+    process.terminate()
+    process.wait(20)
+
+
+def draw_results(folder: Path) -> None:
+    """A fleet of four vehicles, of which two hide a drag that grows, and a recording."""
+    drags = [[EffectUse("rotor_drag", {"coefficient": 2.2e-5 * (1 + 0.1 * week)})] for week in range(8)]
+    write_fleet(folder / "fleet", {"v01": [()] * 8, "v02": [()] * 8, "v03": drags, "v04": drags})
+    alula("diagnose", "--fleet", "fleet", "--out", "result", folder=folder)
+    shutil.copy(RECORDING, folder)
+    for name, path in {"fleet": folder / "result", "recording": folder / RECORDING.name}.items():
+        with studio_page(folder, "--result", path) as page:
+            page.locator(".scatterlayer .trace").first.wait_for()
+            page.wait_for_timeout(4000)
+            page.screenshot(path=PICTURES / f"studio_{name}.png")
+
+
+def draw_studio(folder: Path) -> None:
+    """Each step of the studio, from the logs to the proof."""
+    from playwright.sync_api import expect
+
+    with studio_page(folder, *sorted((folder / "logs").iterdir()), "--vehicle", "px4_sih") as page:
 
         def shoot(step: str, shown: str, top: str = "") -> None:
             expect(page.locator(f"{shown} .scatterlayer .trace").first).to_be_visible()
@@ -84,8 +117,6 @@ def draw_studio(folder: Path) -> None:
         expect(page.locator("#open-loop .scatterlayer .trace").first).to_be_visible()
         page.get_by_role("button", name="Fly it on the mock").click()
         shoot("prove", "#flown-Lemniscate", "#open-loop")
-    process.terminate()
-    process.wait(20)
 
 
 def main() -> None:
@@ -97,6 +128,7 @@ def main() -> None:
             shutil.copy(log, folder / "logs")
         shutil.copy(VEHICLE, folder / "my_quad.toml")
         draw_studio(folder)
+        draw_results(folder)
         if "--studio" in sys.argv[1:]:
             return
         alula("diagnose", "logs", "--vehicle", "my_quad.toml", "--html", "diagnosis.html", folder=folder)

@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     import pandas
 
 MIN_SEGMENT = 0.5  # s
+MAX_JITTER = 0.5  # of a period, by which a row may be early or late
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,6 +55,7 @@ class Flight:
         frozen = {name: _read_only(self.columns[name]) for name in names}
         if any(values.shape != self.time.shape for values in frozen.values()):
             raise DataError("the columns of a flight must all be as long as its time.")
+        _require_uniform(self.time)
         object.__setattr__(self, "time", _read_only(self.time))
         object.__setattr__(self, "columns", MappingProxyType(frozen))
 
@@ -215,6 +217,21 @@ def _place(name: str, order: Mapping[str, int]) -> tuple[int, int, str]:
     if quantity.parts is None:
         return order[quantity.name], int(name.rpartition("_")[2]), name
     return order[quantity.name], quantity.columns(len(quantity.parts)).index(name), name
+
+
+def _require_uniform(time: Floats) -> None:
+    """Raise DataError where the clock of rows is not uniform: a gap would be taken for one period."""
+    periods = np.diff(time)
+    if not len(periods):
+        return
+    usual = float(np.nanmedian(periods))
+    wrong = np.flatnonzero(~(np.abs(periods - usual) <= MAX_JITTER * usual))
+    if len(wrong):
+        place = int(wrong[0])
+        raise DataError(
+            f"the rows of a flight must follow each other by one period, here {usual:.4g} s, but {time[place + 1]:.6g} "
+            f"follows {time[place]:.6g} s. Put rows of NaN where there is no data, or read a file, which does so."
+        )
 
 
 def _read_only(values: Floats) -> Floats:

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
-from scipy.ndimage import median_filter
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE
 from diagnosis.selection.noise import NoiseModel
 from diagnosis.selection.regression import Regression
+from diagnosis.selection.spectral_line import line_by_chance, strongest_line
 from diagnosis.thresholds import ResidualTestThresholds
 from dynamics.arrays import Floats
 from dynamics.state import POSITION, RATE, VELOCITY
@@ -67,6 +67,8 @@ class ResidualTests:
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
     findings: what each test finds, by its name.
+    line_by_chance: narrow-band power that noise of these flights reaches once in so many cases; 0 where it was not
+        computed.
     """
 
     low_frequency_agreement: float
@@ -74,6 +76,7 @@ class ResidualTests:
     spectral_line: float
     position_dependent: float = 0.0
     findings: Mapping[str, Finding] = field(default_factory=dict)
+    line_by_chance: float = 0.0
 
     @property
     def statistics(self) -> dict[str, float]:
@@ -109,11 +112,12 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
         repeating = of_halves.gain
         of_place = {channel: (size, _joined(halves)) for channel, (size, halves) in of_halves.parts.items()}
         findings.append(_largest("position_dependent", of_place, regression.noise.floor))
-    line, tone = _line(rows, regression, thresholds)
+    line, by_chance, tone = _line(rows, regression, thresholds)
     return ResidualTests(
         low_frequency_agreement=_slow_agreement(rows, regression, thresholds),
         predictable_from_state=predictable / total,
         spectral_line=line,
+        line_by_chance=by_chance,
         position_dependent=repeating / total,
         findings={
             one.test: one for one in (*findings, _slow_force(rows, regression, thresholds), tone) if one is not None
@@ -174,45 +178,16 @@ def _slow_force(rows: Sequence[Floats], regression: Regression, thresholds: Resi
     return _largest("low_frequency_agreement", parts, regression.noise.floor)
 
 
-def spectral_line(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
-    """Greatest power in the line band over the median of its surroundings. rows: (m, 12) residuals at rate Hz."""
-    return float(_lines(rows, rate, thresholds)[1].max())
-
-
-def _lines(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> tuple[Floats, Floats]:
-    """Frequencies of the line band, Hz, and the power (f, 9) there over the median of its surroundings."""
-    count = thresholds.line_rows
-    power = np.zeros((count // 2 + 1, MOTION.stop))
-    for r in rows:
-        power += np.abs(np.fft.rfft(r[:, MOTION] * np.hanning(len(r))[:, None], count, axis=0)) ** 2
-    frequency = np.fft.rfftfreq(count, 1 / rate)
-    median = median_filter(power, size=(thresholds.line_surroundings, 1), mode="nearest")
-    band = _inside(frequency, thresholds.line_band)
-    return np.asarray(frequency[band]), np.asarray(power / np.maximum(median, 1e-12))[band]
-
-
 def _line(
     rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds
-) -> tuple[float, Finding | None]:
-    """The greatest line's power over its surroundings, and the sine of each segment that it stands for."""
-    frequency, over = _lines(rows, regression.rate, thresholds)
-    place, channel = np.unravel_index(int(np.argmax(over)), over.shape)
-    width, used = float(frequency[1] - frequency[0]), thresholds.line_rows
-    near = float(frequency[place]) + width * np.linspace(-0.5, 0.5, thresholds.line_refinement)
-    sines = [tuple(_sine(r[:used, channel], at, regression.rate, len(r)) for r in rows) for at in near]
-    powers = [float(np.mean(np.concatenate([p[:used] for p in part]) ** 2)) for part in sines]
-    at, part, power = max(zip(near, sines, powers, strict=True), key=lambda one: one[2])
-    shown = max(0.0, 1 - 1 / float(over[place, channel]))  # the rest of the sine is noise of its surroundings
-    size = float(np.sqrt(shown * power))
-    finding = _largest("spectral_line", {int(channel): (size, part)}, regression.noise.floor)
-    return float(over[place, channel]), None if finding is None else replace(finding, frequency=float(at))
-
-
-def _sine(values: Floats, frequency: float, rate: float, count: int) -> Floats:
-    """(count,) the sine of a frequency, Hz, that fits values (m,) best."""
-    angle = 2 * np.pi * frequency * np.arange(count) / rate
-    waves = np.column_stack([np.cos(angle), np.sin(angle)])
-    return np.asarray(waves @ np.linalg.lstsq(waves[: len(values)], values, rcond=None)[0])
+) -> tuple[float, float, Finding | None]:
+    """The strongest line's power over its surroundings, that of chance where it matters, and the line itself."""
+    line = strongest_line(rows, regression.rate, thresholds)
+    matters = line.over_surroundings > regression.thresholds.verdict.max_line
+    by_chance = line_by_chance(rows, regression.rate, thresholds) if matters else 0.0
+    finding = _largest("spectral_line", {line.channel: (line.rms, line.part)}, regression.noise.floor)
+    shown = None if finding is None else replace(finding, frequency=line.frequency)
+    return line.over_surroundings, by_chance, shown
 
 
 def _largest(test: str, parts: Mapping[int, tuple[float, tuple[Floats, ...]]], floor: Floats) -> Finding | None:

@@ -132,7 +132,8 @@ def test_a_wider_margin_tells_fewer_rivals_apart(answer, usual):
 
 
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):
-    assert answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}).verdict == "unknown"
+    lower = answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}, residual_tests={"line_chance": 0.999})
+    assert lower.verdict == "unknown"
 
 
 def test_a_higher_limit_of_relevance_names_nothing(answer):

@@ -85,6 +85,15 @@ def test_unknown_columns_are_refused_by_name() -> None:
         _flight(np.arange(3.0), position_x=np.arange(3.0))["rate"]
 
 
+def test_rows_that_do_not_follow_each_other_by_one_period_are_refused() -> None:
+    """A gap would be taken for one period, and what happens there for an effect."""
+    t = np.arange(1000) / 100.0
+    for later in (t + (t >= 5.0), np.where(t < 5.0, t, t - 1.0), np.where(t == 5.0, np.nan, t)):
+        with pytest.raises(DataError, match=r"follow each other by one period, here 0\.01 s, but .* Put rows of NaN"):
+            _flight(later, position_x=t)
+    assert len(_flight(t + 1e-4 * np.sin(t), position_x=t)) == 1000
+
+
 def test_every_known_column_belongs_to_its_quantity() -> None:
     for column in known_columns(8):
         quantity = quantity_of(column)

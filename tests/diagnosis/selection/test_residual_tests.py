@@ -9,7 +9,8 @@ from scipy.signal import lfilter
 
 from diagnosis.models.channels import POSE_ACCELERATION
 from diagnosis.models.pose_errors import PoseErrors
-from diagnosis.selection.residual_tests import low_frequency_agreement, run_residual_tests, spectral_line
+from diagnosis.selection.residual_tests import low_frequency_agreement, run_residual_tests
+from diagnosis.selection.spectral_line import line_by_chance, strongest_line
 from diagnosis.thresholds import DEFAULT
 from dynamics.state import VELOCITY
 from tests.diagnosis.synthetic import CHANNELS, candidate, effect, hovering, regression
@@ -57,7 +58,7 @@ def fires(tests):
         for name, limit in (
             ("low_frequency_agreement", LIMITS.max_agreement),
             ("predictable_from_state", LIMITS.max_predictable),
-            ("spectral_line", LIMITS.max_line),
+            ("spectral_line", max(LIMITS.max_line, tests.line_by_chance)),
             ("position_dependent", LIMITS.max_predictable),
         )
         if getattr(tests, name) > limit and tests.over_floor(name) > LIMITS.min_over_floor
@@ -76,10 +77,25 @@ def test_lines_and_agreement_in_white_noise_stay_below_their_limits_in_39_of_40_
     for seed in range(40):
         random = np.random.default_rng(1000 + seed)
         rows = [random.standard_normal((500, CHANNELS)) for _ in range(3)]
-        lines += spectral_line(rows, 25.0, thresholds) > LIMITS.max_line
+        lines += strongest_line(rows, 25.0, thresholds).over_surroundings > LIMITS.max_line
         agreements += low_frequency_agreement(rows, 25.0, thresholds) > LIMITS.max_agreement
     assert lines <= 1
     assert agreements <= 1
+
+
+@pytest.mark.parametrize("lengths", [(500,), (243, 164)])
+def test_a_line_in_a_short_log_is_one_that_noise_does_not_have(lengths):
+    """Nine in ten draws of one segment of 20 s exceed `max_line`."""
+    thresholds = DEFAULT.residual_tests
+    for seed in range(8):
+        random = np.random.default_rng(2000 + seed)
+        rows = [random.standard_normal((m, CHANNELS)) for m in lengths]
+        limit = max(LIMITS.max_line, line_by_chance(rows, 25.0, thresholds))
+        assert strongest_line(rows, 25.0, thresholds).over_surroundings < limit
+        for y in rows:
+            y[:, 4] += 1.2 * np.sin(2 * np.pi * 3.0 * np.arange(len(y)) / 25.0)
+        limit = max(LIMITS.max_line, line_by_chance(rows, 25.0, thresholds))
+        assert strongest_line(rows, 25.0, thresholds).over_surroundings > limit
 
 
 def test_a_planted_sine_is_a_line(of_noise):
