@@ -52,8 +52,10 @@ def delayed(values: Floats, rate: float, delay: float) -> Floats:
     """values (n, k) as they were `delay` s ago, linear between samples; the first one before them."""
     if delay == 0.0:
         return values
-    time = np.arange(len(values)) / rate
-    return np.stack([np.interp(time - delay, time, column) for column in values.T], axis=1)
+    rows, share = divmod(-delay * rate, 1.0)
+    place = np.arange(len(values)) + int(rows)
+    last = len(values) - 1
+    return (1 - share) * values[np.clip(place, 0, last)] + share * values[np.clip(place + 1, 0, last)]
 
 
 def advanced(values: Floats, rate: float, by: float) -> Floats:

@@ -11,6 +11,7 @@ from diagnosis.data.filters import slow
 from diagnosis.data.segment import Segment
 from diagnosis.estimation.fitted import with_candidates
 from diagnosis.models import channels
+from diagnosis.models.prediction import Prediction
 from diagnosis.models.predictor import Predictor
 from diagnosis.selection.candidates import Candidate, make_instruments, scales_rotors, shifts_rotors, without_lag
 from diagnosis.thresholds import Thresholds
@@ -72,36 +73,38 @@ class LinearRows:
 
     def at(self, segment: Segment, changed: Mapping[str, float]) -> tuple[Floats, Floats, Floats]:
         """Residual (m, 12), slopes (m, 12, k) and instruments (m, 12, k) at changed parameters."""
-        base = channels.predicted(segment, [self.predictor.predict(segment, changed)])[:, :, 0]
-        slopes: dict[str, Floats] = {}
-        instruments: dict[str, Floats] = {}
-        if self.linear:
-            plain = channels.predicted(segment, self.predictor.slopes(segment, changed))
-            slopes = {name: plain[:, :, i] for i, name in enumerate(self.linear)}
-            scaling = [n for n, scales in zip(self.names, self._instrumented, strict=True) if scales and n in slopes]
-            if scaling:
-                logged = self.predictor.rotor_speed(segment, self.predictor.values(changed))
-                vehicle = self._regression.vehicle
-                speed = make_instruments(
-                    segment, vehicle, logged, self._cutoff, slow_thrust=self.of_commands
-                ).rotor_speed
-                model = self._instruments.model
-                at = {name: value for name, value in changed.items() if name in model.parameter_names}
-                at_speed = self._instruments.slopes(segment, at, rotor_speed=speed, free=scaling)
-                instruments = dict(zip(scaling, channels.predicted(segment, at_speed).transpose(2, 0, 1), strict=True))
-        x, z = [], []
-        for name, instrumented in zip(self.names, self._instrumented, strict=True):
-            slope = slopes[name] if name in slopes else self._difference(segment, changed, name, base)
-            x.append(slope)
-            z.append(instruments[name] if instrumented and name in instruments else slope)
-            if name in self._lags:
-                z[-1] = slow(slope, segment.decimated_rate, segment.filters.slow_cutoff)
-        return channels.measured(segment) - base, np.stack(x, axis=2), np.stack(z, axis=2)
+        names = [name for name in self.names if name not in self.linear]
+        steps = [self._step(changed[name]) for name in names]
+        moved = [
+            self.predictor.predict(segment, {**changed, name: changed[name] + step})
+            for name, step in zip(names, steps, strict=True)
+        ]
+        plain = self.predictor.slopes(segment, changed) if self.linear else []
+        scaling, at_speed = self._at_instruments(segment, changed)
+        together = [self.predictor.predict(segment, changed), *moved, *plain, *at_speed]
+        base, *columns = np.moveaxis(channels.predicted(segment, together), 2, 0)  # all are filtered at once
+        slopes = dict(zip([*names, *self.linear], columns[: len(moved) + len(plain)], strict=True))
+        slopes |= {name: (slopes[name] - base) / step for name, step in zip(names, steps, strict=True)}
+        instruments = slopes | dict(zip(scaling, columns[len(slopes) :], strict=True))
+        for name in self._lags:
+            instruments[name] = slow(slopes[name], segment.decimated_rate, segment.filters.slow_cutoff)
+        x, z = (np.stack([of[name] for name in self.names], axis=2) for of in (slopes, instruments))
+        return channels.measured(segment) - base, x, z
 
-    def _difference(self, segment: Segment, changed: Mapping[str, float], name: str, base: Floats) -> Floats:
-        step = self._regression.thresholds.equation_error.difference_step * max(abs(changed[name]), 1e-3)
-        moved = self.predictor.predict(segment, {**changed, name: changed[name] + step})
-        return np.asarray((channels.predicted(segment, [moved])[:, :, 0] - base) / step)
+    def _step(self, value: float) -> float:
+        return self._regression.thresholds.equation_error.difference_step * max(abs(value), 1e-3)
+
+    def _at_instruments(self, segment: Segment, changed: Mapping[str, float]) -> tuple[list[str], list[Prediction]]:
+        """Parameters that scale the rotors' forces, and their slopes at rotor speeds free of the disturbance."""
+        names = [n for n, scales in zip(self.names, self._instrumented, strict=True) if scales and n in self.linear]
+        if not names:
+            return [], []
+        logged = self.predictor.rotor_speed(segment, self.predictor.values(changed))
+        vehicle, slow_thrust = self._regression.vehicle, self.of_commands
+        speed = make_instruments(segment, vehicle, logged, self._cutoff, slow_thrust=slow_thrust).rotor_speed
+        own = self._instruments.model.parameter_names
+        at = {name: value for name, value in changed.items() if name in own}
+        return names, self._instruments.slopes(segment, at, rotor_speed=speed, free=names)
 
     def _model(self, uses: Sequence[EffectUse], free: Sequence[str]) -> Predictor:
         r = self._regression
