@@ -66,10 +66,12 @@ def flown(seed: int) -> dict[str, Any]:
                 name: [value.value, value.std, is_shown(value)] for name, value in require_followed(path).values.items()
             },
         }
-        diagnosed = alula.diagnose(path, vehicle)
-        result["outcomes"] = {one.name: [one.outcome, one.named, one.reason] for one in diagnosed.report.in_flight}
-        result |= _next_file(path, Path(folder), seed)
-    return result
+        try:
+            effects = alula.diagnose(path, vehicle).report.in_flight
+        except alula.DataError as error:
+            return {**result, "outcomes": {}, "added": [], "refused": str(error)}
+        result["outcomes"] = {one.name: [one.outcome, one.named, one.reason] for one in effects}
+        return result | _next_file(path, Path(folder), seed)
 
 
 def _next_file(path: Path, folder: Path, seed: int) -> dict[str, Any]:

@@ -87,7 +87,7 @@ def beside_diagnosis(
     for effect in details.diagnosis.effects:
         if (effect.name, effect.rotor) not in identities:
             reason = "it was not among the effects that were followed" if groups else "no effect was followed by name"
-            reason += "; its force is in the disturbance"
+            reason += "; what it does is in the disturbance" if catalogue[effect.name].moves_vehicle else ""
             identity = followed.path.name, effect.name, effect.rotor
             effects.append(FollowedEffect(*identity, "not_estimated", True, {}, reason))
     return tuple(effects)

@@ -7,12 +7,12 @@ from typing import Any
 import dash_mantine_components as dmc
 from dash import dcc, html
 
-from diagnosis.report import refusal_sentence
+from diagnosis.report import in_flight_sentence, refusal_sentence
 from studio.app.heads import head, lock, refusal
 from studio.app.opened import OpenCase
 from studio.app.parts import action, badge, card, command_box, graph, grid, out_of_date, table
 from studio.app.theme import figure_of
-from studio.work.results import Diagnosed
+from studio.work.results import FOLLOWED, Diagnosed
 
 
 def layout(opened: OpenCase, name: str, scheme: str) -> Any:
@@ -46,6 +46,11 @@ def layout(opened: OpenCase, name: str, scheme: str) -> Any:
                 note="Share of its signal that each effect has in common with each other on these flights.",
             ),
         ),
+        *(
+            card("What the model followed in flight", _picture(diagnosed, key, scheme), note="Dashed: the diagnosis.")
+            for key in diagnosed.pictures
+            if key.startswith(FOLLOWED)
+        ),
         command_box(opened.command("diagnose")),
     ]
     return dmc.Stack(parts, gap="md")
@@ -67,6 +72,9 @@ def _verdict(diagnosed: Diagnosed, name: str) -> Any:
     hints = [refusal_sentence(r, diagnosis.rotors) for r in diagnosis.refused if r.is_hint]
     if hints:
         parts += [dmc.Text("Hints, for which these flights are too few:"), html.Ul([html.Li(h) for h in hints])]
+    if diagnosis.in_flight:
+        texts = [in_flight_sentence(one, diagnosis.rotors) for one in diagnosis.in_flight]
+        parts += [dmc.Text("Beside what the model followed in flight:"), html.Ul([html.Li(text) for text in texts])]
     if diagnosis.not_excited:
         text = f"Not excited, so neither present nor absent: {', '.join(diagnosis.not_excited)}."
         parts.append(dmc.Text(text, size="sm", c="dimmed"))

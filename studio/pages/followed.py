@@ -8,7 +8,7 @@ import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from diagnosis.report import FollowedEffect, FollowedParameter
+from diagnosis.report import Diagnosis, FollowedEffect, FollowedParameter
 from diagnosis.thresholds import DEFAULT
 from dynamics.arrays import Floats
 from flights.followed import FollowedFlight
@@ -43,26 +43,31 @@ def followed_picture(flight: FollowedFlight, effects: Sequence[FollowedEffect] =
     for edge in _edges(flight):
         figure.add_vline(x=float(flight.time[edge]), line={"color": FLOOR, "width": 1, "dash": "dot"})
     figure.update_yaxes(exponentformat="power")
-    beside_text = "; dashed: the diagnosis of the flight" if diagnosed else ""
-    text = f"Lines: parameters followed in flight with 95 % intervals{beside_text}; disturbance."
+    dashed_text = "; dashed: the diagnosis of the flight" if diagnosed else ""
+    text = f"Lines: parameters followed in flight with 95 % intervals{dashed_text}; disturbance."
     return panels_picture(figure, count + 2, text, titles=True)
 
 
+def effects_of(flight: FollowedFlight, diagnosis: Diagnosis) -> list[FollowedEffect]:
+    """What a diagnosis says of one flight's followed effects."""
+    return [effect for effect in diagnosis.in_flight if effect.flight == flight.path.name]
+
+
 def _draw_parameter(
-    figure: go.Figure, flight: FollowedFlight, name: str, row: int, beside: FollowedParameter | None
+    figure: go.Figure, flight: FollowedFlight, name: str, row: int, fitted: FollowedParameter | None
 ) -> None:
     place = flight.names.index(name)
     value, deviation = flight.value[:, place], flight.deviation[:, place]
     half = DEFAULT.in_flight.interval * deviation
     add_band(figure, flight.time, value, half, row)
-    add_line(figure, flight.time, value, name, BEFORE, "" if beside is None else beside.unit, row, legend=False)
-    figure.update_yaxes(range=_view(value, half, beside), row=row, col=1)
-    if beside is not None:
-        figure.add_hline(y=beside.diagnosed, line={"color": AFTER, "dash": "dash", "width": 1.4}, row=row, col=1)
+    add_line(figure, flight.time, value, name, BEFORE, "" if fitted is None else fitted.unit, row, legend=False)
+    figure.update_yaxes(range=_view(value, half, fitted), row=row, col=1)
+    if fitted is not None:
+        figure.add_hline(y=fitted.diagnosed, line={"color": AFTER, "dash": "dash", "width": 1.4}, row=row, col=1)
 
 
-def _title(name: str, beside: FollowedParameter | None) -> str:
-    unit = "" if beside is None or beside.unit == "1" else f", {unit_shown(beside.unit)}"
+def _title(name: str, fitted: FollowedParameter | None) -> str:
+    unit = "" if fitted is None or fitted.unit == "1" else f", {unit_shown(fitted.unit)}"
     return f"{name}{unit}"
 
 
@@ -80,7 +85,7 @@ def _edges(flight: FollowedFlight) -> list[int]:
     return [edge for edge in edges if 0 < edge < len(flight.time) - 1]
 
 
-def _view(value: Floats, half: Floats, beside: FollowedParameter | None) -> tuple[float, float] | None:
+def _view(value: Floats, half: Floats, fitted: FollowedParameter | None) -> tuple[float, float] | None:
     """Lowest and highest value of a panel; None for all.
 
     From the rows whose interval is at most half of the widest: before them it is the prior's, which would flatten all
@@ -91,6 +96,6 @@ def _view(value: Floats, half: Floats, beside: FollowedParameter | None) -> tupl
         return None
     narrow = there & (half <= DEFAULT.in_flight.max_unshown * half[there].max())
     rows = np.flatnonzero(narrow if narrow.any() else there)
-    ends = [*(value[rows] - half[rows]), *(value[rows] + half[rows]), *([] if beside is None else [beside.diagnosed])]
+    ends = [*(value[rows] - half[rows]), *(value[rows] + half[rows]), *([] if fitted is None else [fitted.diagnosed])]
     margin = MARGIN * (max(ends) - min(ends))
     return float(min(ends) - margin), float(max(ends) + margin)

@@ -12,21 +12,20 @@ from diagnosis.data.dataset import Dataset
 from diagnosis.diagnose import DiagnosisDetails
 from diagnosis.models.channels import NAMES
 from diagnosis.regimes import regime_maps, regime_planes
-from diagnosis.report import Diagnosis, FollowedEffect, in_flight_sentence, sentence
+from diagnosis.report import Diagnosis, in_flight_sentence, sentence
 from diagnosis.selection.regression import Regression
 from diagnosis.spectrum import Spectrum, residual_spectrum
 from dynamics.arrays import Floats
 from dynamics.effect import Effect
 from dynamics.effects import CATALOGUE
 from dynamics.vehicle import Vehicle
-from flights.followed import FollowedFlight
 from studio.pages import diagnosed as pictures
 from studio.pages import flown as flown_pictures
 from studio.pages import regions
 from studio.pages.evidence import agreement, likeness, overlay
 from studio.pages.figure import Picture
 from studio.pages.flown import FlownComparison
-from studio.pages.followed import followed_picture
+from studio.pages.followed import effects_of, followed_picture
 from studio.pages.page import Origin, render
 
 
@@ -167,12 +166,8 @@ def _diagnosed(result: DiagnosisDetails, dataset: Dataset, vehicle: Vehicle) -> 
         "agreement": None if both is None else pictures.agreement_points(both),
         "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
         "in_flight": [in_flight_sentence(one, result.diagnosis.rotors) for one in result.diagnosis.in_flight],
-        "followed": [followed_picture(flight, _effects_of(flight, result.diagnosis)) for flight in result.followed],
+        "followed": [followed_picture(flight, effects_of(flight, result.diagnosis)) for flight in result.followed],
     }
-
-
-def _effects_of(flight: FollowedFlight, diagnosis: Diagnosis) -> list[FollowedEffect]:
-    return [effect for effect in diagnosis.in_flight if effect.flight == flight.path.name]
 
 
 def _spectrum(rows: Sequence[Floats], regression: Regression) -> Spectrum:

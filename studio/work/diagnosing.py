@@ -20,9 +20,10 @@ from dynamics.progress import Progress
 from studio.pages import diagnosed as pictures
 from studio.pages import regions
 from studio.pages.evidence import likeness
+from studio.pages.followed import effects_of, followed_picture
 from studio.pages.numbers import unit_shown
 from studio.work.memory import CaseMemory
-from studio.work.results import FILES, Diagnosed, RankedEffect
+from studio.work.results import FILES, FOLLOWED, Diagnosed, RankedEffect
 from studio.work.rows import picture_info, write_rows
 from studio.work.task import Task
 
@@ -56,6 +57,10 @@ def diagnose(memory: CaseMemory, task: Task, folder: Path, progress: Progress) -
         "regimes_after": regions.regime_map(improved),
         "likeness": pictures.likeness_map(likeness(regression, selection.singles)),
         **({} if intervals is None else {"intervals": intervals}),
+        **{
+            f"{FOLLOWED}{place}": followed_picture(flight, effects_of(flight, details.diagnosis))
+            for place, flight in enumerate(details.followed)
+        },
     }
     diagnosis = details.diagnosis
     result = Diagnosed(

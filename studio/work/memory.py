@@ -8,6 +8,7 @@ from typing import TypeVar
 
 from diagnosis.data.dataset import Dataset, align_logs, make_dataset
 from diagnosis.diagnose import DiagnosisDetails, diagnose_dataset
+from diagnosis.in_flight import with_in_flight
 from dynamics.effect import Effect
 from dynamics.errors import AlulaError, RequestError
 from dynamics.own_effects import catalogue_of
@@ -60,8 +61,9 @@ class CaseMemory:
         return make_dataset(align_logs(logs), self.vehicle(task), hold_out=task.hold_out or None)
 
     def _diagnose(self, task: Task, progress: Progress) -> DiagnosisDetails:
-        dataset = self.dataset(task)
-        return diagnose_dataset(dataset, self.vehicle(task), self.catalogue(task), progress=progress)
+        dataset, vehicle, catalogue = self.dataset(task), self.vehicle(task), self.catalogue(task)
+        details = diagnose_dataset(dataset, vehicle, catalogue, progress=progress)
+        return with_in_flight(details, dataset, catalogue, vehicle)
 
     def _made(self, name: str, key: str, make: Callable[[], Held]) -> Held:
         held = self._held.get(name)

@@ -195,6 +195,7 @@ class Exported(msgspec.Struct, frozen=True):
 
 
 FLIGHTS, VEHICLE = "flights.json", "vehicle.toml"
+FOLLOWED = "followed_"  # names of a diagnosis' pictures of what models followed in flight, before their number
 FILES: Mapping[type[msgspec.Struct], str] = {
     Checked: "checked.json",
     Compared: "compared.json",
