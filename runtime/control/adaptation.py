@@ -1,7 +1,7 @@
 """Lets a model follow the flight: a disturbance and chosen parameters, estimated from commands and estimates.
 
-Offset-free MPC (Pannocchia and Rawlings 2003). Parameters of effects (wind, drag, ...) are states of the same filter
-(extended Kalman filter, Ljung 1979): what they explain leaves the disturbance, and what no data shows keeps its value.
+Offset-free MPC (Pannocchia and Rawlings 2003). Parameters of effects (wind, drag, ...) come from a fit over the last
+seconds: what they explain leaves the disturbance, and what no data shows keeps its value.
 Derived in docs/adaptation.md. Pure: times are arguments.
 """
 

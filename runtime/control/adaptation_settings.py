@@ -1,4 +1,4 @@
-"""Settings of a model that follows in flight: noise of its Kalman filter, and when what it estimates is not flown.
+"""Settings of a model that follows in flight: noise of its estimates, and when what it estimates is not flown.
 
 What each does is derived in docs/adaptation.md.
 """
@@ -63,12 +63,13 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     angular: of body rates, body axes.
     gate: standard deviations beyond which an estimate has jumped.
     start: standard deviation of the staying part at the start, as a share of the fading part's.
-    drift: of a parameter, as a share of its prior's standard deviation per sqrt(s).
-    window: s over which a drag's slope must vary for it to be followed.
-    variation: by how much, m/s^2 per standard deviation of its prior.
-    drag_deviations: from zero, beyond which a drag is certain, and shows the wind where it does not vary itself.
-    leaving_time: s in which the linear part that stays leaves to the wind, where that is followed: both are constant
-        forces, and their difference would wander.
+    walk: of the error of an estimate's velocity, m/s per sqrt(s).
+    calm: least level of the noise that drives the linear disturbance, as a share of `linear`. The level follows what
+        the last forecasts had as errors: in calm air a disturbance that followed gusts would follow the estimate's.
+    rising, falling: s in which the level follows upwards and downwards.
+    variation: by how much a drag's slope must vary for it to be followed, m/s^2 per standard deviation of its prior.
+    drag_deviations: from zero, beyond which a drag is certain, and shows the wind.
+    offset: m/s^2, standard deviation of a constant force that is none of the wind's, beside a wind that is followed.
     prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
     motor_lag: s, of the motors behind the autopilot's outputs.
     rotors: when one that loses thrust is named.
@@ -82,11 +83,13 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     angular: AxisNoise = AxisNoise(measurement=0.05, drift=0.5, fading=2.0, fading_time=0.3, limit=30.0)
     gate: Positive = 6.0
     start: Positive = 1.0
-    drift: Positive = 0.05
-    window: Positive = 3.0
+    walk: NotNegative = 0.03
+    calm: Positive = 0.03
+    rising: Positive = 0.3
+    falling: Positive = 3.0
     variation: Positive = 0.3
     drag_deviations: Positive = 3.0
-    leaving_time: Positive = 10.0
+    offset: Positive = 0.05
     prior_scale: Positive = 3.0
     motor_lag: NotNegative = 0.0
     rotors: RotorLossSettings = RotorLossSettings()

@@ -1,4 +1,4 @@
-"""A Kalman filter of a disturbance and of chosen parameters, on velocities and rates; computed by flight_filter.h.
+"""A Kalman filter of a disturbance, and chosen parameters beside it; by flight_filter.h and parameter_fit.h.
 
 The disturbance has two parts by axis, accelerations beyond the model: one that stays (random walk), so that a constant
 one leaves no error, and one that fades (first-order Gauss-Markov), so that a gust is not expected to last for a
@@ -46,7 +46,7 @@ class FlightFilter:
         self._solver = solver
         self._fill_options()
         last = FOLLOWED + len(self.parameters)
-        self._covariance = solver.filter_covariance[:last, :last]
+        self._spread = solver.filter_deviations[: len(self.parameters)]
         parts = slice(STAYING, FADING), slice(FADING, FOLLOWED), slice(FOLLOWED, last)
         self.staying, self.fading, self._moved = (solver.filter_state[part] for part in parts)
         self.trust, self.squares = solver.filter_trust, solver.filter_squares
@@ -101,7 +101,7 @@ class FlightFilter:
     @property
     def deviations(self) -> Floats:
         """(n,) standard deviations of the parameters."""
-        return np.asarray(self._scale * np.sqrt(self._covariance.diagonal()[FOLLOWED:]))
+        return np.asarray(self._scale * self._spread)
 
     def _fill_options(self) -> None:
         options, settings = self._solver.filter_options, self.settings
@@ -109,9 +109,8 @@ class FlightFilter:
         for name in ("measurement", "drift", "fading", "fading_time", "limit"):
             getattr(options, name)[:] = [getattr(kind, name) for kind in kinds]
         options.start[:] = [settings.start * kind.fading for kind in kinds]
-        options.gate, options.parameter_drift = settings.gate, settings.drift
-        options.window, options.variation = settings.window, settings.variation
-        options.drag_deviations, options.leaving_time = settings.drag_deviations, settings.leaving_time
+        for name in ("gate", "walk", "calm", "rising", "falling", "variation", "drag_deviations", "offset"):
+            setattr(options, name, getattr(settings, name))
         guard = settings.guard
         options.forecast, options.averaging, options.tolerance = guard.forecast, guard.averaging, guard.tolerance
         options.resolution[:] = guard.linear_resolution, guard.angular_resolution

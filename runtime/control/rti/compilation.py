@@ -17,6 +17,7 @@ from runtime.control.rti.processor import Processor, native_processor
 from runtime.control.rti.state_header import STATE_HEADER, state_header
 
 ENTRY = "rti.c"
+OWN = (ENTRY, "parameter_fit.h")
 SHARED = ("condensed.h", "box_qp.h", "dense_qp.h", "flight_filter.h")  # with the kernel of a learned model
 
 
@@ -55,7 +56,7 @@ def solver_recipe(
             f"{name}_W": function.sz_w(),
         }
     folder = resources.files("runtime.control.rti")
-    sources = {name: folder.joinpath(name).read_text() for name in (ENTRY, *SHARED)}
+    sources = {name: folder.joinpath(name).read_text() for name in (*OWN, *SHARED)}
     sources[STATE_HEADER] = state_header()
     sources["model.c"] = generate_c([node, step])
     flags = FLAGS if processor is None else processor.compiler_flags

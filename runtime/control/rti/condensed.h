@@ -104,6 +104,7 @@ double *rti_filter_state(condensed *r) { return r->filter.state; }
 double *rti_filter_covariance(condensed *r) { return &r->filter.P[0][0]; }
 double *rti_filter_trust(condensed *r) { return r->filter.trust; }
 double *rti_filter_squares(condensed *r) { return &r->filter.square[0][0]; }
+double *rti_filter_deviations(condensed *r) { return r->filter.deviation; }
 int *rti_filter_followed(condensed *r) { return r->filter.followed; }
 void rti_filter_clear(condensed *r) { filter_clear(&r->filter); }
 double *rti_hessian(condensed *r) { return r->H; }
@@ -124,10 +125,10 @@ void rti_filter_restart(condensed *r, const double *x) {
 /* Compare a prediction by the model alone with the state (NX) that it is of, dt seconds after the last; no parameter is
  * followed. change: (6,) of velocity and rate. Returns whether it was used. */
 int rti_filter_compare(condensed *r, const double *before, const double *change, const double *x, double dt) {
-    double slopes[MAX_FOLLOWED][AXES] = {{0}}, first[AXES], measured[AXES];
+    double first[AXES], measured[AXES];
     rates_of(before, first);
     rates_of(x, measured);
-    return filter_update(&r->filter, change, change, slopes, first, measured, dt);
+    return filter_update(&r->filter, change, change, first, measured, dt);
 }
 
 /* Dimensions for the loader to compare with its own. */

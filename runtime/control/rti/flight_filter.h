@@ -1,9 +1,9 @@
-/* What the model misses in flight: a Kalman filter of a disturbance and of chosen parameters, on velocities and rates;
- * derived in docs/adaptation.md.
+/* What the model misses in flight: a Kalman filter of a disturbance, on velocities and rates; derived in
+ * docs/adaptation.md.
  *
  * State: velocity (world) and rate (body); the part of the disturbance that stays, then the one that fades (linear
- * acceleration, world axes, and angular, body axes, each); the parameters, as deviations from their prior in units of
- * its standard deviation. */
+ * acceleration, world axes, and angular, body axes, each). Behind it the parameters that are followed, as deviations
+ * from their prior in units of its standard deviation, which parameter_fit.h moves. */
 #ifndef ALULA_FLIGHT_FILTER_H
 #define ALULA_FLIGHT_FILTER_H
 
@@ -13,15 +13,17 @@
 #define AXES 6
 #define STAYING AXES
 #define FADING (2 * AXES)
-#define FOLLOWED (3 * AXES) /* where the parameters begin */
+#define FOLLOWED (3 * AXES) /* where the parameters begin, and size of the filter */
 #define MAX_FOLLOWED 16
-#define MAX_FILTERED (FOLLOWED + MAX_FOLLOWED)
 #define GUARD_STEPS 64
+#define LEVEL_MARGIN 2 /* of the level over what forecasts left: what begins to push is followed before they show it */
 
 typedef struct {
     double measurement[AXES], drift[AXES], fading[AXES], fading_time[AXES], limit[AXES], start[AXES];
-    double gate, parameter_drift, window, variation, drag_deviations;
-    double leaving_time; /* s in which the staying part leaves to the wind, where that is followed */
+    double gate;
+    double walk;                  /* of an estimate's velocity error, m/s per sqrt(s) */
+    double calm, rising, falling; /* of the level: its least value, and the s in which it follows up and down */
+    double variation, drag_deviations, offset; /* of the fit of parameters; offset: m/s^2, beside the wind */
     double forecast, averaging, tolerance, resolution[2]; /* of the guard */
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
@@ -37,9 +39,11 @@ typedef struct {
 
 typedef struct {
     filter_options options;
-    double state[MAX_FILTERED], P[MAX_FILTERED][MAX_FILTERED];
-    double mean_slope[MAX_FOLLOWED][AXES], variation[MAX_FOLLOWED];
-    int followed[MAX_FOLLOWED]; /* whether the data can show it now */
+    double state[FOLLOWED + MAX_FOLLOWED], P[FOLLOWED][FOLLOWED];
+    double deviation[MAX_FOLLOWED]; /* standard deviation of each parameter's state */
+    int followed[MAX_FOLLOWED];     /* whether the data can show it now */
+    int restarts, clears;           /* how often */
+    double level, unexplained; /* of the noise that drives the linear disturbance; mean square that it follows, m^2/s^2 */
     filter_step steps[GUARD_STEPS];
     int step_count;
     double square[2][2]; /* of linear and angular forecasts: mean square errors of the adapted and of the file's model */
@@ -55,94 +59,67 @@ static void filter_clear(flight_filter *f) {
     const filter_options *o = &f->options;
     memset(f->state, 0, sizeof f->state);
     memset(f->P, 0, sizeof f->P);
-    memset(f->mean_slope, 0, sizeof f->mean_slope);
-    memset(f->variation, 0, sizeof f->variation);
     for (int i = 0; i < AXES; i++) {
         f->P[i][i] = o->measurement[i] * o->measurement[i];
         f->P[STAYING + i][STAYING + i] = o->start[i] * o->start[i];
         f->P[FADING + i][FADING + i] = o->fading[i] * o->fading[i];
     }
-    for (int j = 0; j < o->count; j++) f->P[FOLLOWED + j][FOLLOWED + j] = 1;
-    f->step_count = 0;
+    for (int j = 0; j < MAX_FOLLOWED; j++) f->deviation[j] = 1, f->followed[j] = 0;
+    f->step_count = 0, f->clears++;
     memset(f->square, 0, sizeof f->square);
     f->trust[0] = f->trust[1] = 1;
+    f->level = 1;
+    f->unexplained = o->forecast * o->forecast * o->fading[0] * o->fading[0];
 }
 
 /* Go on from measured velocity and rate, as after a gap or a jump. */
 static void filter_restart(flight_filter *f, const double *measured) {
     memcpy(f->state, measured, sizeof(double) * AXES);
     for (int i = 0; i < AXES; i++) {
-        for (int j = 0; j < MAX_FILTERED; j++) f->P[i][j] = f->P[j][i] = 0;
+        for (int j = 0; j < FOLLOWED; j++) f->P[i][j] = f->P[j][i] = 0;
         f->P[i][i] = f->options.measurement[i] * f->options.measurement[i];
     }
-    f->step_count = 0;
+    f->step_count = 0, f->restarts++;
 }
 
-/* Which parameters the data can show now: a drag where its slope varies, since the constant part of it depends on the
- * wind; the wind beside a drag that shows or is certain; any other always. */
-static void filter_choose(flight_filter *f, double slopes[][AXES], double dt) {
-    const filter_options *o = &f->options;
-    const double share = fmin(dt / o->window, 1);
-    bool drag_shows = false;
-    for (int j = 0; j < o->count; j++) {
-        double square = 0;
-        for (int i = 0; i < AXES; i++) {
-            const double away = slopes[j][i] / dt - f->mean_slope[j][i];
-            f->mean_slope[j][i] += share * away;
-            if (i < 3) square += away * away;
-        }
-        f->variation[j] += share * (square - f->variation[j]);
-        const double deviation = o->scale[j] * sqrt(f->P[FOLLOWED + j][FOLLOWED + j]);
-        drag_shows |= o->group[j] == 1 && (f->variation[j] > o->variation * o->variation ||
-                                           fabs(filter_value(f, j)) > o->drag_deviations * deviation);
-    }
-    for (int j = 0; j < o->count; j++)
-        f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 ? f->variation[j] > o->variation * o->variation
-                                                                : drag_shows);
+/* Let the noise that drives the linear disturbance have another level; where it rises, what fades is less certain. */
+static void filter_set_level(flight_filter *f, double level) {
+    const double rise = level * level - f->level * f->level;
+    for (int i = 0; i < 3 && rise > 0; i++)
+        f->P[FADING + i][FADING + i] += rise * f->options.fading[i] * f->options.fading[i];
+    f->level = level;
 }
 
-/* change: of velocity and rate over dt seconds by the model alone. slopes: its derivatives by the parameters' states. */
-static void filter_predict(flight_filter *f, const double *change, double slopes[][AXES], double dt) {
+/* change: of velocity and rate over dt seconds by the model alone. */
+static void filter_predict(flight_filter *f, const double *change, double dt) {
     const filter_options *o = &f->options;
-    const int n = FOLLOWED + o->count;
-    double left[AXES], stays[AXES];
-    bool wind = false;
-    for (int j = 0; j < o->count; j++) wind |= o->group[j] == 2 && f->followed[j];
-    for (int i = 0; i < AXES; i++) stays[i] = wind && i < 3 ? exp(-dt / o->leaving_time) : 1;
+    double left[AXES];
     for (int i = 0; i < AXES; i++) {
         left[i] = exp(-dt / o->fading_time[i]);
         f->state[i] += change[i] + dt * (f->state[STAYING + i] + f->state[FADING + i]);
         f->state[FADING + i] *= left[i];
-        f->state[STAYING + i] *= stays[i];
-        for (int c = 0; c < n; c++) { /* F P: rows of velocity and rate, then of what fades */
-            double sum = dt * (f->P[STAYING + i][c] + f->P[FADING + i][c]);
-            for (int j = 0; j < o->count; j++) sum += slopes[j][i] * f->P[FOLLOWED + j][c];
-            f->P[i][c] += sum;
+        for (int c = 0; c < FOLLOWED; c++) { /* F P: rows of velocity and rate, then of what fades */
+            f->P[i][c] += dt * (f->P[STAYING + i][c] + f->P[FADING + i][c]);
             f->P[FADING + i][c] *= left[i];
-            f->P[STAYING + i][c] *= stays[i];
         }
     }
-    for (int r = 0; r < n; r++) /* (F P) F' */
+    for (int r = 0; r < FOLLOWED; r++) /* (F P) F' */
         for (int i = 0; i < AXES; i++) {
-            double sum = dt * (f->P[r][STAYING + i] + f->P[r][FADING + i]);
-            for (int j = 0; j < o->count; j++) sum += slopes[j][i] * f->P[r][FOLLOWED + j];
-            f->P[r][i] += sum;
+            f->P[r][i] += dt * (f->P[r][STAYING + i] + f->P[r][FADING + i]);
             f->P[r][FADING + i] *= left[i];
-            f->P[r][STAYING + i] *= stays[i];
         }
     for (int i = 0; i < AXES; i++) {
-        f->P[STAYING + i][STAYING + i] += dt * o->drift[i] * o->drift[i];
-        f->P[FADING + i][FADING + i] += (1 - left[i] * left[i]) * o->fading[i] * o->fading[i];
+        const double level = i < 3 ? f->level * f->level : 1, walk = i < 3 ? o->walk : 0;
+        f->P[i][i] += dt * walk * walk;
+        f->P[STAYING + i][STAYING + i] += level * dt * o->drift[i] * o->drift[i];
+        f->P[FADING + i][FADING + i] += level * (1 - left[i] * left[i]) * o->fading[i] * o->fading[i];
     }
-    for (int j = 0; j < o->count; j++) f->P[FOLLOWED + j][FOLLOWED + j] += dt * o->parameter_drift * o->parameter_drift;
 }
 
-/* Measured velocity and rate, one after the other. Parameters that are not followed are Schmidt's consider states: they
- * do not move, and their uncertainty counts. Returns whether the measurement was used; one that jumped is not. */
+/* Measured velocity and rate, one after the other. Returns whether they were used; those that jumped are not. */
 static bool filter_take(flight_filter *f, const double *measured) {
     const filter_options *o = &f->options;
-    const int n = FOLLOWED + o->count;
-    double row[MAX_FILTERED], gain[MAX_FILTERED];
+    double row[FOLLOWED], gain[FOLLOWED];
     for (int i = 0; i < AXES; i++) {
         const double away = measured[i] - f->state[i], noise = o->measurement[i] * o->measurement[i];
         if (!(away * away <= o->gate * o->gate * (f->P[i][i] + noise))) return false;
@@ -150,21 +127,14 @@ static bool filter_take(flight_filter *f, const double *measured) {
     for (int i = 0; i < AXES; i++) {
         const double variance = f->P[i][i] + o->measurement[i] * o->measurement[i];
         const double innovation = measured[i] - f->state[i];
-        for (int c = 0; c < n; c++) row[c] = f->P[i][c], gain[c] = row[c] / variance;
-        for (int r = 0; r < n; r++) {
-            const bool held = r >= FOLLOWED && !f->followed[r - FOLLOWED];
-            if (!held) f->state[r] += gain[r] * innovation;
-            for (int c = 0; c < n; c++)
-                if (!held || c < FOLLOWED || f->followed[c - FOLLOWED]) f->P[r][c] -= gain[r] * row[c];
+        for (int c = 0; c < FOLLOWED; c++) row[c] = f->P[i][c], gain[c] = row[c] / variance;
+        for (int r = 0; r < FOLLOWED; r++) {
+            f->state[r] += gain[r] * innovation;
+            for (int c = 0; c < FOLLOWED; c++) f->P[r][c] -= gain[r] * row[c];
         }
     }
-    for (int r = 0; r < n; r++)
+    for (int r = 0; r < FOLLOWED; r++)
         for (int c = 0; c < r; c++) f->P[r][c] = f->P[c][r] = 0.5 * (f->P[r][c] + f->P[c][r]);
-    for (int j = 0; j < o->count; j++) {
-        const double lowest = (o->lower[j] - o->prior[j]) / o->scale[j];
-        const double highest = (o->upper[j] - o->prior[j]) / o->scale[j];
-        f->state[FOLLOWED + j] = fmin(fmax(f->state[FOLLOWED + j], lowest), highest);
-    }
     for (int i = 0; i < AXES; i++) {
         double *staying = &f->state[STAYING + i], *fading = &f->state[FADING + i];
         const double sum = fmin(fmax(*staying + *fading, -o->limit[i]), o->limit[i]);
@@ -172,6 +142,18 @@ static bool filter_take(flight_filter *f, const double *measured) {
         *fading = sum - *staying;
     }
     return true;
+}
+
+/* Let the level of the noise follow what a forecast over so many seconds left, the staying part aside. away: (3) m/s. */
+static void filter_follow_level(flight_filter *f, const double *away, double seconds, double dt) {
+    const filter_options *o = &f->options;
+    double excess = 0;
+    for (int i = 0; i < 3; i++) {
+        const double fade = o->fading_time[i] * (1 - exp(-seconds / o->fading_time[i])) / seconds;
+        excess += (away[i] * away[i] - 2 * o->measurement[i] * o->measurement[i]) / (3 * fade * fade);
+    }
+    f->unexplained += fmin(dt / (excess > f->unexplained ? o->rising : o->falling), 1) * (excess - f->unexplained);
+    filter_set_level(f, fmin(fmax(LEVEL_MARGIN * sqrt(fmax(f->unexplained, 0)) / (seconds * o->fading[0]), o->calm), 1));
 }
 
 /* Compare what the adapted and the file's model have forecast: velocity and rate `forecast` seconds later. Where the
@@ -195,7 +177,9 @@ static void guard(flight_filter *f, const double *change, const double *change_b
         for (int i = 0; i < AXES; i++) beyond[i] += first->beyond[i], beyond_file[i] += first->beyond_file[i];
     }
     if (seconds < o->forecast - 0.5 * dt) return;
-    double square[2][2] = {{0}};
+    double square[2][2] = {{0}}, away[3];
+    for (int i = 0; i < 3; i++) away[i] = beyond[i] - first->staying[i] * seconds;
+    filter_follow_level(f, away, seconds, dt);
     for (int i = 0; i < AXES; i++) {
         const double fade = o->fading_time[i] * (1 - exp(-seconds / o->fading_time[i]));
         const double error = beyond[i] - first->staying[i] * seconds - first->fading[i] * fade;
@@ -212,23 +196,23 @@ static void guard(flight_filter *f, const double *change, const double *change_b
     }
 }
 
-/* A measurement dt seconds after the last, before. change: by the model with the parameters as the filter has them, and
- * by the file's. Returns whether it was used; if not, the filter goes on from it. */
-static bool filter_update(flight_filter *f, const double *change, const double *change_by_file, double slopes[][AXES],
-                          const double *before, const double *measured, double dt) {
+/* A measurement dt seconds after the last, before. change: by the model with the parameters as they are, and by the
+ * file's. Returns whether it was used; if not, the filter goes on from it. */
+static bool filter_update(flight_filter *f, const double *change, const double *change_by_file, const double *before,
+                          const double *measured, double dt) {
     double sum = 0; /* not finite where one of these is not */
     for (int i = 0; i < AXES; i++) sum += change[i] + change_by_file[i] + measured[i];
-    for (int j = 0; j < f->options.count; j++)
-        for (int i = 0; i < AXES; i++) sum += slopes[j][i];
     if (!isfinite(sum)) {
         filter_restart(f, measured);
         return false;
     }
     guard(f, change, change_by_file, measured, before, dt);
-    filter_choose(f, slopes, dt);
-    filter_predict(f, change, slopes, dt);
+    filter_predict(f, change, dt);
     const bool used = filter_take(f, measured);
-    if (!used) filter_restart(f, measured);
+    if (!used) {
+        filter_restart(f, measured);
+        filter_set_level(f, 1);
+    }
     return used;
 }
 

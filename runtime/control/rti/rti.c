@@ -29,6 +29,8 @@
 #include "model.c"
 #pragma GCC pop_options
 
+#include "parameter_fit.h"
+
 #define SLOPE_STEP 1e-3 /* of a prior's standard deviation, for derivatives by parameters */
 #define LANES_PER_VECTOR LANES_OF(double)
 #define ROUND(n) ROUND_TO(n, LANES_PER_VECTOR)
@@ -38,6 +40,7 @@ typedef double lanes __attribute__((vector_size(VECTOR_BYTES)));
 typedef struct {
     condensed ocp;
     double p[NP], e[NE];
+    parameter_fit fit;
     double A[NODES][NX * NX], B[NODES][NX * NU]; /* by column, as CasADi writes them */
     double W[2][NX][LD_S] __attribute__((aligned(64)));
     long long iw[NODE_IW + STEP_IW + 1];
@@ -93,35 +96,98 @@ static void change_over(rti *r, const double *x, const double *inputs, const dou
     for (int i = 0; i < AXES; i++) change[i] -= before[i];
 }
 
+/* Let the parameters that are followed have the values that their states say. */
+static void use_followed(rti *r) {
+    const filter_options *o = &r->ocp.filter.options;
+    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = filter_value(&r->ocp.filter, j);
+}
+
+/* The model's acceleration (AXES) in a state. */
+static void acceleration_at(rti *r, const double *x, const double *inputs, double *acceleration) {
+    const double dt = FIT_STEP;
+    change_over(r, x, inputs, &dt, 1, acceleration);
+    for (int i = 0; i < AXES; i++) acceleration[i] /= dt;
+}
+
+/* Take the next row into the sweep of the fit, with the parameters as they are in p. */
+static void fit_next(rti *r) {
+    parameter_fit *t = &r->fit;
+    const filter_options *o = &r->ocp.filter.options;
+    const fit_row *row = &t->rows[t->at++ % FIT_ROWS];
+    double usual[AXES], moved[AXES], left[3], slopes[3][MAX_FOLLOWED];
+    acceleration_at(r, row->state, row->inputs, usual);
+    for (int i = 0; i < 3; i++) left[i] = row->beyond[i] - (usual[i] - row->usual[i]);
+    for (int j = 0; j < o->count; j++) {
+        double *parameter = &r->p[o->index[j]], value = *parameter;
+        *parameter = value + SLOPE_STEP * o->scale[j];
+        acceleration_at(r, row->state, row->inputs, moved);
+        *parameter = value;
+        for (int i = 0; i < 3; i++) slopes[i][j] = (moved[i] - usual[i]) / SLOPE_STEP;
+    }
+    fit_take(t, o, left, slopes, row->joined);
+}
+
+/* A part of the sweep over the rows of the fit. Where it ends the parameters move, and the disturbance by as much as the
+ * model's acceleration does in the state x: the force that acts is the same. The staying part moves by the mean of all
+ * rows, since it had come from there, and what fades by the rest. */
+static void work_on_fit(rti *r, const double *x, const double *inputs) {
+    parameter_fit *t = &r->fit;
+    flight_filter *f = &r->ocp.filter;
+    double before[AXES], after[AXES], mean[3];
+    if (t->until < FIT_FEWEST) {
+        if (t->added >= FIT_FEWEST) fit_begin(t);
+        return;
+    }
+    if (t->at < t->added - FIT_ROWS) t->at = t->added - FIT_ROWS; /* overwritten meanwhile */
+    for (int k = 0; k < FIT_AT_A_TICK && t->at < t->until; k++) fit_next(r);
+    if (t->at < t->until) return;
+    acceleration_at(r, x, inputs, before);
+    fit_end(t, f, mean);
+    use_followed(r);
+    acceleration_at(r, x, inputs, after);
+    for (int i = 0; i < AXES; i++) {
+        const double moved = after[i] - before[i], stays = i < 3 ? mean[i] : moved;
+        f->state[STAYING + i] -= stays;
+        f->state[FADING + i] -= moved - stays;
+    }
+}
+
 /* Compare the state x with its prediction from the state before: by the inputs (segments, NU), each for its seconds, with
- * the parameters as the filter has them and without the disturbance. Returns whether the filter used it. */
+ * the parameters as they are followed and without the disturbance. Returns whether the filter used it. */
 int rti_follow(rti *r, const double *before, const double *inputs, const double *seconds, int segments,
                const double *x) {
     flight_filter *f = &r->ocp.filter;
     const filter_options *o = &f->options;
-    double disturbance[DISTURBANCE], p[NP], dt = 0, slopes[MAX_FOLLOWED][AXES] = {{0}};
-    double change[AXES], by_file[AXES], usual[AXES], first[AXES], measured[AXES];
+    double disturbance[DISTURBANCE], p[NP], dt = 0, usual[AXES];
+    double change[AXES], by_file[AXES], first[AXES], measured[AXES], beyond[AXES];
     memcpy(disturbance, r->ocp.disturbance, sizeof disturbance);
     memset(r->ocp.disturbance, 0, sizeof disturbance);
     memcpy(p, r->p, sizeof p);
     for (int s = 0; s < segments; s++) dt += seconds[s];
     for (int j = 0; j < o->count; j++) r->p[o->index[j]] = o->prior[j];
     change_over(r, before, inputs, seconds, segments, by_file);
-    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = filter_value(f, j);
-    change_over(r, before, inputs, seconds, segments, change);
-    if (o->count) change_over(r, before, inputs, &dt, 1, usual);
-    for (int j = 0; j < o->count; j++) { /* one step is enough for derivatives */
-        double *parameter = &r->p[o->index[j]], value = *parameter;
-        *parameter = value + SLOPE_STEP * o->scale[j];
-        change_over(r, before, inputs, &dt, 1, slopes[j]);
-        *parameter = value;
-        for (int i = 0; i < AXES; i++) slopes[j][i] = (slopes[j][i] - usual[i]) / SLOPE_STEP;
+    memcpy(change, by_file, sizeof change);
+    rates_of(before, first);
+    rates_of(x, measured);
+    for (int i = 0; i < AXES; i++) beyond[i] = measured[i] - first[i] - by_file[i];
+    if (o->count) {
+        use_followed(r);
+        change_over(r, before, inputs, seconds, segments, change);
+    }
+    const bool used = filter_update(f, change, by_file, first, measured, dt);
+    if (o->count && used) {
+        if (fit_add(&r->fit, f, before, inputs, beyond, dt)) {
+            fit_row *row = &r->fit.rows[(r->fit.added - 1) % FIT_ROWS];
+            for (int j = 0; j < o->count; j++) r->p[o->index[j]] = o->prior[j];
+            acceleration_at(r, row->state, row->inputs, usual);
+            memcpy(row->usual, usual, sizeof row->usual);
+            use_followed(r);
+        }
+        work_on_fit(r, x, inputs + (segments - 1) * NU);
     }
     memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
     memcpy(r->p, p, sizeof p);
-    rates_of(before, first);
-    rates_of(x, measured);
-    return filter_update(f, change, by_file, slopes, first, measured, dt);
+    return used;
 }
 
 #define SPEED_STEP 1e-4 /* of a rotor's speed, for derivatives by speeds */

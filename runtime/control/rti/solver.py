@@ -63,7 +63,7 @@ class FilterOptions(ctypes.Structure):
         ),
         *(
             (name, ctypes.c_double)
-            for name in ("gate", "parameter_drift", "window", "variation", "drag_deviations", "leaving_time")
+            for name in ("gate", "walk", "calm", "rising", "falling", "variation", "drag_deviations", "offset")
         ),
         *((name, ctypes.c_double) for name in ("forecast", "averaging", "tolerance")),
         ("resolution", ctypes.c_double * 2),
@@ -104,9 +104,9 @@ class RtiSolver:
         self.input_upper = self._view("rti_input_upper", (inputs,))
         self.disturbance = self._view("rti_disturbance", (DISTURBANCE,))
         self.filter_options: FilterOptions = self._code.rti_filter_options(self._handle).contents
-        filtered = FOLLOWED + MAX_FOLLOWED
-        self.filter_state = self._view("rti_filter_state", (filtered,))
-        self.filter_covariance = self._view("rti_filter_covariance", (filtered, filtered))
+        self.filter_state = self._view("rti_filter_state", (FOLLOWED + MAX_FOLLOWED,))
+        self.filter_covariance = self._view("rti_filter_covariance", (FOLLOWED, FOLLOWED))
+        self.filter_deviations = self._view("rti_filter_deviations", (MAX_FOLLOWED,))
         self.filter_trust = self._view("rti_filter_trust", (2,))
         self.filter_squares = self._view("rti_filter_squares", (2, 2))
         self.filter_followed = self._view("rti_filter_followed", (MAX_FOLLOWED,), ctypes.c_int)
