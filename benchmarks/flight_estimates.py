@@ -45,7 +45,8 @@ def case_of(seed: int) -> tuple[str, list[EffectUse]]:
         uses.append(EffectUse("parasitic_drag", {"coefficient": random.uniform(0.004, 0.015)}))
     if random.random() < 0.75:
         speed, heading = random.uniform(1.0, 8.0), random.uniform(0, 2 * np.pi)
-        uses.append(EffectUse("wind", {"x": speed * np.cos(heading), "y": speed * np.sin(heading), "z": 0.0}))
+        x, y = float(speed * np.cos(heading)), float(speed * np.sin(heading))
+        uses.append(EffectUse("wind", {"x": x, "y": y, "z": 0.0}))
     return MANOEUVRES[seed % len(MANOEUVRES)], uses
 
 
@@ -55,7 +56,10 @@ def flown(seed: int) -> dict[str, Any]:
     reference, uses = case_of(seed)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
-        flight = fly_following(vehicle, path, hidden=uses, reference=reference, duration=SECONDS, seed=seed)
+        try:
+            flight = fly_following(vehicle, path, hidden=uses, reference=reference, duration=SECONDS, seed=seed)
+        except alula.VehicleError as error:
+            return {"seed": seed, "reference": reference, "never_flown": str(error)}
         result: dict[str, Any] = {
             "seed": seed,
             "reference": reference,
@@ -92,7 +96,9 @@ def _next_file(path: Path, folder: Path, seed: int) -> dict[str, Any]:
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Wind and drags against the truth, agreement, errors on another flight."""
-    lines = [f"{len(results)} flights of {SECONDS:g} s, every one with other effects; seeds from {FIRST_SEED} on.", ""]
+    results = [result for result in results if "never_flown" not in result]
+    first, last = results[0]["seed"], results[-1]["seed"]
+    lines = [f"{len(results)} flights of {SECONDS:g} s, every one with other effects, seeds {first} to {last}.", ""]
     lines += [*_wind(results), "", *_intervals(results), "", *_agreement(results), "", *_next_files(results)]
     return "\n".join(lines)
 
@@ -167,7 +173,7 @@ def main() -> None:
         done[result["seed"]] = result
         with options.kept.open("a") as file:
             print(json.dumps(result), file=file)
-        print(result["seed"], result["reference"], result["outcomes"], result["added"], flush=True)
+        print(result["seed"], result["reference"], result.get("outcomes"), result.get("added"), flush=True)
     results = [done[seed] for seed in seeds if seed in done]
     if options.table:
         write_result("flight_estimates", "What a model followed in flight", table(results))

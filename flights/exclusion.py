@@ -32,6 +32,7 @@ DRIFTING_SPEED = 1.5  # m/s that an estimate may drift by while the vehicle stan
 STEADY_FORCE = 1.5  # m/s^2 by which specific force may differ from gravity's reaction without acceleration
 STEADY_TIME = 0.3  # s of that
 CARRYING_EFFORT = 0.65  # of the weight; a vehicle that stays at a height with less stands on something
+BORNE = 0.1  # of the weight by which the rotors' lift may differ from the force along body z that they alone make
 SINKING_SPEED = 0.5  # m/s; in a faster descent the air carries a part
 GROUND_HEIGHT = 0.07  # m
 LIFT_OFF_SPEED = 0.3  # m/s upwards
@@ -137,6 +138,7 @@ class _Indicators:
 
     unbalanced: difference of the specific force from gravity's reaction, in the world, m/s^2: the acceleration.
     lift: of the rotors over the weight, by their effort.
+    upward_force: specific force along body z over gravity, averaged.
     """
 
     count: int
@@ -151,6 +153,7 @@ class _Indicators:
     height: Floats | None
     unbalanced: Floats | None
     lift: Floats | None
+    upward_force: Floats | None
 
     @classmethod
     def of(cls, flight: Flight) -> _Indicators:
@@ -164,17 +167,17 @@ class _Indicators:
         landed = flight["landed"] if "landed" in flight.columns else None
         height = flight["position"][:, 2] if flight.has("position") else None
         force, speed, turning = (norm(name) for name in ("specific_force", "velocity", "rate"))
-        used, unbalanced, lift = effort(flight), None, None
+        used, unbalanced, lift, upward = effort(flight), None, None, None
         if force is not None and tilt is not None:
             width = max(1, round(SMOOTHED / flight.period))
             body = ndimage.uniform_filter1d(np.nan_to_num(flight["specific_force"]), width, axis=0)
             reaction = quaternion.rotate(np.nan_to_num(flight["attitude"]), body) - np.array([0.0, 0.0, GRAVITY])
             unbalanced = np.linalg.norm(reaction, axis=1)
+            upward = body[:, 2] / GRAVITY
             lift = None if used is None else _lift(used, body[:, 2], tilt)
         climb = flight["velocity"][:, 2] if speed is not None else None
-        return cls(
-            len(flight), flight.period, used, force, speed, climb, turning, tilt, landed, height, unbalanced, lift
-        )
+        motion = speed, climb, turning, tilt, landed, height
+        return cls(len(flight), flight.period, used, force, *motion, unbalanced, lift, upward)
 
     def rows(self, seconds: float) -> int:
         return max(1, round(seconds / self.period))
@@ -203,7 +206,8 @@ class _Indicators:
     def resting(self) -> Rows:
         """On the ground at any tilt: no acceleration, though the rotors carry too little or push to the side.
 
-        What flies without acceleration at a great tilt is fast, or else air as fast blows at it.
+        What flies without acceleration at a great tilt is fast, or else air as fast blows at it; its rotors alone make
+        the force along body z, which the ground has a part in otherwise.
         """
         if self.unbalanced is None or self.tilt is None or self.speed is None or self.climb is None:
             return np.zeros(self.count, dtype=bool)
@@ -213,7 +217,13 @@ class _Indicators:
         weak = np.zeros(self.count, dtype=bool)
         if self.lift is not None:
             weak = (self.lift < CARRYING_EFFORT) & (np.abs(np.nan_to_num(self.climb)) < SINKING_SPEED)
-        return _lasting(steady & (oblique | weak), self.rows(STEADY_TIME))
+        return _lasting(steady & (oblique | weak) & ~self._borne(), self.rows(STEADY_TIME))
+
+    def _borne(self) -> Rows:
+        """Rows in which the rotors' lift is the whole force along body z."""
+        if self.lift is None or self.upward_force is None:
+            return np.zeros(self.count, dtype=bool)
+        return (self.lift > IDLE_EFFORT) & (np.abs(self.lift - self.upward_force) < BORNE)
 
     def _carried(self) -> Rows:
         """Rows in which the ground carries the vehicle: idle rotors without free fall, dive or climb."""
@@ -272,7 +282,7 @@ class _Indicators:
         still = self.still()
         if still is None or self.tilt is None:
             return np.zeros(self.count, dtype=bool)
-        lying = np.nan_to_num(self.tilt) > TILT_RESTING
+        lying = (np.nan_to_num(self.tilt) > TILT_RESTING) & ~self._borne()
         return np.asarray(_lasting(still & lying, self.rows(0.5)) | (self.resting() & lying))
 
     def overturned(self) -> Rows:

@@ -224,10 +224,14 @@ def test_standing_with_rotors_below_the_weight_is_ground_although_the_detector_r
     assert only(find_exclusions(flight(columns)), "ground").stop == pytest.approx(5.3, abs=0.2)
 
 
-def test_hovering_in_strong_wind_is_flight() -> None:
-    """Tilted by 20 degrees against the air, the rotors carry the weight."""
-    columns = hovering()
-    lie(columns, 10.0, 20.0, tilt=np.deg2rad(20.0), speed=HOVER * np.sqrt(np.cos(np.deg2rad(20.0))))
+@pytest.mark.parametrize(("degrees", "speed"), [(20.0, 0.3), (34.0, 0.3), (34.0, 0.0), (52.0, 0.0)])
+def test_hovering_in_strong_wind_is_flight(degrees: float, speed: float) -> None:
+    """Tilted against the air, drifting or still, the rotors carry the weight."""
+    columns, tilt = hovering(), np.deg2rad(degrees)
+    lie(columns, 10.0, 20.0, tilt=tilt, speed=HOVER * np.sqrt(np.cos(tilt)))
+    for axis in "xyz":
+        columns[f"velocity_{axis}"][rows(10.0, 20.0)] = speed
+        columns[f"rate_{axis}"][rows(10.0, 20.0)] = 0.02
     assert find_exclusions(flight(columns)) == ()
 
 
