@@ -27,6 +27,7 @@ from studio.app.opened import PAGES, OpenCase, page_of
 from studio.app.parts import message
 from studio.app.place import opened_at, place_of, result_of
 from studio.app.studio import Studio
+from studio.app.theme import EMPTY
 
 TICK = 250  # ms between two looks at what runs
 LABELS = {
@@ -119,6 +120,7 @@ def _frame() -> Any:
             dcc.Store(id="revision"),
             dcc.Store(id="signature"),
             dcc.Store(id="scheme", data="light"),
+            html.Div(dcc.Graph(figure=EMPTY), hidden=True),  # so that Plotly is there when the first picture is
             dmc.NotificationContainer(id="notices", position="bottom-right", autoClose=8000),
             dmc.AppShell(
                 [
