@@ -450,7 +450,11 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     line_rows: of a periodogram. [not derived yet]
     line_refinement: frequencies within a bin of which a line's own is the best. [definition]
     line_surroundings: bins over which a line's surroundings are the median. [not derived yet]
-    line_chance: probability that the strongest line of noise alone exceeds what counts as one. [definition]
+    agreement_powers: independent ones in the low band with which `max_agreement` holds; with fewer a torque's slow part
+    exceeds it by chance. [`benchmarks/short_logs.py`, seeds from
+    930,000: torques are 2.75 times as strong there]
+    window_width: noise bandwidth of a window of Hann, bins. [formula]
+    chance: probability with which noise alone exceeds what counts as a line or as slow. [definition]
     line_draws: of residuals with random signs, to whose strongest lines a distribution is given. [formula: the
     deviation of 100 values holds to 7 %]
     """
@@ -467,7 +471,9 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
     line_rows: Annotated[int, Meta(ge=64)] = 512
     line_refinement: Count = 9
     line_surroundings: Count = 61
-    line_chance: Share = 1e-3
+    agreement_powers: Count = 25
+    window_width: Factor = 1.5
+    chance: Share = 1e-3
     line_draws: Annotated[int, Meta(ge=10)] = 100
 
 

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
+from scipy.stats import distributions
 
 from diagnosis.data.segment import Segment
 from diagnosis.models.channels import ANGULAR_ACCELERATION, AXES, MOTION, POSE_ACCELERATION, SPECIFIC_FORCE
@@ -140,7 +141,8 @@ def _slow_agreement(rows: Sequence[Floats], regression: Regression, thresholds: 
 def low_frequency_agreement(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
     """Power in the low band over that in the reference band: of the forces' cross spectrum, or of a torque.
 
-    rows: (m, 12) residuals of each segment at rate Hz.
+    A torque's ratio is taken lower where so few powers exceed it by chance. rows: (m, 12) residuals of each segment at
+    rate Hz.
     """
     low, reference, size = np.zeros(6), np.zeros(6), np.zeros(6)
     count_low = count_reference = 0
@@ -158,7 +160,22 @@ def low_frequency_agreement(rows: Sequence[Floats], rate: float, thresholds: Res
     low, reference = low / count_low, reference / count_reference
     size = np.maximum(size / count_reference, 1e-30)
     common = (low[:3] - np.maximum(reference[:3], 0)) / size[:3]
-    return float(np.max(np.concatenate([common, low[3:] / np.maximum(reference[3:], 1e-30)])))
+    torque = low[3:] / np.maximum(reference[3:], 1e-30) / _excess_of_few(count_low, count_reference, thresholds)
+    return float(np.max(np.concatenate([common, torque])))
+
+
+def _excess_of_few(low: int, reference: int, thresholds: ResidualTestThresholds) -> float:
+    """By how much the ratio of two mean powers exceeds by chance what it does with `agreement_powers` in the low band.
+
+    At least 1. low, reference: numbers of powers under a window of Hann, two thirds of which are independent; each
+    has the distribution of chi-square with two degrees of freedom.
+    """
+    usual = thresholds.agreement_powers
+    here, there = (
+        float(distributions.f.isf(thresholds.chance, 2 * powers, 2 * powers * reference / low))
+        for powers in (low / thresholds.window_width, usual)
+    )
+    return max(1.0, here / there)
 
 
 def _slow_force(rows: Sequence[Floats], regression: Regression, thresholds: ResidualTestThresholds) -> Finding | None:

@@ -49,7 +49,7 @@ def strongest_line(rows: Sequence[Floats], rate: float, thresholds: ResidualTest
 
 
 def line_by_chance(rows: Sequence[Floats], rate: float, thresholds: ResidualTestThresholds) -> float:
-    """Power over its surroundings that the strongest line of noise exceeds with the probability `line_chance`.
+    """Power over its surroundings that the strongest line of noise exceeds with the probability `chance`.
 
     The noise is the residuals themselves with random signs, which have no lines but the same power at every moment: a
     short log, or one whose power is in a few moments, has few independent powers at each frequency. The logarithms of
@@ -65,7 +65,7 @@ def line_by_chance(rows: Sequence[Floats], rate: float, thresholds: ResidualTest
         lines.append(np.log(np.max((power / median)[band])))
     scale = float(np.std(lines)) * np.sqrt(6) / np.pi
     mode = float(np.mean(lines)) - np.euler_gamma * scale
-    return float(np.exp(mode - scale * np.log(-np.log1p(-thresholds.line_chance))))
+    return float(np.exp(mode - scale * np.log(-np.log1p(-thresholds.chance))))
 
 
 def _spectrum(rows: Sequence[Floats], thresholds: ResidualTestThresholds) -> tuple[Floats, Floats]:

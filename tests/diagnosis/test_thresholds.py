@@ -25,7 +25,7 @@ NO_THRESHOLDS = {
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "FORCE_READING", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
-    "CHAINED_BLOCK", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",  # sizes of blocks and caches: they change no number
+    "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",  # sizes of blocks and caches: they change no number
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip
@@ -132,7 +132,7 @@ def test_a_wider_margin_tells_fewer_rivals_apart(answer, usual):
 
 
 def test_a_lower_limit_on_lines_makes_it_unknown(answer):
-    lower = answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}, residual_tests={"line_chance": 0.999})
+    lower = answer(verdict={"max_line": 1.0, "min_over_floor": 0.0}, residual_tests={"chance": 0.999})
     assert lower.verdict == "unknown"
 
 

@@ -83,6 +83,16 @@ def test_lines_and_agreement_in_white_noise_stay_below_their_limits_in_39_of_40_
     assert agreements <= 1
 
 
+def test_a_torque_is_slow_in_a_short_log_only_where_noise_is_not():
+    """Noise as red as the rotors' turbulence makes torques: 4 of these 100 draws are above the limit of longer logs."""
+    above = 0
+    for seed in range(100):
+        random = np.random.default_rng(3000 + seed)
+        rows = [lfilter([1.0], [1.0, -0.5], random.standard_normal((m, CHANNELS)), axis=0) for m in (243, 164)]
+        above += low_frequency_agreement(rows, 25.0, DEFAULT.residual_tests) > LIMITS.max_agreement
+    assert above <= 1
+
+
 @pytest.mark.parametrize("lengths", [(500,), (243, 164)])
 def test_a_line_in_a_short_log_is_one_that_noise_does_not_have(lengths):
     """Nine in ten draws of one segment of 20 s exceed `max_line`."""
