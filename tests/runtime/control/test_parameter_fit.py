@@ -51,8 +51,8 @@ def followed_flight(
     filtered.restart(before, 0.0)
     for step in range(1, round(seconds / DT) + 1):
         phase = pace * step * DT + [0.0, np.pi / 2, 0.0]
-        asked = size * pace * np.cos(phase) + 2.0 * (size * np.sin(phase) - state[VELOCITY])
-        speed = leaned(state, asked, plant, vehicle)
+        commanded = size * pace * np.cos(phase) + 2.0 * (size * np.sin(phase) - state[VELOCITY])
+        speed = leaned(state, commanded, plant, vehicle)
         before[ATTITUDE] = state[ATTITUDE]
         state = plant.propagate(state, speed, DT).copy()
         state[RATE], state[POSITION] = 0.0, (0.0, 0.0, 1.0)
@@ -66,13 +66,13 @@ def followed_flight(
     return filtered
 
 
-def leaned(state: Floats, asked: Floats, plant: RtiSolver, vehicle: Vehicle) -> Floats:
+def leaned(state: Floats, commanded: Floats, plant: RtiSolver, vehicle: Vehicle) -> Floats:
     """Rotor speeds for an acceleration (3,) that is asked for, and the state leans for it: against the air, too."""
     hover, weight = np.full(4, vehicle.hover_speed), np.array([0.0, 0.0, GRAVITY])
     w, x, y, z = state[ATTITUDE]
     up = np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
     drag = (plant.propagate(state, hover, 1e-3)[VELOCITY] - state[VELOCITY]) / 1e-3 + weight - GRAVITY * up
-    thrust = asked + weight - drag
+    thrust = commanded + weight - drag
     size = float(np.linalg.norm(thrust))
     half = np.array([size + thrust[2], -thrust[1], thrust[0], 0.0])
     state[ATTITUDE] = half / np.linalg.norm(half)
