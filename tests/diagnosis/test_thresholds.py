@@ -25,7 +25,8 @@ NO_THRESHOLDS = {
     "PERIOD", "MAX_BATCH", "TORQUES", "SEED", "FORCE_READING", "RATE_READING", "POSE_AGE", "ENVIRONMENT", "BATTERY",
     "ATTITUDE_AGE", "POSE_ARM", "NO_BIASES",
     "GYRO_AXES", "GAIN", "GAIN_KEY", "MASS_KEY", "MOTOR", "BEND", "MAX_ADVICE", "DAMPING", "NORMAL",
-    "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",  # sizes of blocks and caches: they change no number
+    # sizes of blocks and caches, which change no number
+    "CHAINED_BLOCK", "FEW", "MAX_FOLLOWED", "MAX_KEPT", "MAX_MOVED",
     "TINY",  # instead of nothing
     "NEGLECTED",  # a filter's response is cut at rounding
 }  # fmt: skip
