@@ -24,6 +24,7 @@ from runtime.control.rotor_watch import RotorWatch, up_of
 from runtime.control.rti.solver import AXES, RtiSolver
 from runtime.control.thrust_history import ThrustHistory
 
+REFUSED = 0.5  # share of what is estimated, below which it counts as not flown
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
 DESCRIBE_EVERY = 10  # commands
 DRAG_STEP = 0.002  # s over which the model's forces are averaged
@@ -176,8 +177,8 @@ class Adaptation:
 
     @property
     def refusal(self) -> str:
-        """By how much forces and parameters forecast worse than the file's model; empty where they do not."""
-        if self.filter.trust[0] >= 1.0:
+        """By how much forces and parameters forecast worse than the file's model; empty where most of them is flown."""
+        if self.filter.trust[0] >= REFUSED:
             return ""
         own, file = self.filter.squares[0]
         return f"{math.sqrt(own / max(file, 1e-12)):.2g} times its error"

@@ -84,9 +84,9 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     gate: Positive = 6.0
     start: Positive = 1.0
     walk: NotNegative = 0.03
-    calm: Positive = 0.03
+    calm: Positive = 0.3
     rising: Positive = 0.3
-    falling: Positive = 3.0
+    falling: Positive = 1.0
     variation: Positive = 0.3
     drag_deviations: Positive = 3.0
     offset: Positive = 0.05

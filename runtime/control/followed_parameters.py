@@ -14,7 +14,7 @@ from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 from runtime.control.kernel_model import FlownModel
 
-Group = Literal["other", "drag", "air"]
+Group = Literal["other", "drag", "air", "thrust"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class FollowedParameter:
     value, std: its prior.
     lower, upper: its bounds.
     group: "drag" shows where its slope varies, whose constant part depends on the wind; "air", the wind, beside a drag
-        that shows or is certain; "other" always.
+        that is certain; "thrust" never, since the effectiveness of thrust has it; "other" always.
     unit: SI.
     """
 
@@ -70,6 +70,8 @@ def followed_parameters(
         group: Group = "drag" if item.effect.resists_air else "other"
         if item.effect.wind is not None and has_drag:
             group = "air"
+        if item.effect.acts_on in ("weight", "command_gain"):
+            group = "thrust"
         for parameter in item.effect.parameters if item.effect.name in names else ():
             if item.effect.wind is not None and parameter.name == wind.COEFFICIENT.name:
                 continue  # acts without a drag alone, where only its product with the wind would show

@@ -28,7 +28,7 @@ typedef struct {
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
     int index[MAX_FOLLOWED];  /* of each in the kernel's */
-    int group[MAX_FOLLOWED];  /* 1 a drag, 2 the air, 0 another */
+    int group[MAX_FOLLOWED];  /* 1 a drag, 2 the air, 3 thrust, 0 another */
 } filter_options;
 
 /* What happened between two estimates, for the guard. */
@@ -50,10 +50,6 @@ typedef struct {
     double trust[2];     /* share with which what was estimated is flown, linear (and parameters) and angular */
 } flight_filter;
 
-static double filter_value(const flight_filter *f, int j) {
-    return f->options.prior[j] + f->options.scale[j] * f->state[FOLLOWED + j];
-}
-
 /* Forget everything. */
 static void filter_clear(flight_filter *f) {
     const filter_options *o = &f->options;
@@ -69,7 +65,7 @@ static void filter_clear(flight_filter *f) {
     memset(f->square, 0, sizeof f->square);
     f->trust[0] = f->trust[1] = 1;
     f->level = 1;
-    f->unexplained = o->forecast * o->forecast * o->fading[0] * o->fading[0];
+    f->unexplained = pow(o->forecast * o->fading[0] / LEVEL_MARGIN, 2);
 }
 
 /* Go on from measured velocity and rate, as after a gap or a jump. */

@@ -40,6 +40,10 @@ typedef struct {
     long taken, pairs;
 } parameter_fit;
 
+static double fit_value(const flight_filter *f, int j) {
+    return f->options.prior[j] + f->options.scale[j] * f->state[FOLLOWED + j];
+}
+
 static void fit_begin(parameter_fit *t) {
     t->until = t->added;
     t->at = t->added > FIT_ROWS ? t->added - FIT_ROWS : 0;
@@ -126,7 +130,8 @@ static void fit_take(parameter_fit *t, const filter_options *o, const double *le
 }
 
 /* Which parameters the rows can show: a drag where its slope varies, since its constant part depends on the wind; the
- * wind, and every drag, beside a drag that is certain; any other always. */
+ * wind, and every drag, beside a drag that is certain; what scales thrust never, since its effectiveness has it; any
+ * other always. */
 static void fit_choose(const parameter_fit *t, flight_filter *f) {
     const filter_options *o = &f->options;
     bool certain = false, shows[MAX_FOLLOWED] = {false};
@@ -138,10 +143,11 @@ static void fit_choose(const parameter_fit *t, flight_filter *f) {
         }
         shows[j] = variance > o->variation * o->variation;
         const double enough = o->drag_deviations * o->scale[j] * f->deviation[j];
-        certain |= o->group[j] == 1 && fabs(filter_value(f, j)) > enough;
+        certain |= o->group[j] == 1 && fabs(fit_value(f, j)) > enough;
     }
     for (int j = 0; j < o->count; j++)
-        f->followed[j] = o->group[j] == 0 || certain || (o->group[j] == 1 && (shows[j] || f->followed[j]));
+        f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 && (shows[j] || f->followed[j] || certain)) ||
+                         (o->group[j] == 2 && certain);
 }
 
 /* Cholesky factor of the rows and columns of M that are free, in place (lower); the others become those of 1. */
@@ -233,7 +239,7 @@ static void fit_noise(parameter_fit *t, const filter_options *o) {
         const double mean = t->sum[i] / t->taken, variance = t->square[i] / t->taken - mean * mean;
         const double next = t->product[i] / (t->pairs > 0 ? t->pairs : 1) - mean * mean;
         const double keep = exp(-FIT_BLOCK / o->fading_time[i]);
-        const double least = o->calm * o->calm * o->fading[i] * o->fading[i]; /* slow errors of the attitude */
+        const double least = 0.25 * o->offset * o->offset; /* the attitude's errors fade, too */
         t->fading[i] = fmin(fmax(next / keep, least), fmax(variance, least));
         t->share[i] = fmin(t->fading[i] / fmax(variance, least), 1);
         t->variance[i] = fmax(t->white_square[i] / t->taken, o->walk * o->walk / FIT_BLOCK);

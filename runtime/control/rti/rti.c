@@ -99,7 +99,7 @@ static void change_over(rti *r, const double *x, const double *inputs, const dou
 /* Let the parameters that are followed have the values that their states say. */
 static void use_followed(rti *r) {
     const filter_options *o = &r->ocp.filter.options;
-    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = filter_value(&r->ocp.filter, j);
+    for (int j = 0; j < o->count; j++) r->p[o->index[j]] = fit_value(&r->ocp.filter, j);
 }
 
 /* The model's acceleration (AXES) in a state. */
