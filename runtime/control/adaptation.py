@@ -255,8 +255,12 @@ class Adaptation:
         if not self.flies:
             return
         filtered, flown = self.filter, self._solver.disturbance
-        trust = np.repeat(filtered.trust * (1.0, self._settings.moments), 3)
-        flown[:AXES], flown[FLOWN_FADES] = trust * filtered.staying, trust * filtered.fading
+        linear, angular = filtered.trust.tolist()
+        flown[:AXES], flown[FLOWN_FADES] = filtered.staying, filtered.fading
+        flown[:3] *= linear
+        flown[AXES : AXES + 3] *= linear
+        flown[3:AXES] *= angular * self._settings.moments
+        flown[AXES + 3 : 2 * AXES] *= angular * self._settings.moments
         if filtered.parameters:
             self._solver.parameters[filtered.index] = filtered.flown_values
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,14 +21,14 @@ class ThrustHistory:
     def __init__(self, hover: Floats, *, lag: float, period: float) -> None:
         """hover: (n,) rad/s. lag: s. period: between commands, s."""
         self._hover, self._lag, self._period = hover, lag, period
-        self._times = np.full(HISTORY, -np.inf)
+        self._times = [-math.inf] * HISTORY
         self._speeds = np.tile(hover, (HISTORY, 1))
         self._response = hover.copy()
         self.count = 0
 
     def clear(self) -> None:
         """Forget all commands; thrust is that of hover."""
-        self._times[:], self.count = -np.inf, 0
+        self._times[:], self.count = [-math.inf] * HISTORY, 0
         self._response[:] = self._hover
 
     def add(self, time: float, speed: Floats) -> None:
@@ -41,12 +42,12 @@ class ThrustHistory:
 
     def acted(self, start: float, stop: float) -> tuple[Floats, Floats]:
         """Rotor speeds (k, n) whose thrust acted between two times, and for how many seconds (k,) each did."""
-        oldest = max(0, self.count - HISTORY)
-        last = self.count - 1
-        while last > oldest and self._times[last % HISTORY] >= stop:
+        times, oldest, last = self._times, max(0, self.count - HISTORY), self.count - 1
+        while last > oldest and times[last % HISTORY] >= stop:
             last -= 1
         first = last
-        while first > oldest and self._times[first % HISTORY] > start:
+        while first > oldest and times[first % HISTORY] > start:
             first -= 1
-        slots = np.arange(first, last + 1) % HISTORY
-        return self._speeds[slots], np.diff([start, *self._times[slots[1:]], stop])
+        slots = [tick % HISTORY for tick in range(first, last + 1)]
+        edges = [start, *(times[slot] for slot in slots[1:]), stop]
+        return self._speeds[slots], np.array([after - before for before, after in pairwise(edges)])

@@ -26,6 +26,7 @@ class CrashLimits:
     slow: m/s, an estimated speed at rest.
     carried_time, pressed_time: s.
     tilt: rad, and `excess`: rad beyond the reference, both of which no manoeuvre exceeds for `tilt_time`, s.
+    returning: rad by which the tilt has fallen from its largest where a vehicle is turning back to level.
     distance: m from the reference for `distance_time`, s.
     """
 
@@ -40,6 +41,7 @@ class CrashLimits:
     tilt: float = radians(100.0)
     excess: float = radians(60.0)
     tilt_time: float = 0.3
+    returning: float = radians(15.0)
     distance: float = 3.0
     distance_time: float = 1.0
 
@@ -57,6 +59,7 @@ class CrashDetector:
         self._past: deque[tuple[float, Floats, float]] = deque()
         self._carried, self._pressed = Persistence(limits.carried_time), Persistence(limits.pressed_time)
         self._tilted, self._far = Persistence(limits.tilt_time), Persistence(limits.distance_time)
+        self._largest_tilt = 0.0
 
     def force(self, meter: ForceMeter, velocity: Floats, time: float) -> dict[Event, str]:
         """Events of the external force. velocity: (3,) m/s, estimated. time: s."""
@@ -82,7 +85,9 @@ class CrashDetector:
         present: dict[Event, str] = {}
         tilt, requested = tilt_of(attitude), tilt_of(reference)
         beyond = tilt > max(limits.tilt, requested + limits.excess)
-        if self._tilted.update(beyond, time):
+        self._largest_tilt = max(tilt, self._largest_tilt) if beyond else 0.0
+        returning = tilt < self._largest_tilt - limits.returning
+        if self._tilted.update(beyond and not returning, time):
             detail = f"{degrees(tilt):.0f} degrees, {degrees(requested):.0f} were requested"
             present[Event.OVERTURNED] = detail
         if self._far.update(distance > limits.distance, time):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -155,3 +155,22 @@ def test_an_impact_is_noticed_at_any_control_rate(rate: float) -> None:
         meter.update(np.array([struck, 0.0, GRAVITY]), GRAVITY, LEVEL, (time, np.zeros(3)), time)
         events |= set(detector.force(meter, np.array([5.0, 0.0, 0.0]), time))
     assert Event.IMPACT in events
+
+
+@pytest.mark.parametrize(
+    ("course", "overturned"),
+    [
+        (lambda time: 125.0 * np.sin(np.pi * time / 0.8), False),  # beyond 100 for 0.33 s
+        (lambda time: min(400.0 * time, 180.0), True),
+        (lambda time: min(150.0 * time, 110.0), True),
+    ],
+)
+def test_a_vehicle_that_turns_back_to_level_is_not_overturned(
+    course: Callable[[float], float], overturned: bool
+) -> None:
+    detector, events = CrashDetector(), set()
+    for tick in range(120):
+        half = np.radians(max(course(0.01 * tick), 0.0)) / 2
+        attitude = np.array([np.cos(half), np.sin(half), 0.0, 0.0])
+        events |= set(detector.motion(attitude, LEVEL, 0.0, 0.01 * tick))
+    assert (Event.OVERTURNED in events) is overturned
