@@ -88,16 +88,18 @@ class RotorLossTest:
     def add(self, beyond: Floats, shares: Floats, seconds: float) -> RotorLoss | None:
         """Take accelerations over some seconds. Returns the loss of a rotor that they name.
 
+        A block with some that are not finite does not count.
+
         beyond: (3,) beyond the model: along body z, m/s^2, about body x and y, rad/s^2. shares: (n, 3) those of each
         rotor's whole thrust.
         """
-        if not math.isfinite(float(beyond.sum() + shares.sum())):
-            self._restart_block()
-            return None
         self._sum_beyond += seconds * beyond
         self._sum_shares += seconds * shares
         self._seconds += seconds
         if self._seconds < self._settings.block - 1e-6:
+            return None
+        if not math.isfinite(float(self._sum_beyond.sum() + self._sum_shares.sum())):
+            self._restart_block()
             return None
         named = np.zeros(len(shares))
         for loss in self.losses.values():
