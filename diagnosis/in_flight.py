@@ -148,7 +148,8 @@ def _outcome(
     shown = {name: p for name, p in parameters.items() if p.shown}
     if not shown:
         return "not_estimated", "the flight did not show it, and its interval is still about that of before the flight"
-    apart = {name: p for name, p in shown.items() if not _overlap(p, limits)}
+    compared = {name: p for name, p in shown.items() if p.diagnosed_std or not named}  # not what it holds
+    apart = {name: p for name, p in compared.items() if not _overlap(p, limits)}
     if not apart:
         return "agrees", ""
     reasons = [

@@ -71,6 +71,13 @@ def test_overlapping_intervals_agree(arpl_250g: Vehicle) -> None:
     assert "2.4e-05 ± 3.9e-06 N s^2/(rad m) in flight, coefficient = 2.2e-05" in in_flight_sentence(effect)
 
 
+def test_what_the_diagnosis_holds_is_not_compared(arpl_250g: Vehicle) -> None:
+    flight = followed_flight(arpl_250g, {"wind.x": (4.0, 0.1, 9.0), "wind.z": (0.3, 0.1, 3.0)})
+    effect = one(flight, details(arpl_250g, ("wind", {"x": (4.1, 0.02), "z": (0.0, 0.0)})))
+    assert effect.outcome == "agrees"
+    assert effect.parameters["z"].diagnosed_std == 0.0
+
+
 def test_neither_sees_a_change(arpl_250g: Vehicle) -> None:
     effect = one(followed_flight(arpl_250g, {"mass.ratio": (1.01, 0.02, 0.3)}), details(arpl_250g))
     assert (effect.outcome, effect.named) == ("agrees", False)
