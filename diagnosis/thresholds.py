@@ -367,6 +367,8 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
     max_rounds: of search, each about the fit of the last one. [not derived yet]
     explained: reduced chi-square of the fitted flights at which no further round is needed. [not derived yet]
+    max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
+    goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [not derived yet]
     max_trials: best additions that are cross-validated in one step. [not derived yet]
     max_contenders: best single effects of which cross-validation chooses the first. [not derived yet]
@@ -388,6 +390,7 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_steps: Count = 60
     max_rounds: Count = 5
     explained: Factor = 1.05
+    max_pair_share: Share = 0.5
     max_paired: Count = 8
     max_trials: Count = 12
     max_contenders: Count = 5

@@ -354,9 +354,21 @@ def select(regression: Regression) -> Selection:
 
 def select_from(regression: Regression, start: Sequence[Candidate], earlier: Selection) -> Selection:
     """The effects that are missing, by a search from a set on a regression about the fit of that set."""
-    required = _relevant(regression)
-    chosen, variance, _ = _searched(regression, tuple(start), gust_variance(regression, tuple(start)), required)
+    required, air = _relevant(regression), gust_variance(regression, tuple(start))
+    starts = [(tuple(start), air), *([(one, 0.0) for one in _in_steady_wind(regression, start)] if air else [])]
+    results = [_searched(regression, candidates, variance, required) for candidates, variance in starts]
+    chosen, variance, _ = max(results, key=lambda one: one[2])
     return _selection(regression, chosen, variance, required, earlier.singles, earlier.gust_before)
+
+
+def _in_steady_wind(regression: Regression, start: Sequence[Candidate]) -> list[Set]:
+    """The set with a steady wind, where it has none: in a gust none is worth adding, since that explains it as well.
+
+    No step of a search leads there, since all are taken in one strength of gust.
+    """
+    if any(c.effect.wind is not None for c in start):
+        return []
+    return [(*start, c) for c in regression.candidates if c.effect.wind is not None]
 
 
 def _selection(

@@ -76,6 +76,18 @@ def test_the_diagnosis_agrees_with_the_flight(run: Run, folder: Path) -> None:
     assert "rotor_drag.coefficient, N s" in text
 
 
+def test_a_strong_wind_in_one_flight_is_named_and_agrees(arpl_250g: Vehicle, tmp_path: Path) -> None:
+    """It was taken for a gust, with the wrong effects beside it: about a vehicle without drag wind has no moments."""
+    hidden = [EffectUse("rotor_drag", {"coefficient": 3.2e-5}), EffectUse("wind", {"x": -2.0, "y": -6.4, "z": 0.0})]
+    fly_following(arpl_250g, tmp_path / "windy.mcap", hidden=hidden, seed=40014, duration=24.0)
+    report = alula.diagnose(tmp_path / "windy.mcap", arpl_250g).report
+    values = {effect.name: effect.parameters for effect in report.effects}
+    assert set(values) == {"rotor_drag", "wind"}
+    assert values["wind"]["y"].value == pytest.approx(-6.4, abs=0.1)
+    (wind,) = [one for one in report.in_flight if one.name == "wind"]
+    assert wind.parameters["y"].value == pytest.approx(-6.4, abs=0.3)
+
+
 def test_the_page_of_a_recording_has_the_parameters_over_time(folder: Path) -> None:
     shown = show(folder / "drags.mcap")
     drawn = json.loads(shown.pictures["Followed in flight"].data)

@@ -42,6 +42,15 @@ def test_standing_air_that_pushes_by_place_is_no_gust(arpl_250g):
     assert diagnosed(arpl_250g, ("swirling", {"amplitude": 0.04}, None)).verdict == "unknown"
 
 
+def test_two_drags_in_a_steady_wind_are_named_without_a_gust(arpl_250g):
+    wind = {"x": 4.2, "y": -0.3, "z": 0.0}
+    drags = [("rotor_drag", {"coefficient": 1.4e-5}, None), ("parasitic_drag", {"coefficient": 0.0114}, None)]
+    values = {e.name: e.parameters for e in diagnosed(arpl_250g, *drags, ("wind", wind, None)).effects}
+    assert set(values) == {"wind", "rotor_drag", "parasitic_drag"}
+    assert values["wind"]["x"].value == pytest.approx(4.2, abs=0.05)
+    assert values["parasitic_drag"]["coefficient"].value == pytest.approx(0.0114, rel=0.03)
+
+
 def test_commanded_speeds_are_used_as_they_are(arpl_250g):
     diagnosis = diagnosed(
         arpl_250g, ("motor_lag", {"time_constant": 0.03}, None), ("mass", {"ratio": 1.1}, None), commands=True
