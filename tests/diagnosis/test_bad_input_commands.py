@@ -11,6 +11,7 @@ import pytest
 
 from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import write_vehicle
+from fixtures.joined_flights import joined_flights
 from flights import Flight
 from tests.diagnosis.conftest import with_columns
 from tests.support.command_line import Run, command_line
@@ -143,10 +144,8 @@ def test_one_flight_and_a_log_without_imu_are_answered_with_notes_on_what_is_mis
     run: Run, plain_flights: list[Flight], tmp_path: Path
 ) -> None:
     """One recording with an interruption."""
-    first, second = (without("rate", "specific_force")(f) for f in plain_flights[4:6])
-    time = np.concatenate([first.time, second.time + first.time[-1] + 1.0])
-    columns = {name: np.concatenate([first.columns[name], second.columns[name]]) for name in first.columns}
-    log = Flight(time, columns, first.provenance).to_csv(tmp_path / "log.csv")
+    parts = [without("rate", "specific_force")(f) for f in plain_flights[4:6]]
+    log = joined_flights(parts).to_csv(tmp_path / "log.csv")
     code, shown, _ = run("diagnose", log, "--vehicle", "arpl_250g")
     assert code == 0
     for words in ("no accelerometer in the log", "no gyro in the log", "one flight only"):
