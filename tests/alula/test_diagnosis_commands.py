@@ -78,7 +78,7 @@ def test_diagnose_names_the_effect_in_a_sentence_and_in_json(run, logs, tmp_path
     assert "one flight only" not in shown
     verdict = json.loads(file.read_text())
     contract = {"verdict", "effects", "channels", "not_excited", "fails_where", "next_flight"}
-    added = {"refused", "candidates", "leftover", "rotors", "next_reference", "command_gain"}
+    added = {"refused", "candidates", "leftover", "rotors", "next_reference", "command_gain", "in_flight"}
     assert set(verdict) == contract | added
     assert "mass" in [one["name"] for one in verdict["candidates"][:3]]
     assert verdict["verdict"] in ("effect", "ambiguous")
