@@ -143,7 +143,8 @@ def _agreement(results: Sequence[Mapping[str, Any]]) -> list[str]:
 def _next_files(results: Sequence[Mapping[str, Any]]) -> list[str]:
     added = [result for result in results if result["added"]]
     refused = Counter(result["refused"].split(":")[0].split(" from ")[0] for result in results if not result["added"])
-    lines = [f"--from-flight wrote a file in {len(added)} of {len(results)} flights; not: {dict(refused)}."]
+    why_not = "".join(f"; {reason} in {count}" for reason, count in refused.items())
+    lines = [f"--from-flight wrote a file in {len(added)} of {len(results)} flights{why_not}."]
     for kind in ("imu", "mocap"):
         pairs = np.array([result["errors"][kind] for result in added if kind in result["errors"]])
         if len(pairs):

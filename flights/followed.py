@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,16 +9,14 @@ from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from mcap.exceptions import McapError
 from mcap.records import Attachment, Channel, McapRecord, Message, Metadata
 from mcap.stream_reader import StreamReader
-from zstandard import ZstdError
 
 from dynamics.arrays import Floats
 from dynamics.errors import DataError, RequestError
+from flights.readers.mcap import MAGIC, TORN
 from flights.source import sha256
 
-MAGIC = b"\x89MCAP0\r\n"
 VEHICLE_TEXT = "vehicle.toml"  # attachment of a recording
 FOLLOWED, PHASE, OBSERVATION, SETPOINT = "/followed", "/phase", "/observation", "/setpoint"
 TRACKED = "track"  # the phase in which the reference is flown
@@ -217,7 +214,7 @@ def _parts(path: Path) -> Iterator[McapRecord]:
     with path.open("rb") as stream:
         try:
             yield from StreamReader(stream).records
-        except (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError):
+        except TORN:
             return
 
 

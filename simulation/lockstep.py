@@ -8,7 +8,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
+import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
@@ -204,12 +206,9 @@ def _track(
         setpoint, tick = following, tick + 1
 
 
-def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Decision:
-    estimated = plant.estimate
-    parts = [estimated.position_world, estimated.velocity_world, estimated.attitude, estimated.rate_body]
-    state = np.concatenate(parts)
-    estimate = StateEstimate(round(1000 * estimated.time) / 1000, now, state, 0, True, "ODOMETRY")
-    observation = ObservationRecord(
+def quiet_observation(tick: int, now: float, **more: Any) -> ObservationRecord:
+    """What the daemon sees of an armed vehicle in offboard mode that reports nothing else; more: fields that differ."""
+    usual = ObservationRecord(
         tick=tick,
         time=now,
         estimate_arrival=now,
@@ -217,15 +216,30 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
         armed=True,
         offboard=True,
         mode="OFFBOARD",
-        landed=plant.on_ground,
+        landed=False,
         findings="",
         reset=False,
         reset_position=np.zeros(3),
         reset_yaw=0.0,
+        specific_force_z=float("nan"),
+        engage=False,
+        leave="",
+    )
+    return msgspec.structs.replace(usual, **more)
+
+
+def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Decision:
+    estimated = plant.estimate
+    parts = [estimated.position_world, estimated.velocity_world, estimated.attitude, estimated.rate_body]
+    state = np.concatenate(parts)
+    estimate = StateEstimate(round(1000 * estimated.time) / 1000, now, state, 0, True, "ODOMETRY")
+    observation = quiet_observation(
+        tick,
+        now,
+        landed=plant.on_ground,
         specific_force_z=float(plant.imu.specific_force_body[2]),
         specific_force_xy=np.array(plant.imu.specific_force_body[:2]),
         engage=tick == 0,
-        leave="",
         rotor_time=now,
         rotor_speed=plant.rotor_speed,
         rotors_measured=True,

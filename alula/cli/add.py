@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -19,6 +20,7 @@ from dynamics.errors import RequestError
 from dynamics.files import STANDARD_OUTPUT, write_json
 
 if TYPE_CHECKING:
+    from alula.api.results import AdditionResult, FlightAdditionResult
     from diagnosis.addition import Addition
     from diagnosis.estimation.fitted import ParameterEstimate
     from diagnosis.flight_addition import FlightAdditionReport
@@ -68,12 +70,7 @@ def add(
             pose=pose,
             progress=progress,
         )
-    path = result.write_next_version(vehicle) if out is None else result.write(out)
-    if json is not None:
-        write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
-    if json != STANDARD_OUTPUT:
-        _print(result.details, path, Console())
-        print_next("fly", "--vehicle", path, "--reference", "Lemniscate", "--record", "recordings")
+    _write(result, vehicle, out, json, lambda console: _print(result.details, console))
 
 
 def _refuse_from_flight(values: dict[str, object]) -> None:
@@ -97,11 +94,24 @@ def _add_from_flight(
         result = alula.add_from_flight(
             logs[0], vehicle, effect, effect_files=effects or (), pose=pose, progress=progress
         )
+    _write(result, vehicle, out, json, lambda console: _print_from_flight(result.report, console))
+
+
+def _write(
+    result: AdditionResult | FlightAdditionResult,
+    vehicle: str,
+    out: Path | None,
+    json: Path | None,
+    show: Callable[[Console], None],
+) -> None:
+    """Write the vehicle file and the JSON, and show the rest."""
     path = result.write_next_version(vehicle) if out is None else result.write(out)
     if json is not None:
         write_json(msgspec.structs.replace(result.report, vehicle=str(path)), json)
     if json != STANDARD_OUTPUT:
-        _print_from_flight(result.report, path, Console())
+        console = Console()
+        show(console)
+        console.print(f"written: {path}", highlight=False)
         print_next("fly", "--vehicle", path, "--reference", "Lemniscate", "--record", "recordings")
 
 
@@ -113,7 +123,7 @@ def _effect_and_logs(arguments: list[str]) -> tuple[str | None, list[Path]]:
     return effect, [Path(log) for log in logs]
 
 
-def _print_from_flight(report: FlightAdditionReport, path: Path, console: Console) -> None:
+def _print_from_flight(report: FlightAdditionReport, console: Console) -> None:
     from diagnosis.flight_addition import left_out_sentence
 
     for key, parameters in report.parameters.items():
@@ -125,7 +135,6 @@ def _print_from_flight(report: FlightAdditionReport, path: Path, console: Consol
         console.print(line, highlight=False)
     for note in report.notes:
         console.print(f"note: {note}", highlight=False)
-    console.print(f"written: {path}", highlight=False)
 
 
 def _print_value(name: str, estimate: ParameterEstimate | ParameterValue, console: Console) -> None:
@@ -133,7 +142,7 @@ def _print_value(name: str, estimate: ParameterEstimate | ParameterValue, consol
     console.print(f"{name} = {interval}", highlight=False)
 
 
-def _print(addition: Addition, path: Path, console: Console) -> None:
+def _print(addition: Addition, console: Console) -> None:
     for (key, name), estimate in addition.estimates.items():
         _print_value(f"{key}.{name}", estimate, console)
     for line in before_and_after(addition.channels):
@@ -144,4 +153,3 @@ def _print(addition: Addition, path: Path, console: Console) -> None:
     console.print(f"fitted by {how}", highlight=False)
     for note in addition.notes:
         console.print(f"note: {note}", highlight=False)
-    console.print(f"written: {path}", highlight=False)

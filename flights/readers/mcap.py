@@ -21,7 +21,9 @@ from flights.readers import rosbag
 from flights.readers.px4_rotors import QUAD_X, commands_of_pulses, in_our_order, join_groups
 from flights.source import Source, TimeSpan
 
-_MAGIC = b"\x89MCAP0\r\n"
+MAGIC = b"\x89MCAP0\r\n"
+# what reading a torn file raises; OverflowError and MemoryError: a damaged length field
+TORN = (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError)
 
 Numbers = Sequence[float | None]
 
@@ -115,7 +117,7 @@ class _Collected:
 
 def matches(source: Source) -> bool:
     """Whether it is an MCAP file that is no ROS 2 bag."""
-    return source.head.startswith(_MAGIC) and not rosbag.is_ros2_mcap(source.head)
+    return source.head.startswith(MAGIC) and not rosbag.is_ros2_mcap(source.head)
 
 
 def read(source: Source) -> LogContent:
@@ -222,5 +224,5 @@ def _parts(source: Source, topics: Mapping[int, str], metadata: Mapping[str, str
                     elif span.is_past(elapsed):
                         return
                 place = stream.tell()
-        except (McapError, struct.error, ValueError, ZstdError, EOFError, OverflowError, MemoryError):
-            return  # OverflowError and MemoryError: a damaged length field
+        except TORN:
+            return
