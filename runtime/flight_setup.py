@@ -249,8 +249,15 @@ def recorded_flight(
 
     Raises DataError when it does not hold them, or was flown by a bundle and neither that nor a vehicle is given.
     """
-    if VEHICLE_TEXT not in recording.attachments or "reference" not in recording.metadata:
-        raise DataError(f"{recording.path} holds neither vehicle nor reference: it was not written by `alula fly`.")
+    parts = {
+        "vehicle": VEHICLE_TEXT in recording.attachments,
+        "reference": "reference" in recording.metadata,
+        "plan": "plan" in recording.metadata,
+    }
+    if missing := [part for part, there in parts.items() if not there]:
+        raise DataError(
+            f"{recording.path} holds no {' and no '.join(missing)}: `alula fly` did not write it, or not all."
+        )
     replaced = vehicle is not None or bundle is not None
     recorded = parse_vehicle(_recorded_text(recording.attachments[VEHICLE_TEXT], () if replaced else effect_files))
     _require_recorded_effects(recording, recorded)

@@ -93,3 +93,15 @@ def test_a_replay_refuses_another_files_content(tethered: Path, tmp_path: Path) 
     mine.write_text(mine.read_text() + "\n# changed\n")
     with pytest.raises(DataError, match="was flown with another mine"):
         recorded_flight(recording, None, None)
+
+
+@pytest.mark.parametrize("lacking", ["reference", "plan"])
+def test_a_replay_of_a_recording_that_lacks_a_part_says_which(tethered: Path, tmp_path: Path, lacking: str) -> None:
+    request = prepare_flight(
+        FlightSetup(link="udpin:127.0.0.1:14540", reference="hover", vehicle=str(tethered))
+    ).request
+    metadata = {"reference": "hover", "plan": msgspec.json.encode(request.plan).decode()}
+    del metadata[lacking]
+    recording = FlightRecording(tmp_path / "flight.mcap", metadata, request.attachments, {}, complete=True)
+    with pytest.raises(DataError, match=f"holds no {lacking}: `alula fly` did not write it"):
+        recorded_flight(recording, None, None)
