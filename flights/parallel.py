@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.synchronize import Event
 from typing import Any, TypeVar
 
 from dynamics.errors import RequestError, VehicleError
@@ -36,8 +37,9 @@ def parallel_map(
     killed: the result of an item whose process was killed twice, the second time with no other item beside it. With it
         everything runs in other processes, and the other items continue; without it such an item ends the map.
 
-    An exception of the function is raised here, and no further item is started. Raises RequestError for jobs below 1 or
-    a scheduler that cannot be reached, VehicleError when a process was killed or the scheduler went away.
+    An exception of the function is raised here, and no further item is started. Raises RequestError for jobs below 1, a
+    scheduler that cannot be reached and a script whose import starts processes, VehicleError when a process was killed
+    or the scheduler went away.
     """
     if scheduler is not None:
         return _on_cluster(function, items, scheduler, killed)
@@ -69,7 +71,9 @@ def _in_pool(
 ) -> Generator[tuple[int, Result], None, list[int]]:
     """Results of waiting items, which are removed. Returns those that were running when a process was killed."""
     # spawned rather than forked: a fork copies threads' locks, and a solver's or a progress bar's thread may hold one
-    pool = ProcessPoolExecutor(count, mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent)
+    context = multiprocessing.get_context("spawn")
+    started = context.Event()
+    pool = ProcessPoolExecutor(count, mp_context=context, initializer=_begin, initargs=(started,))
     running: dict[Future[Result], int] = {}
     try:
         while waiting or running:
@@ -78,6 +82,7 @@ def _in_pool(
                 try:
                     running[pool.submit(function, items[place])] = place
                 except BrokenProcessPool:
+                    _require_started(started)
                     return [*running.values(), place]
             finished, _ = wait(running, return_when=FIRST_COMPLETED)
             for done in sorted(finished, key=running.__getitem__):
@@ -85,10 +90,24 @@ def _in_pool(
                     continue
                 yield running.pop(done), done.result()
             if any(done in running for done in finished):
+                _require_started(started)
                 return list(running.values())
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
     return []
+
+
+def _begin(started: Event) -> None:
+    started.set()
+    end_with_parent()
+
+
+def _require_started(started: Event) -> None:
+    if not started.is_set():
+        raise RequestError(
+            "the working processes ended before they began. Each imports the script that was started: put what it does "
+            'behind `if __name__ == "__main__":`.'
+        )
 
 
 def end_with_parent() -> None:

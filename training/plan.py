@@ -150,7 +150,8 @@ def make_plan(
     scaling = make_scaling(config, recipe, vehicle, training)
     collocation = None
     if recipe.physics_weight > 0:
-        responding = with_rotor_lag(config, vehicle, training) if pulses and config.base != "grey_box" else vehicle
+        lags = fit and pulses and config.base != "grey_box"
+        responding = with_rotor_lag(config, vehicle, training) if lags else vehicle
         collocation = collocation_points(config, recipe, responding, training, seed=seed)
     digest = hashlib.sha256(msgspec.json.encode([config, recipe, str(torch.__version__)]))
     collocated = () if collocation is None else (collocation.windows, collocation.targets)

@@ -44,6 +44,24 @@ def test_a_killed_process_is_named() -> None:
         list(parallel_map(die, [1, 2], jobs=2))
 
 
+SCRIPT = """
+import operator
+from flights.parallel import parallel_map
+print(list(parallel_map(operator.neg, [1, 2], jobs=2{killed})))
+"""
+
+
+@pytest.mark.parametrize("killed", ["", ", killed=operator.pos"])
+def test_a_script_whose_import_starts_processes_is_named(tmp_path: Path, killed: str) -> None:
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT.format(killed=killed))
+    ran = subprocess.run([sys.executable, str(script)], check=False, capture_output=True, text=True, timeout=120)
+    last = ran.stderr.splitlines()[-1]
+    assert (ran.returncode, ran.stdout) == (1, "")
+    assert last.startswith("dynamics.errors.RequestError:")
+    assert 'if __name__ == "__main__":' in last
+
+
 def die_on_two(number: int) -> int:
     return die(number) if number == 2 else number * number
 

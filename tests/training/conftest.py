@@ -65,9 +65,15 @@ def plan_for(arpl_250g: Vehicle, split: Split) -> MakePlan:
     """Plans for a kind of model, with changes to its definition and to the recipe."""
 
     def make(
-        kind: str, *, config: dict[str, Any] | None = None, vehicle: Vehicle = arpl_250g, seed: int = 0, **recipe: Any
+        kind: str,
+        *,
+        config: dict[str, Any] | None = None,
+        vehicle: Vehicle = arpl_250g,
+        seed: int = 0,
+        fit: bool = True,
+        **recipe: Any,
     ) -> Plan:
         definition: ModelConfig = msgspec.structs.replace(named_kind(kind).config, **(config or {}))
-        return make_plan(definition, msgspec.structs.replace(FAST, **recipe), vehicle, split, seed=seed)
+        return make_plan(definition, msgspec.structs.replace(FAST, **recipe), vehicle, split, seed=seed, fit=fit)
 
     return make

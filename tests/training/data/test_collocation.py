@@ -149,3 +149,11 @@ def test_a_network_by_itself_is_taught_what_physics_answers_to_a_pulse(plan_for:
             late = np.abs(lift[:, -2:]).max(axis=1) > 0.5 * np.abs(lift).max(axis=1)
             share = np.abs(points.targets[late, 2]).mean() / np.abs(lift[late, -1]).mean()
             assert 0.1 < share < 0.9
+
+
+def test_kept_effects_are_not_fitted_for_pulses_either(plan_for: MakePlan, arpl_250g: Vehicle) -> None:
+    recipe = {"physics_weight": 1.0, "physics_points": "pulses", "physics_pool": 64}
+    plan = plan_for("pi_tcn", vehicle=arpl_250g, fit=False, **recipe)
+    as_in_file = collocation_points(plan.config, plan.recipe, arpl_250g, plan.training, seed=0)
+    assert plan.collocation is not None
+    np.testing.assert_array_equal(plan.collocation.targets, as_in_file.targets)
