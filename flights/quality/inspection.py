@@ -23,6 +23,7 @@ from flights.quality.channels import Channel, channel_findings, channels_of
 from flights.quality.excitation import Coverage, Measure, coverages, measures
 from flights.quality.findings import Finding
 from flights.quality.identifiable import EffectAnswer, answers
+from flights.quality.propeller_imbalance import imbalance_findings
 from flights.quality.rotor_balance import rotor_findings
 from flights.quantities import RESET_COUNTERS
 from flights.reading import read_log
@@ -96,6 +97,7 @@ def judge(log: Log, catalogue: Mapping[str, Effect] = CATALOGUE) -> Inspection:
         *_clocks(delays),
         *_resets(log),
         *rotor_findings(segments),
+        *imbalance_findings(log, flying),
         *channel_findings(log, flying),
     ]
     effects = answers(_trusted(usable, findings), measured, catalogue)
