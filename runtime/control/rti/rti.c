@@ -113,6 +113,7 @@ static void acceleration_at(rti *r, const double *x, const double *inputs, doubl
 static void fit_next(rti *r) {
     parameter_fit *t = &r->fit;
     const filter_options *o = &r->ocp.filter.options;
+    const bool changed = t->at < t->changed;
     const fit_row *row = &t->rows[t->at++ % FIT_ROWS];
     double usual[AXES], moved[AXES], left[3], slopes[3][MAX_FOLLOWED];
     acceleration_at(r, row->state, row->inputs, usual);
@@ -124,7 +125,7 @@ static void fit_next(rti *r) {
         *parameter = value;
         for (int i = 0; i < 3; i++) slopes[i][j] = (moved[i] - usual[i]) / SLOPE_STEP;
     }
-    fit_take(t, o, left, slopes, row->joined);
+    fit_take(t, o, left, slopes, row->joined, changed);
 }
 
 /* A part of the sweep over the rows of the fit. Where it ends the parameters move, and the disturbance by as much as the
@@ -159,7 +160,7 @@ int rti_follow(rti *r, const double *before, const double *inputs, const double 
     flight_filter *f = &r->ocp.filter;
     const filter_options *o = &f->options;
     double disturbance[DISTURBANCE], p[NP], dt = 0, usual[AXES];
-    double change[AXES], by_file[AXES], first[AXES], measured[AXES], beyond[AXES];
+    double change[AXES], by_file[AXES], first[AXES], measured[AXES], beyond[AXES], adapted[AXES];
     memcpy(disturbance, r->ocp.disturbance, sizeof disturbance);
     memset(r->ocp.disturbance, 0, sizeof disturbance);
     memcpy(p, r->p, sizeof p);
@@ -174,9 +175,10 @@ int rti_follow(rti *r, const double *before, const double *inputs, const double 
         use_followed(r);
         change_over(r, before, inputs, seconds, segments, change);
     }
+    for (int i = 0; i < AXES; i++) adapted[i] = measured[i] - first[i] - change[i];
     const bool used = filter_update(f, change, by_file, first, measured, dt);
     if (o->count && used) {
-        if (fit_add(&r->fit, f, before, inputs, beyond, dt)) {
+        if (fit_add(&r->fit, f, before, inputs, beyond, adapted, dt)) {
             fit_row *row = &r->fit.rows[(r->fit.added - 1) % FIT_ROWS];
             for (int j = 0; j < o->count; j++) r->p[o->index[j]] = o->prior[j];
             acceleration_at(r, row->state, row->inputs, usual);
