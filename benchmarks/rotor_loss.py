@@ -37,7 +37,7 @@ AIR: Mapping[str, tuple[tuple[str, dict[str, float]], ...]] = {
 }
 OTHERS = ("nothing", "payload dropped", "payload taken up", "centre of mass", "payload off the centre", "wind rises")
 LOSS, SECONDS, PATIENCE = 0.15, 15.0, 5.0
-FIRST_SEED = 52_000  # settings were chosen on others
+FIRST_SEED = 53_000  # settings were chosen on others
 
 
 def drawn(kind: str, number: int) -> dict[str, Any]:

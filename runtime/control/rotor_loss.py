@@ -26,7 +26,7 @@ class RotorLossSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     block: s over which accelerations are averaged.
     after: blocks after a step that are tried.
     before: blocks before it, at least and at most.
-    gap: blocks between both that belong to neither.
+    gap: blocks between both that belong to neither. As many on a side are as their side is, or the step is elsewhere.
     correlation: of a block with the next one, at least: what the model has wrong is no white noise.
     linear_floor: m/s^2 that a block is uncertain by at least.
     angular_floor: the same of angular accelerations, share of the rotor's own.
@@ -157,13 +157,16 @@ class RotorLossTest:
         each = self._shares[start:now]
         shares, step = each.mean(axis=0), after.mean(axis=0) - before.mean(axis=0)
         floor = np.array([settings.linear_floor, *settings.angular_floor * np.abs(shares).mean(axis=0)[1:]])
-        scatter, correlation = before.var(axis=0), self._correlation(before)
+        scatter, correlation = before[: -settings.gap].var(axis=0), self._correlation(before)
+        if _elsewhere(before, after, settings.gap, scatter + floor**2):
+            return None
         weights = sum(
             1 / np.maximum(1.0, len(part) * (1 - correlation) / (1 + correlation)) for part in (before, after)
         )
         losses, deviations, misfits = _explain(step, shares, weights * (scatter + floor**2), settings.model_error)
         likely = int(np.argmin(misfits))  # what the likeliest loss leaves is noise, too
-        scatter = np.maximum(scatter, (after + losses[likely] * each[:, likely]).var(axis=0))
+        left = after[settings.gap :] + losses[likely] * each[settings.gap :, likely]
+        scatter = np.maximum(scatter, left.var(axis=0))
         variance = weights * (scatter + floor**2)
         losses, deviations, misfits = _explain(step, shares, variance, settings.model_error)
         possible = np.flatnonzero(losses > 0)
@@ -188,6 +191,17 @@ class RotorLossTest:
         square = np.maximum(np.mean(away**2, axis=0), 1e-12)
         correlation = np.mean(away[1:] * away[:-1], axis=0) / square
         return np.asarray(np.clip(correlation, self._settings.correlation, 0.99))
+
+
+def _elsewhere(before: Floats, after: Floats, edge: int, variance: Floats) -> bool:
+    """Whether a step is inside of one of two windows (n, 3), where it would pass for noise, which any rotor explains.
+
+    edge: blocks of each that are next to the other. variance: (3,) of a block.
+    """
+    step = (after.mean(axis=0) - before.mean(axis=0)) / variance
+    last, first = before[-edge:].mean(axis=0), after[:edge].mean(axis=0)
+    half = 0.5 * float(step @ (after.mean(axis=0) - before.mean(axis=0)))
+    return bool(step @ (last - before.mean(axis=0)) > half or step @ (first - before.mean(axis=0)) < half)
 
 
 def _explain(step: Floats, shares: Floats, variance: Floats, model_error: float) -> tuple[Floats, Floats, Floats]:

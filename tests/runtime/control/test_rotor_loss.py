@@ -48,6 +48,9 @@ def test_noise_names_nothing() -> None:
         pytest.param(0.15 * HOVER[0], id="a rotor that gains"),
         pytest.param(np.array([-0.4, -12.0, 0.0]), id="moment about one axis"),
         pytest.param(-0.03 * HOVER[0], id="a scratch"),
+        pytest.param(np.array([-1.96, 0.24, -0.24]) * [1.0, 78.0, 79.0], id="payload on the way to a rotor"),
+        pytest.param(np.array([-1.96, 0.4, -0.3]) * [1.0, 78.0, 79.0], id="payload further out"),
+        pytest.param(np.array([-1.96, -0.33, -0.42]) * [1.0, 78.0, 79.0], id="payload beside a rotor"),
     ],
 )
 def test_what_is_no_rotor_s_is_not_named(step: np.ndarray) -> None:
