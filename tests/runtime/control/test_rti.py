@@ -214,6 +214,36 @@ def test_the_position_box_holds_the_prediction_back() -> None:
     assert ends[1] < 0.35
 
 
+@pytest.mark.parametrize("fades", [False, True])
+def test_a_push_towards_the_wall_is_held_within_the_box(fades: bool) -> None:
+    """A constant push that the prediction has beside a wall that the reference leaves; without it the box is left."""
+    wall, push = 0.3, 3.0  # m, m/s^2
+    boxed = msgspec.structs.replace(
+        VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), box=((-1.0, -1.0, 0.0), (wall, 1.0, 2.0)))
+    )
+    farthest = []
+    for known in (False, True):
+        solver, plant = (RtiSolver(build_model(boxed), Problem()) for _ in range(2))
+        plant.disturbance[0] = push
+        if known:
+            solver.disturbance[6 if fades else 0], solver.disturbance[12] = push, 1.0
+        state = hovering(solver.model)
+        solver.reset(state)
+        solver.state_reference[:] = state
+        solver.state_reference[:, 0] = 1.0
+        solver.input_reference[:] = VEHICLE.hover_speed
+        positions = []
+        for _ in range(300):
+            solver.prepare(state)
+            assert solver.feedback(state) == 0
+            state = plant.propagate(state, solver.inputs[0], 0.01).copy()
+            positions.append(state[0])
+        farthest.append(max(positions))
+        assert not known or abs(positions[-1] - wall) < 0.001
+    assert farthest[0] > wall + 0.03
+    assert farthest[1] < wall + 0.005
+
+
 def test_the_prediction_stays_within_the_vehicles_speed() -> None:
     slow = msgspec.structs.replace(VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), speed=1.0))
     solver = RtiSolver(build_model(slow), Problem())
