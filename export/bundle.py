@@ -28,7 +28,7 @@ from export.kernel import KernelRecipe, Precision, build_kernel, kernel_recipe
 from export.onnx_file import OPSET, onnx_model
 from export.parity import Backends, Parity, prove
 from export.physics_field import field_function
-from export.symbolic import column_names, column_units, jacobian_function, model_function
+from export.symbolic import column_names, column_units, jacobian_function, model_function, weighted_function
 from export.toolchain import toolchain_for
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
@@ -172,6 +172,7 @@ def _kernel_recipe(model: ExportedModel, options: ExportOptions, precision: Prec
         precision,
         mean=model.mean,
         extrapolated=model.extrapolated,
+        ensemble=model.ensemble,
     )
 
 
@@ -191,7 +192,14 @@ def _prove(
 ) -> Parity:
     double = RtiSolver(model.flight_model, options.problem, double_kernel)
     backends = Backends(
-        model, proto, model_function(model), jacobian_function(model), compiled(model, texts), single, double
+        model,
+        proto,
+        model_function(model),
+        jacobian_function(model),
+        weighted_function(model),
+        compiled(model, texts),
+        single,
+        double,
     )
     windows: dict[str, Floats] = {}
     if options.logs:
@@ -247,6 +255,8 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manif
     }
     if model.hidden_count:
         shapes |= {"hidden": ("batch", model.hidden_count), "hidden_rate": ("batch", model.hidden_count)}
+    if model.ensemble is not None:
+        shapes["uncertainty"] = ("batch", 1)
     return Manifest(
         kind=config.kind,
         learned=model.network is not None,
@@ -261,6 +271,8 @@ def _manifest(model: ExportedModel, options: ExportOptions, part: Path) -> Manif
         frame=config.inputs,
         ranges=_ranges(model),
         errors=_errors(model),
+        members=len(model.trained.networks) if model.ensemble is not None and model.trained is not None else 1,
+        fades=model.ensemble is not None and model.ensemble.fades,
         shapes=shapes,
         units=dict(zip(column_names(config.rotors), column_units(config.rotors), strict=True)),
         problem=options.problem,

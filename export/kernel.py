@@ -11,7 +11,7 @@ from dynamics.codegen import build_library, generate_c
 from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from export.kernel_source import network_header
-from export.network import Network
+from export.network import Ensemble, Network
 from export.physics import NAME, depends_on_position, physics_function
 from export.reverse_split import ReverseSplit, cheapest_split
 from export.toolchain import Toolchain
@@ -28,6 +28,7 @@ SOURCES = (
     "reverse_split.h",
     "tangents.h",
     "layers.h",
+    "ensemble.h",
     "kinematics.h",
     *SHARED,
 )
@@ -58,12 +59,14 @@ def kernel_recipe(
     mean: bool = True,
     extrapolated: bool = False,
     split: ReverseSplit | None = None,
+    ensemble: Ensemble | None = None,
 ) -> KernelRecipe:
     """Sources and flags of a network's kernel. model: the vehicle's, with the effects of a residual's base.
 
     mean: a residual is added to the physics' mean accelerations over a step, else to those at its beginning.
     extrapolated: accelerations are extrapolated by half a step along their slope, else held over it.
     split: layers that propagate tangents and layers differentiated backwards, by default the cheapest.
+    ensemble: the members that do not fly.
 
     Raises RequestError when a node is no whole number of the network's steps.
     """
@@ -76,7 +79,7 @@ def kernel_recipe(
     folder = resources.files("runtime.control.rti")
     sources = {name: folder.joinpath(name).read_text() for name in SOURCES} | {STATE_HEADER: state_header()}
     sources["network.h"] = network_header(
-        network, split or cheapest_split(network, problem.nodes), extrapolated=extrapolated
+        network, split or cheapest_split(network, problem.nodes), extrapolated=extrapolated, ensemble=ensemble
     )
     defines: dict[str, int | str] = {
         "NX": model.state_count, "NU": model.input_count, "NODES": problem.nodes,
@@ -119,10 +122,14 @@ def kernel_solver(
     precision: Precision = "float",
     *,
     mean: bool = True,
+    ensemble: Ensemble | None = None,
 ) -> RtiSolver:
     """A solver on a freshly built kernel, as the runtime creates one from a bundle.
 
     mean: the network predicts mean accelerations, else instantaneous ones, which are extrapolated.
+    ensemble: the members that do not fly.
     """
-    recipe = kernel_recipe(network, model, problem, processor, precision, mean=mean, extrapolated=not mean)
+    recipe = kernel_recipe(
+        network, model, problem, processor, precision, mean=mean, extrapolated=not mean, ensemble=ensemble
+    )
     return RtiSolver(model, problem, build_kernel(recipe))

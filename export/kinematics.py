@@ -6,6 +6,7 @@ streamed, and nothing is shared with the kernels but the formulas of docs/kernel
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import casadi as ca
@@ -20,21 +21,34 @@ from dynamics.state import ATTITUDE, HIDDEN, RATE, RIGID_BODY_STATES, VELOCITY
 from export.trained import ExportedModel
 from runtime.control.rti.problem import Problem
 
+Forward = Callable[[Floats, Floats], list[ca.DM]]
+
 
 def roll_out(
-    model: ExportedModel, forward: ca.Function, problem: Problem, window: Floats, hidden: Floats, inputs: Floats
+    model: ExportedModel,
+    weighted: ca.Function,
+    problem: Problem,
+    window: Floats,
+    hidden: Floats,
+    inputs: Floats,
+    *,
+    share: float = 1.0,
 ) -> Floats:
     """(N + 1, nx) states at the nodes after a window (13 + rotors, T or more) and hidden states, along inputs (N, n).
 
-    forward: `export.symbolic.model_function` of the model.
+    weighted: `export.symbolic.weighted_function` of the model. share: of the network's output, over the whole horizon.
     """
+
+    def forward(history: Floats, hidden: Floats) -> list[ca.DM]:
+        return list(weighted(history, hidden, share))
+
     start = np.concatenate([window[:RIGID_BODY_STATES, -1], hidden])
     if model.integrator == "rk4":
         return _by_rk4(model, forward, problem, start, inputs)
     return _by_columns(model, forward, problem, window, start, inputs)
 
 
-def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start: Floats, inputs: Floats) -> Floats:
+def _by_rk4(model: ExportedModel, forward: Forward, problem: Problem, start: Floats, inputs: Floats) -> Floats:
     flown = model.flight_model
     steps, quiet = required_steps(flown, problem.node), np.zeros(flown.hidden_count)
 
@@ -54,7 +68,7 @@ def _by_rk4(model: ExportedModel, forward: ca.Function, problem: Problem, start:
 
 
 def _by_columns(
-    model: ExportedModel, forward: ca.Function, problem: Problem, window: Floats, start: Floats, inputs: Floats
+    model: ExportedModel, forward: Forward, problem: Problem, window: Floats, start: Floats, inputs: Floats
 ) -> Floats:
     h, length = model.config.dt, model.history
     columns = list(window[:, :-1].T)
@@ -73,7 +87,7 @@ def _by_columns(
     return np.array(states)
 
 
-def _rates(forward: ca.Function, window: Floats, hidden: Floats) -> Floats:
+def _rates(forward: Forward, window: Floats, hidden: Floats) -> Floats:
     """(6 + hidden,) accelerations, world and body axes, then the hidden states' rates."""
     return np.concatenate([np.array(part).ravel() for part in forward(window, hidden)])
 

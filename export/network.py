@@ -116,3 +116,17 @@ class Network:
     def features(self) -> int:
         """Entries of a column."""
         return int(self.input_mean.size)
+
+
+@dataclass(frozen=True, eq=False)
+class Ensemble:
+    """The members that do not fly: where they disagree with the one that does, none of them knows.
+
+    others: of the flown network's shape, with its scaling.
+    limit: RMS over the outputs of the members' standardised deviation from which on a residual fades.
+    fades: whether it does, as in training; where not, the disagreement is recorded alone.
+    """
+
+    others: tuple[Network, ...]
+    limit: float
+    fades: bool

@@ -13,6 +13,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from dynamics.errors import DataError
 from dynamics.state import RIGID_BODY_STATES
+from export.network import Network
 from export.symbolic import assembly_function, features_function
 from export.trained import ExportedModel
 
@@ -117,12 +118,15 @@ class Graph:
 def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelProto:
     """The model for windows `history` (batch, 13 + rotors, T) and, where the physics has any, `hidden` (batch, n).
 
-    Outputs: `acceleration` (batch, 6), and `hidden_rate` (batch, n); all float32.
+    Outputs: `acceleration` (batch, 6), `hidden_rate` (batch, n), of an ensemble `uncertainty` (batch, 1); all float32.
     """
     graph = Graph()
     size = RIGID_BODY_STATES + model.vehicle.rotors.count
     newest = graph.add("Gather", "history", graph.constant(model.history - 1, integers=True), axis=2)
-    output_rows = [] if model.network is None else graph.rows(_network_output(graph, model), 6)
+    uncertainty, output_rows = None, list[str]()
+    if model.network is not None:
+        output, uncertainty = _flown_output(graph, model, model.network)
+        output_rows = graph.rows(output, 6)
     hidden = graph.rows("hidden", model.hidden_count) if model.hidden_count else []
     columns = graph.rows(newest, size)
     acceleration, rate = graph.translate(assembly_function(model), [output_rows, columns, hidden])
@@ -134,6 +138,9 @@ def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelP
         graph.output("hidden_rate", rate, like=columns[0])
         inputs.append(helper.make_tensor_value_info("hidden", kind, ["batch", model.hidden_count]))
         outputs.append(helper.make_tensor_value_info("hidden_rate", kind, ["batch", model.hidden_count]))
+    if uncertainty is not None:
+        graph.nodes.append(helper.make_node("Identity", [uncertainty], ["uncertainty"]))
+        outputs.append(helper.make_tensor_value_info("uncertainty", kind, ["batch", 1]))
     body = helper.make_graph(graph.nodes, "alula_model", inputs, outputs, graph.constants)
     made = helper.make_model(body, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="alula")
     made.ir_version = IR_VERSION
@@ -142,13 +149,33 @@ def onnx_model(model: ExportedModel, metadata: Mapping[str, str]) -> onnx.ModelP
     return made
 
 
-def _network_output(graph: Graph, model: ExportedModel) -> str:
-    """The network's output (batch, 6), in SI."""
-    network = model.network
-    assert network is not None
+def _flown_output(graph: Graph, model: ExportedModel, network: Network) -> tuple[str, str | None]:
+    """The network's output (batch, 6), in SI, as far as the members' disagreement leaves it, and the uncertainty."""
     size = RIGID_BODY_STATES + network.rotors
     (features,) = graph.translate(features_function(network), [graph.rows("history", size)])
-    value = graph.add("Concat", *features, axis=1)
+    columns = graph.add("Concat", *features, axis=1)
+    output, ensemble = _network_output(graph, network, columns), model.ensemble
+    if ensemble is None:
+        return output, None
+    members = [output, *(_network_output(graph, member, columns) for member in ensemble.others)]
+    mean = graph.add("Mean", *members)
+    square = graph.add("Sum", *(_squared(graph, graph.add("Sub", member, mean), network) for member in members))
+    scale = 1 / (6 * len(ensemble.others) * ensemble.limit**2)
+    excess = graph.add("Mul", graph.add("ReduceSum", square, graph.constant([1], integers=True)), graph.scalar(scale))
+    if ensemble.fades:
+        output = graph.add("Div", output, graph.add("Max", excess, graph.scalar(1.0)))
+    return output, graph.add("Sqrt", excess)
+
+
+def _squared(graph: Graph, away: str, network: Network) -> str:
+    """Squares (batch, 6) of a deviation in the outputs' standard deviations."""
+    standardised = graph.add("Div", away, graph.constant(network.output_std))
+    return graph.add("Mul", standardised, standardised)
+
+
+def _network_output(graph: Graph, network: Network, columns: str) -> str:
+    """A member's output (batch, 6), in SI. columns: (batch, features, T)."""
+    value = columns
     for layer in network.convolutions:
         weight, bias = graph.constant(layer.weight), graph.constant(layer.bias)
         taps, dilation = [layer.weight.shape[2]], [layer.dilation]

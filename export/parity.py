@@ -69,6 +69,7 @@ class Backends:
 
     onnx: serialised model.onnx.
     forward, jacobian: interpreted by CasADi.
+    weighted: the same with a given share of the network's output.
     compiled: model.c as machine code, by function.
     single: the kernel.
     double: the kernel in doubles, for comparison alone; the same one where RK4 integrates, which computes in doubles.
@@ -78,6 +79,7 @@ class Backends:
     onnx: bytes
     forward: ca.Function
     jacobian: ca.Function
+    weighted: ca.Function
     compiled: Mapping[str, CompiledFunction]
     single: RtiSolver
     double: RtiSolver
@@ -189,6 +191,7 @@ def _kernel(solver: RtiSolver) -> Backend:
         for window, carried in zip(windows, hidden, strict=True):
             look_back(solver, window)
             state = np.concatenate([window[:RIGID_BODY_STATES, -1], carried])
+            solver.assess(state, window[RIGID_BODY_STATES:, -1])
             rows.append(solver.accelerations(state, window[RIGID_BODY_STATES:, -1]))
         return np.array(rows)
 
@@ -264,7 +267,13 @@ def _roll_outs(backends: Backends, name: str, windows: Floats, rng: np.random.Ge
     inputs = hover * (1 + INPUT_SPREAD * rng.normal(size=(len(windows), *backends.double.inputs.shape)))
     hidden = _some_hidden(model, len(windows), rng)
     rows = list(zip(windows, hidden, inputs, strict=True))
-    exact = np.array([roll_out(model, backends.forward, problem, *row)[1:] for row in rows])
+    shares = [_share(backends.double, *row) for row in rows]
+    exact = np.array(
+        [
+            roll_out(model, backends.weighted, problem, *row, share=share)[1:]
+            for row, share in zip(rows, shares, strict=True)
+        ]
+    )
     scale = np.sqrt(np.mean(exact**2, axis=(0, 1)))
     comparisons = []
     for precision, solver in backends.kernels.items():
@@ -275,9 +284,16 @@ def _roll_outs(backends: Backends, name: str, windows: Floats, rng: np.random.Ge
     return comparisons
 
 
+def _share(solver: RtiSolver, window: Floats, hidden: Floats, inputs: Floats) -> float:
+    """Share of the network's output that a kernel predicts with."""
+    look_back(solver, window)
+    solver.assess(np.concatenate([window[:RIGID_BODY_STATES, -1], hidden]), inputs[0])
+    return float(solver.certainty[1])
+
+
 def _predicted(solver: RtiSolver, window: Floats, hidden: Floats, inputs: Floats) -> Floats:
     """(N + 1, nx) states that a kernel predicts."""
-    look_back(solver, window)
+    _share(solver, window, hidden, inputs)
     state = np.concatenate([window[:RIGID_BODY_STATES, -1], hidden])
     solver.state_reference[:], solver.input_reference[:], solver.inputs[:] = state, inputs, inputs
     solver.prepare(state)
@@ -293,6 +309,7 @@ def _kernel_gradient(backends: Backends, solver: RtiSolver, window: Floats, prec
     inputs = hover * (1 + INPUT_SPREAD * rng.normal(size=hover.shape))
     for each in (exact, solver):
         look_back(each, window)
+        each.assess(state, hover[0])
         each.state_reference[:], each.input_reference[:], each.inputs[:] = state, hover, inputs
         each.prepare(state)
     exact_slopes, slopes, scale = [], [], fill_options(exact.problem, model).scale

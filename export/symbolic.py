@@ -15,7 +15,7 @@ from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.network_inputs import state_inputs
 from dynamics.state import ATTITUDE, RIGID_BODY_STATES
 from dynamics.vehicle import GRAVITY
-from export.network import Convolution, Network
+from export.network import Convolution, Ensemble, Network
 from export.physics import physics_function
 
 if TYPE_CHECKING:
@@ -76,13 +76,44 @@ def _rates(physics: Model, model: ExportedModel, column: ca.SX, hidden: ca.SX) -
 
 
 def model_function(model: ExportedModel) -> ca.Function:
-    """(history (13 + rotors, T) oldest column first, hidden) -> acceleration (6), hidden_rate."""
-    rows = RIGID_BODY_STATES + model.vehicle.rotors.count
-    history, hidden = ca.MX.sym("history", rows, model.history), ca.MX.sym("hidden", model.hidden_count)
-    output = ca.MX(0, 1) if model.network is None else network_output(model.network, history)
-    outputs = assembly_function(model)(output, history[:, -1], hidden)
+    """(history (13 + rotors, T) oldest column first, hidden) -> acceleration (6), hidden_rate.
+
+    An ensemble's has a third output, uncertainty: the members' disagreement over its limit. The acceleration has as
+    much of a residual as that leaves.
+    """
+    history, hidden = _arguments(model)
     names = ["history", "hidden"], ["acceleration", "hidden_rate"]
-    return ca.Function(FORWARD, [history, hidden], list(outputs), *names)
+    if model.ensemble is None or model.network is None:
+        output = ca.MX(0, 1) if model.network is None else network_output(model.network, history)
+        return ca.Function(
+            FORWARD, [history, hidden], [*assembly_function(model)(output, history[:, -1], hidden)], *names
+        )
+    output, excess = network_output(model.network, history), excess_of(model.network, model.ensemble, history)
+    share = 1 / ca.fmax(excess, 1) if model.ensemble.fades else 1
+    outputs = assembly_function(model)(share * output, history[:, -1], hidden)
+    names[1].append("uncertainty")
+    return ca.Function(FORWARD, [history, hidden], [*outputs, ca.sqrt(excess)], *names)
+
+
+def weighted_function(model: ExportedModel) -> ca.Function:
+    """(history, hidden, share) -> acceleration (6), hidden_rate, with that share of the network's output."""
+    history, hidden = _arguments(model)
+    share = ca.MX.sym("share")
+    output = ca.MX(0, 1) if model.network is None else share * network_output(model.network, history)
+    outputs = assembly_function(model)(output, history[:, -1], hidden)
+    return ca.Function("weighted_model", [history, hidden, share], list(outputs))
+
+
+def _arguments(model: ExportedModel) -> tuple[ca.MX, ca.MX]:
+    rows = RIGID_BODY_STATES + model.vehicle.rotors.count
+    return ca.MX.sym("history", rows, model.history), ca.MX.sym("hidden", model.hidden_count)
+
+
+def excess_of(network: Network, ensemble: Ensemble, history: ca.MX) -> ca.MX:
+    """Mean square of the members' standardised deviation over that from which on a residual fades."""
+    outputs = ca.horzcat(*(network_output(member, history) for member in (network, *ensemble.others)))
+    away = (outputs - ca.repmat(ca.sum2(outputs) / outputs.shape[1], 1, outputs.shape[1])) / ca.DM(network.output_std)
+    return ca.sumsqr(away) / (away.shape[0] * len(ensemble.others) * ensemble.limit**2)
 
 
 def jacobian_function(model: ExportedModel) -> ca.Function:

@@ -18,11 +18,12 @@ from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import parse_vehicle, vehicle_text
 from export.integrator import choose_integrator
-from export.network import Convolution, Dense, Network
+from export.network import Convolution, Dense, Ensemble, Network
 from runtime.control.bundle import Integrator
 from training.checkpoint import TrainedModel, load
 from training.config import ModelConfig, physical_config
 from training.data.features import body_inertia
+from training.prediction import MIN_DISAGREEMENT, disagreement_of, gate_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,7 @@ class ExportedModel:
     integrator: of its kernel.
     trained: the checkpoint, None for a vehicle file.
     member: of the ensemble.
+    ensemble: its other members, None without any.
     source: sha256 of the file that it was read from.
     """
 
@@ -48,6 +50,7 @@ class ExportedModel:
     trained: TrainedModel | None = None
     member: int = 0
     source: str = ""
+    ensemble: Ensemble | None = None
 
     @property
     def mean(self) -> bool:
@@ -113,7 +116,29 @@ def exported(trained: TrainedModel, *, member: int = 0, integrator: Integrator |
     settled = choose_integrator(config, integrator)
     physics = None if config.base == "none" else build_model(trained.vehicle, effects=_effects(trained))
     network = network_of(trained, trained.networks[member]) if trained.networks else None
-    return ExportedModel(config, network, physics, trained.vehicle, trained.vehicle_text, settled, trained, member)
+    return ExportedModel(
+        config,
+        network,
+        physics,
+        trained.vehicle,
+        trained.vehicle_text,
+        settled,
+        trained,
+        member,
+        ensemble=ensemble_of(trained, member) if settled != "rk4" else None,
+    )
+
+
+def ensemble_of(trained: TrainedModel, member: int) -> Ensemble | None:
+    """The other members, and from when on a grey box's residual fades; None where one network was trained alone."""
+    if trained.reliability is None:
+        return None
+    others = [network for place, network in enumerate(trained.networks) if place != member]
+    return Ensemble(
+        tuple(network_of(trained, network) for network in others),
+        max(trained.reliability.disagreement, MIN_DISAGREEMENT),
+        trained.config.base == "grey_box",
+    )
 
 
 def _effects(trained: TrainedModel) -> list[EffectUse]:
@@ -187,13 +212,25 @@ def _perceptron(weights: dict[str, Floats], prefix: str, norm: tuple[Floats, ...
 
 
 def torch_forward(model: ExportedModel, inputs: Floats, *, double: bool) -> Floats:
-    """Outputs (m, 6) of the member itself, as torch evaluates it, for windows (m, T, inputs).
+    """Outputs (m, 6) of the member itself, as torch evaluates it and training fades it, for windows (m, T, inputs).
 
     double: evaluated in doubles.
     """
     assert model.trained is not None
-    scaling, kind = model.trained.scaling, torch.float64 if double else torch.float32
-    module = model.trained.networks[model.member].to(kind)
+    scaling = model.trained.scaling
+    own = _evaluated(model.trained, model.member, inputs, double=double)
+    if model.ensemble is None or not model.ensemble.fades:
+        return own
+    others = [place for place in range(len(model.trained.networks)) if place != model.member]
+    outputs = np.stack([own, *(_evaluated(model.trained, place, inputs, double=double) for place in others)])
+    disagreement = disagreement_of(outputs, scaling.output_std)
+    return np.asarray(gate_of(disagreement, model.ensemble.limit)[:, None] * own)
+
+
+def _evaluated(trained: TrainedModel, member: int, inputs: Floats, *, double: bool) -> Floats:
+    """Outputs (m, 6) of a member for windows (m, T, inputs)."""
+    scaling, kind = trained.scaling, torch.float64 if double else torch.float32
+    module = trained.networks[member].to(kind)
     standardised = torch.as_tensor((inputs - scaling.input_mean) / scaling.input_std, dtype=kind)
     with torch.no_grad():
         outputs = module(standardised).double().numpy()

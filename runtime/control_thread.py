@@ -276,6 +276,8 @@ class ControlThread:
             departure_seconds=times.departed - times.due if decision.rate_body is not None else nan,
             late_cause=cause.value,
             model_ratio=self._flyer.model_ratio,
+            model_uncertainty=self._flyer.model_uncertainty,
+            network_share=self._flyer.network_share,
         )
 
     def _put(self, record: Record, now: float) -> None:

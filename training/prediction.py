@@ -18,6 +18,7 @@ EVALUATION_BATCH = 8192  # windows
 FADE_QUANTILE = 0.99  # quantile of the validation rows' disagreement from which on a residual fades
 FLOOR_SHARE = 0.25  # share of the rows, those with the lowest disagreement, whose errors give the error floor
 COVERAGE = 0.9  # of the errors lie within an interval
+MIN_DISAGREEMENT = 1e-12  # members without any residual agree exactly
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +53,7 @@ def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = Non
     if len(outputs) == 1 or model.reliability is None:
         return Prediction(accelerations_from(model.config, model.vehicle, mean, base, attitude))
     deviation = outputs.std(axis=0, ddof=1)
-    disagreement = np.sqrt(np.mean((deviation / model.scaling.output_std) ** 2, axis=1))
+    disagreement = disagreement_of(outputs, model.scaling.output_std)
     gate = np.ones(len(ends))
     if gated and model.config.base == "grey_box":
         gate = gate_of(disagreement, model.reliability.disagreement)
@@ -61,9 +62,15 @@ def predict(model: TrainedModel, data: LabelledRows, *, member: int | None = Non
     return Prediction(body, disagreement, np.hypot(reliability.error_floor, reliability.error_scale * deviation), gate)
 
 
+def disagreement_of(outputs: Floats, output_std: Floats) -> Floats:
+    """(m,) RMS over the outputs of the members' standardised deviation. outputs: (members, m, 6)."""
+    deviation = outputs.std(axis=0, ddof=1) / output_std
+    return np.asarray(np.sqrt(np.mean(deviation**2, axis=1)))
+
+
 def gate_of(disagreement: Floats, threshold: float) -> Floats:
     """Share of a residual that is added: all of it up to the threshold, then falling with the square."""
-    limit = max(threshold, 1e-12)  # members without any residual agree exactly
+    limit = max(threshold, MIN_DISAGREEMENT)
     return np.asarray((limit / np.maximum(disagreement, limit)) ** 2)
 
 
@@ -85,7 +92,7 @@ def judge_reliability(outputs: Floats, targets: Floats, output_std: Floats) -> R
     if len(outputs) < 2:
         return None
     deviation = outputs.std(axis=0, ddof=1)
-    disagreement = np.sqrt(np.mean((deviation / output_std) ** 2, axis=1))
+    disagreement = disagreement_of(outputs, output_std)
     error = np.abs(outputs.mean(axis=0) - targets)
     agreed = disagreement <= np.quantile(disagreement, FLOOR_SHARE)
     floor = np.quantile(error[agreed], COVERAGE, axis=0)

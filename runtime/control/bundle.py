@@ -26,7 +26,7 @@ from runtime.control.rti.hpipm import HPIPM, libraries_in
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS
 
-FORMAT, VERSION = "alula bundle", 2
+FORMAT, VERSION = "alula bundle", 3
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
 TICKS = "ticks.npz"  # recorded ticks of the kernels, which `alula export --verify` repeats
@@ -57,6 +57,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame: of the network's inputs.
     ranges: of the inputs in training.
     errors: RMSE on the validation flights, linear m/s^2 and angular rad/s^2.
+    members: networks whose disagreement shows in flight how certain the model is; 1 for a network alone.
+    fades: whether the network's output fades where they disagree.
     shapes: of ONNX inputs and outputs.
     problem: the optimal control problem that the kernel was compiled for.
     kernel_facts: of the kernel's model.
@@ -81,6 +83,8 @@ class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     frame: Frame
     ranges: tuple[InputRange, ...]
     errors: dict[str, float]
+    members: int
+    fades: bool
     shapes: dict[str, tuple[int | str, ...]]
     units: dict[str, str]
     problem: Problem

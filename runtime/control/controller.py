@@ -34,6 +34,7 @@ from runtime.control.rti.problem import DEFAULTS, Problem
 from runtime.control.rti.solver import RtiSolver
 
 HISTORY = 64  # ticks of inputs stored for delay compensation
+MIN_SHARE = 0.5  # of the network's output, below which it counts as not flown
 MAX_STEP = 0.05  # s; longer gaps are propagated in pieces, each within RK4's reach
 
 
@@ -206,6 +207,16 @@ class Controller:
         """A learned model's running error over its error in training; NaN for a nominal or identified one."""
         return math.nan if self._columns is None else self.health.ratio
 
+    @property
+    def uncertainty(self) -> float:
+        """The members' disagreement at the last tick over what one validation row in 100 exceeds; NaN without any."""
+        return float(self.solver.certainty[0])
+
+    @property
+    def network_share(self) -> float:
+        """Share of the network's output that predictions have; NaN for a nominal or identified model."""
+        return math.nan if self._columns is None else float(self.solver.certainty[1])
+
     def node_times(self, time: float) -> Floats:
         """(N + 1,) times of the reference for a tick at a time: from when its command acts."""
         return time + self.options.delay + self._offsets
@@ -298,6 +309,7 @@ class Controller:
             columns.add_prediction(after, expected[:RIGID_BODY_STATES])
             columns.write_columns(after, self.solver.history)
         self.solver.shift(self.options.period)
+        self.solver.assess(expected, self.solver.inputs[0])
         reference = self.solver.state_reference
         reference[:, :RIGID_BODY_STATES] = states
         if float(states[0, ATTITUDE] @ expected[ATTITUDE]) < 0:
@@ -322,17 +334,23 @@ class Controller:
     def model_faults(self, time: float) -> tuple[str, str, str]:
         """Reasons against flying a learned model now: history not filled, input outside of its range, error too large.
 
-        Each is empty where there is none.
+        Each is empty where there is none. The latter two count while most of the network is flown: where it has faded,
+        the vehicle file's effects fly already, and a fallback to them changes nothing.
         """
         if self._columns is None:
             return "", "", ""
         columns = max(1, self._columns.columns)
         waiting = "" if self._columns.reaches(time) else f"{1e3 * columns * self._columns.dt:.0f} ms"
+        if self.network_share < MIN_SHARE:
+            return waiting, "", ""
         last, fit = self._columns.last_measured, self.options.fit
         speed = self._inputs[(self._ticks - 1) % HISTORY]
         outside = "" if last is None else self._range.outside(last[1], speed, fit.margin)
         ratio = self.health.ratio
-        return waiting, outside, f"{ratio:.1f} times the training error" if ratio > fit.ratio else ""
+        if not ratio > fit.ratio:
+            return waiting, outside, ""
+        unsure = f", its members disagree {self.uncertainty:.1f} times as usual" if self.uncertainty > 1 else ""
+        return waiting, outside, f"{ratio:.1f} times the training error{unsure}"
 
     def _take(self, columns: ColumnHistory, taken: float, state: Floats) -> tuple[Floats, Floats | None]:
         """Enter a measured state (13,) into the history, and compare it with the prediction for its time.

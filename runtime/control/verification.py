@@ -169,6 +169,7 @@ def _flight(solver: RtiSolver) -> Iterator[tuple[int, dict[str, Floats]]]:
 
 
 def _tick(solver: RtiSolver, state: Floats) -> dict[str, Floats]:
+    solver.assess(state, solver.inputs[0])
     solver.prepare(state)
     prepared = {name: getattr(solver, name).copy() for name in ANSWERS[:3]}
     solver.feedback(state)
@@ -193,6 +194,7 @@ def _timing(kernel: str, solver: RtiSolver, ticks: list[dict[str, Floats]], peri
         for name in ARGUMENTS:
             getattr(solver, name)[:] = tick[name]
         start = time.perf_counter()
+        solver.assess(tick["state"], solver.inputs[0])
         solver.prepare(tick["state"])
         solver.feedback(tick["state"])
         seconds.append(time.perf_counter() - start)

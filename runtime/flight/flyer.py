@@ -122,6 +122,16 @@ class Flyer:
         return self._controller.fit_ratio
 
     @property
+    def model_uncertainty(self) -> float:
+        """Disagreement of a learned model's members over what one validation row in 100 exceeds; NaN without any."""
+        return self._controller.uncertainty
+
+    @property
+    def network_share(self) -> float:
+        """Share of a learned model's network that its predictions have; NaN where none flies."""
+        return self._controller.network_share
+
+    @property
     def adaptation(self) -> Adaptation | None:
         """Of the controller that flies, None where its model does not follow."""
         return self._flying.adaptation

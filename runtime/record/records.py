@@ -75,6 +75,10 @@ class TickRecord(msgspec.Struct, frozen=True):
     model_ratio: Annotated[float, Meta(description="a learned model's error over its error in training, else NaN")] = (
         nan
     )
+    model_uncertainty: Annotated[
+        float, Meta(description="disagreement of a learned model's members over the limit from training, else NaN")
+    ] = nan
+    network_share: Annotated[float, Meta(description="share of a network's output that is flown, else NaN")] = nan
 
 
 class ObservationRecord(msgspec.Struct, frozen=True):

@@ -48,10 +48,16 @@ def timing_picture(flight: RecordedFlight) -> Picture:
 
 
 def health_picture(flight: RecordedFlight) -> Picture | None:
-    """The learned model's error over that in training, the thrust's effectiveness, the battery; None without any."""
+    """The learned model's error and certainty, the thrust's effectiveness, the battery; None without any."""
     panels: list[tuple[str, Floats, Floats, str]] = []
-    if np.isfinite(flight.ticks["model_ratio"]).any():
-        panels.append(("model's error / in training", flight.tick_time, flight.ticks["model_ratio"], BEFORE))
+    for field, title, colour in (
+        ("model_ratio", "model's error / in training", BEFORE),
+        ("model_uncertainty", "members' disagreement / limit", ORANGE),
+        ("network_share", "share of the network flown", GREEN),
+    ):
+        values = flight.ticks.get(field)  # recordings of older versions lack some
+        if values is not None and np.isfinite(values.astype(float)).any():
+            panels.append((title, flight.tick_time, values.astype(float), colour))
     for table, field, title, colour in (
         (flight.setpoints, "effectiveness", "thrust / modelled thrust", AFTER),
         (flight.battery, "voltage", "battery, V", GREEN),

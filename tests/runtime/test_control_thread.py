@@ -47,7 +47,7 @@ class ScriptedFlyer:
     """Flight logic that always decides the same, or raises; over after a number of ticks."""
 
     horizon = None
-    model_ratio = float("nan")
+    model_ratio = model_uncertainty = network_share = float("nan")
 
     def __init__(self, decision: Decision, *, ticks: int = 1000, defects: int = 0) -> None:
         self.decision, self.ticks, self.defects = decision, ticks, defects

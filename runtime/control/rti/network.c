@@ -25,6 +25,8 @@ typedef NETWORK_REAL real;
 #define STATE_FEATURES (FEATURES - NU)
 #define HIDDEN_STATES (NX - RIGID_BODY_STATES)
 #define RATES (6 + HIDDEN_STATES)
+#define LAST_PADDED (sizeof output_back[0] / sizeof(real))
+#define CERTAINTY 2
 #define COLUMN_ENTRIES (RIGID_BODY_STATES + NU) /* of a measured column: rigid body, then commanded rotor speeds */
 
 #if RESIDUAL
@@ -79,6 +81,10 @@ typedef struct {
         real H[NV][STREAMED];
     } tangents __attribute__((aligned(64)));
     real by_own_input[MAX_TAPS][MAX_WIDTH][NU]; /* the first layer's weights of the inputs, per scaled input */
+    struct {
+        real weight[LAST][OUTPUTS], bias[OUTPUTS], back[6][LAST_PADDED];
+    } output __attribute__((aligned(64))); /* the last layer as it is flown, see set_output */
+    double certainty[CERTAINTY]; /* see rti_assess */
     active_set active[STREAMED_LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
     bool mask_changed[LAYERS + 1][COLUMNS]; /* whether a swept layer's mask differs from that of the column before */
 } network;
@@ -117,7 +123,7 @@ static void evaluate(network *r, int s, int t) {
     const real *before = r->tangents.column[LAYERS][t];
     EACH_HIDDEN(DENSE_FORWARD)
     real y[OUTPUTS] __attribute__((aligned(64)));
-    dense(LAST, OUTPUTS, 0, &output[0][0], output_bias, before, y);
+    dense(LAST, OUTPUTS, 0, &r->output.weight[0][0], r->output.bias, before, y);
     for (int i = 0; i < 6; i++) r->net_out[s][i] = y[i];
 }
 
@@ -225,6 +231,7 @@ static void roll_out(network *r) {
 
 #include "reverse_split.h"
 #include "tangents.h"
+#include "ensemble.h"
 
 /* ---- the interface to the runtime ---- */
 
@@ -243,6 +250,8 @@ network *rti_create(const rti_options *options) {
         for (int i = 0; i < FREE; i++) r->ocp.S[k][i][START + i] = 1; /* d position / d initial position */
     for (int i = 0; i < NX; i++) r->ocp.S[0][i][START + i] = 1;
     EACH_CONVOLUTION(TAKE_INPUTS)
+    r->certainty[1] = 1;
+    set_output(r);
     for (int t = 0; t < COLUMNS; t++) {
         r->active[0][t].count = STATE_FEATURES;
         for (int i = 0; i < STATE_FEATURES; i++) r->active[0][t].index[i] = (unsigned char)i;
@@ -253,6 +262,21 @@ network *rti_create(const rti_options *options) {
 double *rti_parameters(network *r) { return r->p; }
 double *rti_environment(network *r) { return r->e; }
 double *rti_history(network *r) { return &r->history[0][0]; }
+double *rti_certainty(network *r) { return r->certainty; }
+
+/* Let a trajectory that starts anew have all of the network. */
+void rti_trust(network *r) {
+    r->certainty[0] = NAN, r->certainty[1] = 1;
+    set_output(r);
+}
+
+/* How certain the network is of the window that ends with x and u, for all predictions until the next call. */
+void rti_assess(network *r, const double *x, const double *u) {
+    for (int t = 0; t < HISTORY; t++) write_features(r, t, r->history[t], r->history[t] + RIGID_BODY_STATES);
+    write_features(r, HISTORY, x, u);
+    assess(r);
+    set_output(r);
+}
 
 #ifdef COUNT_OPERATIONS
 double rti_operations(void) { return operations; }

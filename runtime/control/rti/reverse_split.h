@@ -38,7 +38,7 @@ static void find_masks(network *r) {
 /* The perceptron's Jacobian (6, LAST_CODE) at substep s; returns whether it differs from that of the substep before. */
 static bool sweep_perceptron(network *r, int s) {
     real buffer[2][6 * MAX_WIDTH] __attribute__((aligned(64)));
-    const real *J = &output_back[0][0];
+    const real *J = &r->output.back[0][0];
     unsigned char index[MAX_WIDTH + 1];
     bool same = s > 0;
     int at = 0, active;

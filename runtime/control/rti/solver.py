@@ -81,6 +81,9 @@ class RtiSolver:
     input_upper: (nu,) highest rotor speeds, rad/s, a view of the C memory.
     disturbance: (14,) accelerations beyond the model that its predictions have: six that stay, six that fade, both
         linear m/s^2, world axes, and angular rad/s^2, body axes; and the rates at which these fade, 1/s. A view.
+    certainty: (2,) of a learned model since the last `assess`: the members' disagreement over what one validation row
+        in 100 exceeds, NaN for one member alone, and the share of the network's output that predictions have.
+    assesses: whether the kernel is a network's.
     history: (columns, 13 + nu) past rigid-body states and commanded rotor speeds of a learned model, oldest first, the
         last one a column before the state; to be written before `propagate` and `prepare`.
 
@@ -112,6 +115,8 @@ class RtiSolver:
         self.filter_followed = self._view("rti_filter_followed", (MAX_FOLLOWED,), ctypes.c_int)
         self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
         self.gradient = self._view("rti_gradient", (nodes * inputs,))
+        self.assesses = hasattr(self._code, "rti_assess")
+        self.certainty = self._view("rti_certainty", (2,)) if self.assesses else np.array([np.nan, 1.0])
         shape = (columns, RIGID_BODY_STATES + inputs)
         self.history = self._view("rti_history", shape) if columns else np.zeros(shape)
         self.report: RtiReport = self._code.rti_last_report(self._handle).contents
@@ -140,6 +145,8 @@ class RtiSolver:
         """Forget the trajectory: every node holds the state (nx,), every rotor its hover speed."""
         self.states[:] = state
         self.inputs[:] = self.trim.rotor_speed
+        if self.assesses:
+            self._code.rti_trust(self._handle)
 
     def propagate(self, state: NDArray[np.float64], speed: NDArray[np.float64], dt: float) -> NDArray[np.float64]:
         """The state (nx,) after dt seconds of the rotor speeds (nu,) rad/s. The next call overwrites the array."""
@@ -210,6 +217,15 @@ class RtiSolver:
         self._state[:] = expected
         return int(self._code.rti_prepare(self._handle, self._state_at, *self._references_at))
 
+    def assess(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> None:
+        """Assess how certain the network is of the window that ends with a state (nx,) and rotor speeds (nu,), rad/s.
+
+        Predictions have as much of a residual as that leaves, until the next call.
+        """
+        if self.assesses:
+            self._state[:], self._input[:] = state, speed
+            self._code.rti_assess(self._handle, self._state_at, self._input_at)
+
     def accelerations(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
         """A learned model's mean accelerations (6,) after a state (nx,), world and body axes; needs a kernel."""
         self._state[:], self._input[:] = state, speed
@@ -242,6 +258,7 @@ class RtiSolver:
         if hasattr(code, "rti_accelerations"):
             code.rti_accelerations.argtypes = (pointer, pointer, pointer, pointer)
             code.rti_stream.argtypes = (pointer, pointer, ctypes.c_int, pointer)
+            code.rti_assess.argtypes, code.rti_trust.argtypes = (pointer, pointer, pointer), (pointer,)
         code.rti_filter_options.restype = ctypes.POINTER(FilterOptions)
         code.rti_filter_options.argtypes = code.rti_filter_clear.argtypes = (pointer,)
         code.rti_filter_restart.argtypes = (pointer, pointer)

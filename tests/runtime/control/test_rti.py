@@ -221,11 +221,11 @@ def test_a_push_towards_the_wall_is_held_within_the_box(fades: bool) -> None:
     boxed = msgspec.structs.replace(
         VEHICLE, limits=Limits(rate=(20.0, 20.0, 20.0), box=((-1.0, -1.0, 0.0), (wall, 1.0, 2.0)))
     )
-    farthest = []
-    for known in (False, True):
+    reached = []
+    for predicted in (False, True):
         solver, plant = (RtiSolver(build_model(boxed), Problem()) for _ in range(2))
         plant.disturbance[0] = push
-        if known:
+        if predicted:
             solver.disturbance[6 if fades else 0], solver.disturbance[12] = push, 1.0
         state = hovering(solver.model)
         solver.reset(state)
@@ -238,10 +238,10 @@ def test_a_push_towards_the_wall_is_held_within_the_box(fades: bool) -> None:
             assert solver.feedback(state) == 0
             state = plant.propagate(state, solver.inputs[0], 0.01).copy()
             positions.append(state[0])
-        farthest.append(max(positions))
-        assert not known or abs(positions[-1] - wall) < 0.001
-    assert farthest[0] > wall + 0.03
-    assert farthest[1] < wall + 0.005
+        reached.append(max(positions))
+        assert not predicted or abs(positions[-1] - wall) < 0.001
+    assert reached[0] > wall + 0.03
+    assert reached[1] < wall + 0.005
 
 
 def test_the_prediction_stays_within_the_vehicles_speed() -> None:
