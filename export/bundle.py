@@ -32,8 +32,20 @@ from export.symbolic import column_names, column_units, jacobian_function, model
 from export.toolchain import toolchain_for
 from export.trained import ExportedModel
 from export.windows import random_windows, recorded_windows, reference_windows
-from runtime.control.bundle import KERNEL, MANIFEST, ONNX, PHYSICS, TICKS, VEHICLE, InputRange, Manifest, with_digest
+from runtime.control.bundle import (
+    KERNEL,
+    LAST_LAYER,
+    MANIFEST,
+    ONNX,
+    PHYSICS,
+    TICKS,
+    VEHICLE,
+    InputRange,
+    Manifest,
+    with_digest,
+)
 from runtime.control.kernel_model import kernel_facts
+from runtime.control.network_features import last_layer_file
 from runtime.control.rti.compilation import solver_recipe
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import PROCESSORS, Processor, native_processor
@@ -102,6 +114,8 @@ def export_bundle(model: ExportedModel, folder: Path, options: ExportOptions) ->
     with _appearing(folder) as part:
         _write_files(part, model, proto, {**texts, **_kernel_texts(flown[KERNEL])}, parity)
         (part / TICKS).write_bytes(record_ticks(solvers))
+        if model.moment is not None and model.network is not None:
+            (part / LAST_LAYER).write_bytes(last_layer_file(model.moment, body=model.network.outputs == "body"))
         for name, recipe in flown.items():
             shutil.copyfile(build_kernel(recipe, toolchain), part / name)
         for library in toolchain.hpipm.libraries:

@@ -53,6 +53,13 @@ class ExportedModel:
     ensemble: Ensemble | None = None
 
     @property
+    def moment(self) -> Floats | None:
+        """(n + 1, n + 1) of the inputs of the network's last layer (`training.last_layer`); None where unknown."""
+        if self.trained is None or not self.trained.moments or self.integrator == "rk4":
+            return None
+        return self.trained.moments[self.member]
+
+    @property
     def mean(self) -> bool:
         """Whether accelerations are means over the time to the next column, else those at the newest one."""
         return self.config.label == "mean_increment"

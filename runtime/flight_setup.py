@@ -29,7 +29,7 @@ from dynamics.vehicle_file import (
     with_settings,
 )
 from dynamics.version import __version__
-from runtime.control.adaptation_settings import AdaptationSettings, Mode
+from runtime.control.adaptation_settings import AdaptationSettings, Mode, NetworkSettings
 from runtime.control.bundle import MANIFEST, ONNX, VEHICLE, Bundle, Manifest, parse_manifest, read_bundle
 from runtime.control.followed_parameters import with_followed
 from runtime.control.kernel_model import KernelModel, trim_of
@@ -66,6 +66,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: of the controller, in place of the vehicle file's, such as "controller.horizon=0.8".
     adapt: whether the model follows in flight.
     follow: effects whose parameters do, beside a disturbance; None for the usual ones, as far as this install can.
+    network: whether a learned model's last layer does; None for shadow, where its bundle can.
     record: folder of the recording.
     arm: whether to request arming, or leave it to the pilot.
     resume: whether to take control of a vehicle that is armed already.
@@ -87,6 +88,7 @@ class FlightSetup(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     settings: tuple[str, ...] = ()
     adapt: Mode = "off"
     follow: tuple[str, ...] | None = None
+    network: Mode | None = None
     record: Path | None = None
     arm: bool = True
     resume: bool = False
@@ -130,7 +132,11 @@ def prepare_flight(setup: FlightSetup, *, flown_before: bool = False) -> Prepare
         attachments[MANIFEST] = (bundle.folder / MANIFEST).read_text(encoding="utf-8")
     if Path(setup.reference).is_file():
         attachments[REFERENCE_TEXT] = _table_text(Path(setup.reference))
-    adaptation = AdaptationSettings(mode=setup.adapt, follow=_followed(setup, vehicle, bundle))
+    adaptation = AdaptationSettings(
+        mode=setup.adapt,
+        follow=_followed(setup, vehicle, bundle),
+        network=NetworkSettings(mode=_network_mode(setup, bundle)),
+    )
     request = FlightRequest(
         endpoint=endpoint,
         adaptation=adaptation,
@@ -170,6 +176,25 @@ def _followed(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None) -> tu
         return FOLLOWED if symbolic.is_installed() and has_compiler() else ()
     with_followed(vehicle, setup.follow)
     return setup.follow
+
+
+def _network_mode(setup: FlightSetup, bundle: Bundle | None) -> Mode:
+    """Whether the last layer follows. Raises RequestError where it cannot, or the model beside it does not."""
+    able = bundle is not None and bundle.last_layer is not None
+    if setup.network in (None, "off") or (setup.network == setup.adapt == "shadow" and able):
+        return setup.network or ("shadow" if able else "off")
+    if not able:
+        what = "has no network" if bundle is None or not bundle.manifest.learned else "was trained without its moments"
+        name = setup.bundle or setup.vehicle
+        raise RequestError(
+            f"--network {setup.network}: {name} {what}. Leave it out, or give a --bundle of a model that this alula "
+            "trained, or to which `python -m training.last_layer MODEL.pt LOG...` added them, exported again."
+        )
+    if setup.adapt == "off" or (setup.network == "on" and setup.adapt != "on"):
+        raise RequestError(
+            f"--network {setup.network} needs --adapt {setup.network if setup.adapt == 'off' else 'on'}."
+        )
+    return setup.network
 
 
 def _check_controller(setup: FlightSetup, vehicle: Vehicle, bundle: Bundle | None, rate: float) -> None:

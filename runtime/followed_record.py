@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import msgspec
 import numpy as np
 
 from runtime.flight.flyer import Flyer
@@ -16,4 +17,13 @@ def followed_record(flyer: Flyer, now: float) -> FollowedRecord | None:
     values = np.array([value.value for value in named.values()])
     deviations = np.array([value.std for value in named.values()])
     estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
-    return FollowedRecord(now, *estimated, " ".join(named), values, deviations)
+    record = FollowedRecord(now, *estimated, " ".join(named), values, deviations)
+    layer = flyer.adaptation.network
+    if layer is None:
+        return record
+    return msgspec.structs.replace(
+        record,
+        network_trust=layer.trust,
+        network_change=np.linalg.norm(layer.change, axis=1),
+        network_errors=np.sqrt(layer.squares),
+    )

@@ -8,6 +8,8 @@ The file is what `torch.save` makes of plain dictionaries and tensors, so that r
     scaling           input_mean, input_std (inputs,), output_mean, output_std (6,)
     ranges            lowest, highest (inputs,) of the training flights, in the inputs' units
     reliability       disagreement, error_floor (6,), error_scale (6,), or none for a single member
+    moments           of each member, (n + 1, n + 1) of its last layer's n inputs and 1 (`training.last_layer`); absent
+                      in files of older versions, whose last layer cannot follow in flight
     vehicle           TOML text
     card              JSON text
 
@@ -82,6 +84,7 @@ class TrainedModel:
     networks: members in evaluation mode, none for a base alone.
     vehicle_text: the vehicle file.
     reliability: of an ensemble, None for a single network.
+    moments: of the members' last layers (`training.last_layer`), empty for a file of an older version.
     """
 
     config: ModelConfig
@@ -92,6 +95,7 @@ class TrainedModel:
     vehicle_text: str
     card: Card
     reliability: Reliability | None = None
+    moments: tuple[Floats, ...] = ()
 
     def outputs(self, windows: Floats | Tensor, *, member: int | None = None) -> Floats:
         """Outputs (members, m, 6) of the members for windows (m, T, inputs), both in their units.
@@ -124,6 +128,7 @@ def save(model: TrainedModel, path: Path) -> None:
             "error_floor": torch.from_numpy(reliability.error_floor),
             "error_scale": torch.from_numpy(reliability.error_scale),
         },
+        "moments": [torch.from_numpy(moment) for moment in model.moments],
         "vehicle": model.vehicle_text,
         "card": msgspec.json.encode(model.card).decode(),
     }
@@ -209,7 +214,9 @@ def _model(content: dict[str, Any]) -> TrainedModel:
     if vehicle.rotors.count != config.rotors:
         raise RequestError(f"its vehicle has {vehicle.rotors.count} rotors, its config {config.rotors}.")
     networks = _networks(config, content["members"])
-    return TrainedModel(config, networks, scaling, ranges, vehicle, content["vehicle"], card, reliability)
+    moments = tuple(moment.double().numpy() for moment in content.get("moments", ()))
+    _require_moments(networks, moments)
+    return TrainedModel(config, networks, scaling, ranges, vehicle, content["vehicle"], card, reliability, moments)
 
 
 def _in_si(model: TrainedModel) -> TrainedModel:
@@ -238,6 +245,17 @@ def _require_widths(config: ModelConfig, scaling: Scaling, ranges: Ranges, relia
             f"scaling and ranges are for {input_widths[0]} inputs and {output_widths[0]} outputs, its config has "
             f"{inputs} and 6."
         )
+
+
+def _require_moments(networks: Sequence[nn.Module], moments: Sequence[Floats]) -> None:
+    """Raises RequestError for moments of other layers than the networks' last ones, or that no inputs have."""
+    if not moments:
+        return
+    sizes = [list(network.state_dict().values())[-2].shape[1] + 1 for network in networks]
+    if [moment.shape for moment in moments] != [(size, size) for size in sizes]:
+        raise RequestError("moments of other layers than its networks' last ones.")
+    if not all(np.isfinite(moment).all() for moment in moments):
+        raise RequestError("moments that are not finite.")
 
 
 def _networks(config: ModelConfig, members: Sequence[dict[str, Tensor]]) -> tuple[nn.Module, ...]:

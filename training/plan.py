@@ -25,6 +25,7 @@ from training.data.labelled_rows import LabelledRows, label_rows, with_logged_mo
 from training.data.logged_flights import Split
 from training.data.tensors import CollocationTensors, Tensors, make_scaling
 from training.effects_fit import fit_effects, with_rotor_lag
+from training.last_layer import feature_moments
 from training.networks import build_network
 from training.prediction import flight_errors, judge_reliability, member_outputs, predict
 from training.recipe import Recipe
@@ -96,7 +97,7 @@ class Plan:
             outputs = member_outputs(model, self.validation)
             targets = self.validation.targets[self.validation.ends]
             judged = judge_reliability(outputs, targets, self.scaling.output_std)
-            model = dataclasses.replace(model, reliability=judged)
+            model = dataclasses.replace(model, reliability=judged, moments=feature_moments(model, self.training))
         card = msgspec.structs.replace(
             card,
             seeds=tuple(seeds[: len(members)]),

@@ -89,6 +89,7 @@ def fly(
     settings: Sequence[str] = (),
     effect_files: Sequence[str | Path] = (),
     adapt: Literal["off", "shadow", "on"] = "off",
+    network: Literal["off", "shadow", "on"] | None = None,
     follow: Sequence[str] | None = None,
     record: str | Path | None = None,
     arm: bool = True,
@@ -116,6 +117,7 @@ def fly(
     adapt: whether the model follows in flight: "shadow" estimates and records what it would fly.
     follow: effects whose parameters follow, beside a disturbance; by default wind, rotor_drag and parasitic_drag where
         CasADi and a compiler are installed.
+    network: whether the last layer of a learned model follows, too; by default "shadow", where its bundle can.
     record: folder for the recording (MCAP and tlog).
     arm: arm the vehicle, or wait for the pilot to do so.
     resume: take control of a vehicle that is armed already.
@@ -155,6 +157,7 @@ def fly(
         settings=tuple(settings),
         effect_files=tuple(map(Path, effect_files)),
         adapt=adapt,
+        network=network,
         follow=None if follow is None else tuple(follow),
         record=None if record is None else Path(record),
         arm=arm,

@@ -71,6 +71,13 @@ def fly(
             "where the workbench is installed; none for the disturbance alone."
         ),
     ] = None,
+    network: Annotated[
+        Literal["off", "shadow", "on"] | None,
+        typer.Option(
+            help="With --adapt: let the last layer of a learned model follow, too; shadow estimates the change only, "
+            "and is what a --bundle that can does by default."
+        ),
+    ] = None,
     record: Annotated[Path | None, typer.Option(help="Folder for the recording (MCAP and tlog).")] = None,
     arm: Annotated[
         bool, typer.Option("--arm/--no-arm", help="Arm the vehicle, or wait for the pilot to arm it.")
@@ -121,6 +128,7 @@ def fly(
         settings=settings or (),
         adapt=adapt,
         follow=None if follow is None else [name for name in follow if name != "none"],
+        network=network,
         record=record,
         arm=arm,
         resume=resume,

@@ -17,8 +17,10 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY
 from runtime.control.adaptation_settings import AdaptationSettings
-from runtime.control.flight_filter import FlightFilter
+from runtime.control.flight_filter import MAX_INTERVAL, FlightFilter
 from runtime.control.followed_parameters import followed_parameters, rotor_loss_effect
+from runtime.control.last_layer import LastLayer, rotation_of
+from runtime.control.network_features import NetworkFeatures
 from runtime.control.rotor_loss import RotorLoss
 from runtime.control.rotor_watch import RotorWatch, up_of
 from runtime.control.rti.solver import AXES, RtiSolver
@@ -26,6 +28,7 @@ from runtime.control.thrust_history import ThrustHistory
 
 REFUSED = 0.5  # share of what is estimated, below which it counts as not flown
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
+SAME_TIME = 1e-6  # s
 DESCRIBE_EVERY = 10  # commands
 DRAG_STEP = 0.002  # s over which the model's forces are averaged
 MOTION = np.r_[VELOCITY, RATE]
@@ -55,11 +58,28 @@ class Followed(msgspec.Struct, frozen=True):
 
 
 class Measured(NamedTuple):
-    """An estimate with the model's hidden states at its time: state (nx,); predicted: (13,) of it, None to be found."""
+    """An estimate with the model's hidden states at its time: state (nx,); predicted: (13,) of it, None to be found.
+
+    view: what a network had as inputs then, None where its last layer does not follow.
+    """
 
     time: float
     state: Floats
     predicted: Floats | None
+    view: NetworkView | None = None
+
+
+class NetworkView(NamedTuple):
+    """Inputs of a network's last layer at an estimate.
+
+    psi: (k,) whitened inputs of its last layer, as far as the network was flown.
+    rotation: (3, 3) from its outputs' axes to the world's.
+    flown: (3,) m/s^2, world, what the change of its last layer added.
+    """
+
+    psi: Floats
+    rotation: Floats
+    flown: Floats
 
 
 class Adaptation:
@@ -68,6 +88,7 @@ class Adaptation:
     changed: which parameters are surely not as in the model, with values and 95 % intervals; empty for none.
     newest: time of the last estimate, s, which a reset does not forget; -inf before the first.
     rotors: compares them with how the vehicle moves; None beside a learned model.
+    network: what a learned model's last layer lacks; None where it does not follow.
     """
 
     def __init__(
@@ -78,11 +99,15 @@ class Adaptation:
         thrust_constants: Floats,
         period: float,
         learned: bool = False,
+        features: NetworkFeatures | None = None,
     ) -> None:
         """thrust_constants: (n,) N s^2/rad^2. period: between commands, s.
 
         learned: whether predictions come with the estimates, from a learned model.
+        features: by which its last layer follows, None where it does not.
         """
+        self.network = None if features is None else LastLayer(features, settings)
+        self._flown_change = np.zeros((0, 0)) if self.network is None else np.zeros_like(self.network.change)
         self.changed = ""
         scale = settings.prior_scale
         parameters = () if learned else followed_parameters(solver.model, settings.follow, prior_scale=scale)
@@ -202,7 +227,10 @@ class Adaptation:
         """Forget commands and estimates; after a long pause what they showed, too."""
         if time - self.newest > MAX_PAUSE:
             self.filter.clear()
+            if self.network is not None:
+                self.network.clear()
             self._fly()
+        self._flown_change = np.zeros_like(self._flown_change)  # the solver has forgotten it
         self._thrust.clear()
         if self.rotors is not None:
             self.rotors.clear()
@@ -227,6 +255,18 @@ class Adaptation:
         if self.rotors is not None:
             self.rotors.add_estimate(time, self._measured.state)
 
+    def explain(self, time: float) -> None:
+        """Take a network's inputs at an estimate: its features where a prediction from that time on began, s."""
+        measured, layer = self._measured, self.network
+        if layer is None or measured is None or measured.view is not None or time - measured.time > SAME_TIME:
+            return
+        solver = self._solver
+        share, rotation = float(solver.certainty[1]), rotation_of(measured.state[ATTITUDE], body=layer.features.body)
+        psi = share * layer.features.of(solver.last_input)
+        change = solver.output_change[:3]
+        flown = share * (rotation @ (change[:, :-1] @ solver.last_input + change[:, -1]))
+        self._measured = measured._replace(view=NetworkView(psi, rotation, flown))
+
     def update(self) -> None:
         """Compare the last estimate with its prediction from the one before, and fly what follows."""
         self._add_command()
@@ -238,22 +278,47 @@ class Adaptation:
         self._compared = now
         if before is None or (self._learned and now.predicted is None):
             self.filter.restart(now.state, now.time)
+            if self.network is not None:
+                self.network.restart()
         elif now.predicted is not None:
+            elapsed = now.time - before.time
             change = (now.predicted - before.state[:RIGID_BODY_STATES])[MOTION]
-            change -= (now.time - before.time) * (
-                self._solver.disturbance[:AXES] + self._solver.disturbance[FLOWN_FADES]
-            )
-            self.filter.compare(before.state, change, now.state, now.time)
+            change -= elapsed * (self._solver.disturbance[:AXES] + self._solver.disturbance[FLOWN_FADES])
+            trained = change.copy()
+            if before.view is not None:
+                trained[:3] -= elapsed * before.view.flown
+            self.filter.compare(before.state, change, trained, now.state, now.time)
+            self._follow_network(before, now, trained)
         else:
             self.filter.follow(before.state, *self._thrust.acted(before.time, now.time), now.state, now.time)
         if self._thrust.count % DESCRIBE_EVERY == 0:
             self.changed = self._describe_changes()
         self._fly()
 
+    def _follow_network(self, before: Measured, now: Measured, trained: Floats) -> None:
+        """Let the last layer follow. trained: (6,) change of velocity and rate by the network as it was trained."""
+        layer, elapsed = self.network, now.time - before.time
+        if layer is None or before.view is None or elapsed > MAX_INTERVAL:
+            return
+        beyond = (now.state - before.state)[VELOCITY] - trained[:3]
+        layer.add(beyond, before.view.psi, before.view.rotation, elapsed, float(self._solver.filter_level[0]))
+
+    def _fly_network(self) -> None:
+        """Give the solver the change of the last layer, and take what it adds now out of the disturbance."""
+        layer, view = self.network, None if self._compared is None else self._compared.view
+        if layer is None or view is None or self._settings.network.mode != "on":
+            return
+        share = min(layer.trust, float(self.filter.trust[0])) * layer.within(view.psi)
+        change = share * layer.change
+        self._solver.output_change[:3] = change @ layer.features.projection
+        self.filter.staying[:3] -= view.rotation @ ((change - self._flown_change) @ view.psi)
+        self._flown_change = change
+
     def _fly(self) -> None:
         """Give the solver what was estimated, as far as it is trusted."""
         if not self.flies:
             return
+        self._fly_network()
         filtered, flown = self.filter, self._solver.disturbance
         linear, angular = filtered.trust.tolist()
         flown[:AXES], flown[FLOWN_FADES] = filtered.staying, filtered.fading

@@ -51,6 +51,29 @@ class GuardLimits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     angular_resolution: Positive = 0.1
 
 
+class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How a network's last layer follows.
+
+    mode: "off", "shadow" (estimated and recorded, not flown) or "on", as far as the model's own mode lets it.
+    rank: directions of its inputs in which it may change, those that varied most in training.
+    deviation: m/s^2, RMS over the training's inputs of the change that is expected beforehand, by axis.
+    memory: s in which a change returns to what was trained by the factor e, and its variance to the one beforehand.
+    bound: m/s^2, of that RMS by axis.
+    limit: m/s^2, of the change where the vehicle flies now.
+    block: s of flight that make one row.
+    tolerance: ratio of forecast errors with and without the change, up to which it is trusted.
+    """
+
+    mode: Mode = "shadow"
+    rank: Annotated[int, Meta(ge=1)] = 8
+    deviation: Positive = 1.0
+    memory: Positive = 30.0
+    bound: Positive = 3.0
+    limit: Positive = 4.0
+    block: Positive = 0.1
+    tolerance: Positive = 1.0
+
+
 class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """How a model follows in flight.
 
@@ -73,6 +96,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
     motor_lag: s, of the motors behind the autopilot's outputs.
     rotors: when one that loses thrust is named.
+    network: how a network's last layer follows.
     """
 
     mode: Mode = "off"
@@ -94,3 +118,4 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     motor_lag: NotNegative = 0.0
     rotors: RotorLossSettings = RotorLossSettings()
     guard: GuardLimits = GuardLimits()
+    network: NetworkSettings = NetworkSettings()

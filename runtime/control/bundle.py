@@ -29,6 +29,7 @@ from runtime.control.rti.processor import PROCESSORS
 FORMAT, VERSION = "alula bundle", 3
 MANIFEST, VEHICLE, KERNEL, ONNX = "manifest.json", "vehicle.toml", "kernel.so", "model.onnx"
 PHYSICS = "physics.so"  # the solver of the vehicle file's model, the fallback of a learned one
+LAST_LAYER = "last_layer.npz"  # what a network's last layer was trained on, where it may follow in flight
 TICKS = "ticks.npz"  # recorded ticks of the kernels, which `alula export --verify` repeats
 Integrator = Literal["hold", "adams_bashforth", "rk4"]
 
@@ -133,6 +134,11 @@ class Bundle:
     def physics(self) -> Path:
         """The compiled solver of the vehicle file's model, in a bundle of a learned one."""
         return self.folder / PHYSICS
+
+    @property
+    def last_layer(self) -> Path | None:
+        """What a network's last layer was trained on; None in a bundle without it."""
+        return self.folder / LAST_LAYER if LAST_LAYER in self.manifest.files else None
 
     @property
     def range_limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

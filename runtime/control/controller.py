@@ -29,6 +29,7 @@ from runtime.control.followed_parameters import with_followed
 from runtime.control.history import ColumnHistory
 from runtime.control.kernel_model import FlownModel
 from runtime.control.model_health import FitLimits, ModelHealth, TrainingRange
+from runtime.control.network_features import NetworkFeatures, read_features
 from runtime.control.rti.prebuilt import flown_model
 from runtime.control.rti.problem import DEFAULTS, Problem
 from runtime.control.rti.solver import RtiSolver
@@ -161,6 +162,7 @@ class Controller:
                 thrust_constants=self._thrust_constants,
                 period=options.period,
                 learned=self._columns is not None,
+                features=_features(bundle, options.adaptation),
             )
 
     @classmethod
@@ -374,6 +376,8 @@ class Controller:
             if columns is not None:
                 columns.write_columns(start, self.solver.history)
             self._state[:] = self.solver.propagate(self._state, speed, step)
+            if keep and self.adaptation is not None:
+                self.adaptation.explain(start)
             start, seconds = start + step, seconds - step
             if columns is not None and keep:
                 columns.add_prediction(start, self._state[:RIGID_BODY_STATES])
@@ -388,3 +392,10 @@ class Controller:
         if self.adaptation is not None:
             self.adaptation.command(time, speed)
         self._ticks += 1
+
+
+def _features(bundle: Bundle | None, settings: AdaptationSettings) -> NetworkFeatures | None:
+    """The features by which a learned model's last layer follows; None where it does not."""
+    if bundle is None or settings.network.mode == "off" or bundle.last_layer is None:
+        return None
+    return read_features(bundle.last_layer, settings.network.rank)

@@ -67,10 +67,13 @@ class FlightFilter:
         self._solver.restart_filter(state)
         self._time = time
 
-    def compare(self, before: Floats, change: Floats, state: Floats, time: float) -> None:
-        """Take an estimate (nx,) after the one before. change: (6,) of velocity and rate, by the model alone."""
+    def compare(self, before: Floats, change: Floats, change_by_file: Floats, state: Floats, time: float) -> None:
+        """Take an estimate (nx,) after the one before. change: (6,) of velocity and rate, by the model alone.
+
+        change_by_file: by the model as it was trained.
+        """
         if self._begins(time):
-            self._count(self._solver.compare_in_filter(before, change, state, time - self._time), time)
+            self._count(self._solver.compare_in_filter(before, change, change_by_file, state, time - self._time), time)
         else:
             self.restart(state, time)
 

@@ -105,15 +105,15 @@ def test_predictions_have_the_share_until_the_next_assessment(made: Made) -> Non
     state = np.concatenate([window[:RIGID_BODY_STATES, -1], model.flight_model.hidden_initial])
     speed = window[RIGID_BODY_STATES:, -1]
     look_back(solver, window)
-    whole = solver.accelerations(state, speed)
+    complete = solver.accelerations(state, speed)
     solver.assess(state, speed)
     faded, share = solver.accelerations(state, speed), float(solver.certainty[1])
     solver.reset(state)
-    np.testing.assert_array_equal(solver.accelerations(state, speed), whole)
+    np.testing.assert_array_equal(solver.accelerations(state, speed), complete)
     base = np.array(weighted_function(model)(window, state[RIGID_BODY_STATES:], 0.0)[0]).ravel()
     assert share < 0.7
-    np.testing.assert_allclose(faded - base, share * (whole - base), atol=1e-4)
-    assert np.abs(whole - faded).max() > 0.01
+    np.testing.assert_allclose(faded - base, share * (complete - base), atol=1e-4)
+    assert np.abs(complete - faded).max() > 0.01
 
 
 def test_a_network_without_a_base_does_not_fade(lagging: Vehicle) -> None:

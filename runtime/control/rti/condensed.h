@@ -103,6 +103,7 @@ filter_options *rti_filter_options(condensed *r) { return &r->filter.options; }
 double *rti_filter_state(condensed *r) { return r->filter.state; }
 double *rti_filter_covariance(condensed *r) { return &r->filter.P[0][0]; }
 double *rti_filter_trust(condensed *r) { return r->filter.trust; }
+double *rti_filter_level(condensed *r) { return &r->filter.level; }
 double *rti_filter_squares(condensed *r) { return &r->filter.square[0][0]; }
 double *rti_filter_deviations(condensed *r) { return r->filter.deviation; }
 int *rti_filter_followed(condensed *r) { return r->filter.followed; }
@@ -123,12 +124,14 @@ void rti_filter_restart(condensed *r, const double *x) {
 }
 
 /* Compare a prediction by the model alone with the state (NX) that it is of, dt seconds after the last; no parameter is
- * followed. change: (6,) of velocity and rate. Returns whether it was used. */
-int rti_filter_compare(condensed *r, const double *before, const double *change, const double *x, double dt) {
+ * followed. change, change_by_file: (6,) of velocity and rate, by the model as it follows and as it was trained. Returns
+ * whether it was used. */
+int rti_filter_compare(condensed *r, const double *before, const double *change, const double *change_by_file,
+                       const double *x, double dt) {
     double first[AXES], measured[AXES];
     rates_of(before, first);
     rates_of(x, measured);
-    return filter_update(&r->filter, change, change, first, measured, dt);
+    return filter_update(&r->filter, change, change_by_file, first, measured, dt);
 }
 
 /* Dimensions for the loader to compare with its own. */

@@ -57,12 +57,14 @@ static void assess(network *r) {
 static void assess(network *r) { r->certainty[0] = NAN; }
 #endif
 
-/* The last layer as it is flown. */
+/* The last layer as it is flown: the trained one with the change beside it, both as far as they are certain. */
 static void set_output(network *r) {
     const real share = (real)r->certainty[1];
     for (int i = 0; i < LAST; i++)
-        for (int o = 0; o < OUTPUTS; o++) r->output.weight[i][o] = share * output[i][o];
-    for (int o = 0; o < OUTPUTS; o++) r->output.bias[o] = share * output_bias[o];
+        for (int o = 0; o < OUTPUTS; o++)
+            r->output.weight[i][o] = share * (output[i][o] + (o < 6 ? (real)r->change[o][i] : 0));
+    for (int o = 0; o < OUTPUTS; o++)
+        r->output.bias[o] = share * (output_bias[o] + (o < 6 ? (real)r->change[o][LAST] : 0));
     for (int o = 0; o < 6; o++)
-        for (int i = 0; i < LAST; i++) r->output.back[o][i] = share * output_back[o][i];
+        for (int i = 0; i < LAST; i++) r->output.back[o][i] = share * (output_back[o][i] + (real)r->change[o][i]);
 }

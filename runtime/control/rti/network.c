@@ -85,6 +85,7 @@ typedef struct {
         real weight[LAST][OUTPUTS], bias[OUTPUTS], back[6][LAST_PADDED];
     } output __attribute__((aligned(64))); /* the last layer as it is flown, see set_output */
     double certainty[CERTAINTY]; /* see rti_assess */
+    double last_input[LAST], change[6][LAST + 1]; /* of the last layer, at the first substep; and what is added to it */
     active_set active[STREAMED_LAYERS + 1][COLUMNS]; /* of the features those that depend on the state */
     bool mask_changed[LAYERS + 1][COLUMNS]; /* whether a swept layer's mask differs from that of the column before */
 } network;
@@ -123,6 +124,7 @@ static void evaluate(network *r, int s, int t) {
     const real *before = r->tangents.column[LAYERS][t];
     EACH_HIDDEN(DENSE_FORWARD)
     real y[OUTPUTS] __attribute__((aligned(64)));
+    for (int i = 0; i < LAST && s == 0; i++) r->last_input[i] = before[i];
     dense(LAST, OUTPUTS, 0, &r->output.weight[0][0], r->output.bias, before, y);
     for (int i = 0; i < 6; i++) r->net_out[s][i] = y[i];
 }
@@ -263,10 +265,14 @@ double *rti_parameters(network *r) { return r->p; }
 double *rti_environment(network *r) { return r->e; }
 double *rti_history(network *r) { return &r->history[0][0]; }
 double *rti_certainty(network *r) { return r->certainty; }
+double *rti_last_input(network *r) { return r->last_input; }
+double *rti_output_change(network *r) { return &r->change[0][0]; }
+int rti_last_width(void) { return LAST; }
 
-/* Let a trajectory that starts anew have all of the network. */
+/* Let a trajectory that starts anew have all of the network, as it was trained. */
 void rti_trust(network *r) {
     r->certainty[0] = NAN, r->certainty[1] = 1;
+    memset(r->change, 0, sizeof r->change);
     set_output(r);
 }
 

@@ -84,6 +84,9 @@ class RtiSolver:
     certainty: (2,) of a learned model since the last `assess`: the members' disagreement over what one validation row
         in 100 exceeds, NaN for one member alone, and the share of the network's output that predictions have.
     assesses: whether the kernel is a network's.
+    last_input: (n,) inputs of a network's last layer at the beginning of the last `propagate`, a view.
+    output_change: (6, n + 1) what is added to a network's last layer, weights then bias, from the next `assess` on: of
+        linear, m/s^2, body or world axes, and angular accelerations, rad/s^2. A view.
     history: (columns, 13 + nu) past rigid-body states and commanded rotor speeds of a learned model, oldest first, the
         last one a column before the state; to be written before `propagate` and `prepare`.
 
@@ -112,11 +115,15 @@ class RtiSolver:
         self.filter_deviations = self._view("rti_filter_deviations", (MAX_FOLLOWED,))
         self.filter_trust = self._view("rti_filter_trust", (2,))
         self.filter_squares = self._view("rti_filter_squares", (2, 2))
+        self.filter_level = self._view("rti_filter_level", (1,))
         self.filter_followed = self._view("rti_filter_followed", (MAX_FOLLOWED,), ctypes.c_int)
         self.hessian = self._view("rti_hessian", (nodes * inputs, nodes * inputs))
         self.gradient = self._view("rti_gradient", (nodes * inputs,))
         self.assesses = hasattr(self._code, "rti_assess")
         self.certainty = self._view("rti_certainty", (2,)) if self.assesses else np.array([np.nan, 1.0])
+        width = self._code.rti_last_width() if self.assesses else 0
+        self.last_input = self._view("rti_last_input", (width,)) if width else np.zeros(0)
+        self.output_change = self._view("rti_output_change", (AXES, width + 1)) if width else np.zeros((AXES, 1))
         shape = (columns, RIGID_BODY_STATES + inputs)
         self.history = self._view("rti_history", shape) if columns else np.zeros(shape)
         self.report: RtiReport = self._code.rti_last_report(self._handle).contents
@@ -129,6 +136,8 @@ class RtiSolver:
         self._next_at = address(self._next.ctypes.data)
         self._accelerations = np.zeros(6)
         self._accelerations_at = address(self._accelerations.ctypes.data)
+        self._by_file = np.zeros(AXES)
+        self._by_file_at = address(self._by_file.ctypes.data)
         self._shares = np.zeros((inputs, AXES))
         self._shares_at = address(self._shares.ctypes.data)
         self._lagged = _speed_states(model)
@@ -164,14 +173,21 @@ class RtiSolver:
         self._code.rti_filter_restart(self._handle, self._state_at)
 
     def compare_in_filter(
-        self, before: NDArray[np.float64], change: NDArray[np.float64], state: NDArray[np.float64], dt: float
+        self,
+        before: NDArray[np.float64],
+        change: NDArray[np.float64],
+        change_by_file: NDArray[np.float64],
+        state: NDArray[np.float64],
+        dt: float,
     ) -> bool:
         """Take a state (nx,) into the flight filter, dt seconds after the one before.
 
-        change: (6,) of velocity and rate, predicted by the model alone. Returns whether it was used.
+        change: (6,) of velocity and rate, predicted by the model alone. change_by_file: by the model as it was trained.
+        Returns whether it was used.
         """
         self._state[:], self._accelerations[:], self._next[:] = before, change, state
-        arguments = self._state_at, self._accelerations_at, self._next_at
+        self._by_file[:] = change_by_file
+        arguments = self._state_at, self._accelerations_at, self._by_file_at, self._next_at
         return bool(self._code.rti_filter_compare(self._handle, *arguments, dt))
 
     def follow(
@@ -262,7 +278,7 @@ class RtiSolver:
         code.rti_filter_options.restype = ctypes.POINTER(FilterOptions)
         code.rti_filter_options.argtypes = code.rti_filter_clear.argtypes = (pointer,)
         code.rti_filter_restart.argtypes = (pointer, pointer)
-        code.rti_filter_compare.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_double)
+        code.rti_filter_compare.argtypes = (*[pointer] * 5, ctypes.c_double)
         if hasattr(code, "rti_follow"):
             code.rti_follow.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_int, pointer)
         if hasattr(code, "rti_rotor_shares"):

@@ -1,0 +1,316 @@
+"""A learned model in flight, in lockstep: its residual fades where it does not know, its last layer follows.
+
+Needs `alula campaign --out build/campaign_learning`, and trains a grey box on its slow flights alone (two minutes).
+Flown is the campaign's vehicle with all that it hides, and with more that no model was trained on. Finished flights are
+kept, so that a run that was stopped resumes. Writes results/network_in_flight.md with --table.
+
+    python -m benchmarks.network_in_flight --seeds 10 --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from benchmarks.learning_goals import CAMPAIGN, EFFECTS, ROOT, trained
+from benchmarks.provenance import write_result
+from dynamics.arrays import Floats
+from dynamics.references import named_reference
+from dynamics.references.campaign import REAL_WORLD
+from dynamics.state import RIGID_BODY_STATES
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import parse_effect, read_vehicle
+from export.bundle import ExportOptions, export_bundle
+from export.trained import read_model
+from flights.parallel import parallel_map
+from runtime.control.adaptation_settings import AdaptationSettings, NetworkSettings
+from runtime.control.bundle import Bundle, read_bundle
+from runtime.control.controller import Controller, ControllerOptions
+from runtime.control.rti.problem import Problem
+from runtime.control.rti.processor import native_processor
+from simulation.lockstep import fly_reference
+from studies.sweep.catalogue import SLOW
+from vehicles import FOLDER
+
+VEHICLE = "arpl_250g"
+BUNDLES = ROOT / "build" / "network_in_flight"
+SECONDS = 14.0  # of a flight
+FIRST_SEED = 7000
+HIDDEN: Mapping[str, Mapping[str, dict[str, float]]] = {
+    "as trained": {},
+    "drags x 1.5": {"rotor_drag": {"coefficient": 3.3e-5}, "parasitic_drag": {"coefficient": 0.015}},
+    "wind 6 m/s": {"wind": {"x": 6.0, "y": 0.0, "z": 0.0}},
+    "mass + 15 %": {"mass": {"ratio": 1.15}},
+    "gusts of 1 m/s": {"gust": {"intensity": 1.0, "correlation_time": 1.0}},
+}
+MODELS = {"grey box": "arpl_250g.grey_box", "PI-TCN": "arpl_250g.pi_tcn", "grey box, trained slow": "slow"}
+MODES = ("adapt off", "network shadow", "network on")  # shadow flies bit for bit as off
+FADING, FADED_WITH = ("grey box", "grey box, trained slow"), ("as trained", "drags x 1.5", "gusts of 1 m/s")
+FOLLOWING = (
+    *(("grey box", hidden, reference) for hidden in HIDDEN for reference in ("Lemniscate", "WarpedEllipse_1")),
+    ("grey box, trained slow", "as trained", "Lemniscate"),
+    ("PI-TCN", "as trained", "Lemniscate"),
+    ("PI-TCN", "drags x 1.5", "Lemniscate"),
+)
+COLUMNS = (
+    "adapt off",
+    "disturbance",
+    "and last layer",
+    "over the disturbance alone",
+    "over adapt off",
+    "forecast error",
+    "trust",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A flight. fades: whether the residual may."""
+
+    model: str
+    hidden: str
+    reference: str
+    mode: str
+    fades: bool
+    seed: int
+
+    @property
+    def key(self) -> str:
+        """Unique name."""
+        return ", ".join(map(str, asdict(self).values()))
+
+
+def cases(seeds: int) -> list[Case]:
+    """Fading: off and on, without anything that follows; following: with what is hidden, by mode."""
+    listed = []
+    for seed in range(FIRST_SEED, FIRST_SEED + seeds):
+        for model in FADING:
+            for hidden in FADED_WITH:
+                listed += [Case(model, hidden, "Lemniscate", "adapt off", fades, seed) for fades in (False, True)]
+        listed += [Case(*flight, mode, fades=True, seed=seed) for flight in FOLLOWING for mode in MODES]
+    return list({case.key: case for case in listed}.values())
+
+
+@lru_cache
+def bundle_of(model: str, fades: bool) -> Bundle:
+    """The bundle of a model, exported once. fades: whether its residual may."""
+    folder = BUNDLES / f"{MODELS[model]}{'' if fades else '.always'}"
+    if not folder.exists():
+        exported = read_model(checkpoint_of(model))
+        if not fades and exported.ensemble is not None:
+            exported = dataclasses.replace(exported, ensemble=dataclasses.replace(exported.ensemble, fades=False))
+        export_bundle(exported, folder, ExportOptions(Problem(), native_processor(), windows=50))
+    return read_bundle(folder)
+
+
+def checkpoint_of(model: str) -> Path:
+    """A bundled model, or the one that is trained on slow flights."""
+    if MODELS[model] != "slow":
+        return FOLDER / f"{MODELS[model]}.pt"
+    name, effects = "slow_grey_box_short", [word for effect in EFFECTS for word in ("--effect", effect)]
+    slow = sorted((CAMPAIGN / "train").glob(SLOW))
+    trained(name, slow, "--model", "grey_box", "--steps", "4000", *effects, jobs=1)
+    return ROOT / "build" / "learning_goals" / f"{name}.pt"
+
+
+def uses(hidden: str, rotors: int) -> list[EffectUse]:
+    """What the vehicle hides: the campaign's, with other values and more."""
+    changed, campaign = HIDDEN[hidden], [parse_effect(text, rotors) for text in REAL_WORLD]
+    there = [EffectUse(use.name, {**use.parameters, **changed.get(use.name, {})}, use.rotor) for use in campaign]
+    names = {use.name for use in campaign}
+    return [*there, *(EffectUse(name, values) for name, values in changed.items() if name not in names)]
+
+
+def flown(case: Case, network: NetworkSettings | None = None) -> dict[str, Any]:
+    """Errors of a flight, m, what the network knew, and what followed."""
+    body, bundle = read_vehicle(FOLDER / f"{VEHICLE}.toml"), bundle_of(case.model, case.fades)
+    follows, _, mode = case.mode.partition(" ")
+    settings = AdaptationSettings(
+        mode="on" if follows == "network" else "off",
+        network=msgspec.structs.replace(network or NetworkSettings(), mode=mode),
+    )
+    options = ControllerOptions.for_vehicle(bundle.vehicle, adaptation=settings)
+    controller, shares = Controller.from_bundle(bundle, options), list[float]()
+    prepare = controller.prepare
+
+    def kept(states: Floats, inputs: Floats) -> None:
+        prepare(states, inputs)
+        shares.append(controller.network_share)
+
+    controller.prepare = kept  # type: ignore[method-assign]
+    flight = fly_reference(
+        body,
+        named_reference(case.reference, controller.trim, duration=SECONDS),
+        effects=uses(case.hidden, body.rotors.count),
+        seed=case.seed,
+        controller=controller,
+        nominal=Controller.fallback_from_bundle(bundle, options),
+    )
+    layer = None if controller.adaptation is None else controller.adaptation.network
+    return {
+        **asdict(case),
+        "key": case.key,
+        "rmse": flight.position_rmse,
+        "aborted": flight.aborted,
+        "fallback_seconds": flight.fallback_seconds,
+        "events": dict(flight.events),
+        "share": float(np.mean(shares)),
+        "errors": [] if layer is None else np.sqrt(layer.squares).tolist(),
+        "trust": None if layer is None else layer.trust,
+        "change": [] if layer is None else np.linalg.norm(layer.change, axis=1).tolist(),
+    }
+
+
+def fading_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Tracking with the residual always flown, and faded."""
+    lines = ["| model | vehicle | residual always | faded | ratio | share flown |", "| --- " * 6 + "|"]
+    for model in FADING:
+        for hidden in FADED_WITH:
+            flight = (model, hidden, "Lemniscate", "adapt off")
+            some = [r for r in results if (r["model"], r["hidden"], r["reference"], r["mode"]) == flight]
+            always, faded = ({r["seed"]: r for r in some if r["fades"] == fades} for fades in (False, True))
+            errors = [[r["rmse"] for r in rows.values()] for rows in (always, faded)]
+            ratios = [faded[seed]["rmse"] / always[seed]["rmse"] for seed in faded if seed in always]
+            share = float(np.median([r["share"] for r in faded.values()])) if faded else float("nan")
+            cells = [model, hidden, *map(_cm, errors), _ratio(ratios)]
+            lines.append(f"| {' | '.join(cells)} | {share:.2f} |")
+    return lines
+
+
+def following_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Tracking and forecasts by what is hidden, without anything that follows, with the disturbance, with both."""
+    heads = ("model", "vehicle", "reference", *COLUMNS)
+    lines = [f"| {' | '.join(heads)} |", "| --- " * len(heads) + "|"]
+    for flight in FOLLOWING:
+        some = [r for r in results if (r["model"], r["hidden"], r["reference"]) == flight and r["fades"]]
+        off, shadow, on = ({r["seed"]: r for r in some if r["mode"] == mode} for mode in MODES)
+        errors = [_cm([r["rmse"] for r in rows.values()]) for rows in (off, shadow, on)]
+        ratios = [
+            _ratio([on[seed]["rmse"] / rows[seed]["rmse"] for seed in on if seed in rows]) for rows in (shadow, off)
+        ]
+        forecast = _ratio([r["errors"][0] / r["errors"][1] for r in shadow.values()])
+        trust = float(np.median([r["trust"] for r in on.values()])) if on else float("nan")
+        lines.append(f"| {' | '.join([*flight, *errors, *ratios, forecast])} | {trust:.1f} |")
+    return lines
+
+
+def _cm(errors: Sequence[float]) -> str:
+    return f"{100 * float(np.median(errors)):.2f} ({100 * max(errors):.2f})" if errors else ""
+
+
+def _ratio(ratios: Sequence[float]) -> str:
+    return f"{float(np.median(ratios)):.2f} ({max(ratios):.2f})" if ratios else ""
+
+
+def cost_table() -> list[str]:
+    """Microseconds of a tick by part, on the grey box's own kernel."""
+    bundle = bundle_of("grey box", fades=True)
+    settings = AdaptationSettings(mode="on", network=NetworkSettings(mode="on"))
+    controller = Controller.from_bundle(bundle, ControllerOptions.for_vehicle(bundle.vehicle, adaptation=settings))
+    solver, adaptation = controller.solver, controller.adaptation
+    assert adaptation is not None
+    assert adaptation.network is not None
+    layer = adaptation.network
+    state = solver.model.initial_state(np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6]))
+    speed = solver.trim.rotor_speed
+    solver.history[:] = np.concatenate([state[:RIGID_BODY_STATES], speed])
+    solver.reset(state)
+    solver.state_reference[:], solver.input_reference[:] = state, speed
+    psi, turned = layer.features.of(solver.last_input), np.eye(3)
+
+    def nine() -> None:
+        for _ in range(9):
+            layer.add(np.zeros(3), psi, turned, 0.01, 0.3)
+
+    def tenth() -> None:
+        layer.add(np.zeros(3), psi, turned, 0.1, 0.3)
+
+    def fly() -> None:
+        solver.output_change[:3] = layer.change @ layer.features.projection
+        layer.within(layer.features.of(solver.last_input))
+
+    parts = {
+        "assessment by all four members (fading)": (lambda: solver.assess(state, speed), 1),
+        "last layer: an estimate into a row": (nine, 9),
+        "last layer: every tenth estimate, the update": (tenth, 1),
+        "last layer: features, bounds, the change into the kernel": (fly, 1),
+        "preparation of the problem, for comparison": (lambda: solver.prepare(state), 1),
+        "feedback, which none of this touches": (lambda: solver.feedback(state), 1),
+    }
+    lines = ["| part | us, median |", "| --- | --- |"]
+    for name, (work, times) in parts.items():
+        seconds = []
+        for _ in range(500):
+            start = time.perf_counter()
+            work()
+            seconds.append(time.perf_counter() - start)
+        lines.append(f"| {name} | {1e6 * float(np.median(seconds)) / times:.1f} |")
+    return lines
+
+
+def page(results: Sequence[Mapping[str, Any]]) -> str:
+    """All tables."""
+    seeds = sorted({r["seed"] for r in results})
+    ended = [f"{r['key']}: {r['aborted']}" for r in results if r["aborted"]]
+    body = [
+        f"Position error, cm RMS over {SECONDS:g} s in lockstep: median of {len(seeds)} seeds (worst), {seeds[0]} to "
+        f"{seeds[-1]}. The vehicle hides all that the campaign's does, and what the column `vehicle` names. Ratios are "
+        "by seed, median (worst).",
+        "",
+        "**The residual fades**, Lemniscate, nothing follows:",
+        "",
+        *fading_table(results),
+        "",
+        "**The last layer follows.** Forecast error: of a block of 0.1 s with the change over that without, at the end "
+        "of the flight in shadow.",
+        "",
+        *following_table(results),
+        "",
+        f"Ended early: {'; '.join(ended) or 'none'}. Another model than the learned one flew in "
+        f"{sum(r['fallback_seconds'] > 0 for r in results)} of {len(results)} flights.",
+        "",
+        "**Cost**, beside other work on this machine:",
+        "",
+        *cost_table(),
+    ]
+    return "\n".join(body)
+
+
+def main() -> None:
+    """Fly what has not been flown, and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--kept", type=Path, default=BUNDLES / "flights.jsonl")
+    parser.add_argument("--table", action="store_true", help="write benchmarks/results/network_in_flight.md")
+    options = parser.parse_args()
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+    done = {result["key"]: result for result in map(json.loads, lines)}
+    todo = [case for case in cases(options.seeds) if case.key not in done]
+    for case in {(case.model, case.fades): case for case in todo}.values():
+        bundle_of(case.model, case.fades)
+    for _, result in parallel_map(flown, todo, jobs=options.jobs):
+        done[result["key"]] = result
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+        print(f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']}", flush=True)
+    results = [done[case.key] for case in cases(options.seeds) if case.key in done]
+    if options.table:
+        write_result("network_in_flight", "A learned model that knows what it does not know", page(results))
+    else:
+        print(page(results))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,151 @@
+"""Lets a network's last layer follow in flight: recursive Bayesian regression of what accelerates beyond the network.
+
+The features stay as they were trained and the last layer alone moves, by a Kalman filter whose prior is the training's
+(Harrison, Sharma and Pavone, Meta-learning priors for efficient online Bayesian regression, 2018; Neural-Fly, O'Connell
+et al., 2022). Derived in docs/adaptation.md. Pure: times are arguments.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from dynamics import quaternion
+from dynamics.arrays import Floats
+from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.control.network_features import NetworkFeatures
+
+AXES = 3  # linear; the rate loop has the moments
+NUISANCES = 2 * AXES  # a force that stays and one that fades, world axes
+
+
+class LastLayer:
+    """What a network's last layer lacks of the linear acceleration, from the last seconds of flight.
+
+    A block of 0.1 s is a row of a regression by axis: acceleration beyond the trained model = share R V psi + o + g +
+    noise. psi: whitened inputs of the layer. V: the change. o, g: a disturbance that stays and one that fades.
+
+    change: (3, k) V, m/s^2 for each whitened feature; its norm by axis is the RMS change over the training's inputs.
+    trust: share of V that is flown, in mode "on".
+    squares: (2,) mean squares of the forecast errors of a block, with V and without, (m/s^2)^2.
+    """
+
+    def __init__(self, features: NetworkFeatures, settings: AdaptationSettings) -> None:
+        self.features, self.settings = features, settings
+        self._size = AXES * features.rank
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget everything."""
+        settings, count = self.settings.network, self._size + NUISANCES
+        self.trust, self.squares = 1.0, np.zeros(2)
+        self._state, self._covariance = np.zeros(count), np.zeros((count, count))
+        self._variance = settings.deviation**2 / self.features.rank
+        np.fill_diagonal(self._covariance[: self._size, : self._size], self._variance)
+        linear = self.settings.linear
+        force = np.repeat([(self.settings.start * linear.fading) ** 2, linear.fading**2], AXES)
+        np.fill_diagonal(self._covariance[self._size :, self._size :], force)
+        self._plain, self._plain_covariance = np.zeros(NUISANCES), np.diag(force)
+        self.restart()
+
+    def restart(self) -> None:
+        """Go on after a gap: the block that was begun is not a row."""
+        self._seconds, self._beyond = 0.0, np.zeros(AXES)
+        self._rows = np.zeros((AXES, AXES, self.features.rank))
+
+    @property
+    def change(self) -> Floats:
+        """(3, k), see the class."""
+        return self._state[: self._size].reshape(AXES, -1)
+
+    @property
+    def deviation(self) -> float:
+        """Root of the mean variance of a change that the training's inputs would show, m/s^2."""
+        return math.sqrt(float(np.trace(self._covariance[: self._size, : self._size])) / AXES)
+
+    def add(self, beyond: Floats, psi: Floats, rotation: Floats, dt: float, level: float) -> bool:
+        """Take what velocity changed by beyond the trained model in dt seconds. Returns whether a row was completed.
+
+        beyond: (3,) m/s, world. psi: (k,) as far as the network is flown. rotation: (3, 3) from the outputs' axes to
+        the world's. level: of the noise that drives the disturbance, 0 to 1.
+        """
+        self._beyond += beyond
+        self._rows += dt * rotation[:, :, None] * psi
+        self._seconds += dt
+        if self._seconds < self.settings.network.block - 0.5 * dt:
+            return False
+        self._update(self._beyond / self._seconds, self._rows.reshape(AXES, -1) / self._seconds, level)
+        self.restart()
+        return True
+
+    def within(self, psi: Floats) -> float:
+        """Share of the change that keeps what it adds at a window within the limit."""
+        added = float(np.linalg.norm(self.change @ psi))
+        limit = self.settings.network.limit
+        return 1.0 if added <= limit else limit / added
+
+    def _update(self, mean: Floats, rows: Floats, level: float) -> None:
+        dt = self._seconds
+        noise = self._noise(dt)
+        self._predict(dt, level)
+        design = np.hstack([rows, np.eye(AXES), np.eye(AXES)])
+        away, plain = mean - design @ self._state, mean - design[:, self._size :] @ self._plain
+        if not np.isfinite(away).all():
+            return
+        self._guard(away, plain, dt)
+        self._plain, self._plain_covariance = _conditioned(
+            self._plain, self._plain_covariance, design[:, self._size :], plain, noise, self.settings.gate
+        )
+        self._state, self._covariance = _conditioned(
+            self._state, self._covariance, design, away, noise, self.settings.gate
+        )
+        norms = np.linalg.norm(self.change, axis=1, keepdims=True)
+        self.change[:] *= np.minimum(1.0, self.settings.network.bound / np.maximum(norms, 1e-12))
+
+    def _noise(self, dt: float) -> float:
+        """Variance of a block's mean acceleration by the estimates' errors."""
+        return 2 * (self.settings.linear.measurement / dt) ** 2 + self.settings.walk**2 / dt
+
+    def _predict(self, dt: float, level: float) -> None:
+        """V returns to what was trained, with the settings' memory; the disturbance as in the flight filter."""
+        linear, size = self.settings.linear, self._size
+        kept, left = math.exp(-dt / self.settings.network.memory), math.exp(-dt / linear.fading_time)
+        keep = np.ones(size + NUISANCES)
+        keep[:size], keep[size + AXES :] = kept, left
+        added = np.empty(size + NUISANCES)
+        added[:size] = (1 - kept**2) * self._variance
+        added[size : size + AXES] = level**2 * dt * linear.drift**2
+        added[size + AXES :] = level**2 * (1 - left**2) * linear.fading**2
+        self._state *= keep
+        self._covariance *= keep[:, None] * keep
+        self._covariance.flat[:: size + NUISANCES + 1] += added
+        self._plain *= keep[size:]
+        self._plain_covariance *= keep[size:, None] * keep[size:]
+        self._plain_covariance.flat[:: NUISANCES + 1] += added[size:]
+
+    def _guard(self, away: Floats, plain: Floats, dt: float) -> None:
+        """Fly less of the change where forecasts with it have been worse over the last second, and more where not."""
+        guard = self.settings.guard
+        share = min(dt / guard.averaging, 1.0)
+        self.squares += share * (np.array([away @ away, plain @ plain]) - self.squares)
+        worse = self.squares[0] > self.settings.network.tolerance**2 * self.squares[1]
+        self.trust = min(max(self.trust + (-1 if worse else 1) * dt / guard.averaging, 0.0), 1.0)
+
+
+def _conditioned(
+    state: Floats, covariance: Floats, design: Floats, away: Floats, noise: float, gate: float
+) -> tuple[Floats, Floats]:
+    """State and covariance after rows of a regression; as they were where a row is farther away than the gate."""
+    across = covariance @ design.T
+    spread = design @ across + noise * np.eye(AXES)
+    if (away**2 > gate**2 * np.diag(spread)).any():
+        return state, covariance
+    gain = np.linalg.solve(spread, across.T).T
+    covariance = covariance - gain @ across.T
+    return state + gain @ away, 0.5 * (covariance + covariance.T)
+
+
+def rotation_of(attitude: Floats, *, body: bool) -> Floats:
+    """(3, 3) from the axes of a network's outputs to the world's. body: whether these are body axes."""
+    return np.asarray(quaternion.rotation_matrix(attitude)) if body else np.eye(AXES)
