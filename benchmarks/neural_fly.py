@@ -138,6 +138,11 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
         "",
         f"Flights that ended early: {'; '.join(ended) or 'none'}. What was estimated was refused in {refused}.",
     ]
+    body += [
+        "",
+        "Theirs are flights of a real vehicle, whose errors have a floor of centimetres; the floor here is that of "
+        "the mock's estimates. Neither controller that does not adapt has an integrator.",
+    ]
     body += ["", "Named at the end of a flight: median, and the median standard deviation.", ""]
     body += ["| wind, m/s | wind.x | rotor_drag, 1e-5 | parasitic_drag, 1e-3 |", "| --- | --- | --- | --- |"]
     for wind in WINDS:

@@ -100,11 +100,11 @@ def flown(case: Case) -> dict[str, Any]:
 def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Errors by manoeuvre, step, place and mode."""
     body = [
-        f"A load of {LOAD - 1:.0%} of the mass, on {VEHICLE}, {len({r['seed'] for r in results})} seeds; off the centre "
-        f"it moves the centre of mass by {1000 * OFF_CENTRE[0]:g} and {1000 * OFF_CENTRE[1]:g} mm. Errors in cm, RMS over "
-        f"the seeds, of {WINDOW:g} s. Within: s after the step from which on the error is at most 1.5 times the one "
-        f"before, or the one from {SETTLED:g} s after the step on where that is greater: with the load the vehicle lacks "
-        f"thrust for the whole Lemniscate. {GOALS}",
+        f"A load of {LOAD - 1:.0%} of the mass, on {VEHICLE}, {len({r['seed'] for r in results})} seeds; off centre "
+        f"it moves the centre of mass by {1000 * OFF_CENTRE[0]:g} and {1000 * OFF_CENTRE[1]:g} mm. Errors in cm, RMS "
+        f"over the seeds, of {WINDOW:g} s. Within: s after the step from which on the error is at most 1.5 times the "
+        f"one before, or the one from {SETTLED:g} s after the step on where that is greater: with the load the vehicle "
+        f"lacks thrust for the whole Lemniscate. {GOALS}",
         "",
         "| reference | load | place | adapt | before | worst | after 0.5 s | 1 s | 2 s | in the end | within |",
         "| --- | --- | --- | --- | --- | --- | --- | --- | --- | --- | --- |",

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Literal
 
 import msgspec
 import numpy as np
@@ -26,9 +28,11 @@ from runtime.flight.events import Event
 from runtime.flight.flyer import Flyer
 from runtime.flight.health import HealthLimits, estimator_health
 from runtime.flight.mission import Phase, Plan
+from runtime.flight.thrust import rotor_speed
 from runtime.link.estimate import EstimateCheck, EstimateMonitor, ResetStep, StateEstimate
 from runtime.link.odometry import Odometry
-from runtime.link.telemetry import EstimatorSample, decode_telemetry
+from runtime.link.rotors import RotorReader, RotorReading, motor_of_rotors
+from runtime.link.telemetry import EstimatorSample, MotorOutputs, RotorSpeeds, decode_telemetry
 from runtime.record.records import ObservationRecord
 from runtime.telemetry_buffer import LINK_EVENTS
 from sitl_mock.autopilot.autopilot import Autopilot
@@ -38,13 +42,14 @@ from sitl_mock.vehicle.vehicle import SimulatedVehicle
 from sitl_mock.vehicle.vehicle_interface import ControlSetpoint, MotionState
 from sitl_mock.wire.motion_messages import LOCAL_NED
 from sitl_mock.wire.snapshot import Snapshot
-from sitl_mock.wire.status_messages import estimator_status
+from sitl_mock.wire.status_messages import esc_status, estimator_status, servo_output_raw
 from sitl_mock.wire.streams import TOLERANCE
 
 LATENCY = 0.003  # s from an estimate to the setpoint's arrival
 ESTIMATOR_PERIOD = 0.5  # s between two ESTIMATOR_STATUS
 WAITING = 3.0  # s that the vehicle stands before it is engaged
 ALOFT = (Phase.APPROACH, Phase.TRACK, Phase.BRAKE, Phase.RETURN)
+RotorMessage = Literal["", "ESC_STATUS", "SERVO_OUTPUT_RAW"]
 NO_STEP = ResetStep(np.zeros(3), np.zeros(3), 0.0)
 CARRIED = 0.05  # of the weight, from which on the ground counts as touched
 
@@ -153,6 +158,7 @@ def fly_whole(
     leave_after: float | None = None,
     watch: Callable[[Lockstep], None] | None = None,
     limit: float = 120.0,
+    rotors: RotorMessage = "",
 ) -> WholeFlight:
     """Take off, track a reference and land.
 
@@ -161,6 +167,7 @@ def fly_whole(
     leave_after: s in the air after which landing is requested; None to fly the reference to its end.
     watch: called before each tick, to plant a fault.
     limit: s after which the flight is given up.
+    rotors: message by which the autopilot sends what its rotors do, with every estimate; none by default.
     """
     vehicle = read_vehicle(options.vehicle, effect_files=options.effect_files)
     if controllers is None:
@@ -171,7 +178,7 @@ def fly_whole(
     autopilot = build_autopilot(options)
     curve = autopilot.parameters["THR_MDL_FAC"]
     flyer = build_flyer(controllers, reference, plan or Plan(origin="takeoff"), settings, thrust_curve=curve)
-    return Lockstep(autopilot, flyer, leave_after).fly(limit, watch)
+    return Lockstep(autopilot, flyer, leave_after, rotors).fly(limit, watch)
 
 
 class Lockstep:
@@ -180,8 +187,10 @@ class Lockstep:
     autopilot, vehicle, flyer: of the flight, for those who watch it.
     """
 
-    def __init__(self, autopilot: Autopilot, flyer: Flyer, leave_after: float | None = None) -> None:
-        """leave_after: as in `fly_whole`."""
+    def __init__(
+        self, autopilot: Autopilot, flyer: Flyer, leave_after: float | None = None, rotors: RotorMessage = ""
+    ) -> None:
+        """leave_after, rotors: as in `fly_whole`."""
         assert isinstance(autopilot.vehicle, SimulatedVehicle)
         self.autopilot, self.flyer, self._leave_after = autopilot, flyer, leave_after
         self.vehicle = autopilot.vehicle
@@ -189,6 +198,14 @@ class Lockstep:
         self._estimate: StateEstimate | None = None
         self._monitor = EstimateMonitor()
         self._check: EstimateCheck | None = None
+        self._rotor_message = rotors
+        self._rotor_reader: RotorReader | None = None
+        self._reading: RotorReading | None = None
+        if rotors:
+            geometry = self.vehicle.vehicle.rotors
+            flyer.motors = order = motor_of_rotors(geometry)
+            assert order is not None
+            self._rotor_reader = RotorReader(order, partial(rotor_speed, rotors=geometry))
         self._estimator_findings: dict[Event, str] = {}
         self._estimator_due = 0.0
         self._tick = 0
@@ -234,6 +251,7 @@ class Lockstep:
         odometry = Odometry(taken, wire, LOCAL_NED, LOCAL_NED, snapshot.reset_counter)
         check = self._monitor.handle_odometry(odometry, taken, now, True)
         self._report_estimator(snapshot, now)
+        self._report_rotors(snapshot, now)
         self._check = check if check.event or check.step is not None else self._check
         self._estimate = check.estimate or self._estimate
 
@@ -245,6 +263,16 @@ class Lockstep:
         status = decode_telemetry(estimator_status(snapshot), now, lambda time, _: time)
         assert isinstance(status, EstimatorSample)
         self._estimator_findings = estimator_health(status)
+
+    def _report_rotors(self, snapshot: Snapshot, now: float) -> None:
+        """Take what the autopilot sends of its rotors."""
+        if self._rotor_reader is None:
+            return
+        messages = esc_status(snapshot) if self._rotor_message == "ESC_STATUS" else [servo_output_raw(snapshot)]
+        for message in messages:
+            sample = decode_telemetry(message, now, lambda _, received: received)
+            assert isinstance(sample, RotorSpeeds | MotorOutputs)
+            self._reading = self._rotor_reader.read(sample) or self._reading
 
     def _note_arming(self) -> None:
         armed = self.autopilot.commander.armed
@@ -281,12 +309,19 @@ class Lockstep:
             specific_force_xy=force[:2],
             engage=self._tick == 0,
             leave="requested" if leaves else "",
+            **self._rotor_fields(),
         )
         decision = self.flyer.step(observation, self._estimate)
         self.flyer.prepare(now)
         self._keep(now, decision)
         self._tick += 1
         return decision
+
+    def _rotor_fields(self) -> dict[str, Any]:
+        reading, self._reading = self._reading, None
+        if reading is None:
+            return {}
+        return {"rotor_time": reading.time, "rotor_speed": reading.speed, "rotors_measured": reading.measured}
 
     def _keep(self, now: float, decision: Decision) -> None:
         flight, reference = self._flight, self.flyer.reference_now(now)

@@ -40,7 +40,7 @@ class RotorLossSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """
 
     block: float = 0.1
-    after: tuple[int, ...] = (10, 20, 30)
+    after: tuple[int, ...] = (10, 20, 30, 45)
     before: tuple[int, int] = (15, 60)
     gap: int = 3
     correlation: float = 0.5
@@ -153,7 +153,8 @@ class RotorLossTest:
         settings, now = self._settings, self._count
         start = now - blocks
         end = start - settings.gap
-        before, after = self._beyond[max(0, end - settings.before[1]) : end], self._beyond[start:now]
+        oldest = max(0, end - settings.before[1])
+        before, after = self._beyond[oldest:end], self._beyond[start:now]
         each = self._shares[start:now]
         shares, step = each.mean(axis=0), after.mean(axis=0) - before.mean(axis=0)
         floor = np.array([settings.linear_floor, *settings.angular_floor * np.abs(shares).mean(axis=0)[1:]])
@@ -176,6 +177,9 @@ class RotorLossTest:
         # a centre of mass that shifts gives the moments without the thrust, a payload the thrust without the moments
         others = [*(misfits[i] for i in possible if i != best), step[0] ** 2 / variance[0]]
         others.append(float(np.sum(step[1:] ** 2 / variance[1:])))
+        # what was there before goes with the thrust, where it is a centre of mass, a mass or a bent propeller
+        thrust = float(each[..., 0].sum(axis=1).mean() / self._shares[oldest:end, :, 0].sum(axis=1).mean())
+        others.append(float(np.sum((step - (thrust - 1) * before.mean(axis=0)) ** 2 / variance)))
         loss = RotorLoss(best, float(losses[best]), float(deviations[best]))
         named = (
             loss.share >= settings.smallest

@@ -9,11 +9,15 @@ import numpy as np
 import pytest
 
 from dynamics.references import named_reference
+from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from runtime.control.controller import Controller
+from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers
+from runtime.flight.events import Event
 from runtime.flight.mission import Phase, Plan
-from simulation.whole_flight import WholeFlight, fly_whole
+from simulation.whole_flight import RotorMessage, WholeFlight, fly_whole
+from sitl_mock.autopilot.fault_schedule import Fault
 from sitl_mock.mock import MockOptions
 from sitl_mock.scenario import Scenario
 from sitl_mock.vehicle.estimator import Estimator
@@ -85,6 +89,30 @@ def test_a_small_vehicle_with_motors_of_90_ms_hovers_with_a_price_on_its_body_ra
     )
     assert flight.landed, flight.outcome
     assert flight.tracking_error(flight.truth) < 0.05
+
+
+@pytest.mark.parametrize("message", ["ESC_STATUS", "SERVO_OUTPUT_RAW"])
+def test_a_rotor_that_loses_thrust_is_named_from_the_autopilot_s_messages(message: RotorMessage) -> None:
+    """Revolutions a minute that ESCs report, or pulses behind the motors' lag; with PX4's estimator."""
+    vehicle = read_vehicle(FILE)
+    options = ControllerOptions.for_vehicle(vehicle, adaptation=AdaptationSettings(mode="on"))
+    controller = Controller.build(vehicle, options)
+    rotor = EffectUse("weak_rotor", {"loss": 0.0, "torque_loss": 0.0}, 1)
+    fault = Fault(kind="effect", at=6.0, after="takeoff", values={f"{rotor.label}.loss": 0.15})
+    flight = fly_whole(
+        MockOptions(FILE, scenario=Scenario(effects=(rotor,), faults=(fault,)), estimator="px4", seed=4),
+        named_reference("circle", vehicle, duration=8.0),
+        plan=Plan(height=1.5, settle=0.3, origin="takeoff"),
+        controllers=Controllers(controller),
+        rotors=message,
+    )
+    assert flight.landed
+    ((_, _, text),) = [raised for raised in flight.events if raised[1] is Event.ROTOR_WEAK]
+    assert text.startswith("rotor 1 (motor 2) has lost 1")
+    assert controller.adaptation is not None
+    assert controller.adaptation.rotors is not None
+    (loss,) = controller.adaptation.rotors.losses
+    assert abs(loss.share - 0.15) < 2.5 * loss.deviation
 
 
 def test_a_contact_in_the_tick_that_ends_the_flight_has_touched() -> None:

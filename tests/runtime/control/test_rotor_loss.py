@@ -61,6 +61,16 @@ def test_what_was_there_at_take_off_is_not_named() -> None:
     assert not judged(-0.15 * HOVER[2], at=0)
 
 
+def test_what_was_there_at_take_off_is_not_named_where_thrust_rises() -> None:
+    """A bent propeller, or a load, takes more away where the vehicle flies faster: a step, but none of the vehicle."""
+    for seed in range(10):
+        test, random = RotorLossTest(4), np.random.default_rng(seed)
+        for block in range(100):
+            thrust = 1.0 if block < 40 else 1.4
+            beyond = -0.2 * thrust * HOVER[0] + NOISE * random.normal(size=3)
+            assert test.add(beyond, thrust * HOVER, 0.1) is None
+
+
 def test_a_second_loss_of_the_same_rotor_adds_up() -> None:
     test, random = RotorLossTest(4), np.random.default_rng(1)
     for block in range(160):
