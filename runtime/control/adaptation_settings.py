@@ -66,8 +66,8 @@ class NetworkSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, k
 
     mode: Mode = "shadow"
     rank: Annotated[int, Meta(ge=1)] = 8
-    deviation: Positive = 1.0
-    memory: Positive = 30.0
+    deviation: Positive = 0.5
+    memory: Positive = 60.0
     bound: Positive = 3.0
     limit: Positive = 4.0
     block: Positive = 0.1

@@ -42,11 +42,13 @@ class LastLayer:
         self.trust, self.squares = 1.0, np.zeros(2)
         self._state, self._covariance = np.zeros(count), np.zeros((count, count))
         self._variance = settings.deviation**2 / self.features.rank
-        np.fill_diagonal(self._covariance[: self._size, : self._size], self._variance)
+        self._design = np.eye(AXES, count, k=self._size) + np.eye(AXES, count, k=self._size + AXES)
         linear = self.settings.linear
-        force = np.repeat([(self.settings.start * linear.fading) ** 2, linear.fading**2], AXES)
-        np.fill_diagonal(self._covariance[self._size :, self._size :], force)
-        self._plain, self._plain_covariance = np.zeros(NUISANCES), np.diag(force)
+        diagonal = np.repeat(
+            [self._variance, (self.settings.start * linear.fading) ** 2, linear.fading**2], [self._size, AXES, AXES]
+        )
+        np.fill_diagonal(self._covariance, diagonal)
+        self._alone = ForceAlone(float(diagonal[self._size]), float(diagonal[-1]))
         self.restart()
 
     def restart(self) -> None:
@@ -86,64 +88,86 @@ class LastLayer:
         return 1.0 if added <= limit else limit / added
 
     def _update(self, mean: Floats, rows: Floats, level: float) -> None:
-        dt = self._seconds
-        noise = self._noise(dt)
-        self._predict(dt, level)
-        design = np.hstack([rows, np.eye(AXES), np.eye(AXES)])
-        away, plain = mean - design @ self._state, mean - design[:, self._size :] @ self._plain
-        if not np.isfinite(away).all():
+        dt, gate = self._seconds, self.settings.gate
+        noise, linear = self._noise(dt), self.settings.linear
+        left = math.exp(-dt / linear.fading_time)
+        drift, fades = level**2 * dt * linear.drift**2, level**2 * (1 - left**2) * linear.fading**2
+        self._predict(left, drift, fades)
+        alone = self._alone.take(mean, left, drift, fades, noise, gate)
+        design = self._design
+        design[:, : self._size] = rows
+        away = mean - design @ self._state
+        if not math.isfinite(float(away @ away)):
             return
-        self._guard(away, plain, dt)
-        self._plain, self._plain_covariance = _conditioned(
-            self._plain, self._plain_covariance, design[:, self._size :], plain, noise, self.settings.gate
-        )
-        self._state, self._covariance = _conditioned(
-            self._state, self._covariance, design, away, noise, self.settings.gate
-        )
-        norms = np.linalg.norm(self.change, axis=1, keepdims=True)
-        self.change[:] *= np.minimum(1.0, self.settings.network.bound / np.maximum(norms, 1e-12))
+        self._guard(away, alone, dt)
+        across = self._covariance @ design.T
+        spread = design @ across
+        spread.flat[:: AXES + 1] += noise
+        if (away * away > gate * gate * spread.diagonal()).any():
+            return
+        gain = across @ np.linalg.inv(spread)
+        self._state += gain @ away
+        self._covariance -= gain @ across.T
+        self._covariance = 0.5 * (self._covariance + self._covariance.T)
+        change = self.change
+        norms = np.sqrt((change * change).sum(axis=1))
+        if norms.max() > self.settings.network.bound:
+            change *= np.minimum(1.0, self.settings.network.bound / np.maximum(norms, 1e-12))[:, None]
 
     def _noise(self, dt: float) -> float:
         """Variance of a block's mean acceleration by the estimates' errors."""
         return 2 * (self.settings.linear.measurement / dt) ** 2 + self.settings.walk**2 / dt
 
-    def _predict(self, dt: float, level: float) -> None:
-        """V returns to what was trained, with the settings' memory; the disturbance as in the flight filter."""
-        linear, size = self.settings.linear, self._size
-        kept, left = math.exp(-dt / self.settings.network.memory), math.exp(-dt / linear.fading_time)
-        keep = np.ones(size + NUISANCES)
+    def _predict(self, left: float, drift: float, fades: float) -> None:
+        """V returns to what was trained, with the settings' memory; the disturbance as in the flight filter.
+
+        left: share of what fades that a block leaves. drift, fades: variances that a block adds to the disturbance.
+        """
+        size = self._size
+        kept = math.exp(-self._seconds / self.settings.network.memory)
+        keep, added = np.ones(size + NUISANCES), np.empty(size + NUISANCES)
         keep[:size], keep[size + AXES :] = kept, left
-        added = np.empty(size + NUISANCES)
-        added[:size] = (1 - kept**2) * self._variance
-        added[size : size + AXES] = level**2 * dt * linear.drift**2
-        added[size + AXES :] = level**2 * (1 - left**2) * linear.fading**2
+        added[:size], added[size : size + AXES], added[size + AXES :] = (1 - kept**2) * self._variance, drift, fades
         self._state *= keep
         self._covariance *= keep[:, None] * keep
         self._covariance.flat[:: size + NUISANCES + 1] += added
-        self._plain *= keep[size:]
-        self._plain_covariance *= keep[size:, None] * keep[size:]
-        self._plain_covariance.flat[:: NUISANCES + 1] += added[size:]
 
-    def _guard(self, away: Floats, plain: Floats, dt: float) -> None:
+    def _guard(self, away: Floats, alone: Floats, dt: float) -> None:
         """Fly less of the change where forecasts with it have been worse over the last second, and more where not."""
         guard = self.settings.guard
         share = min(dt / guard.averaging, 1.0)
-        self.squares += share * (np.array([away @ away, plain @ plain]) - self.squares)
+        self.squares += share * (np.array([away @ away, alone @ alone]) - self.squares)
         worse = self.squares[0] > self.settings.network.tolerance**2 * self.squares[1]
         self.trust = min(max(self.trust + (-1 if worse else 1) * dt / guard.averaging, 0.0), 1.0)
 
 
-def _conditioned(
-    state: Floats, covariance: Floats, design: Floats, away: Floats, noise: float, gate: float
-) -> tuple[Floats, Floats]:
-    """State and covariance after rows of a regression; as they were where a row is farther away than the gate."""
-    across = covariance @ design.T
-    spread = design @ across + noise * np.eye(AXES)
-    if (away**2 > gate**2 * np.diag(spread)).any():
-        return state, covariance
-    gain = np.linalg.solve(spread, across.T).T
-    covariance = covariance - gain @ across.T
-    return state + gain @ away, 0.5 * (covariance + covariance.T)
+class ForceAlone:
+    """The disturbance without any change of the layer, which forecasts are compared with; alike in all three axes."""
+
+    def __init__(self, staying: float, fading: float) -> None:
+        """staying, fading: variances of both parts beforehand, (m/s^2)^2."""
+        self._staying, self._fading = np.zeros(AXES), np.zeros(AXES)
+        self._variances = staying, 0.0, fading  # of the staying part, of both together, of the fading part
+
+    def take(self, mean: Floats, left: float, drift: float, fades: float, noise: float, gate: float) -> Floats:
+        """Take a block's mean acceleration (3,). Returns by how much it was away from the forecast. See `LastLayer`."""
+        staying, both, fading = self._variances
+        staying, both, fading = staying + drift, both * left, fading * left**2 + fades
+        self._fading *= left
+        away = mean - self._staying - self._fading
+        spread = staying + 2 * both + fading + noise
+        if not float(away @ away) < math.inf or float(np.abs(away).max()) > gate * math.sqrt(spread):
+            self._variances = staying, both, fading
+            return away
+        first, second = (staying + both) / spread, (both + fading) / spread
+        self._staying += first * away
+        self._fading += second * away
+        self._variances = (
+            staying - first * (staying + both),
+            both - first * (both + fading),
+            fading - second * (both + fading),
+        )
+        return away
 
 
 def rotation_of(attitude: Floats, *, body: bool) -> Floats:
