@@ -19,6 +19,7 @@ from flights.source import sha256
 
 VEHICLE_TEXT = "vehicle.toml"  # attachment of a recording
 FOLLOWED, PHASE, OBSERVATION, SETPOINT = "/followed", "/phase", "/observation", "/setpoint"
+NETWORK_VALUES = 5  # of a network's last layer in a row
 TRACKED = "track"  # the phase in which the reference is flown
 
 Numbers = list[float | None]
@@ -32,6 +33,8 @@ class _Followed(msgspec.Struct):
     names: str
     value: Numbers
     deviation: Numbers
+    network_change: Numbers = []
+    network_errors: Numbers = []
 
 
 class _Timed(msgspec.Struct):
@@ -77,6 +80,8 @@ class FollowedFlight:
     trust: (n, 2) share of what was estimated that is flown: linear and parameters, angular.
     effectiveness: (n,) thrust per modelled thrust, NaN before the first setpoint.
     tracked: (n,) whether the reference was flown.
+    network: (n, 5) m/s^2, of a network's last layer the RMS change over the training's inputs by axis, then errors of
+        forecasts with the change and without; NaN where it does not follow.
     """
 
     path: Path
@@ -91,6 +96,7 @@ class FollowedFlight:
     trust: Floats
     effectiveness: Floats
     tracked: np.ndarray[tuple[int], np.dtype[np.bool_]]
+    network: Floats
 
     @property
     def last(self) -> int:
@@ -241,7 +247,14 @@ def _flight(path: Path, content: _Content) -> FollowedFlight:
         trust=np.array(parts[2]),
         effectiveness=_effectiveness(stamps, content.setpoints),
         tracked=_tracked(stamps, content.phases),
+        network=np.array([_network(row) for row in rows]),
     )
+
+
+def _network(row: _Followed) -> Floats:
+    """(5,) of a row; NaN in one of an older version."""
+    values = _floats([*row.network_change, *row.network_errors])
+    return values if len(values) == NETWORK_VALUES else np.full(NETWORK_VALUES, np.nan)
 
 
 def _effectiveness(stamps: Floats, setpoints: list[_Setpoint]) -> Floats:

@@ -37,16 +37,16 @@ def feature_moments(model: TrainedModel, data: LabelledRows) -> tuple[Floats, ..
 
 def last_inputs(model: TrainedModel, network: nn.Module, windows: Floats) -> Floats:
     """(m, n) inputs of a member's last layer for windows (m, T, inputs) in their units."""
-    kept: list[Tensor] = []
+    captured: list[Tensor] = []
     scaling = model.scaling
-    handle = last_layer(network).register_forward_pre_hook(lambda _, arguments: kept.append(arguments[0]))
+    handle = last_layer(network).register_forward_pre_hook(lambda _, arguments: captured.append(arguments[0]))
     standardised = (torch.as_tensor(windows) - torch.from_numpy(scaling.input_mean)) / torch.from_numpy(
         scaling.input_std
     )
     with torch.no_grad():
         network(standardised.float())
     handle.remove()
-    return np.asarray(kept[0].double().numpy())
+    return np.asarray(captured[0].double().numpy())
 
 
 def last_layer(network: nn.Module) -> nn.Linear:

@@ -124,10 +124,10 @@ class LastLayer:
         left: share of what fades that a block leaves. drift, fades: variances that a block adds to the disturbance.
         """
         size = self._size
-        kept = math.exp(-self._seconds / self.settings.network.memory)
+        remaining = math.exp(-self._seconds / self.settings.network.memory)
         keep, added = np.ones(size + NUISANCES), np.empty(size + NUISANCES)
-        keep[:size], keep[size + AXES :] = kept, left
-        added[:size], added[size : size + AXES], added[size + AXES :] = (1 - kept**2) * self._variance, drift, fades
+        keep[:size], keep[size + AXES :] = remaining, left
+        added[:size], added[size : size + AXES], added[size + AXES :] = (1 - remaining**2) * self._variance, drift, fades
         self._state *= keep
         self._covariance *= keep[:, None] * keep
         self._covariance.flat[:: size + NUISANCES + 1] += added

@@ -144,10 +144,10 @@ class FollowedRecord(msgspec.Struct, frozen=True):
     deviation: Annotated[Floats, Meta(description="standard deviations of the parameters, SI")]
     network_trust: Annotated[float, Meta(description="share of the last layer's change that is flown, else NaN")] = nan
     network_change: Annotated[Floats, Meta(description="m/s^2, its RMS over the training's inputs, by axis")] = (
-        msgspec.field(default_factory=lambda: np.zeros(0))
+        msgspec.field(default_factory=lambda: np.full(3, nan))
     )
     network_errors: Annotated[Floats, Meta(description="m/s^2, of forecasts with the change and without")] = (
-        msgspec.field(default_factory=lambda: np.zeros(0))
+        msgspec.field(default_factory=lambda: np.full(2, nan))
     )
 
 

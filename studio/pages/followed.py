@@ -23,16 +23,17 @@ MARGIN = 0.1  # of a panel above and below what it shows, over the range of that
 
 
 def followed_picture(flight: FollowedFlight, effects: Sequence[FollowedEffect] = ()) -> Picture:
-    """Parameters and disturbance over time; dashed, where the flight was diagnosed, the values of the diagnosis.
+    """Parameters, disturbance, a network's last layer over time; dashed the values of the flight's diagnosis.
 
     effects: of this flight's diagnosis.
     """
     diagnosed = _diagnosed(effects)
     count = len(flight.names)
     titles = [*(_title(name, diagnosed.get(name)) for name in flight.names), "disturbance, m/s²", "disturbance, rad/s²"]
-    figure = make_subplots(
-        rows=count + 2, shared_xaxes=True, vertical_spacing=SPACE / (count + 2), subplot_titles=titles
-    )
+    if follows := bool(np.isfinite(flight.network).any()):
+        titles += ["change of the network's last layer, m/s²", "forecast errors, m/s²"]
+    rows = len(titles)
+    figure = make_subplots(rows=rows, shared_xaxes=True, vertical_spacing=SPACE / rows, subplot_titles=titles)
     figure.update_annotations(x=0, xanchor="left", font_size=12)
     for row, name in enumerate(flight.names, start=1):
         _draw_parameter(figure, flight, name, row, diagnosed.get(name))
@@ -40,12 +41,15 @@ def followed_picture(flight: FollowedFlight, effects: Sequence[FollowedEffect] =
         for axis, name in enumerate(AXES):
             values = flight.disturbance[:, first + axis]
             add_line(figure, flight.time, values, name, COLOURS[axis], unit, count + 1 + part, legend=part == 0)
+    if follows:
+        _draw_network(figure, flight, count + 3)
     for edge in _edges(flight):
         figure.add_vline(x=float(flight.time[edge]), line={"color": FLOOR, "width": 1, "dash": "dot"})
     figure.update_yaxes(exponentformat="power")
     dashed_text = "; dashed: the diagnosis of the flight" if diagnosed else ""
-    text = f"Lines: parameters followed in flight with 95 % intervals{dashed_text}; disturbance."
-    return panels_picture(figure, count + 2, text, titles=True)
+    network_text = "; a network's last layer" if follows else ""
+    text = f"Lines: parameters followed in flight with 95 % intervals{dashed_text}; disturbance{network_text}."
+    return panels_picture(figure, rows, text, titles=True)
 
 
 def effects_of(flight: FollowedFlight, diagnosis: Diagnosis) -> list[FollowedEffect]:
@@ -64,6 +68,14 @@ def _draw_parameter(
     figure.update_yaxes(range=_view(value, half, fitted), row=row, col=1)
     if fitted is not None:
         figure.add_hline(y=fitted.diagnosed, line={"color": AFTER, "dash": "dash", "width": 1.4}, row=row, col=1)
+
+
+def _draw_network(figure: go.Figure, flight: FollowedFlight, row: int) -> None:
+    """RMS of the last layer's change by axis; errors of forecasts with it and without."""
+    for axis, name in enumerate(AXES):
+        add_line(figure, flight.time, flight.network[:, axis], name, COLOURS[axis], "m/s²", row, legend=False)
+    for place, (name, colour) in enumerate((("with the change", AFTER), ("without", BEFORE)), start=len(AXES)):
+        add_line(figure, flight.time, flight.network[:, place], name, colour, "m/s²", row + 1)
 
 
 def _title(name: str, fitted: FollowedParameter | None) -> str:

@@ -41,6 +41,7 @@ def followed_flight(vehicle: Vehicle, values: Values, *, trust: float = 1.0, mod
         trust=np.array([[trust, 1.0]] * 3),
         effectiveness=np.full(3, 0.87),
         tracked=np.ones(3, dtype=bool),
+        network=np.full((3, 5), np.nan),
     )
 
 

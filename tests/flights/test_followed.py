@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -95,3 +96,12 @@ def test_numbers_that_do_not_fit_their_names_are_left_out(tmp_path: Path) -> Non
     followed = require_followed(written(tmp_path / "a.mcap", [good, bad], {"controller": "{"}))
     assert len(followed.time) == 1
     assert followed.mode == ""
+
+
+def test_the_change_of_a_network_s_last_layer_is_read_where_it_follows(tmp_path: Path) -> None:
+    change, errors = np.array([0.1, 0.2, 0.3]), np.array([0.4, 0.5])
+    record = msgspec.structs.replace(followed_record(12.0, {}), network_change=change, network_errors=errors)
+    rows = [followed_record(11.0, {}), record]  # the first with a model without a network
+    followed = require_followed(written(tmp_path / "a.mcap", rows))
+    assert np.isnan(followed.network[0]).all()
+    np.testing.assert_array_equal(followed.network[1], [0.1, 0.2, 0.3, 0.4, 0.5])

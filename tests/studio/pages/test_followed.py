@@ -41,3 +41,12 @@ def test_a_rotor_that_is_named_late_and_a_flight_without_parameters_are_drawn(ar
     band = next(trace for trace in drawn["data"] if trace.get("fill"))
     assert len(numbers(band["x"])) == 4
     assert "Lines" in followed_picture(followed_flight(arpl_250g, {})).description
+
+
+def test_a_network_that_follows_has_its_change_and_its_forecasts(arpl_250g: Vehicle) -> None:
+    flight = followed_flight(arpl_250g, {})
+    flight.network[1:] = 0.1, 0.2, 0.3, 0.4, 0.5
+    drawn = json.loads(followed_picture(flight).data)
+    titles = [annotation["text"] for annotation in drawn["layout"]["annotations"]]
+    assert titles[-2:] == ["change of the network's last layer, m/s²", "forecast errors, m/s²"]
+    assert {"with the change", "without"} <= {trace["name"] for trace in drawn["data"]}
