@@ -20,6 +20,7 @@ from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.flight_filter import MAX_INTERVAL, FlightFilter
 from runtime.control.followed_parameters import followed_parameters, rotor_loss_effect
 from runtime.control.last_layer import LastLayer, rotation_of
+from runtime.control.moment_fit import MomentFit, with_moments
 from runtime.control.network_features import NetworkFeatures
 from runtime.control.rotor_loss import RotorLoss
 from runtime.control.rotor_watch import RotorWatch, up_of
@@ -111,13 +112,17 @@ class Adaptation:
         self.changed = ""
         scale = settings.prior_scale
         parameters = () if learned else followed_parameters(solver.model, settings.follow, prior_scale=scale)
+        if not learned:
+            parameters = with_moments(solver, parameters)
         self.filter = FlightFilter(solver, settings, parameters)
+        self._moments = MomentFit(solver, parameters)
         self._solver, self._settings, self._learned = solver, settings, learned
         self._thrust_constants = thrust_constants
         self._highest_speed = solver.input_upper.copy()
         noise = settings.linear, settings.angular
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
-        self.rotors = None if learned else RotorWatch(solver, settings.rotors, motor_lag=settings.motor_lag)
+        watched = settings.rotors, self._moments
+        self.rotors = None if learned else RotorWatch(solver, *watched, motor_lag=settings.motor_lag)
         self._drag_state = solver.model.initial_state(np.zeros(RIGID_BODY_STATES))  # rotors turn as in hover
         hover = solver.trim.rotor_speed
         self._weight = float(thrust_constants @ (hover * hover))  # N
@@ -144,7 +149,9 @@ class Adaptation:
         """The parameters that are followed, then the losses of rotors that were named, by name."""
         filtered = self.filter
         parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
-        return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in parts] + self.losses
+        turning = self._moments.named
+        found = ((p, *turning.get(p.name, (value, std))) for p, value, std in parts)
+        return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in found] + self.losses
 
     @property
     def losses(self) -> list[tuple[str, FollowedValue]]:
@@ -197,6 +204,11 @@ class Adaptation:
             f"{p.name} {filtered.values[i]:.3g} +- {2 * deviations[i]:.2g} {p.unit}"
             for i, p in enumerate(filtered.parameters)
             if i in surely
+        ]
+        texts += [
+            f"{p.name} {value:.3g} +- {2 * std:.2g} {p.unit}"
+            for p, (value, std) in zip(self._moments.parameters, self._moments.named.values(), strict=True)
+            if abs(value - p.value) > limit * std
         ]
         return ", ".join(texts)
 

@@ -14,7 +14,7 @@ from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 from runtime.control.kernel_model import FlownModel
 
-Group = Literal["other", "drag", "air", "thrust"]
+Group = Literal["other", "drag", "air", "thrust", "moment"]
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,8 @@ class FollowedParameter:
     value, std: its prior.
     lower, upper: its bounds.
     group: "drag" shows where its slope varies, whose constant part depends on the wind; "air", the wind, beside a drag
-        that is certain; "thrust" never, since the effectiveness of thrust has it; "other" always.
+        that is certain; "thrust" never, since the effectiveness of thrust has it; "moment" by the real speeds of rotors
+        (`MomentFit`); "other" always.
     unit: SI.
     """
 

@@ -10,6 +10,7 @@ from dynamics.arrays import Floats
 from dynamics.state import ATTITUDE, VELOCITY
 from dynamics.vehicle import GRAVITY
 from runtime.control.flight_filter import MAX_INTERVAL
+from runtime.control.moment_fit import MomentFit
 from runtime.control.readings import Readings
 from runtime.control.rotor_loss import SHOWN, RotorLoss, RotorLossSettings, RotorLossTest
 from runtime.control.rotor_speeds import RotorSpeeds
@@ -21,8 +22,12 @@ WAITING = 32  # estimates that wait for the rotor speeds of their time
 class RotorWatch:
     """Rotor speeds and estimates in, rotors that have lost thrust out. Pure: times are arguments."""
 
-    def __init__(self, solver: RtiSolver, settings: RotorLossSettings, *, motor_lag: float) -> None:
-        """solver: of a model that is none of a network. motor_lag: s, of the motors behind the autopilot's outputs."""
+    def __init__(self, solver: RtiSolver, settings: RotorLossSettings, moments: MomentFit, *, motor_lag: float) -> None:
+        """solver: of a model that is none of a network. motor_lag: s, of the motors behind the autopilot's outputs.
+
+        moments: which show in the same comparison.
+        """
+        self._moments = moments
         self.speeds = RotorSpeeds(lag=motor_lag)
         self._force = Readings()
         self._solver, self._settings = solver, settings
@@ -82,6 +87,7 @@ class RotorWatch:
         self._shown[0], self._shown[1:] = along, beyond[3:5]
         self._shown_shares[:, 0], self._shown_shares[:, 1:] = shares[:, :3] @ up, shares[:, 3:5]
         self._test.add(self._shown, self._shown_shares, seconds)
+        self._moments.add(before, speeds, state, beyond.copy(), shares.copy(), seconds)
 
 
 def up_of(attitude: Floats) -> Floats:
