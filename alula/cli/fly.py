@@ -192,6 +192,10 @@ def _print(report: FlightReport, console: Console) -> None:
             table.add_row(name, f"{value.value:.3g} +- {value.std:.2g} (in the model {value.before:.3g})")
         disturbance = ", ".join(f"{part:.2f}" for part in report.followed.disturbance[:3])
         table.add_row("disturbance", f"{disturbance} m/s^2 at the end")
+        if report.followed.network_change:
+            change = ", ".join(f"{part:.2f}" for part in report.followed.network_change)
+            errors = "{:.2f} with, {:.2f} m/s^2 without".format(*report.followed.network_errors)
+            table.add_row("last layer", f"changed by {change} m/s^2 RMS; forecast errors {errors}")
     if report.events:
         table.add_row("events", ", ".join(f"{name} {count}x" for name, count in report.events.items()))
     table.add_row("thrust", f"{report.effectiveness:.3f} of the vehicle file's")

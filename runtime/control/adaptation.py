@@ -51,11 +51,15 @@ class Followed(msgspec.Struct, frozen=True):
     parameters: by name, such as "wind.x".
     disturbance: (6,) accelerations beyond the model, linear m/s^2 in world axes, then angular rad/s^2 in body axes.
     trust: (2,) share with which this is flown: linear disturbance and parameters; angular disturbance.
+    network_change: (3,) RMS over the training's inputs, m/s^2, of what a network's last layer changed by; empty without.
+    network_errors: (2,) of forecasts with that change and without, m/s^2.
     """
 
     parameters: dict[str, FollowedValue]
     disturbance: tuple[float, ...]
     trust: tuple[float, float]
+    network_change: tuple[float, ...] = ()
+    network_errors: tuple[float, ...] = ()
 
 
 class Measured(NamedTuple):
@@ -137,11 +141,13 @@ class Adaptation:
     @property
     def followed(self) -> Followed:
         """What has been estimated so far."""
-        filtered = self.filter
+        filtered, layer = self.filter, self.network
         return Followed(
             dict(self.values),
             tuple((filtered.staying + filtered.fading).tolist()),
             (float(filtered.trust[0]), float(filtered.trust[1])),
+            () if layer is None else tuple(np.linalg.norm(layer.change, axis=1).tolist()),
+            () if layer is None else tuple(np.sqrt(layer.squares).tolist()),
         )
 
     @property
