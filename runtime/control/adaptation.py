@@ -51,7 +51,7 @@ class Followed(msgspec.Struct, frozen=True):
     parameters: by name, such as "wind.x".
     disturbance: (6,) accelerations beyond the model, linear m/s^2 in world axes, then angular rad/s^2 in body axes.
     trust: (2,) share with which this is flown: linear disturbance and parameters; angular disturbance.
-    network_change: (3,) RMS over the training's inputs, m/s^2, of what a network's last layer changed by; empty without.
+    network_change: (3,) RMS over the training's inputs, m/s^2, of the change of a network's last layer; empty without.
     network_errors: (2,) of forecasts with that change and without, m/s^2.
     """
 
@@ -316,7 +316,10 @@ class Adaptation:
     def _follow_network(self, before: Measured, now: Measured, trained: Floats) -> None:
         """Let the last layer follow. trained: (6,) change of velocity and rate by the network as it was trained."""
         layer, elapsed = self.network, now.time - before.time
-        if layer is None or before.view is None or elapsed > MAX_INTERVAL:
+        if layer is None:
+            return
+        if before.view is None or elapsed > MAX_INTERVAL:
+            layer.restart()
             return
         beyond = (now.state - before.state)[VELOCITY] - trained[:3]
         layer.add(beyond, before.view.psi, before.view.rotation, elapsed, float(self._solver.filter_level[0]))

@@ -18,6 +18,7 @@ from runtime.control.bundle import Bundle, read_bundle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
+from runtime.flight.mission import Phase
 from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.lockstep import FlownReference, fly_reference
 from tests.export.test_kernel import CASES, SHORT, VEHICLES, copied, solver_of
@@ -119,6 +120,29 @@ def test_a_flight_whose_network_follows_repeats_bit_for_bit(bundle: Bundle) -> N
     assert repeated.network is not None
     assert own.network.change.any()
     np.testing.assert_array_equal(own.network.change, repeated.network.change)
+
+
+def test_estimates_that_jump_stop_or_lie_leave_it_bounded(bundle: Bundle) -> None:
+    """Setpoints stay finite, and the change within its bounds; `Flight` refuses any other setpoint."""
+    options = options_of(bundle, "on")
+    controller, nominal = Controller.from_bundle(bundle, options), Controller.fallback_from_bundle(bundle, options)
+    flight = Flight(controller.trim, controller, named_reference("circle:laps=2", controller.trim), nominal=nominal)
+    flight.run(30.0, until=Phase.TRACK)
+    flight.run(2.0)
+    for error in (0.6, -0.6, 0.0):
+        lie = np.r_[np.zeros(3), error, -error, 0.5 * error, np.zeros(3)]
+        flight.estimate_error = lambda _, lie=lie: lie  # type: ignore[misc]
+        flight.run(0.3)
+    flight.frozen = True
+    flight.run(0.25)
+    flight.frozen = False
+    flight.run(2.0)
+    assert controller.adaptation is not None
+    layer = controller.adaptation.network
+    assert layer is not None
+    assert np.linalg.norm(layer.change, axis=1).max() <= layer.settings.network.bound
+    assert np.isfinite(controller.solver.output_change).all()
+    assert flight.flyer.engagement.flying
 
 
 @pytest.mark.parametrize(
