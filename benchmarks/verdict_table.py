@@ -112,9 +112,10 @@ def visible(result: Result) -> list[str]:
 
 
 def alone(result: Result) -> bool:
-    """Whether the hidden effect is named or declared and no other is."""
+    """Whether the hidden effect is named or declared, also behind a gain of the commands, and no other is."""
+    declared = bool(set(as_gain(result)) & set(result["hidden"]))
     return (
-        bool(effects(result))
+        (bool(effects(result)) or declared)
         and all(right(e, result["hidden"], rivals=True) for e in effects(result))
         and (verdict(result) != "unknown")
     )

@@ -8,7 +8,14 @@ from functools import cached_property
 
 from diagnosis.data.data_checks import require_answerable
 from diagnosis.data.dataset import Dataset
-from diagnosis.estimation.acceptance import Accepted, accepted_fit, drifting_effects, overshadowed_effects, without
+from diagnosis.estimation.acceptance import (
+    Accepted,
+    accepted_fit,
+    drifting_effects,
+    effects_of_late_signal,
+    overshadowed_effects,
+    without,
+)
 from diagnosis.estimation.command_gain import command_gain
 from diagnosis.estimation.equation_error import fit
 from diagnosis.estimation.evaluation import (
@@ -20,7 +27,7 @@ from diagnosis.estimation.evaluation import (
 )
 from diagnosis.estimation.fitted import Fit
 from diagnosis.estimation.joint_search import search_jointly
-from diagnosis.estimation.refusal import Refused
+from diagnosis.estimation.refusal import Refused, delay_in_words
 from diagnosis.leftover import leftover, with_typical_window
 from diagnosis.models.command_effects import AS_GAIN, without_command_effects
 from diagnosis.next_flight import next_flight, next_reference
@@ -100,6 +107,9 @@ def diagnose_dataset(
     accepted = accepted_fit(regression, selection, dataset)
     progress(0.85, "tests of what remains")
     judged = judgement.of(accepted)
+    while late := effects_of_late_signal(regression, accepted.fit, judged.fitted):
+        accepted = without(regression, accepted, late, dataset)
+        judged = judgement.of(accepted)
     while judged.rejected and (standing_in := _standing_in(regression, accepted, judged.fitted)):
         accepted = without(regression, accepted, standing_in, dataset)
         judged = judgement.of(accepted)
@@ -135,7 +145,7 @@ def diagnose_dataset(
         after=judged.after,
         chi_square_before=reduced_chi_square(before, regression.noise),
         chi_square_after=reduced_chi_square(judged.after, regression.noise),
-        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression)),
+        notes=(*_notes(dataset, accepted.fit), *_not_followed(regression), *_late_signals(refused)),
     )
 
 
@@ -143,6 +153,16 @@ def _standing_in(regression: Regression, accepted: Accepted, rows: Sequence[Floa
     """Effects whose form stands in for what is missing. rows: (m, 12) residuals of the fit."""
     drifting = drifting_effects(regression, accepted.fit, rows)
     return drifting or overshadowed_effects(accepted, regression.thresholds.consistency)
+
+
+def _late_signals(refused: Sequence[Refused]) -> list[str]:
+    """A note on each signal whose delay explains as much as an effect that was refused for it."""
+    late = {one.where: one.detail["delay"] for one in refused if one.reason == "late_signal"}
+    return [
+        f"the log's {signal} may be {delay_in_words(delay)} against its other signals: that explains what resembles "
+        f"{' and '.join(one.name for one in refused if one.reason == 'late_signal' and one.where == signal)}"
+        for signal, delay in late.items()
+    ]
 
 
 def _not_followed(regression: Regression) -> list[str]:

@@ -367,6 +367,11 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
     max_rounds: of search, each about the fit of the last one. [not derived yet]
     explained: reduced chi-square of the fitted flights at which no further round is needed. [not derived yet]
+    unexplained: reduced chi-square of the last round's fit above which the search begins again in still air, where a
+    gust stood in for a drag. [definition: twice the noise]
+    still_explained: of that search, up to which it counts. [definition: that of a typical window that is explained]
+    max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
+    search goes fewer steps. [not derived yet]
     max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
     goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
     max_paired: best single effects with which pairs are tried. [not derived yet]
@@ -390,6 +395,9 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     max_steps: Count = 60
     max_rounds: Count = 5
     explained: Factor = 1.05
+    unexplained: Factor = 4.0
+    still_explained: Factor = 1.5
+    max_growth: Factor = 2.0
     max_pair_share: Share = 0.5
     max_paired: Count = 8
     max_trials: Count = 12
@@ -408,12 +416,15 @@ class RivalThresholds(ThresholdGroup, frozen=True):
     gain_share: of the gain, the same. [not derived yet]
     command_share: of an effect's gain, where rotor speeds come from commands. [not derived yet]
     max_rivals: that are compared with an effect. [not derived yet]
+    min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
+    are declared where the catalogue says that they look alike. [not derived yet]
     """
 
     score_margin: Score = 12.0
     gain_share: Share = 0.01
     command_share: Share = 0.15
     max_rivals: Count = 7
+    min_narrow_ratio: Share = 0.95
 
 
 class GustThresholds(ThresholdGroup, frozen=True):
@@ -600,6 +611,20 @@ class ConsistencyThresholds(ThresholdGroup, frozen=True):
     min_share_of_axis: Score = 0.25
 
 
+class LateSignalsThresholds(ThresholdGroup, frozen=True):
+    """When an effect stands in for a signal that was logged late.
+
+    min_delay: s; smaller ones are within the clocks' errors. [definition: that of the catalogue's delays]
+    max_share_kept: gain of an effect beside the delay over that without it, up to which the delay replaces it.
+    [not derived yet]
+    min_share: of the gain of all effects that it replaces, which the delay must have in their place. [not derived yet]
+    """
+
+    min_delay: Positive = 0.003
+    max_share_kept: Share = 0.2
+    min_share: Share = 0.9
+
+
 class VerdictThresholds(ThresholdGroup, frozen=True):
     """Limits above which the residual tests reject, and how effects are reported.
 
@@ -611,6 +636,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
     max_share: of the same statistic before the effects, which their imperfect form may leave. [not derived yet]
+    max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that
+    much is twice the floor]
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: air in motion is no
     function of the state]
     resamples: of flights, for the confidence. [not derived yet]
@@ -623,6 +650,7 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_chi_square: Factor = 1.5
     min_over_floor: Score = 0.2
     max_share: Share = 0.03
+    max_excused: Score = 1.75
     max_gust_predictable: Share = 0.35
     resamples: Count = 40
 
@@ -771,6 +799,7 @@ class Thresholds(ThresholdGroup, frozen=True):
     acceptance: AcceptanceThresholds = AcceptanceThresholds()
     relevance: RelevanceThresholds = RelevanceThresholds()
     consistency: ConsistencyThresholds = ConsistencyThresholds()
+    late_signals: LateSignalsThresholds = LateSignalsThresholds()
     verdict: VerdictThresholds = VerdictThresholds()
     completion: CompletionThresholds = CompletionThresholds()
     regimes: RegimeThresholds = RegimeThresholds()

@@ -20,7 +20,7 @@ from diagnosis.selection.rivals import near_rivals, rivals_of
 from diagnosis.selection.search import IMPOSSIBLE, Scored, Search, Selection
 from diagnosis.thresholds import DEFAULT, VerdictThresholds
 from dynamics.arrays import Floats
-from dynamics.effect import Parameter
+from dynamics.effect import Effect, Parameter
 from dynamics.vehicle import Vehicle
 
 
@@ -61,6 +61,7 @@ def missing_effects(
         others = [c for c in accepted.fit.candidates if c is not candidate]
         rivals = rivals_of(search, others, candidate)
         near = [s.candidates[-1].effect.name for s in near_rivals(search, others, rivals)]
+        near += _narrowly_worse(regression, candidate, accepted.refused)
         if regression.segments[0].rotor_source == "command":
             near += seen_as([candidate.effect.name, *near], regression.catalogue)
         effects.append(
@@ -84,17 +85,32 @@ def missing_effects(
     return tuple(effects)
 
 
+def _narrowly_worse(regression: Regression, candidate: Candidate, refused: Sequence[Refused]) -> list[str]:
+    """Effects that were selected, gave way to a candidate that fits a little better, and are declared to look alike."""
+    min_ratio = regression.thresholds.rivals.min_narrow_ratio
+    return [
+        one.name
+        for one in refused
+        if one.reason == "worse_than_rival"
+        and one.detail["of_rival"] > min_ratio * one.detail["chi_square"]
+        and _declared_alike(candidate.effect, regression.catalogue[one.name])
+    ]
+
+
+def _declared_alike(one: Effect, other: Effect) -> bool:
+    """Whether the catalogue declares that two effects have nearly the same signal."""
+    return one.name in other.confounded_with or other.name in one.confounded_with
+
+
 def _alike(regression: Regression, candidate: Candidate, taken: Collection[str]) -> list[str]:
     """What the catalogue declares to have nearly the signal of a candidate, but for effects that are taken.
 
     Commands that are logged late are no candidate, since a lag of the rotors absorbs them, and yet they may be.
     """
-    name, others = candidate.effect.name, {c.effect.name: c.effect for c in regression.candidates}
+    others = {c.effect.name: c.effect for c in regression.candidates}
     others |= {e.name: e for e in regression.catalogue.values() if e.acts_on == "rotor_clock"}
     return [
-        other.name
-        for other in others.values()
-        if other.name not in taken and (name in other.confounded_with or other.name in candidate.effect.confounded_with)
+        other.name for other in others.values() if other.name not in taken and _declared_alike(candidate.effect, other)
     ]
 
 
@@ -129,16 +145,26 @@ def rejections(
     gusty: whether a gust is among the effects; residuals are then allowed. That the state or the position predicts
         them has refused the gust before (`gust_refusal`).
     """
-    share, sizes = thresholds.max_share, after.statistics
+    sizes = after.statistics
+
+    def limit(lowest: float, before: float, over_floor: float) -> float:
+        """The lowest one; or the share of what was there that an imperfect form may leave, where it is small."""
+        excused = over_floor <= thresholds.max_excused
+        return max(lowest, thresholds.max_share * before) if excused else lowest
+
     max_line = thresholds.max_line if chi_squares is not None else thresholds.max_line_swinging
     limits = {"spectral_line": max(max_line, after.line_by_chance)}
     if not gusty:
-        limits["low_frequency_agreement"] = max(thresholds.max_agreement, share * before.low_frequency_agreement)
-        limits["predictable_from_state"] = max(thresholds.max_predictable, share * before.predictable_from_state)
+        for test, lowest, earlier in (
+            ("low_frequency_agreement", thresholds.max_agreement, before.low_frequency_agreement),
+            ("predictable_from_state", thresholds.max_predictable, before.predictable_from_state),
+        ):
+            limits[test] = limit(lowest, earlier, after.over_floor(test))
         limits["position_dependent"] = thresholds.max_predictable
         if chi_squares is not None:
             sizes["typical_window"] = chi_squares[1]
-            limits["typical_window"] = max(thresholds.max_chi_square, share * chi_squares[0])
+            over_floor = np.sqrt(max(chi_squares[1] - 1, 0.0))
+            limits["typical_window"] = limit(thresholds.max_chi_square, chi_squares[0], over_floor)
     return tuple(
         Rejection(test, sizes[test], limit)
         for test, limit in limits.items()

@@ -8,6 +8,7 @@ that remain hold.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,7 @@ from diagnosis.estimation.equation_error import beyond_feedback, fit
 from diagnosis.estimation.evaluation import reduced_chi_square, residuals_in
 from diagnosis.estimation.fitted import Fit, left_out, neutral_values, with_candidates
 from diagnosis.estimation.held_out import HeldOut
+from diagnosis.estimation.late_signals import late_signal
 from diagnosis.estimation.paired_errors import ErrorChange, total_change
 from diagnosis.estimation.refusal import Reason, Refused
 from diagnosis.estimation.significance import deviations_of
@@ -59,9 +61,8 @@ def accepted_fit(
     were fitted without them and may have absorbed a part of them.
     """
     lacking = regression.vehicle if vehicle is None else vehicle
-    chosen, worse = _decided_rivals(
-        regression, on_decided_rotors(regression, selection.chosen.candidates, lacking), lacking
-    )
+    decided = on_decided_rotors(regression, selection.chosen.candidates, lacking)
+    chosen, worse = _decided_rivals(regression, merged_pairs(regression, decided, lacking), lacking)
     accepted = judged_fit(regression, chosen, dataset, lacking, refused=worse)
     preferred = {c.key for c in chosen} - {c.key for c in selection.chosen.candidates}
     if not preferred <= set(accepted.fit.keys):  # a rival that is refused itself refuses nothing
@@ -111,6 +112,18 @@ def overshadowed_effects(accepted: Accepted, limits: ConsistencyThresholds) -> t
         if change.share_of_left < limits.min_share_of_left and change.share_of_axis < limits.min_share_of_axis:
             refused.append(refused_of(accepted.fit, candidate, "overshadowed", kind, share=change.share_of_left))
     return tuple(refused)
+
+
+def effects_of_late_signal(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> tuple[Refused, ...]:
+    """Effects of a fit that a signal which was logged late explains as well. rows: (m, 12) its residuals."""
+    late = late_signal(regression, fitted, rows)
+    if late is None:
+        return ()
+    return tuple(
+        refused_of(fitted, c, "late_signal", late.signal, delay=late.delay, gain=late.gain, of_effects=late.of_effects)
+        for c in fitted.candidates
+        if c.key in late.keys
+    )
 
 
 def without(regression: Regression, accepted: Accepted, refused: Sequence[Refused], dataset: Dataset) -> Accepted:
@@ -172,6 +185,47 @@ def on_decided_rotors(regression: Regression, chosen: Sequence[Candidate], vehic
             if levels[1] < levels[0] - required:
                 best = trial
     return best
+
+
+def merged_pairs(regression: Regression, chosen: Sequence[Candidate], vehicle: Vehicle) -> list[Candidate]:
+    """The selected effects, pairs that act alike replaced by one of theirs where the full model fits as well with it.
+
+    A rotor that lost thrust is also one whose speed is misread beside another one that lost torque. What either is
+    beyond linear decides by the columns; the fit decides by the penalty of the coefficients that are saved.
+    """
+    search, best = Search(regression), list(chosen)
+    while (merged := _merged_pair(regression, search, best, vehicle)) is not None:
+        best = merged
+    return best
+
+
+def _merged_pair(
+    regression: Regression, search: Search, chosen: list[Candidate], vehicle: Vehicle
+) -> list[Candidate] | None:
+    limits, level = regression.thresholds, 0.0
+    for one, other in itertools.combinations(chosen, 2):
+        if not _act_alike(one, other):
+            continue
+        rest = [c for c in chosen if c is not one and c is not other]
+        alone, own = search.score(rest).gain, search.score(chosen).gain
+        required = alone + limits.search.min_contender_share * (own - alone)
+        names, width = {one.effect.name, other.effect.name}, len(one.columns) + len(other.columns)
+        alike = [c for c in regression.candidates if c.effect.name in names and len(c.columns) < width]
+        trials = search.scores([(*rest, c) for c in alike if c is not one and c is not other])
+        near = sorted((s for s in trials if s.gain >= required), key=lambda s: -s.score)
+        for scored in near[: limits.acceptance.max_rivals]:
+            level = level or fit(regression, chosen, vehicle=vehicle).chi_square
+            trial = fit(regression, scored.candidates, vehicle=vehicle)
+            saved = search.penalty(one) + search.penalty(other) - search.penalty(scored.candidates[-1])
+            if not trial.unsettled and (trial.chi_square - level) * regression.total < saved:
+                return list(scored.candidates)
+    return None
+
+
+def _act_alike(one: Candidate, other: Candidate) -> bool:
+    """Whether both act on single rotors, or the catalogue declares that they look alike."""
+    declared = one.effect.name in other.effect.confounded_with or other.effect.name in one.effect.confounded_with
+    return declared or (one.effect.per_rotor and other.effect.per_rotor)
 
 
 def _decided_rivals(
@@ -286,8 +340,9 @@ class _Trial:
         if alone is not None and alone.is_contradicted(limits):
             numbers = {"before": alone.before, "after": alone.after, "floor": alone.floor, "size": alone.size}
             return refused("contradicted", "imu", **numbers)
-        worst, not_confirmed = max(kinds, key=lambda kind: by_kind[kind].rise), total_change(by_kind) > 0
-        for kind, change in by_kind.items():
+        own = {kind: by_kind[kind] for kind in kinds if kind != "attitude_rate" or not candidate.effect.moves_vehicle}
+        worst, not_confirmed = max(own, key=lambda kind: own[kind].rise), total_change(own) > 0
+        for kind, change in own.items():  # a motion's effect shows in the attitude rate by clocks alone
             if change.is_worse(limits) or (not_confirmed and kind == worst):
                 numbers = {"before": change.before, "after": change.after, "floor": change.floor}
                 return refused("channel_worse", kind, **numbers)

@@ -14,9 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from diagnosis.estimation.fitted import Fit
+from diagnosis.estimation.fitted import Fit, coefficients
 from diagnosis.estimation.significance import deviations_of
-from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.thresholds import DEFAULT, ConsistencyThresholds
 from dynamics.arrays import Floats
@@ -57,7 +56,7 @@ def drifts(regression: Regression, fitted: Fit, rows: Sequence[Floats]) -> dict[
     for candidate in fitted.candidates:
         own = list(range(begin, begin + len(candidate.columns)))
         begin += len(own)
-        theta = _coefficients(fitted, candidate)
+        theta = coefficients(fitted, candidate)
         strong = _strongest_half(np.einsum("i,bij,j->b", theta, grams[:, own][:, :, own], theta))
         both = [_drift(grams, products, prior, own, theta, part) for part in (strong, early)]
         results[candidate.key] = max(both, key=lambda drift: (drift.matters(limits), drift.share))
@@ -86,13 +85,6 @@ def _blocks(regression: Regression, rows: Sequence[Floats], where: Sequence[int]
             early = flown[flight] + start + length / 2 < lengths[flight] / 2
             yield _Block(x.T @ x, x.T @ white_y[start : start + length].ravel(), early)
         flown[flight] += len(y)
-
-
-def _coefficients(fitted: Fit, candidate: Candidate) -> Floats:
-    """(c,) of a candidate's columns at the fit."""
-    if candidate.fixed_shape:
-        return np.ones(1)
-    return np.array([fitted.estimates[candidate.key, name].value - candidate.at[name] for name in candidate.free])
 
 
 def _drift(

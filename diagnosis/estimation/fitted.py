@@ -109,6 +109,13 @@ def left_out(fitted: Fit, candidate: Candidate, vehicle: Vehicle) -> tuple[dict[
     return moved, with_candidates(vehicle, others, {f"{key}.{name}": v for (key, name), v in moved.items()})
 
 
+def coefficients(fitted: Fit, candidate: Candidate) -> Floats:
+    """(c,) coefficients of a candidate's columns at a fit that holds it."""
+    if candidate.fixed_shape:
+        return np.ones(1)
+    return np.array([fitted.estimates[candidate.key, name].value - candidate.at[name] for name in candidate.free])
+
+
 def bounds(effect: Effect, name: str) -> tuple[float, float]:
     """Physical bounds of an effect's parameter."""
     return next((p.lower, p.upper) for p in effect.parameters if p.name == name)

@@ -8,23 +8,49 @@ much is missing.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from diagnosis.estimation.equation_error import fit
+from diagnosis.estimation.fitted import Fit
 from diagnosis.selection.candidates import Candidate
 from diagnosis.selection.regression import Regression
 from diagnosis.selection.regression_of_flights import about_fit
-from diagnosis.selection.search import Search, Selection, select, select_from
+from diagnosis.selection.search import IMPOSSIBLE, Search, Selection, select, select_from, select_in_still_air
 
 
 def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
-    """What is missing, and the regression about it: linear about the joint fit, in the gust that was detected."""
+    """What is missing, and the regression about it: linear about the joint fit, in the gust that was detected.
+
+    Where the full model leaves much, and a gust stood in for a drag, the search begins again in still air; what that
+    selects counts if it explains the flights.
+    """
+    thresholds = regression.thresholds.search
+    first = select(regression)
+    best = _explored(regression, first)
+    if best.chi_square > thresholds.unexplained and (still := select_in_still_air(regression, first)) is not None:
+        other = _explored(regression, still)
+        best = other if other.chi_square <= thresholds.still_explained else best
+    return best.regression.in_gust(best.selection.gust_variance), best.selection
+
+
+@dataclass(frozen=True, eq=False)
+class _Explored:
+    """Where the rounds have led from a selection.
+
+    regression: about the last fit but one. selection: by it. chi_square: reduced, of its joint fit; 0 of none.
+    """
+
+    regression: Regression
+    selection: Selection
+    chi_square: float
+
+
+def _explored(regression: Regression, selection: Selection) -> _Explored:
     thresholds, own, nuisances = regression.thresholds.search, regression.candidates, regression.nuisances
-    selection = select(regression)
+    if not selection.chosen.candidates:
+        return _Explored(regression, selection, 0.0)
+    fitted = fit(regression, selection.chosen.candidates)
     for number in range(thresholds.max_rounds - 1):
-        chosen = selection.chosen.candidates
-        if not chosen:
-            break
-        fitted = fit(regression, chosen)
         is_explained = fitted.chi_square < thresholds.explained
         if number == 0 and not is_explained:
             pairs = (fit(regression, pair) for pair in _drags_in_wind(regression, selection))
@@ -38,11 +64,30 @@ def search_jointly(regression: Regression) -> tuple[Regression, Selection]:
         again = about_fit(regression, held, about_values(nuisances, nuisances, values))
         if again is None:
             break
-        regression = again
-        selection = select_from(regression, [c for c in held if c.fitted is not None], selection)
-        if {c.key for c in selection.chosen.candidates} <= set(fitted.keys):
+        regression, last = again, fitted
+        selection, fitted = _trusted(regression, [c for c in held if c.fitted is not None], selection, last)
+        if {c.key for c in selection.chosen.candidates} <= set(last.keys):
             break
-    return regression.in_gust(selection.gust_variance), selection
+    return _Explored(regression, selection, fitted.chi_square)
+
+
+def _trusted(
+    regression: Regression, start: Sequence[Candidate], earlier: Selection, last: Fit
+) -> tuple[Selection, Fit]:
+    """What a search from a set selects, and its joint fit, after fewer steps where that is far worse than the last one.
+
+    Columns about a fit that leaves much are right near it alone: a set that many steps away gains the most by them may
+    explain far less in the full model, or nothing that is possible. The steps are then halved, down to none.
+    """
+    max_chi_square = regression.thresholds.search.max_growth * last.chi_square
+    selection = select_from(regression, start, earlier)
+    fitted = fit(regression, selection.chosen.candidates)
+    steps = len(selection.chosen.candidates)
+    while steps and not (selection.chosen.score > IMPOSSIBLE and fitted.chi_square <= max_chi_square):
+        steps //= 2
+        selection = select_from(regression, start, earlier, max_steps=steps)
+        fitted = fit(regression, selection.chosen.candidates)
+    return selection, fitted
 
 
 def _drags_in_wind(regression: Regression, selection: Selection) -> list[tuple[Candidate, ...]]:

@@ -20,8 +20,9 @@ Reason = Literal[
     "drifts",
     "overshadowed",
     "predictable",
+    "late_signal",
 ]
-HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed")
+HINTS = ("interval_holds_neutral", "few_resamples", "drifts", "overshadowed", "late_signal")
 
 
 class Refused(msgspec.Struct, frozen=True):
@@ -94,6 +95,16 @@ def reason_of(refused: Refused) -> str:
                 f"air in motion is no function of the {refused.where}, but that predicts {number['share']} of what it "
                 f"explains, on flights left out"
             )
+        case "late_signal":
+            text = (
+                f"a log whose {refused.where} is {delay_in_words(refused.detail['delay'])} explains as much, and the "
+                "effect next to nothing beside that"
+            )
         case "worse_than_rival":
             text = "another effect fits better in its place"
     return text
+
+
+def delay_in_words(delay: float) -> str:
+    """A delay, s, as "3.1 ms late" or "3.1 ms early"."""
+    return f"{1e3 * abs(delay):.2g} ms {'late' if delay > 0 else 'early'}"

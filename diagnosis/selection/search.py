@@ -352,11 +352,32 @@ def select(regression: Regression) -> Selection:
     return _selection(regression, chosen, variance, required, singles, before)
 
 
-def select_from(regression: Regression, start: Sequence[Candidate], earlier: Selection) -> Selection:
-    """The effects that are missing, by a search from a set on a regression about the fit of that set."""
+def select_in_still_air(regression: Regression, first: Selection) -> Selection | None:
+    """What the steps lead to without a gust, None where there is none or a drag beside it. first: what they led to.
+
+    A gust acts through a drag, through the usual one of a vehicle that lacks it: it then moves as the vehicle does, and
+    takes the place of the drag and of what resembles one.
+    """
+    drags = [c for c in regression.candidates if c.effect.resists_air]
+    has_drag = any(c.present is not None for c in drags) or any(c.effect.resists_air for c in first.chosen.candidates)
+    if has_drag or not drags or not first.gust_variance:
+        return None
+    required = max(_relevant(regression), regression.thresholds.search.min_share * first.singles[0].gain)
+    search = Search(regression, required)
+    chosen, _, _ = _searched(regression, search.first(first.singles).candidates, 0.0, required, in_still_air=True)
+    return replace(first, chosen=search.ordered(chosen), gust=Gust(), gust_detected=False, gust_variance=0.0)
+
+
+def select_from(
+    regression: Regression, start: Sequence[Candidate], earlier: Selection, max_steps: int | None = None
+) -> Selection:
+    """The effects that are missing, by a search from a set on a regression about the fit of that set.
+
+    max_steps: of the search, by default as many as its thresholds allow.
+    """
     required, air = _relevant(regression), gust_variance(regression, tuple(start))
     starts = [(tuple(start), air), *([(one, 0.0) for one in _in_steady_wind(regression, start)] if air else [])]
-    results = [_searched(regression, candidates, variance, required) for candidates, variance in starts]
+    results = [_searched(regression, candidates, variance, required, max_steps) for candidates, variance in starts]
     chosen, variance, _ = max(results, key=lambda one: one[2])
     return _selection(regression, chosen, variance, required, earlier.singles, earlier.gust_before)
 
@@ -416,15 +437,28 @@ def _is_gust(gust: Gust, regression: Regression, min_score: float) -> bool:
     return clear and air and gust.score >= max(_relevant(regression), min_score)
 
 
-def _searched(regression: Regression, start: Set, variance: float, required: float) -> tuple[Scored, float, float]:
-    """The set to which the steps lead from a start, the variance of the gust beside it, and what both are worth."""
+def _searched(
+    regression: Regression,
+    start: Set,
+    variance: float,
+    required: float,
+    max_steps: int | None = None,
+    *,
+    in_still_air: bool = False,
+) -> tuple[Scored, float, float]:
+    """The set to which the steps lead from a start, the variance of the gust beside it, and what both are worth.
+
+    in_still_air: whether the variance stays as it is.
+    """
     search = Search(regression.in_gust(variance), required)
     chosen = search.score(start)
-    for _ in range(regression.thresholds.search.max_steps):
+    for _ in range(regression.thresholds.search.max_steps if max_steps is None else max_steps):
         better = search.better(chosen)
         if better is None:
             break
         chosen = better
+        if in_still_air:
+            continue
         variance = gust_variance(regression, chosen.candidates)
         if variance != search.regression.gust_variance:
             search = Search(regression.in_gust(variance), required)

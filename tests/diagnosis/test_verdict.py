@@ -56,6 +56,14 @@ def test_a_residual_test_that_rejects_makes_it_unknown(after):
     assert verdict(after=after) == "unknown"
 
 
+def test_an_imperfect_form_may_leave_a_share_of_what_was_there_but_no_error_far_above_the_noise():
+    assert verdict([ALONE], chi_squares=(100.0, 2.9)) == "effect"
+    assert verdict([ALONE], chi_squares=(984.0, 25.0)) == "unknown"
+    small, large = (results(state=0.02, over_floor=size) for size in (1.0, 3.0))
+    assert verdict([ALONE], after=small, before=results(state=5.0)) == "effect"
+    assert verdict([ALONE], after=large, before=results(state=5.0)) == "unknown"
+
+
 def test_what_is_too_small_to_matter_does_not_make_it_unknown():
     small = LIMITS.min_over_floor / 2
     for large in ({"agreement": 6.0}, {"state": 0.02}, {"line": 11.0}):
@@ -171,7 +179,7 @@ def signals(flight, vehicle):
 
 @pytest.mark.parametrize("reason", get_args(Reason))
 def test_every_reason_of_a_refusal_has_its_words(reason):
-    numbers = dict.fromkeys(("before", "after", "floor", "deviations", "required", "horizon", "share"), 0.5)
+    numbers = dict.fromkeys(("before", "after", "floor", "deviations", "required", "horizon", "share", "delay"), 0.5)
     text = refusal_sentence(Refused("inertia", None, reason, numbers, "angular", {"ratio_x": 0.993}))
     assert text.startswith("inertia (ratio_x = 0.993): ")
     assert len(text) > 50

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import pytest
 
 from diagnosis.data.dataset import read_dataset
-from diagnosis.estimation.acceptance import on_decided_rotors
+from diagnosis.estimation.acceptance import merged_pairs, on_decided_rotors
 from diagnosis.estimation.equation_error import fit
 from diagnosis.selection.regression_of_flights import make_regression
 from dynamics.effects import CATALOGUE
@@ -50,3 +50,17 @@ def test_a_cant_on_the_wrong_rotor_is_put_right(regression, wrong):
 def test_what_is_on_its_own_rotor_stays_there(regression):
     right = [regression.by_key["weak_rotor[3]"], regression.by_key["rotor_cant[1]"]]
     assert on_decided_rotors(regression.made, right, regression.made.vehicle) == right
+
+
+def test_a_misread_speed_beside_another_rotors_torque_is_one_weak_rotor(tmp_path):
+    """Its speed read too high and the torque that another one of its direction lost make the loss of thrust alone."""
+    names = ("weak_rotor", "rotor_speed_fault", "imu_bias", "gyro_bias", "time_delay")
+    campaign = Campaign({"weak_rotor": {"loss": 0.05, "rotor": 1.0}}, {}, Recorder(), False, False, 5, SEEDS["x"])
+    (truths,) = flown([campaign])
+    write_campaign(campaign, truths, tmp_path)
+    vehicle = read_vehicle(tmp_path / "vehicle.toml")
+    data = read_dataset(sorted(map(str, tmp_path.glob("*.csv"))), vehicle)
+    made = make_regression(vehicle, {n: CATALOGUE[n] for n in names}, data.fitted, data.flight_of)
+    by_key = {c.key: c for c in made.candidates}
+    pair = [by_key["rotor_speed_fault[1]"], by_key["weak_rotor[0]"]]
+    assert [c.key for c in merged_pairs(made, pair, vehicle)] == ["weak_rotor[1]"]
