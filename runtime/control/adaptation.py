@@ -243,16 +243,16 @@ class Adaptation:
 
     def reset(self, time: float) -> None:
         """Forget commands and estimates; after a long pause what they showed, too."""
+        self._last = self._sent = self._measured = self._compared = None
         if time - self.newest > MAX_PAUSE:
             self.filter.clear()
             if self.network is not None:
                 self.network.clear()
+                self._flown_change = np.zeros_like(self._flown_change)
             self._fly()
-        self._flown_change = np.zeros_like(self._flown_change)  # the solver has forgotten it
         self._thrust.clear()
         if self.rotors is not None:
             self.rotors.clear()
-        self._last = self._sent = self._measured = self._compared = None
 
     def command(self, time: float, speed: Floats) -> None:
         """Add rotor speeds (n,) rad/s that act from a time on."""

@@ -127,11 +127,8 @@ class LastLayer:
         remaining = math.exp(-self._seconds / self.settings.network.memory)
         keep, added = np.ones(size + NUISANCES), np.empty(size + NUISANCES)
         keep[:size], keep[size + AXES :] = remaining, left
-        added[:size], added[size : size + AXES], added[size + AXES :] = (
-            (1 - remaining**2) * self._variance,
-            drift,
-            fades,
-        )
+        added[:size], added[size:] = (1 - remaining**2) * self._variance, fades
+        added[size : size + AXES] = drift
         self._state *= keep
         self._covariance *= keep[:, None] * keep
         self._covariance.flat[:: size + NUISANCES + 1] += added

@@ -18,7 +18,8 @@ from runtime.control.bundle import Bundle, read_bundle
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rti.problem import Problem
 from runtime.control.rti.processor import native_processor
-from runtime.flight.mission import Phase
+from runtime.flight.composition import Controllers, warm_up
+from runtime.flight.mission import Phase, Plan
 from runtime.flight_setup import FlightSetup, prepare_flight
 from simulation.lockstep import FlownReference, fly_reference
 from tests.export.test_kernel import CASES, SHORT, VEHICLES, copied, solver_of
@@ -106,7 +107,10 @@ def test_a_flight_whose_network_follows_repeats_bit_for_bit(bundle: Bundle) -> N
         assert controller is not None
         return Flight(controller.trim, controller, named_reference("circle:laps=1", controller.trim), nominal=nominal)
 
-    flight, again = begun(), begun().flyer
+    flight = begun()
+    controllers = Controllers(flight.flyer._controller, flight.flyer._nominal)
+    warm_up(controllers, named_reference("circle:laps=1", controllers.flying.trim), Plan(), rate=100.0)
+    again = begun().flyer  # which nothing has warmed up
     flight.plant.disturbance[:] = 0.5, -0.3, 0.0
     flight.run(12.0)
     for (observation, estimate), before in zip(flight.story.observations, flight.story.decisions, strict=True):
