@@ -156,8 +156,8 @@ class Adaptation:
         filtered = self.filter
         parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
         turning = self._moments.named
-        found = ((p, *turning.get(p.name, (value, std))) for p, value, std in parts)
-        return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in found] + self.losses
+        named = ((p, *turning.get(p.name, (value, std))) for p, value, std in parts)
+        return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in named] + self.losses
 
     @property
     def losses(self) -> list[tuple[str, FollowedValue]]:
