@@ -131,7 +131,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Tracking by air and manoeuvre, then what was named."""
     body = [
         f"Position error, cm RMS, from {COUNTED:g} s on of {SECONDS:g} s: median of "
-        f"{len({r['seed'] for r in results})} seeds (worst). True, with the errors of the estimator, and by the estimate, "
+        f"{len({r['seed'] for r in results})} seeds (worst). True, with the estimator's errors, and by the estimate, "
         f"without them. The controller has the file of {VEHICLE}: no drag, no wind, 5 % other inertia and 2 % other "
         "thrust than the vehicle that flies.",
         "",

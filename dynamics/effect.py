@@ -218,6 +218,8 @@ class Effect:
         day, and velocities and rates show them.
     lost_thrust: parameter that is the share of its thrust that a rotor has lost, of an effect of one rotor: this is
         named in flight (docs/adaptation.md).
+    voltage_power: parameter that is the power of the battery's voltage with which rotor speed goes: it follows in
+        flight from the effectiveness of thrust.
     acts_on: "command_gain" is absorbed by the unknown gain of motor commands, and "weight" too unless the vehicle file
         has a drag, "rotor_speed_reading" shows only where rotor speeds are measured, "rotor_clock" shows
         there alone, too: with commands a lag of the rotors absorbs it. "motion" is everything else.
@@ -250,6 +252,7 @@ class Effect:
     stochastic: bool = False
     followed: bool = False
     lost_thrust: str = ""
+    voltage_power: str = ""
     acts_on: ActsOn = "motion"
     sensor_prior: float | None = None
     excitation: Excitation | None = None

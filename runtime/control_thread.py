@@ -201,6 +201,7 @@ class ControlThread:
             specific_force_xy=update.specific_force_body[:2],
             engage=engage,
             leave=self._requests.leave,
+            battery_voltage=update.battery_voltage,
             **_rotor_fields(update.rotors),
         )
 

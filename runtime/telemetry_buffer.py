@@ -61,6 +61,7 @@ class LinkUpdate(msgspec.Struct, frozen=True):
     reset_yaw: rad, by which it turned.
     specific_force_body: (3,) m/s^2, the newest; NaN when there is no new one.
     rotors: their newest speeds; None when there are no new ones.
+    battery_voltage: the newest, V; NaN when there is no new one.
     """
 
     events: dict[Event, str]
@@ -69,6 +70,7 @@ class LinkUpdate(msgspec.Struct, frozen=True):
     reset_yaw: float
     specific_force_body: Floats
     rotors: RotorReading | None = None
+    battery_voltage: float = nan
 
 
 class TelemetryBuffer:
@@ -86,6 +88,7 @@ class TelemetryBuffer:
         self._resets: deque[tuple[Floats, float]] = deque(maxlen=64)
         self._force = NO_FORCE
         self._rotors: RotorReading | None = None
+        self._voltage = nan
         self.rotor_reader: RotorReader | None = None
         self.texts: deque[str] = deque(maxlen=64)
         self.notifications: deque[LinkEvent] = deque(maxlen=256)
@@ -138,7 +141,8 @@ class TelemetryBuffer:
             position, yaw = position + shift, yaw + turn
         force, self._force = self._force, NO_FORCE
         rotors, self._rotors = self._rotors, None
-        return LinkUpdate(events, reset, position, yaw, force, rotors)
+        voltage, self._voltage = self._voltage, nan
+        return LinkUpdate(events, reset, position, yaw, force, rotors, voltage)
 
     def _estimate(self, estimate: StateEstimate) -> None:
         self._arrivals.append(estimate.received)
@@ -168,6 +172,7 @@ class TelemetryBuffer:
                 self._put(MotorRecord(sample.time, np.array(sample.value)), sample.received)
             case BatterySample():
                 charge = (sample.voltage, sample.current, sample.remaining)
+                self._voltage = sample.voltage
                 self._put(BatteryRecord(sample.received, *charge), sample.received)
                 if sample.remaining < LOW_CHARGE:
                     self._events.append(

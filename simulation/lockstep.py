@@ -243,6 +243,7 @@ def _decide(plant: SimulatedVehicle, flyer: Flyer, tick: int, now: float) -> Dec
         rotor_time=now,
         rotor_speed=plant.rotor_speed,
         rotors_measured=True,
+        battery_voltage=plant.battery.voltage,
     )
     decision = flyer.step(observation, estimate)
     flyer.prepare(now)

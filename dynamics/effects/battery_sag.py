@@ -43,6 +43,7 @@ EFFECT = Effect(
     physics=physics,
     grid=grid,
     caveat="the voltage at which the file's constants hold was tried, not fitted: {reference:.3g} of a full battery's",
+    voltage_power="gain",
     confounded_with=("thrust_constant",),
     excitation=Excitation(
         (("battery_voltage",), COMMAND, FORCE),

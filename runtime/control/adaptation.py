@@ -25,6 +25,7 @@ from runtime.control.network_features import NetworkFeatures
 from runtime.control.rotor_loss import RotorLoss
 from runtime.control.rotor_watch import RotorWatch, up_of
 from runtime.control.rti.solver import AXES, RtiSolver
+from runtime.control.sag_fit import SagFit
 from runtime.control.thrust_history import ThrustHistory
 
 REFUSED = 0.5  # share of what is estimated, below which it counts as not flown
@@ -119,7 +120,7 @@ class Adaptation:
         if not learned:
             parameters = with_moments(solver, parameters)
         self.filter = FlightFilter(solver, settings, parameters)
-        self._moments = MomentFit(solver, parameters)
+        self._moments, self._sag = MomentFit(solver, parameters), SagFit(parameters)
         self._solver, self._settings, self._learned = solver, settings, learned
         self._thrust_constants = thrust_constants
         self._highest_speed = solver.input_upper.copy()
@@ -155,8 +156,8 @@ class Adaptation:
         """The parameters that are followed, then the losses of rotors that were named, by name."""
         filtered = self.filter
         parts = zip(filtered.parameters, filtered.values.tolist(), filtered.deviations.tolist(), strict=True)
-        turning = self._moments.named
-        named = ((p, *turning.get(p.name, (value, std))) for p, value, std in parts)
+        others = self._moments.named | self._sag.named
+        named = ((p, *others.get(p.name, (value, std))) for p, value, std in parts)
         return [(p.name, FollowedValue(value, std, p.value, p.unit)) for p, value, std in named] + self.losses
 
     @property
@@ -213,7 +214,8 @@ class Adaptation:
         ]
         texts += [
             f"{p.name} {value:.3g} +- {2 * std:.2g} {p.unit}"
-            for p, (value, std) in zip(self._moments.parameters, self._moments.named.values(), strict=True)
+            for fit in (self._moments, self._sag)
+            for p, (value, std) in zip(fit.parameters, fit.named.values(), strict=True)
             if abs(value - p.value) > limit * std
         ]
         return ", ".join(texts)
@@ -240,6 +242,10 @@ class Adaptation:
     def flies(self) -> bool:
         """Whether what is estimated is flown."""
         return self._settings.mode == "on"
+
+    def read_voltage(self, time: float, voltage: float, effectiveness: float) -> None:
+        """Take the battery's newest voltage, V, NaN for none, and the effectiveness of thrust in flight."""
+        self._sag.add(time, voltage, effectiveness)
 
     def reset(self, time: float) -> None:
         """Forget commands and estimates; after a long pause what they showed, too."""

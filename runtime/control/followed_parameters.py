@@ -14,7 +14,7 @@ from dynamics.own_effects import catalogue_of
 from dynamics.vehicle import EffectUse, Vehicle
 from runtime.control.kernel_model import FlownModel
 
-Group = Literal["other", "drag", "air", "thrust", "moment"]
+Group = Literal["other", "drag", "air", "thrust", "moment", "voltage"]
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class FollowedParameter:
     lower, upper: its bounds.
     group: "drag" shows where its slope varies, whose constant part depends on the wind; "air", the wind, beside a drag
         that is certain; "thrust" never, since the effectiveness of thrust has it; "moment" by the real speeds of rotors
-        (`MomentFit`); "other" always.
+        (`MomentFit`); "voltage" by the effectiveness of thrust (`SagFit`); "other" always.
     unit: SI.
     """
 
@@ -71,7 +71,7 @@ def followed_parameters(
         group: Group = "drag" if item.effect.resists_air else "other"
         if item.effect.wind is not None and has_drag:
             group = "air"
-        if item.effect.acts_on in ("weight", "command_gain"):
+        if item.effect.acts_on in ("weight", "command_gain") or item.effect.voltage_power:
             group = "thrust"
         for parameter in item.effect.parameters if item.effect.name in names else ():
             if item.effect.wind is not None and parameter.name == wind.COEFFICIENT.name:
@@ -80,7 +80,8 @@ def followed_parameters(
             bounds = parameter.lower, parameter.upper
             value = item.values[parameter.name]
             place = places.index(name)
-            followed.append(FollowedParameter(name, place, value, std, *bounds, group, parameter.unit))
+            own: Group = "voltage" if parameter.name == item.effect.voltage_power else group
+            followed.append(FollowedParameter(name, place, value, std, *bounds, own, parameter.unit))
     return followed
 
 

@@ -98,6 +98,7 @@ class Flyer:
         self._estimate: StateEstimate | None = None
         self._previous: StateEstimate | None = None
         self._force = np.full(3, np.nan)
+        self._voltage = float("nan")
         self._solution: tuple[float, Command, Controller] | None = None
         self._failed: Controller | None = None
         self._state: Floats | None = None
@@ -243,6 +244,7 @@ class Flyer:
         if observation.reset:
             self.mission.shift(observation.reset_position, observation.reset_yaw)
         self._force = np.append(observation.specific_force_xy, observation.specific_force_z)
+        self._voltage = observation.battery_voltage if observation.battery_voltage > 0 else self._voltage
         self._previous, self._estimate = self._estimate, estimate
         self._read_rotors(observation)
         if estimate is not None and fresh:
@@ -290,6 +292,8 @@ class Flyer:
         if self.adaptation is not None:
             force -= self.adaptation.specific_drag(now.state)
         self.effectiveness.measure(force, now.time, float(np.linalg.norm(now.velocity_world)))
+        if self.adaptation is not None and self.mission.phase not in (Phase.GROUND, Phase.RAMP):
+            self.adaptation.read_voltage(now.time, self._voltage, self.effectiveness.value)
 
     def _measure_force(self, time: float, reference: Floats | None) -> None:
         """Update the external force, and the events that it shows. reference: state (13,) at this time, or None."""

@@ -95,6 +95,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     rotor_time: of the newest rotor speeds, NaN when there are no new ones.
     rotor_speed: these, in the vehicle file's order; empty when there are no new ones.
     rotors_measured: whether ESCs measured them, and not the autopilot's outputs command them.
+    battery_voltage: the newest, NaN when there is no new one.
     engage: whether engaging is requested at this tick.
     leave: why landing is requested, empty when it is not.
     """
@@ -120,6 +121,7 @@ class ObservationRecord(msgspec.Struct, frozen=True):
     rotor_time: Seconds = nan
     rotor_speed: Annotated[Floats, Meta(description="rad/s")] = msgspec.field(default_factory=lambda: np.zeros(0))
     rotors_measured: bool = False
+    battery_voltage: Annotated[float, Meta(description="V, NaN when there is no new one")] = nan
 
 
 class HorizonRecord(msgspec.Struct, frozen=True):

@@ -1,0 +1,151 @@
+"""A centre of mass, and how thrust goes with voltage, named in flight. Writes results/named_parameters.md.
+
+In lockstep on random vehicles of the mock, manoeuvres and values, with measured rotor speeds and a battery of some
+minutes. Finished flights are kept, so that a run that was stopped resumes.
+
+    python -m benchmarks.named_parameters --flights 20 --table
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.provenance import write_result
+from dynamics.references import named_reference
+from dynamics.vehicle import EffectUse
+from dynamics.vehicle_file import read_vehicle
+from flights.parallel import parallel_map
+from runtime.control.adaptation_settings import AdaptationSettings
+from runtime.control.controller import Controller, ControllerOptions
+from simulation.lockstep import fly_reference
+from sitl_mock.vehicle.battery import usual_battery
+from sitl_mock.vehicle.vehicle import VehicleOptions
+from vehicles import FOLDER
+
+VEHICLES = ("arpl_250g", "px4_sih", "crazyflie")
+MANOEUVRES = ("Hover", "circle", "Ellipse_1", "line", "Lemniscate:speed=0.7")
+KINDS = ("centre_of_mass", "battery_sag")
+SECONDS = {"centre_of_mass": 12.0, "battery_sag": 60.0}
+ENDURANCE = (90.0, 900.0)  # s of a battery: emptied by half in the flight, or hardly
+SHOWN = 0.5  # of the prior's standard deviation: above it a flight does not show the parameter
+FIRST_SEED = 83_000
+
+
+def drawn(kind: str, number: int) -> dict[str, Any]:
+    """A flight by its number; in every third nothing is hidden."""
+    random = np.random.default_rng((FIRST_SEED, number, KINDS.index(kind)))
+    return {
+        "key": f"{kind} {number}",
+        "kind": kind,
+        "seed": FIRST_SEED + number,
+        "vehicle": str(random.choice(VEHICLES)),
+        "reference": str(random.choice(MANOEUVRES)),
+        "sizes": random.uniform(-1.0, 1.0, size=2).tolist() if number % 3 else [0.0, 0.0],
+        "endurance": ENDURANCE[number % 2],
+    }
+
+
+def flown(case: Mapping[str, Any]) -> dict[str, Any]:
+    """Values as they were named, and true ones."""
+    vehicle, kind = read_vehicle(FOLDER / f"{case['vehicle']}.toml"), case["kind"]
+    arm = float(np.abs(np.array(vehicle.rotors.position)[:, 0]).mean())
+    x, y = (0.15 * arm * float(size) for size in case["sizes"])
+    hidden = {
+        "centre_of_mass": {"x": x, "y": y, "z": 0.0, "sensors_stay": 1.0},
+        "battery_sag": {"gain": abs(case["sizes"][0]), "reference": 1.0},
+    }[kind]
+    settings = AdaptationSettings(mode="on", follow=(kind,))
+    controller = Controller.build(vehicle, ControllerOptions.for_vehicle(vehicle, adaptation=settings))
+    endurance = case["endurance"] if kind == "battery_sag" else ENDURANCE[1]
+    flight = fly_reference(
+        vehicle,
+        named_reference(case["reference"], vehicle, duration=SECONDS[kind]),
+        effects=[EffectUse(kind, hidden)],
+        options=VehicleOptions(battery=usual_battery(vehicle, endurance=endurance), yaw=0.0),
+        seed=case["seed"],
+        controller=controller,
+    )
+    assert controller.adaptation is not None
+    followed = controller.adaptation.followed.parameters
+    names = ("x", "y") if kind == "centre_of_mass" else ("gain",)
+    prior = {p.name: p.std for p in controller.adaptation.filter.parameters}
+    rows = [(f"{kind}.{name}", hidden[name]) for name in names]
+    return {
+        **case,
+        "named": [[name, true, followed[name].value, followed[name].std, prior[name]] for name, true in rows],
+        "changed": controller.adaptation.changed,
+        "aborted": flight.aborted,
+    }
+
+
+def table(results: Sequence[Mapping[str, Any]]) -> str:
+    """By parameter, and by battery."""
+    body = [
+        f"{len(results)} flights on {', '.join(VEHICLES)}, of "
+        f"{', '.join(f'{s:g} s ({k})' for k, s in SECONDS.items())}; in every third the vehicle is as in its file. "
+        "Shown: with a standard deviation below half of the prior's. Off: median distance from the truth, and nine of "
+        "ten. Named: that it is not as in the file, by three deviations.",
+        "",
+        "| parameter | battery | flights | shown | off | nine of ten | deviation | 95 % hold | named, of none |",
+        "| --- | --- | --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    body += [_row(name, "any", results) for name in ("centre_of_mass.x", "centre_of_mass.y")]
+    for endurance in ENDURANCE:
+        some = [r for r in results if r["endurance"] == endurance]
+        body.append(_row("battery_sag.gain", f"{endurance:g} s", some))
+    ended = [f"{r['key']}: {r['aborted']}" for r in results if r["aborted"]]
+    return "\n".join([*body, "", f"Flights that ended early: {'; '.join(ended) or 'none'}."])
+
+
+def _row(name: str, battery: str, results: Sequence[Mapping[str, Any]]) -> str:
+    rows = [(r["changed"], *row[1:]) for r in results for row in r["named"] if row[0] == name]
+    shown = [row for row in rows if row[3] < SHOWN * row[4]]
+    cells = [name, battery, f"{len(rows)}", f"{len(shown)}"]
+    if shown:
+        off = [abs(value - true) for _, true, value, _, _ in shown]
+        holds = sum(abs(value - true) <= 1.96 * std for _, true, value, std, _ in shown)
+        cells += [
+            f"{np.median(off):.2g}",
+            f"{np.quantile(off, 0.9):.2g}",
+            f"{np.median([row[3] for row in shown]):.2g}",
+        ]
+        cells.append(f"{holds} of {len(shown)}")
+    else:
+        cells += [""] * 4
+    none = [changed for changed, true, *_ in rows if true == 0.0]
+    cells.append(f"{sum(name in changed for changed in none)} of {len(none)}")
+    return f"| {' | '.join(cells)} |"
+
+
+def main() -> None:
+    """Fly what has not been flown, and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=20, help="of each parameter")
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--kept", type=Path, default=Path("build/named_parameters.jsonl"))
+    parser.add_argument("--table", action="store_true", help="write benchmarks/results/named_parameters.md")
+    options = parser.parse_args()
+    options.kept.parent.mkdir(parents=True, exist_ok=True)
+    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
+    done = {result["key"]: result for result in map(json.loads, lines)}
+    cases = [drawn(kind, number) for kind in KINDS for number in range(options.flights)]
+    for _, result in parallel_map(flown, [case for case in cases if case["key"] not in done], jobs=options.jobs):
+        done[result["key"]] = result
+        with options.kept.open("a") as file:
+            print(json.dumps(result), file=file)
+        print(f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}", flush=True)
+    results = [done[case["key"]] for case in cases if case["key"] in done]
+    if options.table:
+        write_result("named_parameters", "A centre of mass and a battery's sag, named in flight", table(results))
+    else:
+        print(table(results))
+
+
+if __name__ == "__main__":
+    main()
