@@ -20,18 +20,20 @@ LIMIT = AdaptationSettings().linear.limit
 SWINGS = {Event.MODEL_OSCILLATES, Event.SETPOINT_REFUSED, Event.CRASHED, Event.OVERTURNED}
 
 
-def flight_in_wind(vehicle: Vehicle, reference: str = "circle:laps=6,speed=1.5", mode: Mode = "on") -> Flight:
+def flight_in_wind(
+    vehicle: Vehicle, reference: str = "circle:laps=6,speed=1.5", mode: Mode = "on", follow: tuple[str, ...] = ()
+) -> Flight:
     """A flight that is about to begin."""
-    options = ControllerOptions.for_vehicle(vehicle, adaptation=AdaptationSettings(mode=mode))
+    options = ControllerOptions.for_vehicle(vehicle, adaptation=AdaptationSettings(mode=mode, follow=follow))
     controller = Controller.build(vehicle, options)
     flight = Flight(vehicle, controller, named_reference(reference, vehicle, duration=40.0))
     flight.plant.disturbance = WIND.copy()
     return flight
 
 
-def in_wind(vehicle: Vehicle, reference: str = "circle:laps=6,speed=1.5") -> Flight:
+def in_wind(vehicle: Vehicle, reference: str = "circle:laps=6,speed=1.5", follow: tuple[str, ...] = ()) -> Flight:
     """A flight that has followed its disturbance for some seconds."""
-    flight = flight_in_wind(vehicle, reference)
+    flight = flight_in_wind(vehicle, reference, follow=follow)
     flight.run(30.0, until=Phase.TRACK)
     flight.run(4.0)
     assert np.linalg.norm(followed(flight)[:3] - WIND) < 0.3
@@ -87,6 +89,23 @@ def test_a_fault_of_the_input_moves_neither_estimate_nor_vehicle_far(
     assert flight.flyer.mission.phase is Phase.TRACK
     assert max(away[-20:]) < 0.5  # m/s^2: the estimate is what it was
     assert max(away) < 2.5
+    assert max(flight.story.errors[-100:]) < 0.15
+    assert not flight.story.raised & SWINGS
+
+
+@pytest.mark.parametrize("fault", [no_imu, constant_imu, jumped_position, reset_position])
+def test_a_fault_of_the_input_names_nothing_that_is_not_there(
+    arpl_250g: Vehicle, fault: Callable[[Flight], None]
+) -> None:
+    """With wind and drags followed: the push here is none of them, and a fault makes it none."""
+    flight = in_wind(arpl_250g, follow=("wind", "rotor_drag", "parasitic_drag"))
+    adaptation = flight.flyer.adaptation
+    assert adaptation is not None
+    before = {name: value.value for name, value in adaptation.values}
+    fault(flight)
+    flight.run(3.0)
+    for name, value in adaptation.values:
+        assert abs(value.value - before[name]) < 3 * value.std, name
     assert max(flight.story.errors[-100:]) < 0.15
     assert not flight.story.raised & SWINGS
 
@@ -148,6 +167,7 @@ def test_a_storm_that_it_can_hold_moves_it_little(arpl_250g: Vehicle) -> None:
     storm(flight, 8.5)
     flight.run(4.0)
     assert flight.flyer.mission.phase is Phase.TRACK
+    assert not flight.story.raised & SWINGS
     assert max(flight.story.errors[before:]) < 0.1
     assert np.abs(followed(flight)[:3]).max() < 6.0
 
@@ -158,6 +178,7 @@ def test_wind_beyond_what_it_can_hold_is_named_and_it_lands(arpl_250g: Vehicle) 
     flight.run(4.0)
     assert Event.PUSHED in flight.story.raised
     assert "more than it can hold" in flight.flyer.mission.landing_reason
+    assert Event.MODEL_OSCILLATES not in flight.story.raised
     assert np.abs(followed(flight)[:3]).max() <= LIMIT + 1e-9
 
 
