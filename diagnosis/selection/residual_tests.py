@@ -62,8 +62,9 @@ class ResidualTests:
     low_frequency_agreement: low-frequency power common to accelerometer and pose, or of torque, over that at mid
         frequencies.
     predictable_from_state: twice the log-likelihood that a smooth function of the state, or a finer one of the
-        velocity, gains on flights left out, over the number of whitened residuals; beside an estimator's slow errors,
-        less what the state gains at most in residuals from elsewhere, with which it has nothing to do.
+        velocity, gains on flights left out, over the number of whitened residuals, beyond a controller's answer to
+        turbulence; beside an estimator's slow errors, less what the state gains at most in residuals from elsewhere,
+        with which it has nothing to do.
     spectral_line: greatest narrow-band power over its surroundings.
     position_dependent: as predictable_from_state, from position alone and on the other half of each flight; 0 where it
         was not computed.
@@ -99,8 +100,11 @@ def run_residual_tests(regression: Regression, rows: Sequence[Floats], *, by_pos
     features = _features(states, thresholds.state_fineness, thresholds.features)
     fine_in_velocity = _features([x[:, :AXES] for x in states], thresholds.velocity_fineness, thresholds.features)
     chances = thresholds.chances if regression.pose.there else 0
-    elsewhere = [_rolled(rows, n / (chances + 1)) for n in range(1, chances + 1)]
-    tried = [_predictable(regression, x, rows, regression.flight_of, elsewhere) for x in (features, fine_in_velocity)]
+    by_state = _without_feedback(regression, rows)
+    elsewhere = [_rolled(by_state, n / (chances + 1)) for n in range(1, chances + 1)]
+    tried = [
+        _predictable(regression, x, by_state, regression.flight_of, elsewhere) for x in (features, fine_in_velocity)
+    ]
     best = max(tried, key=lambda one: one.gain)
     predictable = max(best.gain - max(one.by_chance for one in tried), 0.0)
     findings = [_largest("predictable_from_state", best.parts, regression.noise.floor)]
@@ -351,6 +355,26 @@ def _predictable(
         confirmed = min(1.0, gain / predicted) if predicted > 0 else 0.0
         parts[channel] = (float(np.sqrt(confirmed * np.mean(np.concatenate(part) ** 2))), part)
     return _Prediction(total, float(np.max(by_chance, initial=0.0)), parts)
+
+
+def _without_feedback(regression: Regression, rows: Sequence[Floats]) -> list[Floats]:
+    """Residuals (m, 12) without the angular acceleration that goes with the rate about its own axis, and has its sign.
+
+    In steady motion E[w dw/dt] = 0, so that a torque t of turbulence under a controller's u has E[w t] = -E[w u] > 0: as
+    a damping below zero would. One above has the other sign, and stays.
+    """
+    noise, left = regression.noise, [r.copy() for r in rows]
+    for place, channel in enumerate(noise.active):
+        if not ANGULAR_ACCELERATION.start <= channel < ANGULAR_ACCELERATION.stop:
+            continue
+        axis = channel - ANGULAR_ACCELERATION.start
+        rates = [s.smooth[s.decimated, RATE][:, axis] for s in regression.segments]
+        white = np.concatenate([noise.whiten_one(place, rate) for rate in rates])
+        residual = np.concatenate([noise.whiten_one(place, r[:, channel]) for r in rows])
+        slope = max(0.0, float(white @ residual) / max(float(white @ white), 1e-30))
+        for r, rate in zip(left, rates, strict=True):
+            r[:, channel] -= slope * rate
+    return left
 
 
 def _by_group(values: Sequence[Floats], group_of: Sequence[int]) -> list[Floats]:
