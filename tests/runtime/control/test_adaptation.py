@@ -154,6 +154,19 @@ def test_a_constant_wind_leaves_no_error(arpl_250g: Vehicle) -> None:
     assert controller.adaptation.filter.staying[0] > 1.0  # m/s^2 downwind
 
 
+def test_in_wind_towards_a_wall_the_box_is_not_left(arpl_250g: Vehicle) -> None:
+    """A circle of 0.75 m beside an edge that 6 m/s of wind push it over without the disturbance."""
+    wall = 1.0  # m
+    limits = msgspec.structs.replace(arpl_250g.limits, box=((-3.0, -3.0, -1.0), (wall, 3.0, 5.0)))
+    boxed = msgspec.structs.replace(arpl_250g, limits=limits)
+    assert "box" in flown(boxed, "circle:size=0.5", *WIND, mode="off", seconds=6.0)[0].aborted
+    flight, _ = flown(boxed, "circle:size=0.5", *WIND, seconds=6.0)
+    assert flight.aborted == ""
+    position = flight.truth.stream("position")
+    assert position is not None
+    assert 0.7 < position.values[:, 0].max() < 0.8
+
+
 def test_a_shadow_estimates_and_flies_as_without(arpl_250g: Vehicle) -> None:
     usual = flown(arpl_250g, "Hover", *WIND, mode="off", seconds=3.0)[0]
     shadowed, controller = flown(arpl_250g, "Hover", *WIND, mode="shadow", seconds=3.0)
