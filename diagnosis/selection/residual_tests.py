@@ -360,8 +360,8 @@ def _predictable(
 def _without_feedback(regression: Regression, rows: Sequence[Floats]) -> list[Floats]:
     """Residuals (m, 12) without the angular acceleration that goes with the rate about its own axis, and has its sign.
 
-    In steady motion E[w dw/dt] = 0, so that a torque t of turbulence under a controller's u has E[w t] = -E[w u] > 0: as
-    a damping below zero would. One above has the other sign, and stays.
+    In steady motion E[w dw/dt] = 0, so that a torque t of turbulence under a controller's u has E[w t] = -E[w u] > 0,
+    as a damping below zero would. A missing damping has the other sign, and stays.
     """
     noise, left = regression.noise, [r.copy() for r in rows]
     for place, channel in enumerate(noise.active):

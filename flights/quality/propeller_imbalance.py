@@ -93,13 +93,13 @@ class _Lines:
     frequency: of turning, Hz, means.
     power: squared amplitudes, (m/s^2)^2, at the rotors' speeds in the window.
     spread: of the power over that of white noise a row.
-    beside: (neighbours, rotors), the same power at neighbouring frequencies.
+    neighbouring: (neighbours, rotors), the same power at neighbouring frequencies.
     """
 
     frequency: Floats
     power: Floats
     spread: Floats
-    beside: Floats
+    neighbouring: Floats
 
 
 def _lines(force: Stream, speed: Stream, start: float) -> _Lines | None:
@@ -107,9 +107,9 @@ def _lines(force: Stream, speed: Stream, start: float) -> _Lines | None:
     rows = (force.time >= start) & (force.time < start + WINDOW)
     inside = (speed.time >= start) & (speed.time < start + WINDOW)
     about = (speed.time > start - WINDOW) & (speed.time < start + 2 * WINDOW)
-    wanted, turning = force.values[rows, :2], np.abs(speed.values[about])
+    force_xy, turning = force.values[rows, :2], np.abs(speed.values[about])
     enough = rows.sum() >= MIN_ROWS and inside.sum() >= WINDOW * MIN_SPEED_RATE / 2
-    if not enough or not np.isfinite(wanted).all() or not np.isfinite(turning).all() or turning.min() <= 0:
+    if not enough or not np.isfinite(force_xy).all() or not np.isfinite(turning).all() or turning.min() <= 0:
         return None
     time = force.time[rows]
     now, angle = _turned(time, speed.time[about], turning)
@@ -117,10 +117,10 @@ def _lines(force: Stream, speed: Stream, start: float) -> _Lines | None:
     strength, since = (now / mean) ** 2, time - start - WINDOW / 2  # the force goes with the square of the speed
     design = np.hstack([_motion(since), strength * np.cos(angle), strength * np.sin(angle)])
     inverse = np.linalg.pinv(design)
-    fitted = inverse @ wanted
-    left = wanted - design @ fitted
+    fitted = inverse @ force_xy
+    left = force_xy - design @ fitted
     power, spread = (_of_rotors(x, len(mean)) for x in (np.sum(fitted**2, axis=1) / 2, np.sum(inverse**2, axis=1)))
-    beside = np.empty((len(NEIGHBOURS), len(mean)))
+    neighbouring = np.empty((len(NEIGHBOURS), len(mean)))
     for place, offset in enumerate(NEIGHBOURS):
         shifted = angle + 2 * np.pi * offset / WINDOW * since[:, None]
         for rotor in range(len(mean)):
@@ -128,8 +128,8 @@ def _lines(force: Stream, speed: Stream, start: float) -> _Lines | None:
             columns = columns - design @ (inverse @ columns)
             inner = np.linalg.pinv(columns.T @ columns)
             noise = np.sum((inner @ (columns.T @ left)) ** 2) / 2
-            beside[place, rotor] = noise * spread[rotor] / np.trace(inner)
-    return _Lines(mean / (2 * np.pi), power, spread, beside)
+            neighbouring[place, rotor] = noise * spread[rotor] / np.trace(inner)
+    return _Lines(mean / (2 * np.pi), power, spread, neighbouring)
 
 
 def _motion(since: Floats) -> Floats:
@@ -167,9 +167,9 @@ def _imbalance(rotor: int, windows: Sequence[_Lines], rate: float) -> Imbalance:
     if len(chosen) < MIN_WINDOWS:
         return Imbalance(rotor, 0.0, usual, certain=False, folded=folded)
     frequency, power, spread = np.array([[w.frequency[rotor], w.power[rotor], w.spread[rotor]] for w in chosen]).T
-    beside = np.array([w.beside[:, rotor] for w in chosen])
+    neighbouring = np.array([w.neighbouring[:, rotor] for w in chosen])
     weight, to_usual = 1 / spread, (usual / frequency) ** 4
-    level, *levels = weight @ (to_usual[:, None] * np.column_stack([power, beside])) / weight.sum()
+    level, *levels = weight @ (to_usual[:, None] * np.column_stack([power, neighbouring])) / weight.sum()
     noise = float(np.median(levels))
     chance = noise * np.sqrt(0.5 / len(chosen))  # two coefficients of two axes in each window
     certain = level > noise + MIN_DEVIATIONS * max(chance, float(np.std(levels)))
