@@ -1,9 +1,10 @@
 """What halving and doubling a threshold does to verdicts. Writes results/threshold_margins.md.
 
-Every threshold whose line says that it is not derived elsewhere is halved and doubled, one at a time (a factor's or a
-share's distance from 1, where it has one), on flights of the outside simulator and of real PX4 with a known answer, and
-on flights with exchanged motors that must be refused. A threshold that no case reads is listed as such: its case is
-missing here. Finished runs are kept, so that a run that was stopped resumes.
+Every threshold whose line names no other origin ("margins") is halved and doubled, one at a time (a factor's or a
+share's distance from 1, where it has one), on flights of the outside simulator, of real PX4 and of a real Crazyflie
+with a known answer, and on logs that must be refused. The cases after PX4's vary only what no case before them reads. A
+threshold that no case reads is listed as such: its case is missing here. Finished runs are kept, so that a run that was
+stopped resumes.
 
     python -m benchmarks.threshold_margins --table
 """
@@ -13,76 +14,167 @@ from __future__ import annotations
 import argparse
 import json
 import re
+import tempfile
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
+import numpy as np
 from rich.progress import track
 
 from benchmarks.provenance import write_result
 from benchmarks.verdict_cases import Case as OutsideCase
 from benchmarks.verdict_cases import prepare
 from benchmarks.verdicts import logs_of
+from diagnosis.addition import add_effect
+from diagnosis.completion import complete
 from diagnosis.data.dataset import read_dataset
 from diagnosis.diagnose import diagnose_dataset
+from diagnosis.hover_trim import read_trim
 from diagnosis.thresholds import DEFAULT, Thresholds
 from dynamics.effects import CATALOGUE
 from dynamics.errors import AlulaError
+from dynamics.vehicle import Vehicle
 from dynamics.vehicle_file import read_vehicle
+from fixtures.compiled_flights import compiled_flights
+from fixtures.mutated_flights import FLOWN, USUAL, with_columns
+from flights import Flight
 from vehicles import FOLDER
 
-ORIGIN = "benchmarks/threshold_margins.py"
-DATA = Path(__file__).parents[1] / "tests" / "data" / "px4_sih_flights"
+DATA = Path(__file__).parents[1] / "tests" / "data"
+PX4, TRIM = DATA / "px4_sih_flights", DATA / "crazypad_trim"
+CRAZYFLIE = FOLDER / "crazyflie.toml"
+DATE = "2026-01-01"
 FACTORS = (0.5, 2.0)
 SEED, FLIGHTS = 41, 5  # of the outside simulator: for calibration; of each case, to be quick
 
 
 @dataclass(frozen=True)
 class Case:
-    """Logs, a vehicle file, and what is true."""
+    """Logs, a vehicle file, and what is done with them.
+
+    rotors: order in which the vehicle file's are taken. changed: a change of `CHANGES`, of our simulator's flights.
+    normal: flights with whose hover trim the logs are compared. adds: whether effects are added, once or until none is
+    missing. further: whether only thresholds are varied that no case before reads.
+    """
 
     name: str
-    logs: tuple[str, ...]
-    vehicle: Path
+    logs: tuple[str, ...] = ()
+    vehicle: Path = FOLDER / "arpl_250g.toml"
     rotors: tuple[int, ...] = ()
+    changed: str = ""
+    normal: tuple[str, ...] = ()
+    adds: Literal["", "once", "all"] = ""
+    further: bool = False
 
     def answer(self, thresholds: Thresholds) -> str:
         """Verdict and names, or that it is refused."""
-        vehicle = read_vehicle(self.vehicle)
+        try:
+            if self.changed:
+                return self._of_changed(thresholds)
+            return self._of_logs(self.logs, read_vehicle(self.vehicle), thresholds)
+        except AlulaError as error:
+            advice = re.split(r"\. (?=[A-Z])", str(error))[-1].rstrip(".")
+            return f"refused: {re.sub(r'-?[0-9][0-9.e+-]*', 'N', advice)}"
+        except Exception as error:
+            return f"traceback {type(error).__name__}"
+
+    def _of_logs(self, logs: Sequence[str], vehicle: Vehicle, thresholds: Thresholds) -> str:
         if self.rotors:
             exchanged = tuple(vehicle.rotors.position[i] for i in self.rotors)
             vehicle = msgspec.structs.replace(
                 vehicle, rotors=msgspec.structs.replace(vehicle.rotors, position=exchanged)
             )
-        try:
-            data = read_dataset(list(self.logs), vehicle, thresholds=thresholds)
-            answer = diagnose_dataset(data, vehicle, CATALOGUE, thresholds).diagnosis
-        except AlulaError:
-            return "refused"
-        except Exception as error:
-            return f"traceback {type(error).__name__}"
-        return f"{answer.verdict}: {', '.join(effect.name for effect in answer.effects)}".rstrip(": ")
+        if self.normal:
+            normal = [Path(log) for log in self.normal]
+            trim = read_trim([Path(log) for log in logs], normal, vehicle, None, thresholds.hover_trim)
+            return _answer(trim.verdict, [f"{effect.name} of rotor {effect.rotor}" for effect in trim.effects])
+        data = read_dataset(list(logs), vehicle, thresholds=thresholds)
+        if self.adds == "all":
+            completed = complete(data, vehicle, CATALOGUE, date=DATE, thresholds=thresholds)
+            return _answer("completed", [effect.name for effect in completed.added])
+        if self.adds:
+            added = add_effect(None, data, vehicle, CATALOGUE, date=DATE, thresholds=thresholds)
+            return _answer("added by output error" if added.by_output_error else "added", added.keys)
+        report = diagnose_dataset(data, vehicle, CATALOGUE, thresholds).diagnosis
+        return _answer(report.verdict, [effect.name for effect in report.effects])
+
+    def _of_changed(self, thresholds: Thresholds) -> str:
+        vehicle = read_vehicle(self.vehicle)
+        manoeuvres = FLOWN.get(self.changed, USUAL)
+        flown = compiled_flights(vehicle, [], catalogue=CATALOGUE, seed=SEED, manoeuvres=tuple(manoeuvres))
+        with tempfile.TemporaryDirectory() as folder:
+            change = CHANGES[self.changed]
+            logs = [str(change(f).to_csv(Path(folder) / f"flight_{i}.csv")) for i, f in enumerate(flown)]
+            return self._of_logs(logs, vehicle, thresholds)
+
+
+def _times(flight: Flight, factor: float, *quantities: str) -> Flight:
+    names = [n for n in flight.columns if n.rpartition("_")[0] in quantities]
+    return with_columns(flight, {n: factor * flight[n] for n in names})
+
+
+def _at(flight: Flight, rate: float) -> Flight:
+    time = np.arange(flight.time[0], flight.time[-1], 1 / rate)
+    columns = {n: np.interp(time, flight.time, values) for n, values in flight.columns.items()}
+    return Flight(time, columns, flight.provenance)
+
+
+def _without(flight: Flight, *quantities: str) -> Flight:
+    return with_columns(flight, {n: None for n in flight.columns if n.rpartition("_")[0] in quantities})
+
+
+CHANGES: Mapping[str, Callable[[Flight], Flight]] = {
+    "all hover": lambda f: f,
+    "position in mm": lambda f: _times(f, 1e3, "position", "velocity"),
+    "rates in degrees": lambda f: _times(f, 180 / np.pi, "rate"),
+    "rates in degrees, no pose": lambda f: _without(_times(f, 180 / np.pi, "rate"), "position", "velocity", "attitude"),
+    "1,000 Hz": lambda f: _at(f, 1000.0),
+    "no pose": lambda f: _without(f, "position", "velocity", "attitude"),
+}
+
+
+def _answer(verdict: str, names: Sequence[str]) -> str:
+    return f"{verdict}: {', '.join(names)}".rstrip(": ")
 
 
 @cache
 def cases() -> list[Case]:
     """All cases; outside flights are flown first."""
-    outside = [
-        OutsideCase(kind, name, SEED)
-        for kind, name in (
-            ("nothing", "speeds"), ("single", "inertia"), ("single", "gust"), ("single", "motor_lag"),
-        )
-    ]  # fmt: skip
+    kinds = (
+        ("nothing", "speeds"), ("single", "inertia"), ("single", "gust"), ("nothing", "commands"),
+        ("single", "motor_lag"), ("single", "slung_load"),
+    )  # fmt: skip
+    outside = [OutsideCase(kind, name, SEED) for kind, name in kinds]
     prepare(outside)
-    made = [Case(case.key, tuple(logs_of(case.folder)[:FLIGHTS]), case.folder / "vehicle.toml") for case in outside]
-    first = made[0]
-    made.append(Case("motors exchanged", first.logs, first.vehicle, _exchanged(first)))
-    real = tuple(str(log) for log in sorted(DATA.glob("drag2_*.ulg.gz")))
-    return [*made, Case("px4 drag2", real, FOLDER / "px4_sih.toml")]
+    nothing, inertia, gust, commands, lag, slung = [
+        Case(case.key, tuple(logs_of(case.folder)[:FLIGHTS]), case.folder / "vehicle.toml") for case in outside
+    ]
+    real = {name: tuple(map(str, sorted(PX4.glob(f"{name}_*.ulg.gz")))) for name in ("drag2", "nothing")}
+    px4 = FOLDER / "px4_sih.toml"
+    made = [
+        nothing,
+        inertia,
+        Case("motors exchanged", nothing.logs, nothing.vehicle, _exchanged(nothing)),
+        Case("px4 drag2", real["drag2"], px4),
+    ]
+    normal = tuple(map(str, sorted(TRIM.glob("normal_flight_E8_*"))))
+    further = [
+        gust,
+        commands,
+        Case("px4, one flight", real["nothing"][:1], px4),
+        Case("Crazyflie, hover trim", (str(next(TRIM.glob("cut_propeller_M3_3mm_E8_*"))),), CRAZYFLIE, normal=normal),
+        Case("completed", lag.logs, lag.vehicle, adds="all"),
+        Case("added", inertia.logs, inertia.vehicle, adds="once"),
+        Case("a lag added", lag.logs, lag.vehicle, adds="once"),
+        *(Case(name, changed=name) for name in CHANGES),
+        slung,
+    ]
+    return [*made, *(replace(case, further=True) for case in further)]
 
 
 def _exchanged(case: Case) -> tuple[int, ...]:
@@ -98,7 +190,7 @@ def underived() -> list[str]:
         text = re.sub(r"\s+", " ", type(of_group).__doc__ or "")
         for field in msgspec.structs.fields(of_group):
             line = re.search(rf" {field.name}: [^\[]*\[([^\]]*)\]", text)
-            if line and (line[1].startswith("not derived yet") or ORIGIN in line[1]):
+            if line and (line[1].startswith("margins")):
                 names.append(f"{group.name}.{field.name}")
     return names
 
@@ -160,9 +252,14 @@ def runs(done: set[str]) -> Iterator[dict[str, Any]]:
 
 
 def varied(results: Sequence[Mapping[str, Any]]) -> list[tuple[str, float, Case]]:
-    """What is to be run: each threshold, by how much, and the cases that read it, PX4's slow one last."""
+    """What is to be run: each threshold, by how much, and the cases that read it."""
     reads = {r["case"]: set(r["reads"]) for r in results if r["key"].startswith("default ")}
-    return [(n, f, case) for case in cases() for n in underived() for f in FACTORS if n in reads[case.name]]
+    chosen, before = [], set[str]()
+    for case in cases():
+        names = reads[case.name] - before if case.further else reads[case.name]
+        chosen += [(name, factor, case) for name in underived() if name in names for factor in FACTORS]
+        before |= reads[case.name]
+    return chosen
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:

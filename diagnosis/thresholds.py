@@ -1,9 +1,10 @@
 """Every threshold of diagnosis: unit, meaning, default, and where the default comes from.
 
 A field's line ends with its origin in brackets: "planted truth" (`benchmarks/diagnosis_planted_truth.py`, whose even
-seeds are for calibration), another benchmark, "decisions" (`docs/decisions/diagnosis.md`), a definition, or "not
-derived yet" where the value works on all flights that were tried, and nobody has varied it. Functions take a
-`Thresholds` as an argument; `diagnosis.thresholds_file` reads one from TOML, for a fleet that needs others.
+seeds are for calibration), another benchmark, "decisions" (`docs/decisions/diagnosis.md`), a definition, or "margins"
+(`benchmarks/threshold_margins.py`): its half and its double were tried on flights with a known answer, and what follows
+says with which of both an answer changes, or that no case reads it. Functions take a `Thresholds` as an argument;
+`diagnosis.thresholds_file` reads one from TOML, for a fleet that needs others.
 """
 
 from __future__ import annotations
@@ -37,8 +38,8 @@ class ThresholdGroup(Struct, frozen=True, forbid_unknown_fields=True):
 class FilterThresholds(ThresholdGroup, frozen=True):
     """Filters on both sides of the regression. Applied when flights are read.
 
-    cutoff: of the low-pass on both sides, Hz. [not derived yet]
-    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [not derived yet]
+    cutoff: of the low-pass on both sides, Hz. [margins: half]
+    slow_cutoff: below which motion is not the controller's response to turbulence, Hz. [margins: double]
     command_cutoff: the same for the values of a fit where rotor speeds follow from commands.
     [benchmarks/interval_coverage.py; decisions: instruments of a fit]
     rate: of the rows after decimation, Hz. [three times the cutoff]
@@ -63,20 +64,20 @@ class FilterThresholds(ThresholdGroup, frozen=True):
 class SegmentThresholds(ThresholdGroup, frozen=True):
     """Which rows of a flight are used. Applied when flights are read.
 
-    max_rate: of a log that is not thinned out first, Hz. [not derived yet]
-    resampled_rate: to which a faster log is thinned out, Hz. [not derived yet]
-    min_rate_share: of the slowest usable rate at which a stream still counts; clocks are not exact. [not derived yet]
-    min_duration: of a segment, s. [not derived yet]
-    margin: left out around ground and contact, s. [not derived yet]
-    max_specific_force: beyond it is a crash or a landing, m/s^2. [not derived yet]
+    max_rate: of a log that is not thinned out first, Hz. [margins: neither]
+    resampled_rate: to which a faster log is thinned out, Hz. [margins: neither]
+    min_rate_share: of the slowest usable rate at which a stream still counts; clocks are not exact. [margins: neither]
+    min_duration: of a segment, s. [margins: neither]
+    margin: left out around ground and contact, s. [margins: neither]
+    max_specific_force: beyond it is a crash or a landing, m/s^2. [margins: neither]
     full_cell: voltage of a full battery cell, V. [definition: lithium polymer]
-    cell_slack: by which a cell may be above that, V. [not derived yet]
+    cell_slack: by which a cell may be above that, V. [margins: neither]
     full_quantile: of the voltage, that is taken for the highest one. [convention]
-    min_voltage: of a battery that is measured at all, V. [not derived yet]
+    min_voltage: of a battery that is measured at all, V. [margins: neither]
     min_cell: voltage of a cell in flight below which it is no measurement, V. [definition: lithium polymer; 2.5 V occur
     under load]
-    voltage_cutoff: of the low-pass on the voltage, Hz; it falls with every manoeuvre, its noise does not. [not derived
-    yet]
+    voltage_cutoff: of the low-pass on the voltage, Hz; it falls with every manoeuvre, its noise does not. [margins:
+    neither]
     """
 
     max_rate: Positive = 500.0
@@ -97,13 +98,13 @@ class DatasetThresholds(ThresholdGroup, frozen=True):
     """What is fitted and what is held out. Applied when flights are read.
 
     held_out_share: of the flights, or of the one flight's time. [convention]
-    min_groups: of fitted rows, which leaving one out needs; fewer flights are cut into parts. [not derived yet]
-    min_part: duration of such a part, s. [not derived yet]
-    min_group: of a single flight's parts that are left out together, s. [not derived yet]
-    block: that is held out where whole flights are not, s. [not derived yet]
-    boundary: share of the flights' extent over which a place is close to the side of their box. [not derived yet]
-    min_excitation: motion of held-out flights, RMS over that of the others, below which they do not judge. [not derived
-    yet]
+    min_groups: of fitted rows, which leaving one out needs; fewer flights are cut into parts. [margins: neither]
+    min_part: duration of such a part, s. [margins: neither]
+    min_group: of a single flight's parts that are left out together, s. [margins: neither]
+    block: that is held out where whole flights are not, s. [margins: neither]
+    boundary: share of the flights' extent over which a place is close to the side of their box. [margins: neither]
+    min_excitation: motion of held-out flights, RMS over that of the others, below which they do not judge. [margins:
+    neither]
     """
 
     held_out_share: Annotated[float, Meta(gt=0, lt=1)] = 0.2
@@ -119,25 +120,25 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
     """Thrust over command, where no rotor speed was measured. Applied when flights are read.
 
     gain: range of thrust over the vehicle file's. [benchmarks/real_flights.py: 0.63 to 1.7 occur]
-    max_lag: of the rotors behind commands that is tried, s. [not derived yet]
-    lag_step: between the lags that are tried, s. [not derived yet]
-    noise: specific force of other effects, m/s^2. [not derived yet]
-    independent_share: of rows that count as independent observations. [not derived yet]
-    term_std: prior standard deviations of constant, linear and quadratic term. [not derived yet]
-    air_std: prior standard deviation of the drag along body z, 1/s. [not derived yet]
-    lift_std: the same of the lift of travelling, 1/m. [not derived yet]
+    max_lag: of the rotors behind commands that is tried, s. [margins: neither]
+    lag_step: between the lags that are tried, s. [margins: neither]
+    noise: specific force of other effects, m/s^2. [margins: neither]
+    independent_share: of rows that count as independent observations. [margins: neither]
+    term_std: prior standard deviations of constant, linear and quadratic term. [margins: neither]
+    air_std: prior standard deviation of the drag along body z, 1/s. [margins: neither]
+    lift_std: the same of the lift of travelling, 1/m. [margins: neither]
     max_curved_ratio: of the variance that a curve leaves over that which a straight line leaves, above which the line
-        is taken. [not derived yet]
+        is taken. [margins: neither]
     max_motor_difference: of a healthy vehicle's motor from the mean. [decisions: the command's gain; 0.1 occurs]
-    command_percentiles: range of commands within which the curve is not straight. [not derived yet]
+    command_percentiles: range of commands within which the curve is not straight. [margins: neither]
     gain_std: prior standard deviation of thrust over weight that all flights share, about the first estimate, which
-        counts lift of travelling as thrust. [not derived yet]
-    flight_gain_std: of a flight's own gain about it; the battery changes it. [not derived yet]
-    motor_std: of a motor's gain about the first estimate. [not derived yet]
-    bend_std: of the curve's bend at hover. [not derived yet]
+        counts lift of travelling as thrust. [margins: neither]
+    flight_gain_std: of a flight's own gain about it; the battery changes it. [margins: neither]
+    motor_std: of a motor's gain about the first estimate. [margins: neither]
+    bend_std: of the curve's bend at hover. [margins: neither]
     min_gain_change: of the gain from 1, from which on a wrong mass or thrust constant may be behind it.
         [benchmarks/verdicts.py: 1.2 % at most in four sets that hide nothing]
-    gain_deviations: standard deviations that this change has at least. [not derived yet]
+    gain_deviations: standard deviations that this change has at least. [margins: neither]
     """
 
     gain: Range = (0.55, 1.8)
@@ -162,16 +163,16 @@ class CommandCurveThresholds(ThresholdGroup, frozen=True):
 class DataChecks(ThresholdGroup, frozen=True):
     """What flights and vehicle file must meet before anything is diagnosed.
 
-    min_duration: of all flights together, s. [not derived yet]
-    min_speed: horizontal, RMS, m/s; less with little rotation is hover. [not derived yet]
-    min_rate: body rate, RMS, rad/s; less with little speed is hover. [not derived yet]
-    min_thrust_change: standard deviation where there is no velocity, m/s^2. [not derived yet]
-    thrust_ratio: range of modelled over measured thrust. [not derived yet]
-    tilt_ratio: range of the pose's horizontal acceleration over that which the tilt gives. [not derived yet]
-    min_tilt_acceleration: RMS of the latter that the ratio needs, m/s^2. [not derived yet]
-    min_rotor_speed: share of hover speed below which a sensor is dead. [not derived yet]
-    unit_slack: factor by which a ratio may miss that of two units and still be called it. [not derived yet]
-    velocity_span: over which velocity and the change of position are compared, s. [not derived yet]
+    min_duration: of all flights together, s. [margins: neither]
+    min_speed: horizontal, RMS, m/s; less with little rotation is hover. [margins: neither]
+    min_rate: body rate, RMS, rad/s; less with little speed is hover. [margins: half]
+    min_thrust_change: standard deviation where there is no velocity, m/s^2. [margins: neither]
+    thrust_ratio: range of modelled over measured thrust. [margins: both]
+    tilt_ratio: range of the pose's horizontal acceleration over that which the tilt gives. [margins: neither]
+    min_tilt_acceleration: RMS of the latter that the ratio needs, m/s^2. [margins: neither]
+    min_rotor_speed: share of hover speed below which a sensor is dead. [margins: neither]
+    unit_slack: factor by which a ratio may miss that of two units and still be called it. [margins: neither]
+    velocity_span: over which velocity and the change of position are compared, s. [margins: neither]
     max_velocity_error: by which they may differ, m/s. [benchmarks/mutated_flights.py]
     max_estimator_error: the same of an estimator's pose, which corrects both separately. [benchmarks/verdicts.py: 153
     flights of 12 s with PX4's errors reach 0.61, half of them 0.37]
@@ -211,15 +212,15 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
     min_share_of_mixture: of that combination's agreement that the file's arms must have. [formula: 0.5 for arms turned
     by 45 degrees]
     opposite_yaw: correlation below which the rotors yaw the vehicle the other way. [benchmarks/rotor_orders.py]
-    min_angular_acceleration: standard deviation about x and y that is judged, rad/s^2. [not derived yet]
-    min_yaw_acceleration: the same about z, where rotors act less. [not derived yet]
-    angular_ratio: range of measured over modelled angular acceleration. [not derived yet]
+    min_angular_acceleration: standard deviation about x and y that is judged, rad/s^2. [margins: neither]
+    min_yaw_acceleration: the same about z, where rotors act less. [margins: neither]
+    angular_ratio: range of measured over modelled angular acceleration. [margins: neither]
     max_permuted_rotors: whose orders are all tried. [formula: 720 orders]
     response_times: lags of rotors behind commands that are tried, s. [benchmarks/rotor_orders.py]
-    max_shift: of the rotors' clock against the gyro's that is tried, s. [not derived yet]
-    min_flight: of one flight that is judged on its own, s. [not derived yet]
+    max_shift: of the rotors' clock against the gyro's that is tried, s. [margins: neither]
+    min_flight: of one flight that is judged on its own, s. [margins: neither]
     min_rows: of a segment that is compared. [formula: three times the unknowns]
-    unit_slack: factor by which a ratio may miss that of two units and still be called it. [not derived yet]
+    unit_slack: factor by which a ratio may miss that of two units and still be called it. [margins: no case]
     """
 
     order_margin: Share = 0.15
@@ -241,12 +242,12 @@ class RotorMomentChecks(ThresholdGroup, frozen=True):
 class PredictionThresholds(ThresholdGroup, frozen=True):
     """Models along flights.
 
-    hidden_rate: at which hidden states without a short time constant are integrated, Hz. [not derived yet]
+    hidden_rate: at which hidden states without a short time constant are integrated, Hz. [margins: neither]
     max_substeps: integration steps between two rows; hidden states that need more are not predicted. [definition: a
         time constant of 0.5 ms at 40 Hz]
-    min_lag_rows: shortest time constant of a grid that is tried, rows. [not derived yet: shorter ones look alike]
+    min_lag_rows: shortest time constant of a grid that is tried, rows. [margins: neither: shorter ones look alike]
     horizons: of open-loop prediction, s. [definition]
-    start_interval: between starts of open-loop prediction, s. [not derived yet]
+    start_interval: between starts of open-loop prediction, s. [margins: neither]
     free_start_durations: of a segment's beginning, from which hidden states that begin in mid-motion are fitted, s:
         step by step, so that a swing of 60 degrees is followed. [benchmarks/verdicts.py: slung loads, seeds 500 to 502]
     free_start_rate: at which they are integrated for that, Hz. [the same: as at 50 Hz to 0.5 % of the swing]
@@ -284,16 +285,16 @@ class PredictionThresholds(ThresholdGroup, frozen=True):
 class NoiseThresholds(ThresholdGroup, frozen=True):
     """Noise of the residual channels.
 
-    order: of the autoregressive models. [not derived yet]
+    order: of the autoregressive models. [margins: both]
     reference_band: its level caps the spectrum below it, where missing effects show, Hz. [decisions: the noise floor]
-    spectrum_rows: of a periodogram. [not derived yet]
+    spectrum_rows: of a periodogram. [margins: neither]
     slow_order: of the models beside an estimator's slow errors. [px4_sih_flights: with it and `slow_spectrum_rows` the
     whitened residual below 0.1 Hz has 1.0 to 2.5 times the power of white noise, 1.5 to 4 with the usual ones]
     slow_spectrum_rows: of a periodogram beside them. [the same]
-    sensor_band: over the filters' cutoff, where sensors alone are heard. [not derived yet]
+    sensor_band: over the filters' cutoff, where sensors alone are heard. [margins: neither]
     sensor_share: of the log's rate, at which that band ends at the latest. [formula: central differences see little
     beyond]
-    sensor_rows: of a periodogram of the unfiltered residual. [not derived yet]
+    sensor_rows: of a periodogram of the unfiltered residual. [margins: neither]
     min_sensor_band: ratio of that band's ends, over which white noise and the tail of motion, 1 / f^2, can be told
     apart. [formula: the tail falls to a quarter]
     reweightings: of the likeliest spectrum. [formula: it has converged then]
@@ -325,7 +326,7 @@ class PoseThresholds(ThresholdGroup, frozen=True):
     min_coherence: of the velocity's derivative with the accelerometer where no motion reaches, above which the pose of
     a table is an estimator's. [tests/data/px4_sih_flights 0.997; tests/data/nanobench 0.26 to 0.40; simulated motion
     capture 0.13 and less]
-    examples: segments on which the model's slope in the velocity is found. [not derived yet]
+    examples: segments on which the model's slope in the velocity is found. [margins: neither]
     """
 
     velocity_error: Positive = 0.2
@@ -340,9 +341,9 @@ class PoseThresholds(ThresholdGroup, frozen=True):
 class RegressionThresholds(ThresholdGroup, frozen=True):
     """Normal equations of all candidates.
 
-    ridge: on all columns at once, over the number of rows. [not derived yet]
+    ridge: on all columns at once, over the number of rows. [margins: neither]
     max_bias: of a sensor in standard deviations of its specification; beyond it is a fault. [convention: 99 %]
-    independent_share: of the whitened residuals, in the criterion's penalty. [not derived yet]
+    independent_share: of the whitened residuals, in the criterion's penalty. [margins: neither]
     """
 
     ridge: Positive = 1e-6
@@ -357,31 +358,30 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     where nothing is hidden]
     min_fault_gain: the same of a sensor's fault, which feedback does not imitate. [planted truth]
     relevant: gain over the number of whitened residuals below which an effect does not matter: a tenth of
-    2 % of the floor of one kind of four. [not derived yet]
+    2 % of the floor of one kind of four. [margins: neither]
     min_share: of the first effect's gain that a further one must add in the first round, which is linear about a
-    vehicle without either. [not derived yet]
-    parsimony: share of the gain at which fewer coefficients are preferred. [not derived yet]
-    min_cross_validated: share of an improvement that must show on flights left out. [not derived yet]
+    vehicle without either. [margins: neither]
+    parsimony: share of the gain at which fewer coefficients are preferred. [margins: neither]
+    min_cross_validated: share of an improvement that must show on flights left out. [margins: neither]
     min_improvement: of a set's worth, below which a step is not taken. [formula: rounding ends no search]
     max_effects: in one set. [convention]
     max_steps: of one search, which ends long before. [formula: more than twice as many as effects]
-    max_rounds: of search, each about the fit of the last one. [not derived yet]
-    explained: reduced chi-square of the fitted flights at which no further round is needed. [not derived yet]
+    max_rounds: of search, each about the fit of the last one. [margins: neither]
+    explained: reduced chi-square of the fitted flights at which no further round is needed. [margins: neither]
     unexplained: reduced chi-square of the last round's fit above which the search begins again in still air, where a
     gust stood in for a drag. [definition: twice the noise]
     still_explained: of that search, up to which it counts. [definition: that of a typical window that is explained]
     max_growth: of the reduced chi-square from one round's fit to the next, whose noise differ a little, above which the
-    search goes fewer steps. [not derived yet]
+    search goes fewer steps. [margins: neither]
     max_pair_share: reduced chi-square of a drag in a steady wind over that of the first set, below which the search
     goes on from that pair. [benchmarks/flight_estimates.py: 0.01 to 0.07 in three windy flights, about 1 in two]
-    max_paired: best single effects with which pairs are tried. [not derived yet]
-    max_trials: best additions that are cross-validated in one step. [not derived yet]
-    max_contenders: best single effects of which cross-validation chooses the first. [not derived yet]
-    min_contender_share: of the best score that a contender must have. [not derived yet]
-    bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [not derived yet]
+    max_paired: best single effects with which pairs are tried. [margins: neither]
+    max_trials: best additions that are cross-validated in one step. [margins: neither]
+    max_contenders: best single effects of which cross-validation chooses the first. [margins: neither]
+    min_contender_share: of the best score that a contender must have. [margins: neither]
+    bound_slack: of a prior's deviation by which noise may move a coefficient over its bound. [margins: neither]
     amplitude: range of a fixed-shape regressor's coefficient. [definition: near 1]
-    min_gust_share: of the effects' gain that a gust beside them must add. [not derived yet]
-    min_share_beside_gust: of a gust's score below which no effect is named beside it. [not derived yet]
+    min_gust_share: of the effects' gain that a gust beside them must add. [margins: neither]
     """
 
     min_gain: Score = 40.0
@@ -406,18 +406,17 @@ class SearchThresholds(ThresholdGroup, frozen=True):
     bound_slack: Score = 0.02
     amplitude: Range = (0.4, 1.9)
     min_gust_share: Share = 0.03
-    min_share_beside_gust: Share = 0.5
 
 
 class RivalThresholds(ThresholdGroup, frozen=True):
     """When these flights cannot tell two effects apart.
 
-    score_margin: difference of score within which they cannot. [not derived yet]
-    gain_share: of the gain, the same. [not derived yet]
-    command_share: of an effect's gain, where rotor speeds come from commands. [not derived yet]
-    max_rivals: that are compared with an effect. [not derived yet]
+    score_margin: difference of score within which they cannot. [margins: neither]
+    gain_share: of the gain, the same. [margins: half]
+    command_share: of an effect's gain, where rotor speeds come from commands. [margins: neither]
+    max_rivals: that are compared with an effect. [margins: neither]
     min_narrow_ratio: reduced chi-square over that of an effect in whose place another one is taken, above which the two
-    are declared where the catalogue says that they look alike. [not derived yet]
+    are declared where the catalogue says that they look alike. [margins: neither]
     """
 
     score_margin: Score = 12.0
@@ -451,19 +450,19 @@ class GustThresholds(ThresholdGroup, frozen=True):
 class ResidualTestThresholds(ThresholdGroup, frozen=True):
     """Tests of what an identified model leaves; `VerdictThresholds` holds their limits.
 
-    features: random Fourier features of state or position. [not derived yet]
+    features: random Fourier features of state or position. [margins: neither]
     chances: residuals from elsewhere, of which the most predictable shows what chance predicts. [formula: one in nine
     exceeds all of eight]
-    state_fineness: of a feature of the state, over the standard deviation of the state. [not derived yet]
-    velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [not derived yet]
-    position_fineness: the same of position alone, where a field of air repeats. [not derived yet]
-    ridges: that are tried. [not derived yet]
-    low_band: in which accelerometer and pose must not agree, Hz. [not derived yet]
-    reference_band: against which that is compared, Hz. [not derived yet]
-    line_band: in which a spectral line is sought, Hz. [not derived yet]
-    line_rows: of a periodogram. [not derived yet]
+    state_fineness: of a feature of the state, over the standard deviation of the state. [margins: neither]
+    velocity_fineness: the same of the body's velocity alone, on which forces of the air depend. [margins: neither]
+    position_fineness: the same of position alone, where a field of air repeats. [margins: neither]
+    ridges: that are tried. [margins: neither]
+    low_band: in which accelerometer and pose must not agree, Hz. [margins: neither]
+    reference_band: against which that is compared, Hz. [margins: double]
+    line_band: in which a spectral line is sought, Hz. [margins: neither]
+    line_rows: of a periodogram. [margins: neither]
     line_refinement: frequencies within a bin of which a line's own is the best. [definition]
-    line_surroundings: bins over which a line's surroundings are the median. [not derived yet]
+    line_surroundings: bins over which a line's surroundings are the median. [margins: neither]
     agreement_powers: independent ones in the low band with which `max_agreement` holds; with fewer a torque's slow part
     exceeds it by chance. [`benchmarks/short_logs.py`, seeds from
     930,000: torques are 2.75 times as strong there]
@@ -494,16 +493,16 @@ class ResidualTestThresholds(ThresholdGroup, frozen=True):
 class EquationErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on accelerations.
 
-    max_steps: of Gauss-Newton. [not derived yet]
-    max_cost_growth: factor on the cost beyond which a step is halved. [not derived yet]
+    max_steps: of Gauss-Newton. [margins: neither]
+    max_cost_growth: factor on the cost beyond which a step is halved. [margins: neither]
     converged: step over the standard deviation at which it ends; output error uses the same. [formula: a bias of as
     much takes 0.005 % off an interval's coverage]
     max_unsettled: the same beyond which a fit that has ended has no interval. [definition: the step leaves it]
     difference_step: of finite differences, relative. [formula: slopes are off by half of it, and no estimate is]
     block: over which residuals may be correlated, s. [decisions: intervals come from blocks]
     prior_blocks: as many as which the noise model counts where blocks vary less. [benchmarks/interval_coverage.py]
-    min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands. [not
-    derived yet]
+    min_excess: reduced chi-square of a channel above which it is weighed by its own residuals, with commands.
+    [margins: neither]
     slower: by which the cutoff of slow motion is divided where instruments are to hold less of the controller's answer
         to turbulence. [docs/identification.md, section 3: an eighth of the bias is left]
     max_moved: standard deviations by which such instruments may move an effect that keeps the others; wider intervals
@@ -530,11 +529,11 @@ class OutputErrorThresholds(ThresholdGroup, frozen=True):
     """Gauss-Newton on simulated windows.
 
     window: s. [benchmarks/output_error.py]
-    max_windows: of all segments, about. [not derived yet]
-    min_windows: below which nothing is fitted. [not derived yet]
-    max_steps: of Gauss-Newton. [not derived yet]
-    shrinkage: of the errors' covariance towards its diagonal. [not derived yet]
-    difference_step: of finite differences of hidden states' starts, relative. [not derived yet]
+    max_windows: of all segments, about. [margins: neither]
+    min_windows: below which nothing is fitted. [margins: neither]
+    max_steps: of Gauss-Newton. [margins: neither]
+    shrinkage: of the errors' covariance towards its diagonal. [margins: neither]
+    difference_step: of finite differences of hidden states' starts, relative. [margins: no case]
     max_one_step_growth: factor on the one-step error of the equation-error fit. [benchmarks/output_error.py]
     """
 
@@ -550,17 +549,17 @@ class OutputErrorThresholds(ThresholdGroup, frozen=True):
 class AcceptanceThresholds(ThresholdGroup, frozen=True):
     """Held-out flights judge, once, the set of effects that was selected on the others.
 
-    max_ratio: of the held-out reduced chi-square with an effect over that without it. [not derived yet]
+    max_ratio: of the held-out reduced chi-square with an effect over that without it. [margins: neither]
     max_redundant_ratio: of the reduced chi-square of the fitted flights, within which rivals are alike. [decisions:
     the full model decides]
     min_held_out_change: squared change over noise on held-out flights, below which these cannot judge. [decisions:
     held-out flights]
     leading: effects whose rivals are fitted in the full model. [decisions: the full model decides]
-    max_rivals: of each of these that are fitted. [not derived yet]
+    max_rivals: of each of these that are fitted. [margins: neither]
     typical_window: over which the error is averaged before its geometric mean is taken, s. [decisions: held-out
     flights]
     max_linear_rise: of an error without an effect, over the floor, up to which the others are fitted again in full and
-    not by their linearised equations. [not derived yet]
+    not by their linearised equations. [margins: neither]
     """
 
     max_ratio: Share = 0.999
@@ -580,7 +579,7 @@ class RelevanceThresholds(ThresholdGroup, frozen=True):
     min_axis_floor: of an axis over that of its kind; no axis is without noise. [definition]
     deviations: of an estimate from its neutral value, or of a change from none, that is not chance. [convention: 95 %]
     block: over which errors may be correlated, s. [decisions: intervals come from blocks]
-    min_blocks: into which errors are divided where there are fewer of that length. [not derived yet]
+    min_blocks: into which errors are divided where there are fewer of that length. [margins: neither]
     min_agreement: share of flight resamples that name an effect. [definition: the majority]
     """
 
@@ -616,8 +615,8 @@ class LateSignalsThresholds(ThresholdGroup, frozen=True):
 
     min_delay: s; smaller ones are within the clocks' errors. [definition: that of the catalogue's delays]
     max_share_kept: gain of an effect beside the delay over that without it, up to which the delay replaces it.
-    [not derived yet]
-    min_share: of the gain of all effects that it replaces, which the delay must have in their place. [not derived yet]
+    [margins: neither]
+    min_share: of the gain of all effects that it replaces, which the delay must have in their place. [margins: neither]
     """
 
     min_delay: Positive = 0.003
@@ -631,16 +630,16 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
     max_agreement: of accelerometer and pose at low frequency. [planted truth]
     max_predictable: log-likelihood a residual that a function of the state gains. [planted truth]
     max_line: power of a line over its surroundings. [planted truth]
-    max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [not derived yet]
+    max_line_swinging: the same beside a load that swings, whose phase is lost on wild flights. [margins: neither]
     max_chi_square: reduced, of a typical held-out window. [planted truth]
     min_over_floor: RMS of what a test finds over the channel's floor, below which it does not matter. [definition: 0.2
     raises the error by 2 %]
-    max_share: of the same statistic before the effects, which their imperfect form may leave. [not derived yet]
+    max_share: of the same statistic before the effects, which their imperfect form may leave. [margins: neither]
     max_excused: RMS of what a test finds over the channel's floor, up to which that share excuses it. [definition: that
     much is twice the floor]
     max_gust_predictable: share of a gust's gain that state or place may predict. [decisions: air in motion is no
     function of the state]
-    resamples: of flights, for the confidence. [not derived yet]
+    resamples: of flights, for the confidence. [margins: neither]
     """
 
     max_agreement: Score = 5.5
@@ -658,8 +657,8 @@ class VerdictThresholds(ThresholdGroup, frozen=True):
 class CompletionThresholds(ThresholdGroup, frozen=True):
     """When the rounds of completion end.
 
-    max_rounds: of diagnosis. [not derived yet]
-    min_share: of what the first round took off the held-out reduced chi-square, for a further round. [not derived yet]
+    max_rounds: of diagnosis. [margins: neither]
+    min_share: of what the first round took off the held-out reduced chi-square, for a further round. [margins: neither]
     """
 
     max_rounds: Count = 3
@@ -669,12 +668,12 @@ class CompletionThresholds(ThresholdGroup, frozen=True):
 class RegimeThresholds(ThresholdGroup, frozen=True):
     """Maps of where a model fails.
 
-    bins: along a quantity. [not derived yet]
-    quantiles: of a quantity between which the bins lie. [not derived yet]
+    bins: along a quantity. [margins: neither]
+    quantiles: of a quantity between which the bins lie. [margins: neither]
     min_rows: of a cell that counts as flown. [definition: one second at 25 Hz]
-    min_failing: RMS over floor of a cell that is named. [not derived yet]
-    min_failing_share: the same over the median cell. [not derived yet]
-    min_speed: below which motion has no direction, m/s. [not derived yet]
+    min_failing: RMS over floor of a cell that is named. [margins: neither]
+    min_failing_share: the same over the median cell. [margins: neither]
+    min_speed: below which motion has no direction, m/s. [margins: neither]
     worst_window: duration of the worst window that is named, s. [definition]
     leftover_cells: windows and cells that are named of what a test found. [definition]
     """
@@ -706,12 +705,12 @@ class InFlightThresholds(ThresholdGroup, frozen=True):
 class HoverTrimThresholds(ThresholdGroup, frozen=True):
     """Rotors' shares of the load in hover, compared with normal flights.
 
-    min_hover: of a flight, s. [not derived yet]
-    min_segment: of hover that counts, s. [not derived yet]
-    min_rotor_rate: of the logged commands, Hz; means need no more. [not derived yet]
-    max_speed: of hover, m/s. [not derived yet]
-    max_rate: of hover, rad/s. [not derived yet]
-    cutoff: below which speed and rate count as motion, Hz. [not derived yet]
+    min_hover: of a flight, s. [margins: double]
+    min_segment: of hover that counts, s. [margins: neither]
+    min_rotor_rate: of the logged commands, Hz; means need no more. [margins: neither]
+    max_speed: of hover, m/s. [margins: neither]
+    max_rate: of hover, rad/s. [margins: no case]
+    cutoff: below which speed and rate count as motion, Hz. [margins: neither]
     prior_spread: of a rotor's share between normal flights. [decisions: normal flights]
     prior_freedom: degrees of freedom of the prior. [decisions: normal flights]
     false_alarms: of normal flights, over all rotors. [convention: 5 %]
