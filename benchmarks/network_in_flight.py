@@ -145,11 +145,11 @@ def flown(case: Case, network: NetworkSettings | None = None) -> dict[str, Any]:
     controller, shares = Controller.from_bundle(bundle, options), list[float]()
     prepare = controller.prepare
 
-    def kept(states: Floats, inputs: Floats) -> None:
+    def recorded(states: Floats, inputs: Floats) -> None:
         prepare(states, inputs)
         shares.append(controller.network_share)
 
-    controller.prepare = kept  # type: ignore[method-assign]
+    controller.prepare = recorded  # type: ignore[method-assign]
     try:
         flight = fly_reference(
             body,

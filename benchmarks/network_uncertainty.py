@@ -43,17 +43,17 @@ def activations(model: TrainedModel, data: LabelledRows) -> Activations:
     network, scaling = model.networks[0], model.scaling
     decoder = network.decoder
     assert isinstance(decoder, nn.Sequential)
-    kept: list[list[Tensor]] = [[] for _ in range(1 + len(decoder) // 2)]
-    handles = [decoder[0].register_forward_pre_hook(lambda _, values: kept[0].append(values[0]))]
+    inputs_of: list[list[Tensor]] = [[] for _ in range(1 + len(decoder) // 2)]
+    handles = [decoder[0].register_forward_pre_hook(lambda _, values: inputs_of[0].append(values[0]))]
     for place, layer in enumerate((part for part in decoder if isinstance(part, nn.ReLU)), start=1):
-        handles.append(layer.register_forward_hook(lambda _, __, output, place=place: kept[place].append(output)))
+        handles.append(layer.register_forward_hook(lambda _, __, output, place=place: inputs_of[place].append(output)))
     offsets = np.arange(1 - model.config.history, 1)
     for start in range(0, len(data.ends), EVALUATION_BATCH):
         model.outputs(data.inputs[data.ends[start : start + EVALUATION_BATCH, None] + offsets], member=0)
     for handle in handles:
         handle.remove()
     newest = (data.inputs[data.ends] - scaling.input_mean) / scaling.input_std
-    return [newest, *(torch.cat(parts).double().numpy() for parts in kept)]
+    return [newest, *(torch.cat(parts).double().numpy() for parts in inputs_of)]
 
 
 def leverage(training: Activations, layers: Sequence[int]) -> Sign:
@@ -109,14 +109,14 @@ def rows_of(name: str) -> list[tuple[TableCell, ...]]:
     truth = true_label(test, CAMPAIGN, dt=model.config.dt)[test.ends]
     base = None if test.base is None else test.base[test.ends]
     target = outputs_from(model.config, model.vehicle, truth, base, test.state[test.ends, ATTITUDE])
-    known = np.isfinite(target).all(axis=1)
+    finite = np.isfinite(target).all(axis=1)
     std = model.scaling.output_std
 
     def disagreement(data: LabelledRows) -> Floats:
         return disagreement_of(member_outputs(model, data), std)
 
-    outputs = member_outputs(model, test)[:, known]
-    error = np.sqrt(np.mean(((outputs[0] - target[known]) / std) ** 2, axis=1))
+    outputs = member_outputs(model, test)[:, finite]
+    error = np.sqrt(np.mean(((outputs[0] - target[finite]) / std) ** 2, axis=1))
     worst = error > np.quantile(error, 1 - WORST_SHARE)
     learned = activations(model, training)
     signs = {

@@ -57,7 +57,7 @@ SEED, FLIGHTS = 41, 5  # of the outside simulator: for calibration; of each case
 class Case:
     """Logs, a vehicle file, and what is done with them.
 
-    rotors: order in which the vehicle file's are taken. changed: a change of `CHANGES`, of our simulator's flights.
+    rotors: order in which the vehicle file's are taken. changed: a change of `LOG_CHANGES`, of our simulator's flights.
     normal: flights with whose hover trim the logs are compared. adds: whether effects are added, once or until none is
     missing. further: whether only thresholds are varied that no case before reads.
     """
@@ -108,7 +108,7 @@ class Case:
         manoeuvres = FLOWN.get(self.changed, USUAL)
         flown = compiled_flights(vehicle, [], catalogue=CATALOGUE, seed=SEED, manoeuvres=tuple(manoeuvres))
         with tempfile.TemporaryDirectory() as folder:
-            change = CHANGES[self.changed]
+            change = LOG_CHANGES[self.changed]
             logs = [str(change(f).to_csv(Path(folder) / f"flight_{i}.csv")) for i, f in enumerate(flown)]
             return self._of_logs(logs, vehicle, thresholds)
 
@@ -128,7 +128,7 @@ def _without(flight: Flight, *quantities: str) -> Flight:
     return with_columns(flight, {n: None for n in flight.columns if n.rpartition("_")[0] in quantities})
 
 
-CHANGES: Mapping[str, Callable[[Flight], Flight]] = {
+LOG_CHANGES: Mapping[str, Callable[[Flight], Flight]] = {
     "all hover": lambda f: f,
     "position in mm": lambda f: _times(f, 1e3, "position", "velocity"),
     "rates in degrees": lambda f: _times(f, 180 / np.pi, "rate"),
@@ -171,7 +171,7 @@ def cases() -> list[Case]:
         Case("completed", lag.logs, lag.vehicle, adds="all"),
         Case("added", inertia.logs, inertia.vehicle, adds="once"),
         Case("a lag added", lag.logs, lag.vehicle, adds="once"),
-        *(Case(name, changed=name) for name in CHANGES),
+        *(Case(name, changed=name) for name in LOG_CHANGES),
         slung,
     ]
     return [*made, *(replace(case, further=True) for case in further)]

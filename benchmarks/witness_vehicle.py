@@ -84,9 +84,9 @@ class WitnessVehicle:
         self._integral = np.clip(self._integral + STEP * RATE_INTEGRAL * error, -8.0, 8.0)
         torque = INERTIA * (RATE_GAIN * error + self._integral)
         command = np.clip(_mixed(collective * 4 * FULL_THRUST, torque) / FULL_THRUST, 0.0, 1.0)
-        wanted = FULL_THRUST * command ** (EXPONENT / 2)  # the motor takes the root of the share of thrust
-        lag = np.where(wanted > self.thrust, UP, DOWN)
-        self.thrust += (1 - np.exp(-STEP / lag)) * (wanted - self.thrust)
+        demanded = FULL_THRUST * command ** (EXPONENT / 2)  # the motor takes the root of the share of thrust
+        lag = np.where(demanded > self.thrust, UP, DOWN)
+        self.thrust += (1 - np.exp(-STEP / lag)) * (demanded - self.thrust)
         self._blow()
         self._integrate()
         self._err()
@@ -146,8 +146,8 @@ def _mixed(collective: float, torque: Vector) -> Vector:
     level = collective / 4 + (PLACES[:, 1] * torque[0] - PLACES[:, 0] * torque[1]) / (4 * ARM**2)
     yaw = -TURNS * torque[2] / (4 * YAW_ARM)
     room = min(float(np.min(FULL_THRUST - level)), float(np.min(level)))
-    most = float(np.abs(yaw).max())
-    return np.asarray(level + yaw * min(1.0, max(room, 0.0) / max(most, 1e-9)))
+    largest = float(np.abs(yaw).max())
+    return np.asarray(level + yaw * min(1.0, max(room, 0.0) / max(largest, 1e-9)))
 
 
 def _rotation(w: float, x: float, y: float, z: float) -> Vector:
