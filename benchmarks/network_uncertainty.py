@@ -128,12 +128,12 @@ def rows_of(name: str) -> list[tuple[TableCell, ...]]:
     tested, usual_ones = activations(model, test), activations(model, validation)
     members = disagreement_of(outputs, std)
     scores = {f"{len(outputs)} members' disagreement": (members, disagreement(validation))}
-    scores |= {label: (sign(tested)[known], sign(usual_ones)) for label, sign in signs.items()}
+    scores |= {label: (sign(tested)[finite], sign(usual_ones)) for label, sign in signs.items()}
     much = members > np.quantile(members, 1 - WORST_SHARE)
     table: list[tuple[TableCell, ...]] = []
     for label, (score, usual) in scores.items():
         gate = gate_of(score, float(np.quantile(usual, FADE_QUANTILE)))
-        left = np.sqrt(np.mean(((gate[:, None] * outputs[0] - target[known]) / std) ** 2))
+        left = np.sqrt(np.mean(((gate[:, None] * outputs[0] - target[finite]) / std) ** 2))
         faded = (float(np.mean(gate < 1)), float(left)) if model.config.base == "grey_box" else (None, None)
         table.append((name, label, auroc(score, worst), auroc(score, much), *faded, float(np.sqrt(np.mean(error**2)))))
     return table
