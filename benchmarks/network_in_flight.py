@@ -279,9 +279,9 @@ def page(results: Sequence[Mapping[str, Any]], left_out: int) -> str:
     seeds = sorted({r["seed"] for r in results})
     ended = [f"{r['key']}: {r['aborted']}" for r in results if r["aborted"]]
     body = [
-        f"Position error, cm RMS over {SECONDS:g} s in lockstep: median (worst) of seeds from {seeds[0]} on, ten but in "
-        "gusts. The vehicle hides all that the campaign's does, and what the column `vehicle` names. Ratios are by seed, "
-        "median (worst).",
+        f"Position error, cm RMS over {SECONDS:g} s in lockstep: median (worst) of seeds from {seeds[0]} on, ten but "
+        "in gusts. The vehicle hides all that the campaign's does, and what the column `vehicle` names. Ratios are by "
+        "seed, median (worst).",
         "",
         "**The residual fades**, Lemniscate, nothing follows:",
         "",
@@ -294,8 +294,8 @@ def page(results: Sequence[Mapping[str, Any]], left_out: int) -> str:
         "",
         f"Ended early: {'; '.join(ended) or 'none'}. {_fallbacks(results)}",
         "",
-        f"In gusts of 1 m/s the mock's autopilot does not settle at the start with every seed: {left_out} are left out, "
-        f"and {len({r['seed'] for r in results if r['hidden'].startswith('gusts')})} flown.",
+        f"In gusts of 1 m/s the mock's autopilot does not settle at the start with every seed: {left_out} are left "
+        f"out, and {len({r['seed'] for r in results if r['hidden'].startswith('gusts')})} flown.",
         "",
         "**Cost**, beside other work on this machine:",
         "",
