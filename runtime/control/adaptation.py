@@ -130,7 +130,9 @@ class Adaptation:
         self.rotors = None if learned else RotorWatch(solver, *watched, motor_lag=settings.motor_lag)
         self._drag_state = solver.model.initial_state(np.zeros(RIGID_BODY_STATES))  # rotors turn as in hover
         hover = solver.trim.rotor_speed
-        self._weight = float(thrust_constants @ (hover * hover))  # N
+        weight = float(thrust_constants @ (hover * hover))  # N
+        self._most = float(thrust_constants @ self._highest_speed**2) / weight  # thrust of all rotors, in weights
+        self._available = self._most
         self._loss_effect = rotor_loss_effect(solver.model)
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
@@ -186,10 +188,13 @@ class Adaptation:
         solver, hover = self._solver, self._solver.trim.rotor_speed
         before = self._drag_state
         before[:RIGID_BODY_STATES] = state
-        change = solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]
-        acceleration = change / DRAG_STEP - solver.disturbance[:3] - solver.disturbance[FLOWN_FADES][:3]
-        up = up_of(state[ATTITUDE])
-        return float(acceleration @ up) + GRAVITY * float(up[2]) - GRAVITY
+        change = (solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]).tolist()
+        flown, up = solver.disturbance.tolist(), up_of(state[ATTITUDE])
+        parts = zip(change, flown, flown[FLOWN_FADES], up, strict=False)
+        along = 0.0
+        for moved, stays, fades, axis in parts:
+            along += (moved / DRAG_STEP - stays - fades) * axis
+        return along + GRAVITY * up[2] - GRAVITY
 
     def read_force(self, time: float, specific_force: float) -> None:
         """Take a specific force along body z, m/s^2, as it arrived; NaN when there is no new one."""
@@ -205,12 +210,12 @@ class Adaptation:
         filtered, limit = self.filter, self._settings.drag_deviations
         if not filtered.parameters:
             return ""
-        away, deviations = filtered.values - filtered.prior, filtered.deviations
-        surely = np.flatnonzero((np.abs(away) > limit * deviations) & (filtered.followed > 0))
+        values, deviations = filtered.values.tolist(), filtered.deviations.tolist()
+        parts = zip(filtered.parameters, values, deviations, filtered.followed.tolist(), strict=True)
         texts = [
-            f"{p.name} {filtered.values[i]:.3g} +- {2 * deviations[i]:.2g} {p.unit}"
-            for i, p in enumerate(filtered.parameters)
-            if i in surely
+            f"{p.name} {value:.3g} +- {2 * std:.2g} {p.unit}"
+            for p, value, std, followed in parts
+            if followed and abs(value - p.value) > limit * std
         ]
         texts += [
             f"{p.name} {value:.3g} +- {2 * std:.2g} {p.unit}"
@@ -231,12 +236,13 @@ class Adaptation:
     @property
     def excess(self) -> str:
         """What pushes the vehicle where it is beyond the limit of the estimate, or of the thrust; else empty."""
-        push = self.filter.staying[:3] + self.filter.fading[:3]
-        needed = math.hypot(push[0], push[1], GRAVITY - push[2]) / GRAVITY
-        available = float(self._thrust_constants @ self._solver.input_upper**2) / self._weight
-        if needed < available and float(np.abs(push).max()) < self._settings.linear.limit:
+        parts = zip(self.filter.staying[:3].tolist(), self.filter.fading[:3].tolist(), strict=True)
+        x, y, z = (stays + fades for stays, fades in parts)
+        needed = math.hypot(x, y, GRAVITY - z) / GRAVITY
+        limit = self._settings.linear.limit
+        if needed < self._available and abs(x) < limit and abs(y) < limit and abs(z) < limit:
             return ""
-        return f"{math.hypot(*push.tolist()):.1f} m/s^2"
+        return f"{math.hypot(x, y, z):.1f} m/s^2"
 
     @property
     def flies(self) -> bool:
@@ -270,7 +276,9 @@ class Adaptation:
         effectiveness: thrust per modelled thrust; below 1 the rotors do not give their thrust at full speed any more.
         """
         if self.flies:
-            self._solver.input_upper[:] = self._highest_speed * math.sqrt(min(effectiveness, 1.0))
+            share = min(effectiveness, 1.0)
+            np.multiply(self._highest_speed, math.sqrt(share), out=self._solver.input_upper)
+            self._available = share * self._most
         self._sent = acts_at, collective_thrust
 
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:
@@ -346,15 +354,7 @@ class Adaptation:
         if not self.flies:
             return
         self._fly_network()
-        filtered, flown = self.filter, self._solver.disturbance
-        linear, angular = filtered.trust.tolist()
-        flown[:AXES], flown[FLOWN_FADES] = filtered.staying, filtered.fading
-        flown[:3] *= linear
-        flown[AXES : AXES + 3] *= linear
-        flown[3:AXES] *= angular * self._settings.moments
-        flown[AXES + 3 : 2 * AXES] *= angular * self._settings.moments
-        if filtered.parameters:
-            self._solver.parameters[filtered.index] = filtered.flown_values
+        self.filter.fly(self._settings.moments)
 
     def _add_command(self) -> None:
         """Let thrust follow the last command as it left, be it this controller's or one that it tracks."""
@@ -367,4 +367,4 @@ class Adaptation:
         time, speed = last
         if sent is not None and sent[0] == time:
             speed = speed * math.sqrt(sent[1] / float((speed * speed) @ self._thrust_constants))
-        self._thrust.add(time, speed)
+        self._thrust.add(time, speed.tolist())

@@ -16,7 +16,7 @@ from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.followed_parameters import FollowedParameter, Group
-from runtime.control.rti.solver import FADING, FOLLOWED, MAX_FOLLOWED, STAYING, RtiSolver
+from runtime.control.rti.solver import AXES, FADING, FOLLOWED, MAX_FOLLOWED, STAYING, RtiSolver
 
 MAX_INTERVAL = 0.1  # s between two estimates, beyond which the filter goes on from the newer one
 
@@ -53,7 +53,7 @@ class FlightFilter:
         self.followed = solver.filter_followed[: len(self.parameters)]
         self.prior = np.array([p.value for p in self.parameters])
         self._scale = np.array([p.std for p in self.parameters])
-        self.index = np.array([p.index for p in self.parameters], dtype=int)
+        self._places = [p.index for p in self.parameters], self.prior.tolist(), self._scale.tolist()
         self.clear()
 
     def clear(self) -> None:
@@ -77,7 +77,14 @@ class FlightFilter:
         else:
             self.restart(state, time)
 
-    def follow(self, before: Floats, speeds: Floats, seconds: Floats, state: Floats, time: float) -> None:
+    def follow(
+        self,
+        before: Floats,
+        speeds: Sequence[Sequence[float]] | Floats,
+        seconds: Sequence[float] | Floats,
+        state: Floats,
+        time: float,
+    ) -> None:
         """Take an estimate (nx,) after the one before. speeds: (k, n) rad/s, each acted for its seconds (k,)."""
         if self._begins(time):
             self._count(self._solver.follow(before, speeds, seconds, state), time)
@@ -96,10 +103,15 @@ class FlightFilter:
         """(n,) of the parameters."""
         return np.asarray(self.prior + self._scale * self._moved)
 
-    @property
-    def flown_values(self) -> Floats:
-        """(n,) the same, as far as they are trusted."""
-        return np.asarray(self.prior + self.trust[0] * self._scale * self._moved)
+    def fly(self, moments: bool) -> None:
+        """Give the solver what was estimated, as far as it is trusted. moments: also the angular disturbance."""
+        solver = self._solver
+        linear, angular = self.trust.tolist()
+        shares = [linear] * 3 + [angular * moments] * 3
+        parts = self.staying.tolist() + self.fading.tolist()
+        solver.disturbance[: 2 * AXES] = [share * part for share, part in zip(shares + shares, parts, strict=True)]
+        for place, prior, scale, moved in zip(*self._places, self._moved.tolist(), strict=True):
+            solver.parameters[place] = prior + linear * scale * moved
 
     @property
     def deviations(self) -> Floats:

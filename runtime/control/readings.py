@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-
-import numpy as np
-
-from dynamics.arrays import Floats
+from collections.abc import Sequence
 
 CAPACITY = 64
 MAX_SPACING = 0.06  # s between two readings, beyond which what was in between is not known
@@ -17,7 +14,7 @@ class Readings:
     """The last readings of some quantities. Pure: times are arguments."""
 
     def __init__(self) -> None:
-        self._rows: deque[tuple[float, Floats]] = deque(maxlen=CAPACITY)
+        self._rows: deque[tuple[float, Sequence[float]]] = deque(maxlen=CAPACITY)
 
     def clear(self) -> None:
         """Forget all readings."""
@@ -29,20 +26,20 @@ class Readings:
         return self._rows[-1][0] if self._rows else -math.inf
 
     @property
-    def last(self) -> Floats | None:
+    def last(self) -> Sequence[float] | None:
         """The newest reading (n,), None without one."""
         return self._rows[-1][1] if self._rows else None
 
-    def add(self, time: float, values: Floats) -> None:
+    def add(self, time: float, values: Sequence[float]) -> None:
         """Add a reading (n,), unless it is not finite or none of a later time."""
-        if math.isfinite(time + float(values.sum())) and time > self.newest:
+        if math.isfinite(time + sum(values)) and time > self.newest:
             self._rows.append((time, values))
 
-    def mean(self, start: float, stop: float) -> Floats | None:
+    def mean(self, start: float, stop: float) -> list[float] | None:
         """Mean (n,) between two times, linear between readings; None where they do not cover them."""
         if not start < stop <= self.newest:
             return None
-        total: Floats | None = None
+        total: list[float] | None = None
         after, values_after = self._rows[-1]
         for time, values in reversed(self._rows):
             if time == after:
@@ -53,9 +50,10 @@ class Readings:
                     return None
                 # a line's mean is its value in the middle
                 share = (0.5 * (low + high) - time) / (after - time)
-                part = (high - low) / (stop - start) * (values + share * (values_after - values))
-                total = part if total is None else total + part
+                part = (high - low) / (stop - start)
+                means = [part * (v + share * (after_v - v)) for v, after_v in zip(values, values_after, strict=True)]
+                total = means if total is None else [a + b for a, b in zip(total, means, strict=True)]
             after, values_after = time, values
             if time <= start:
-                return np.asarray(total)
+                return total
         return None

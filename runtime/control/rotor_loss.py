@@ -10,6 +10,7 @@ mass, a mass or a bent propeller. Yaw says nothing of thrust: a broken blade is 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -75,7 +76,8 @@ class RotorLossTest:
         self._capacity = self._settings.before[1] + self._settings.gap + self._settings.after[-1]
         self._beyond = np.zeros((self._capacity, SHOWN))
         self._shares = np.zeros((self._capacity, rotors, SHOWN))
-        self._sum_beyond, self._sum_shares = np.zeros(SHOWN), np.zeros((rotors, SHOWN))
+        self._rotors, self._seconds = rotors, 0.0
+        self._sums = self._empty()
         self.losses: dict[int, RotorLoss] = {}
         self.clear()
 
@@ -85,7 +87,7 @@ class RotorLossTest:
         self._named: int | None = None
         self._restart_block()
 
-    def add(self, beyond: Floats, shares: Floats, seconds: float) -> RotorLoss | None:
+    def add(self, beyond: Sequence[float], shares: Sequence[Sequence[float]], seconds: float) -> RotorLoss | None:
         """Take accelerations over some seconds. Returns the loss of a rotor that they name.
 
         A block with some that are not finite does not count.
@@ -93,20 +95,22 @@ class RotorLossTest:
         beyond: (3,) beyond the model: along body z, m/s^2, about body x and y, rad/s^2. shares: (n, 3) those of each
         rotor's whole thrust.
         """
-        self._sum_beyond += seconds * beyond
-        self._sum_shares += seconds * shares
+        rows = (beyond, *shares)
+        self._sums = [
+            [sum_ + seconds * value for sum_, value in zip(sums, row, strict=True)]
+            for sums, row in zip(self._sums, rows, strict=True)
+        ]
         self._seconds += seconds
         if self._seconds < self._settings.block - 1e-6:
             return None
-        if not math.isfinite(float(self._sum_beyond.sum() + self._sum_shares.sum())):
-            self._restart_block()
+        means = np.array(self._sums) / self._seconds
+        self._restart_block()
+        if not math.isfinite(float(means.sum())):
             return None
-        named = np.zeros(len(shares))
+        named = np.zeros(self._rotors)
         for loss in self.losses.values():
             named[loss.rotor] = loss.share
-        mean_shares = self._sum_shares / self._seconds
-        self._append(self._sum_beyond / self._seconds + named @ mean_shares, mean_shares)
-        self._restart_block()
+        self._append(means[0] + named @ means[1:], means[1:])
         return self._judge()
 
     def _append(self, beyond: Floats, shares: Floats) -> None:
@@ -117,7 +121,10 @@ class RotorLossTest:
         self._count += 1
 
     def _restart_block(self) -> None:
-        self._sum_beyond[:], self._sum_shares[:], self._seconds = 0.0, 0.0, 0.0
+        self._sums, self._seconds = self._empty(), 0.0
+
+    def _empty(self) -> list[list[float]]:
+        return [[0.0] * SHOWN for _ in range(1 + self._rotors)]
 
     def _judge(self) -> RotorLoss | None:
         settings = self._settings

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
-from dynamics.arrays import Floats
 from runtime.control.readings import Readings
 
 ESC_PATIENCE = 0.5  # s without a speed of the ESCs, after which outputs count
@@ -32,7 +32,7 @@ class RotorSpeeds:
         """Time of the newest reading, s; -inf without one."""
         return self._readings.newest
 
-    def add(self, time: float, speed: Floats, *, measured: bool) -> bool:
+    def add(self, time: float, speed: Sequence[float], *, measured: bool) -> bool:
         """Add a reading. speed: (n,) rad/s, of ESCs (measured) or as the outputs command them.
 
         Outputs count where no ESC speaks. Returns whether the readings are now of another kind than before.
@@ -40,7 +40,7 @@ class RotorSpeeds:
         before, last = self.newest, self._readings.last
         if not measured and self.measured and time - before < ESC_PATIENCE:
             return False
-        if not math.isfinite(time + float(speed.sum())):
+        if not math.isfinite(time + sum(speed)):
             return False
         changed = last is not None and measured is not self.measured
         if changed:
@@ -48,10 +48,10 @@ class RotorSpeeds:
         self.measured = measured
         if not measured and last is not None and not changed and time > before:
             left = math.exp(-(time - before) / self._lag) if self._lag > 0 else 0.0
-            speed = speed + left * (last - speed)
+            speed = [now + left * (then - now) for now, then in zip(speed, last, strict=True)]
         self._readings.add(time, speed)
         return changed
 
-    def mean(self, start: float, stop: float) -> Floats | None:
+    def mean(self, start: float, stop: float) -> list[float] | None:
         """Mean speeds (n,) between two times, linear between readings, rad/s; None where they do not cover them."""
         return self._readings.mean(start, stop)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from dynamics.vehicle import GRAVITY
 from runtime.control.flight_filter import MAX_INTERVAL
 from runtime.control.moment_fit import MomentFit
 from runtime.control.readings import Readings
-from runtime.control.rotor_loss import SHOWN, RotorLoss, RotorLossSettings, RotorLossTest
+from runtime.control.rotor_loss import RotorLoss, RotorLossSettings, RotorLossTest
 from runtime.control.rotor_speeds import RotorSpeeds
 from runtime.control.rti.solver import RtiSolver
 
@@ -32,8 +33,6 @@ class RotorWatch:
         self._force = Readings()
         self._solver, self._settings = solver, settings
         self._test = RotorLossTest(solver.inputs.shape[1], settings)
-        rotors = solver.inputs.shape[1]
-        self._shown, self._shown_shares = np.zeros(SHOWN), np.zeros((rotors, SHOWN))
         self._waiting: deque[tuple[float, Floats]] = deque(maxlen=WAITING)
 
     @property
@@ -55,12 +54,12 @@ class RotorWatch:
 
     def read(self, time: float, speed: Floats, *, measured: bool) -> None:
         """Take a reading of all rotors (n,), rad/s: of their ESCs, or as the autopilot's outputs command them."""
-        if self.speeds.add(time, speed, measured=measured):
+        if self.speeds.add(time, speed.tolist(), measured=measured):
             self._test.clear()  # of another kind: a difference between both is no step
 
     def read_force(self, time: float, specific_force: float) -> None:
         """Take a specific force along body z, m/s^2, as it arrived; NaN is none."""
-        self._force.add(time, np.array([specific_force]))
+        self._force.add(time, (specific_force,))
 
     def add_estimate(self, time: float, state: Floats) -> None:
         """Take an estimate with the model's hidden states (nx,)."""
@@ -76,21 +75,22 @@ class RotorWatch:
             if speeds is not None:
                 self._compare(before, speeds, state, start, stop)
 
-    def _compare(self, before: Floats, speeds: Floats, state: Floats, start: float, stop: float) -> None:
+    def _compare(self, before: Floats, speeds: Sequence[float], state: Floats, start: float, stop: float) -> None:
         seconds = stop - start
         beyond, shares = self._solver.rotor_shares(before, speeds, state, seconds)
-        up = up_of(before[ATTITUDE])
-        along, force = float(beyond[:3] @ up), self._force.mean(start, stop)
+        east, north, up = up_of(before[ATTITUDE])
+        x, y, z, roll, pitch, _ = beyond.tolist()
+        along, force = x * east + y * north + z * up, self._force.mean(start, stop)
         if force is not None:  # which errors of the estimate do not reach
-            rise = (state[VELOCITY] - before[VELOCITY]) @ up / seconds
-            along += float(force[0]) - float(rise) - GRAVITY * float(up[2])
-        self._shown[0], self._shown[1:] = along, beyond[3:5]
-        self._shown_shares[:, 0], self._shown_shares[:, 1:] = shares[:, :3] @ up, shares[:, 3:5]
-        self._test.add(self._shown, self._shown_shares, seconds)
-        self._moments.add(before, speeds, state, beyond.copy(), shares.copy(), seconds)
+            x, y, z = (state[VELOCITY] - before[VELOCITY]).tolist()
+            along += force[0] - (x * east + y * north + z * up) / seconds - GRAVITY * up
+        each = [(x * east + y * north + z * up, roll, pitch) for x, y, z, roll, pitch, _ in shares.tolist()]
+        self._test.add((along, roll, pitch), each, seconds)
+        if self._moments.parameters:
+            self._moments.add(before, np.array(speeds), state, beyond.copy(), shares.copy(), seconds)
 
 
-def up_of(attitude: Floats) -> Floats:
-    """(3,) body z in world axes. attitude: (4,) body to world, w first."""
+def up_of(attitude: Floats) -> tuple[float, float, float]:
+    """Body z in world axes. attitude: (4,) body to world, w first."""
     w, x, y, z = attitude.tolist()
-    return np.array([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)])
+    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)

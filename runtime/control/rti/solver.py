@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -35,6 +36,7 @@ AXES = 6  # linear, world axes, then angular, body axes
 DISTURBANCE = 2 * AXES + 2
 STAYING, FADING, FOLLOWED = AXES, 2 * AXES, 3 * AXES  # where parts of the filter's state begin
 MAX_FOLLOWED = 16
+MAX_SEGMENTS = 64  # of inputs between two states
 
 
 class RtiReport(ctypes.Structure):
@@ -140,6 +142,8 @@ class RtiSolver:
         self._by_file_at = address(self._by_file.ctypes.data)
         self._shares = np.zeros((inputs, AXES))
         self._shares_at = address(self._shares.ctypes.data)
+        self._segments, self._segment_seconds = np.zeros((MAX_SEGMENTS, inputs)), np.zeros(MAX_SEGMENTS)
+        self._segments_at = address(self._segments.ctypes.data), address(self._segment_seconds.ctypes.data)
         self._lagged = _speed_states(model)
         self._references_at = (
             address(self.state_reference.ctypes.data),
@@ -193,22 +197,25 @@ class RtiSolver:
     def follow(
         self,
         before: NDArray[np.float64],
-        speeds: NDArray[np.float64],
-        seconds: NDArray[np.float64],
+        speeds: Sequence[Sequence[float]] | NDArray[np.float64],
+        seconds: Sequence[float] | NDArray[np.float64],
         state: NDArray[np.float64],
     ) -> bool:
         """Take a state (nx,) into the flight filter, after speeds (k, nu), rad/s, for seconds (k,) from the one before.
 
-        Not for a learned model. Returns whether it was used.
+        Not for a learned model. k: at most MAX_SEGMENTS. Returns whether it was used.
         """
-        address = ctypes.c_void_p
+        count = len(seconds)
         self._state[:], self._next[:] = before, state
-        speeds, seconds = np.ascontiguousarray(speeds), np.ascontiguousarray(seconds)
-        places = address(speeds.ctypes.data), address(seconds.ctypes.data)
-        return bool(self._code.rti_follow(self._handle, self._state_at, *places, len(seconds), self._next_at))
+        self._segments[:count], self._segment_seconds[:count] = speeds, seconds
+        return bool(self._code.rti_follow(self._handle, self._state_at, *self._segments_at, count, self._next_at))
 
     def rotor_shares(
-        self, before: NDArray[np.float64], speeds: NDArray[np.float64], state: NDArray[np.float64], dt: float
+        self,
+        before: NDArray[np.float64],
+        speeds: Sequence[float] | NDArray[np.float64],
+        state: NDArray[np.float64],
+        dt: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """What a state (nx,) shows of the rotors, dt seconds after the one before. speeds: (nu,) real ones, rad/s.
 
