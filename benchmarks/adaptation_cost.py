@@ -82,8 +82,8 @@ def table(seconds: float, repeats: int) -> str:
     flying = off[2] > 0
     body = [
         f"{REFERENCE} of {seconds:g} s on {VEHICLE} in wind, 100 Hz, {int(flying.sum())} ticks, processor time in us, "
-        f"the least of {repeats} equal flights at each tick: median / 99 %. Added: the difference of the same tick, both "
-        f"halves. Goal: {GOAL:g}, the feedback as it is without.",
+        f"the least of {repeats} equal flights at each tick: median / 99 %. Added: the difference of the same tick, "
+        f"both halves. Goal: {GOAL:g}, the feedback as it is without.",
         "",
         "| model | estimate to setpoint | of it the solver's feedback | preparation | added |",
         "| --- | --- | --- | --- | --- |",

@@ -155,7 +155,7 @@ def _outcome(
     reasons = [
         _distance(apart),
         *_changed(group, list(apart), followed, effect, limits),
-        *in_effectiveness(followed, effect),
+        *in_effectiveness(followed, effect, limits),
         *(_why_named_otherwise if named else _why_not_named)(group, effect, diagnosis, catalogue),
     ]
     if followed.trust[followed.last, 0] < 1.0:
@@ -174,14 +174,20 @@ def _distance(apart: Mapping[str, FollowedParameter]) -> str:
     return f"{name} is {deviations[name]:.1f} standard deviations away"
 
 
-def in_effectiveness(followed: FollowedFlight, effect: Effect) -> Iterator[str]:
-    """That what scales the thrust in flight is in its effectiveness, for an effect that does."""
-    if effect.acts_on in ("command_gain", "weight"):
-        value = followed.effectiveness[followed.last]
-        yield (
-            f"in flight whatever acts like a gain of the thrust is in its effectiveness, {value:.3f} of the file's at "
-            "the end"
-        )
+def in_effectiveness(
+    followed: FollowedFlight, effect: Effect, limits: InFlightThresholds = DEFAULT.in_flight
+) -> Iterator[str]:
+    """That what scales the thrust in flight is in its effectiveness, and what mass alone would look the same."""
+    if effect.acts_on not in ("command_gain", "weight"):
+        return
+    last = followed.last
+    value, reach = followed.effectiveness[last], limits.interval * followed.effectiveness_deviation[last]
+    known = math.isfinite(reach)
+    text = f"in flight whatever acts like a gain of the thrust is in its effectiveness, {value:.3f}"
+    text += f" ± {reach:.3f} of the file's at the end" if known else " of the file's at the end"
+    if effect.acts_on == "weight" and known and value > 0:
+        text += f": alone, {effect.name} would be {1 / value:.3f} ± {reach / value**2:.3f} of the file's"
+    yield text
 
 
 def _overlap(parameter: FollowedParameter, limits: InFlightThresholds) -> bool:

@@ -33,6 +33,7 @@ class _Followed(msgspec.Struct):
     names: str
     value: Numbers
     deviation: Numbers
+    effectiveness_deviation: float | None = None
     network_change: Numbers = []
     network_errors: Numbers = []
 
@@ -79,6 +80,7 @@ class FollowedFlight:
     disturbance: (n, 6) m/s^2 world ENU, rad/s^2 body FLU.
     trust: (n, 2) share of what was estimated that is flown: linear and parameters, angular.
     effectiveness: (n,) thrust per modelled thrust, NaN before the first setpoint.
+    effectiveness_deviation: (n,) its standard deviation; NaN in a recording of an older version.
     tracked: (n,) whether the reference was flown.
     network: (n, 5) m/s^2, of a network's last layer the RMS change over the training's inputs by axis, then errors of
         forecasts with the change and without; NaN where it does not follow.
@@ -95,6 +97,7 @@ class FollowedFlight:
     disturbance: Floats
     trust: Floats
     effectiveness: Floats
+    effectiveness_deviation: Floats
     tracked: np.ndarray[tuple[int], np.dtype[np.bool_]]
     network: Floats
 
@@ -246,6 +249,7 @@ def _flight(path: Path, content: _Content) -> FollowedFlight:
         disturbance=np.array(parts[0]) + np.array(parts[1]),
         trust=np.array(parts[2]),
         effectiveness=_effectiveness(stamps, content.setpoints),
+        effectiveness_deviation=_floats([row.effectiveness_deviation for row in rows]),
         tracked=_tracked(stamps, content.phases),
         network=np.array([_network(row) for row in rows]),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import msgspec
 import numpy as np
 
@@ -17,7 +19,16 @@ def followed_record(flyer: Flyer, now: float) -> FollowedRecord | None:
     values = np.array([value.value for value in named.values()])
     deviations = np.array([value.std for value in named.values()])
     estimated = filtered.staying.copy(), filtered.fading.copy(), filtered.trust.copy()
-    record = FollowedRecord(now, *estimated, " ".join(named), values, deviations)
+    record = FollowedRecord(
+        now,
+        *estimated,
+        " ".join(named),
+        values,
+        deviations,
+        filtered.disturbance_deviations,
+        flyer.effectiveness.value,
+        math.sqrt(flyer.effectiveness.variance),
+    )
     layer = flyer.adaptation.network
     if layer is None:
         return record

@@ -118,6 +118,13 @@ class FlightFilter:
         """(n,) standard deviations of the parameters."""
         return np.asarray(self._scale * self._spread)
 
+    @property
+    def disturbance_deviations(self) -> Floats:
+        """(6,) standard deviations of the disturbance, the sum of both parts."""
+        P, parts = self._solver.filter_covariance, (slice(STAYING, FADING), slice(FADING, FOLLOWED))
+        variance = sum(np.diag(P[row, column]) for row in parts for column in parts)
+        return np.sqrt(np.maximum(variance, 0.0))
+
     def _fill_options(self) -> None:
         options, settings = self._solver.filter_options, self.settings
         kinds = [settings.linear] * 3 + [settings.angular] * 3

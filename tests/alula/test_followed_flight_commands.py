@@ -103,6 +103,7 @@ def test_a_flight_that_changes_nothing_ends_with_3_and_says_where_the_mass_is(ru
     assert code == 3
     assert "mass (ratio = " in message
     assert "in its effectiveness, 0.8" in message
+    assert "alone, mass would be 1.1" in message
     assert not (folder / "quad.v3.toml").exists()
 
 

@@ -20,7 +20,8 @@ CONTROLLER = '{"adaptation": {"mode": "shadow", "follow": ["mass"]}, "period": 0
 def followed_record(time: float, values: dict[str, tuple[float, float]], trust: float = 1.0) -> FollowedRecord:
     numbers = np.array(list(values.values())).reshape(-1, 2)
     names = " ".join(values)
-    return FollowedRecord(time, np.ones(6), np.ones(6), np.array([trust, 1.0]), names, numbers[:, 0], numbers[:, 1])
+    record = FollowedRecord(time, np.ones(6), np.ones(6), np.array([trust, 1.0]), names, numbers[:, 0], numbers[:, 1])
+    return msgspec.structs.replace(record, effectiveness=0.9, effectiveness_deviation=0.02)
 
 
 def written(path: Path, records: Sequence[Record], metadata: dict[str, str] | None = None) -> Path:
@@ -51,6 +52,7 @@ def test_values_are_those_at_the_end_of_tracking(tmp_path: Path) -> None:
     assert followed.values["mass.ratio"] == (1.2, 0.05, 0.3)
     assert followed.disturbance.shape == (4, 6)
     assert set(followed.disturbance.ravel()) == {2.0}
+    assert set(followed.effectiveness_deviation) == {0.02}
 
 
 def test_a_rotor_that_is_named_in_flight_is_there_from_then_on(tmp_path: Path) -> None:

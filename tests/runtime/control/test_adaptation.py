@@ -154,6 +154,27 @@ def test_a_constant_wind_leaves_no_error(arpl_250g: Vehicle) -> None:
     assert controller.adaptation.filter.staying[0] > 1.0  # m/s^2 downwind
 
 
+@pytest.mark.parametrize("name", ["arpl_250g", "px4_sih", "crazyflie"])
+def test_with_an_identified_model_a_push_leaves_no_error(name: str) -> None:
+    """Effects of the file that are there, and a wind that is in none of them."""
+    vehicle = read_vehicle(FOLDER / f"{name}.toml")
+    effects = [EffectUse("mass", {"ratio": 1.08})]
+    if all(use.name != "linear_drag" for use in vehicle.effects):  # 0.3 m/s^2 for each m/s
+        effects.append(EffectUse("linear_drag", {"coefficient": 0.3 * vehicle.body.mass}))
+    identified = vehicle.with_effects(*effects)
+    controller = Controller.build(identified, ControllerOptions.for_vehicle(identified, adaptation=ON))
+    reference = named_reference("Hover", vehicle, duration=10.0)
+    wind = EffectUse("wind", {"x": 3.0, "y": 0.0, "z": 0.0})
+    flight = fly_reference(identified, reference, effects=(wind,), seed=5, controller=controller)
+    true, setpoint = flight.truth.stream("position"), flight.log.stream("position_setpoint")
+    assert true is not None
+    assert setpoint is not None
+    late = true.time > 5.0
+    assert np.linalg.norm((true.values - setpoint.values)[late].mean(axis=0)) < 0.01
+    assert controller.adaptation is not None
+    assert controller.adaptation.filter.staying[0] > 0.4
+
+
 def test_in_wind_towards_a_wall_the_box_is_not_left(arpl_250g: Vehicle) -> None:
     """A circle of 0.75 m beside an edge that 6 m/s of wind push it over without the disturbance."""
     wall = 1.0  # m
