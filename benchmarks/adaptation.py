@@ -8,21 +8,17 @@ with wind and drags followed, too. Finished flights are kept, so that a run that
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.effects import CATALOGUE
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight_setup import FOLLOWED
@@ -193,26 +189,14 @@ def _cell(values: Sequence[float], scale: float = 100.0) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--kept", type=Path, default=Path("build/adaptation.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/adaptation.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
-    todo = [case for case in cases(options.seeds) if case.key not in done]
-    for _, result in parallel_map(flown, todo, jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']}", flush=True)
-    results = [done[case.key] for case in cases(options.seeds) if case.key in done]
-    if options.table:
-        write_result("adaptation", "A model that follows in flight", table(results))
-    else:
-        print(table(results))
+    options = options_of(__doc__, "adaptation", jobs=2, seeds=10).parse_args()
+    results = measured(flown, cases(options.seeds), options, spoken, key_of=lambda case: case.key)
+    publish("adaptation", "A model that follows in flight", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']}"
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ what `alula add --from-flight` writes. Finished flights are kept, so that a run 
 
 from __future__ import annotations
 
-import argparse
-import json
 import tempfile
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -20,13 +18,12 @@ from typing import Any
 import numpy as np
 
 import alula
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from diagnosis.in_flight import is_shown
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
 from fixtures.followed_flight import fly_following
 from flights.followed import require_followed
-from flights.parallel import parallel_map
 from vehicles import FOLDER
 
 VEHICLE = "arpl_250g"
@@ -159,27 +156,15 @@ def _next_files(results: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=60)
-    parser.add_argument("--first", type=int, default=FIRST_SEED)
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--kept", type=Path, default=Path("build/flight_estimates.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/flight_estimates.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["seed"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "flight_estimates", jobs=2, seeds=60, first=FIRST_SEED).parse_args()
     seeds = range(options.first, options.first + options.seeds)
-    for _, result in parallel_map(flown, [seed for seed in seeds if seed not in done], jobs=options.jobs):
-        done[result["seed"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(result["seed"], result["reference"], result.get("outcomes"), result.get("added"), flush=True)
-    results = [done[seed] for seed in seeds if seed in done]
-    if options.table:
-        write_result("flight_estimates", "What a model followed in flight", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, seeds, options, spoken, key_of=lambda seed: seed, key="seed")
+    publish("flight_estimates", "What a model followed in flight", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['seed']} {result['reference']} {result.get('outcomes')} {result.get('added')}"
 
 
 if __name__ == "__main__":

@@ -8,19 +8,16 @@ minutes. Finished flights are kept, so that a run that was stopped resumes.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from simulation.lockstep import fly_reference
@@ -125,26 +122,15 @@ def _row(name: str, battery: str, results: Sequence[Mapping[str, Any]]) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=20, help="of each parameter")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/named_parameters.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/named_parameters.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "named_parameters", flights=20).parse_args()
     cases = [drawn(kind, number) for kind in KINDS for number in range(options.flights)]
-    for _, result in parallel_map(flown, [case for case in cases if case["key"] not in done], jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}", flush=True)
-    results = [done[case["key"]] for case in cases if case["key"] in done]
-    if options.table:
-        write_result("named_parameters", "A centre of mass and a battery's sag, named in flight", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, cases, options, spoken, key_of=itemgetter("key"))
+    publish("named_parameters", "A centre of mass and a battery's sag, named in flight", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}"
 
 
 if __name__ == "__main__":

@@ -9,9 +9,7 @@ kept, so that a run that was stopped resumes. Writes results/network_in_flight.m
 
 from __future__ import annotations
 
-import argparse
 import dataclasses
-import json
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -23,7 +21,7 @@ import msgspec
 import numpy as np
 
 from benchmarks.learning_goals import CAMPAIGN, EFFECTS, ROOT, trained
-from benchmarks.provenance import write_result
+from benchmarks.resumable import finished, measured, options_of, publish
 from dynamics.arrays import Floats
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
@@ -33,7 +31,6 @@ from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import parse_effect, read_vehicle
 from export.bundle import ExportOptions, export_bundle
 from export.trained import read_model
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings, NetworkSettings
 from runtime.control.bundle import Bundle, read_bundle
 from runtime.control.controller import Controller, ControllerOptions
@@ -306,30 +303,25 @@ def page(results: Sequence[Mapping[str, Any]], left_out: int) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the page."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=BUNDLES / "flights.jsonl")
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/network_in_flight.md")
+    parser = options_of(__doc__, "network_in_flight", seeds=10)
+    parser.set_defaults(kept=BUNDLES / "flights.jsonl")
     parser.add_argument("--only-finished", action="store_true", help="fly nothing, write what is there")
     options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    done = finished(options.kept)
     todo = [case for case in cases(options.seeds) if case.key not in done and not options.only_finished]
     for case in {(case.model, case.fades): case for case in todo}.values():
         bundle_of(case.model, case.fades)
-    for _, result in parallel_map(flown, todo, jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']}: {100 * result.get('rmse', float('nan')):.2f} cm", flush=True)
+    measured(flown, todo, options, spoken, key_of=lambda case: case.key)
+    done = finished(options.kept)
     results = [done[case.key] for case in cases(options.seeds) if "rmse" in done.get(case.key, {})]
     left_out = len({result["seed"] for result in done.values() if "not_begun" in result})
-    if options.table:
-        write_result("network_in_flight", "A learned model that knows what it does not know", page(results, left_out))
-    else:
-        print(page(results, left_out))
+    title = "A learned model that knows what it does not know"
+    publish("network_in_flight", title, page(results, left_out), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result.get('rmse', float('nan')):.2f} cm"
 
 
 if __name__ == "__main__":

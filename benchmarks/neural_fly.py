@@ -10,22 +10,18 @@ m/s; so is the one that is hidden here. Finished flights are kept, so that a run
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.references.curve import FLAT, HarmonicCurve
 from dynamics.references.reference import Reference
 from dynamics.references.time_law import TimeLaw
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight_setup import FOLLOWED
@@ -164,26 +160,15 @@ def _named(values: Sequence[Sequence[float]], scale: float) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/neural_fly.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/neural_fly.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "neural_fly", seeds=5).parse_args()
     cases = [Case(wind, mode, seed) for seed in range(options.seeds) for wind in WINDS for mode in MODES]
-    for _, result in parallel_map(flown, [case for case in cases if case.key not in done], jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']} {result['events']}", flush=True)
-    results = [done[case.key] for case in cases if case.key in done]
-    if options.table:
-        write_result("neural_fly", "The figure-eight of Neural-Fly", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
+    publish("neural_fly", "The figure-eight of Neural-Fly", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result['rmse']:.2f} cm {result['aborted']} {result['events']}"
 
 
 if __name__ == "__main__":

@@ -9,20 +9,16 @@ resumes.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from simulation.lockstep import ParameterStep, fly_reference
@@ -135,15 +131,7 @@ def _cells(some: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=6)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/payload.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/payload.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "payload", seeds=6).parse_args()
     kinds = [
         (reference, step, place, mode)
         for reference in MANOEUVRES
@@ -153,16 +141,13 @@ def main() -> None:
         if mode == "on" or place == "centre"
     ]
     cases = [Case(*kind, seed) for seed in range(options.seeds) for kind in kinds]
-    for _, result in parallel_map(flown, [case for case in cases if case.key not in done], jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']}: {100 * result['worst']:.1f} cm {result['aborted']} {result['events']}", flush=True)
-    results = [done[case.key] for case in cases if case.key in done]
-    if options.table:
-        write_result("payload", "A payload that is taken up or dropped in flight", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
+    publish("payload", "A payload that is taken up or dropped in flight", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result['worst']:.1f} cm {result['aborted']} {result['events']}"
 
 
 if __name__ == "__main__":

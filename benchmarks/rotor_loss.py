@@ -8,21 +8,18 @@ Finished flights are kept, so that a run that was stopped resumes.
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
-from pathlib import Path
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.effects import CATALOGUE
 from dynamics.errors import VehicleError
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.rotor_watch import RotorWatch
@@ -187,28 +184,15 @@ def _row(name: str, some: Sequence[Mapping[str, Any]]) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=200, help="with a rotor that loses thrust")
-    parser.add_argument("--others", type=int, default=100, help="with something else")
-    parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--kept", type=Path, default=Path("build/rotor_loss.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/rotor_loss.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "rotor_loss", jobs=2, flights=200, others=100).parse_args()
     cases = [drawn("loss", n) for n in range(options.flights)] + [drawn("other", n) for n in range(options.others)]
-    todo = [case for case in cases if case["key"] not in done]
-    for _, result in parallel_map(flown, todo, jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}", flush=True)
-    results = [done[case["key"]] for case in cases if case["key"] in done]
-    if options.table:
-        write_result("rotor_loss", "A rotor that loses thrust in flight", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, cases, options, spoken, key_of=itemgetter("key"))
+    publish("rotor_loss", "A rotor that loses thrust in flight", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}"
 
 
 if __name__ == "__main__":

@@ -9,21 +9,19 @@ daemon over UDP. Finished flights are kept, so that a run that was stopped resum
 
 from __future__ import annotations
 
-import argparse
-import json
 import tempfile
 from collections.abc import Mapping, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.references import named_reference
 from dynamics.vehicle import EffectUse
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.daemon import Daemon, FlightRequest
@@ -174,37 +172,22 @@ def _cells(some: Sequence[Mapping[str, Any]]) -> list[str]:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--flights", type=int, default=72)
+    parser = options_of(__doc__, "rotor_loss_link", flights=72)
     parser.add_argument("--udp", type=int, default=4, help="flights in real time, 45 s each")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/rotor_loss_link.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/rotor_loss_link.md")
     options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
-    cases = [drawn(number) for number in range(options.flights)]
+    key_of = itemgetter("key")
+    results = measured(flown, [drawn(number) for number in range(options.flights)], options, spoken, key_of=key_of)
     real = [
         {**drawn(1000 + n), "key": f"udp {n}", "loss": LOSS, "vehicle": VEHICLES[n % 2]} for n in range(options.udp)
     ]
+    options.jobs = 1  # in real time
+    results += measured(flown_over_udp, real, options, spoken, key_of=key_of)
+    publish("rotor_loss_link", "A rotor that loses thrust, by an autopilot's messages", table(results), options)
 
-    def keep(result: Mapping[str, Any]) -> None:
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}", flush=True)
 
-    for _, result in parallel_map(flown, [case for case in cases if case["key"] not in done], jobs=options.jobs):
-        keep(result)
-    for case in real:
-        if case["key"] not in done:
-            keep(flown_over_udp(case))
-    results = [done[case["key"]] for case in (*cases, *real) if case["key"] in done]
-    if options.table:
-        write_result("rotor_loss_link", "A rotor that loses thrust, by an autopilot's messages", table(results))
-    else:
-        print(table(results))
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']} {result['vehicle']} {result['reference']}: {result['named']}"
 
 
 if __name__ == "__main__":

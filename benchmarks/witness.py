@@ -8,22 +8,18 @@ is changed here. Finished flights are kept, so that a run that was stopped resum
 
 from __future__ import annotations
 
-import argparse
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.provenance import write_result
+from benchmarks.resumable import measured, options_of, publish
 from benchmarks.witness_vehicle import FULL_THRUST, GRAVITY, MASS, STEP, WitnessVehicle
 from dynamics.controller_settings import CONTROL_PERIOD
 from dynamics.references import named_reference
 from dynamics.state import POSITION
 from dynamics.vehicle_file import read_vehicle
-from flights.parallel import parallel_map
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.flight.composition import Controllers, build_flyer
@@ -190,15 +186,7 @@ def _cell(values: Sequence[float]) -> str:
 
 def main() -> None:
     """Fly what has not been flown, and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--kept", type=Path, default=Path("build/witness.jsonl"))
-    parser.add_argument("--table", action="store_true", help="write benchmarks/results/witness.md")
-    options = parser.parse_args()
-    options.kept.parent.mkdir(parents=True, exist_ok=True)
-    lines = options.kept.read_text().splitlines() if options.kept.exists() else []
-    done = {result["key"]: result for result in map(json.loads, lines)}
+    options = options_of(__doc__, "witness", seeds=3).parse_args()
     cases = [
         Case(air, reference, mode, seed)
         for seed in range(options.seeds)
@@ -206,16 +194,13 @@ def main() -> None:
         for reference in MANOEUVRES
         for mode in MODES
     ]
-    for _, result in parallel_map(flown, [case for case in cases if case.key not in done], jobs=options.jobs):
-        done[result["key"]] = result
-        with options.kept.open("a") as file:
-            print(json.dumps(result), file=file)
-        print(f"{result['key']}: {100 * result['rmse']:.2f} cm {result['ended']} {result['events']}", flush=True)
-    results = [done[case.key] for case in cases if case.key in done]
-    if options.table:
-        write_result("witness", "A vehicle that is not ours", table(results))
-    else:
-        print(table(results))
+    results = measured(flown, cases, options, spoken, key_of=lambda case: case.key)
+    publish("witness", "A vehicle that is not ours", table(results), options)
+
+
+def spoken(result: Mapping[str, Any]) -> str:
+    """A line about a flight."""
+    return f"{result['key']}: {100 * result['rmse']:.2f} cm {result['ended']} {result['events']}"
 
 
 if __name__ == "__main__":
