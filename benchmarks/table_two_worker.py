@@ -117,7 +117,7 @@ def _tried(run: Run) -> Flown:
 
 
 @contextlib.contextmanager
-def _ahead_of_others(priority: int) -> Iterator[None]:
+def ahead_of_others(priority: int) -> Iterator[None]:
     """Processes that are started meanwhile run under SCHED_FIFO, where it is granted."""
     with contextlib.suppress(PermissionError):
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
@@ -132,7 +132,7 @@ def _over_link(run: Run) -> Flown:
     hidden = [part for effect in REAL_WORLD for part in ("--effect", effect)]
     with contextlib.ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory())
-        with _ahead_of_others(MOCKS_PRIORITY):
+        with ahead_of_others(MOCKS_PRIORITY):
             mock = stack.enter_context(mock_process(*hidden, "--seed", str(run.seed), vehicle=VEHICLE))
         bundled = Path(run.path).is_dir()
         setup = FlightSetup(
