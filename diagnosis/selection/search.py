@@ -273,13 +273,18 @@ class Search:
         return sets
 
     def simplified(self, chosen: Scored) -> Scored:
-        """The set with effects exchanged for others of fewer coefficients that gain nearly as much in their place."""
+        """The set with effects exchanged for others of fewer coefficients that gain nearly as much in their place.
+
+        What is lost must be less than what an effect must gain: an inertia about z is mostly a torque constant, and
+        the rest of it, about x and y, is little beside that and matters.
+        """
         for one in chosen.candidates:
             rest = _without(chosen.candidates, one)
             base = self.score(rest).gain
             simpler = [(*rest, c) for c in self._others(rest) if len(c.columns) < len(one.columns)]
             required = base + self.thresholds.parsimony * (chosen.gain - base)
-            enough = [s for s in self.scores(simpler) if s.score > IMPOSSIBLE and s.gain >= required]
+            scored = [s for s in self.scores(simpler) if s.gain >= required]
+            enough = [s for s in scored if s.score > max(chosen.score - self.required, IMPOSSIBLE)]
             if enough:
                 return self.simplified(max(enough, key=lambda s: s.score))
         return chosen

@@ -31,10 +31,13 @@ def white(active: Sequence[int] = range(CHANNELS)) -> NoiseModel:
     return NoiseModel(tuple(active), np.ones((count, 1)), np.ones(count), np.eye(count), floor)
 
 
-def effect(name: str, *, bound: float = 10.0, lowest: float | None = None) -> Effect:
-    """An effect with one parameter between plus and minus a bound, or a lowest value and the bound; usually 1."""
-    parameter = Parameter("size", "1", "", -bound if lowest is None else lowest, bound, lambda vehicle: Prior(1.0, 1.0))
-    return Effect(name, "", "", (parameter,), wrench=lambda conditions, values, states: Wrench(0, 0))
+def effect(
+    name: str, *, bound: float = 10.0, lowest: float | None = None, parameters: Sequence[str] = ("size",)
+) -> Effect:
+    """An effect of parameters between plus and minus a bound, or a lowest value and the bound; usually 1."""
+    low = -bound if lowest is None else lowest
+    made = tuple(Parameter(p, "1", "", low, bound, lambda vehicle: Prior(1.0, 1.0)) for p in parameters)
+    return Effect(name, "", "", made, wrench=lambda conditions, values, states: Wrench(0, 0))
 
 
 def candidate(of: Effect, *columns: int) -> Candidate:

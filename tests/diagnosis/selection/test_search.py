@@ -133,6 +133,18 @@ def test_two_effects_that_share_the_work_of_one_are_merged(arpl_250g):
     assert search.better(halves).names == {"c"}
 
 
+@pytest.mark.parametrize(("rest", "named"), [(0.1, {"a"}), (0.35, {"whole"})])
+def test_an_effect_gives_way_to_a_part_of_it_where_the_rest_is_no_effect_by_itself(arpl_250g, rest, named):
+    random = np.random.default_rng(5)
+    columns = [random.standard_normal((80, CHANNELS, 2)) for _ in range(6)]
+    residuals = [x @ np.array([4.0, rest]) + random.standard_normal((80, CHANNELS)) for x in columns]
+    candidates = [candidate(effect("a"), 0), candidate(effect("whole", parameters=("z", "rest")), 0, 1)]
+    of_both = regression(arpl_250g, candidates, columns, residuals)
+    gains = [Search(of_both).score([one]).gain for one in candidates]
+    assert gains[0] > DEFAULT.search.parsimony * gains[1]
+    assert select(of_both).chosen.names == named
+
+
 def test_a_set_with_an_impossible_effect_is_tried_without_it(arpl_250g):
     tight = mixture(arpl_250g, seed=2, columns_of=lambda x: x, theta=[0.3, 2.0], bound=1.0)
     search = Search(tight)
