@@ -53,6 +53,7 @@ FLIGHTS = (
     ("px4", "nothing", "circle"),
     ("px4", "wind 8 m/s", "circle"),
 )
+SHOWN = 4.5  # m/s: half of the deviation of the prior of wind
 MAX_REPEATS = 2  # of a flight in which the machine held estimates up
 PLAN = Plan(settle=0.5, origin="takeoff", speed=2.0, acceleration=3.0)
 
@@ -132,7 +133,7 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
     seeds = len({r["seed"] for r in results})
     body = [
         f"{VEHICLE} on the mock, {SECONDS:g} s of tracking without the first {RAMP:g}. Position error, cm RMS (worst "
-        f"moment), by the estimate, median of {seeds} seeds.",
+        f"moment), by the estimate, {seeds} {'seed' if seeds == 1 else 'seeds, medians'}.",
         "",
         "| estimates | hidden | reference | file's model | disturbance | and named | wind by name, m/s |",
         "| --- | --- | --- | --- | --- | --- | --- |",
@@ -144,12 +145,13 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
             errors = [(100 * r["rmse"], 100 * r["worst"]) for r in some if r["mode"] == mode]
             cells.append("{:.1f} ({:.0f})".format(*np.median(errors, axis=0)) if errors else "")
         winds = [r["parameters"]["wind.x"] for r in some if "wind.x" in r["parameters"]]
-        cells.append(", ".join(f"{value:.1f} +- {1.96 * std:.1f}" for value, std in winds))
+        shown = [f"{value:.1f} +- {1.96 * std:.1f}" for value, std in winds if std < SHOWN]
+        cells.append(", ".join(shown) or "not shown")
         body.append(f"| {' | '.join((*flight, *cells))} |")
     ended = [f"{r['key']}: {r['ended']}" for r in results if r["ended"]]
-    events = sorted({event for r in results for event in r["events"]})
+    events = [f"{event} in {r['key']}" for r in results for event in r["events"] if event != "model_changed"]
     late = sum(sum(r["missed"].values()) for r in results)
-    body += ["", f"Cut short: {'; '.join(ended) or 'none'}. Events: {', '.join(events) or 'none'}. "]
+    body += ["", f"Cut short: {'; '.join(ended) or 'none'}. Events: {'; '.join(events) or 'none'}. "]
     body[-1] += f"Late setpoints in {len(results)} flights: {late}. Flown again: {sum(r['repeats'] for r in results)}."
     return "\n".join(body)
 
