@@ -115,8 +115,8 @@ class Adaptation:
         self.network = None if features is None else LastLayer(features, settings)
         self._flown_change = np.zeros((0, 0)) if self.network is None else np.zeros_like(self.network.change)
         self.changed = ""
-        scale = settings.prior_scale
-        parameters = () if learned else followed_parameters(solver.model, settings.follow, prior_scale=scale)
+        priors = {"prior_scale": settings.prior_scale, "known": settings.known_drag}
+        parameters = () if learned else followed_parameters(solver.model, settings.follow, **priors)
         if not learned:
             parameters = with_moments(solver, parameters)
         self.filter = FlightFilter(solver, settings, parameters)

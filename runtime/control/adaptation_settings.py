@@ -94,6 +94,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drag_deviations: from zero, beyond which a drag is certain, and shows the wind.
     offset: m/s^2, standard deviation of a constant force that is none of the wind's, beside a wind that is followed.
     prior_scale: of the priors' standard deviations: a flight in strong wind is none of the usual ones.
+    known_drag: standard deviation of a drag that the vehicle file has, as a share of it, if that is less.
     motor_lag: s, of the motors behind the autopilot's outputs.
     rotors: when one that loses thrust is named.
     network: how a network's last layer follows.
@@ -115,6 +116,7 @@ class AdaptationSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     drag_deviations: Positive = 3.0
     offset: Positive = 0.05
     prior_scale: Positive = 3.0
+    known_drag: Positive = 0.2
     motor_lag: NotNegative = 0.0
     rotors: RotorLossSettings = RotorLossSettings()
     guard: GuardLimits = GuardLimits()

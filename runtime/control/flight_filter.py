@@ -15,7 +15,7 @@ import numpy as np
 from dynamics.arrays import Floats
 from dynamics.errors import RequestError
 from runtime.control.adaptation_settings import AdaptationSettings
-from runtime.control.followed_parameters import FollowedParameter, Group
+from runtime.control.followed_parameters import FollowedParameter, Group, has_known_drag
 from runtime.control.rti.solver import AXES, FADING, FOLLOWED, MAX_FOLLOWED, STAYING, RtiSolver
 
 MAX_INTERVAL = 0.1  # s between two estimates, beyond which the filter goes on from the newer one
@@ -136,6 +136,8 @@ class FlightFilter:
         guard = settings.guard
         options.forecast, options.averaging, options.tolerance = guard.forecast, guard.averaging, guard.tolerance
         options.resolution[:] = guard.linear_resolution, guard.angular_resolution
+        has_drag = bool(self.parameters) and has_known_drag(self._solver.model, settings.follow)
+        options.known_drag = settings.known_drag if has_drag else 0.0
         options.count = len(self.parameters)
         for j, parameter in enumerate(self.parameters):
             options.prior[j], options.scale[j] = parameter.value, parameter.std

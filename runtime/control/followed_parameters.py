@@ -60,9 +60,13 @@ def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str
 
 
 def followed_parameters(
-    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0
+    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0, known: float = float("inf")
 ) -> list[FollowedParameter]:
-    """The parameters of those effects that are in a model. The bounds and priors are the effects' own."""
+    """The parameters of those effects that are in a model. The bounds and priors are the effects' own.
+
+    prior_scale: of the priors' standard deviations.
+    known: standard deviation of a drag that the model has already, as a share of it, if that is less.
+    """
     active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
     places = list(model_parameters(model.vehicle, active))
     has_drag = any(item.effect.resists_air for item in active)
@@ -79,10 +83,18 @@ def followed_parameters(
             name, std = f"{item.key}.{parameter.name}", prior_scale * parameter.prior(model.vehicle).std
             bounds = parameter.lower, parameter.upper
             value = item.values[parameter.name]
+            if group == "drag" and value != parameter.neutral:
+                std = min(std, known * abs(value - parameter.neutral))
             place = places.index(name)
             own: Group = "voltage" if parameter.name == item.effect.voltage_power else group
             followed.append(FollowedParameter(name, place, value, std, *bounds, own, parameter.unit))
     return followed
+
+
+def has_known_drag(model: FlownModel, names: Sequence[str]) -> bool:
+    """Whether a model has a drag that is none of those effects: it keeps its value, and shows the wind."""
+    active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
+    return any(item.effect.resists_air and item.effect.name not in names for item in active)
 
 
 def rotor_loss_effect(model: FlownModel) -> tuple[str, str] | None:

@@ -144,9 +144,9 @@ class FollowedRecord(msgspec.Struct, frozen=True):
     names: str
     value: Annotated[Floats, Meta(description="of the parameters, SI")]
     deviation: Annotated[Floats, Meta(description="standard deviations of the parameters, SI")]
-    disturbance_deviation: Annotated[
-        Floats, Meta(description="standard deviations of the sum of both parts")
-    ] = msgspec.field(default_factory=lambda: np.full(6, nan))
+    disturbance_deviation: Annotated[Floats, Meta(description="standard deviations of the sum of both parts")] = (
+        msgspec.field(default_factory=lambda: np.full(6, nan))
+    )
     effectiveness: Annotated[float, Meta(description="thrust per modelled thrust, 1")] = nan
     effectiveness_deviation: Annotated[float, Meta(description="its standard deviation, 1")] = nan
     network_trust: Annotated[float, Meta(description="share of the last layer's change that is flown, else NaN")] = nan

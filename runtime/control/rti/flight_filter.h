@@ -25,6 +25,7 @@ typedef struct {
     double calm, rising, falling; /* of the level: its least value, and the s in which it follows up and down */
     double variation, drag_deviations, offset; /* of the fit of parameters; offset: m/s^2, beside the wind */
     double forecast, averaging, tolerance, resolution[2]; /* of the guard */
+    double known_drag; /* standard deviation, as a share of it, of a drag that the model has beside these, 0 for none */
     double prior[MAX_FOLLOWED], scale[MAX_FOLLOWED], lower[MAX_FOLLOWED], upper[MAX_FOLLOWED];
     int count;                /* of the parameters */
     int index[MAX_FOLLOWED];  /* of each in the kernel's */

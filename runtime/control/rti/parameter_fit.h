@@ -17,6 +17,7 @@
 #define FIT_AT_A_TICK 3     /* rows */
 #define FIT_FEWEST 10       /* rows */
 #define FIT_LARGEST_MOVE 0.5 /* of a parameter in one sweep, in standard deviations of its prior */
+#define FIT_SHOWN 0.5 /* of the prior's deviation, below which the rows have shown a parameter */
 #define FIT_FREE_OFFSET 10.0 /* m/s^2, prior of the offset while the wind is not followed */
 #define FIT_DELAY 5          /* rows, and FIT_DELAYS times as many: by which slopes are delayed */
 #define FIT_DELAYS 8
@@ -167,11 +168,11 @@ static void fit_take(parameter_fit *t, const filter_options *o, const double *le
 }
 
 /* Which parameters the rows can show: a drag where its slope varies, since its constant part depends on the wind; the
- * wind, and every drag, beside a drag that is certain; what scales thrust never, since its effectiveness has it; any
- * other always. */
+ * wind beside a drag that is certain, and every drag beside one that the rows have made so; what scales thrust never,
+ * since its effectiveness has it; any other always. */
 static void fit_choose(const parameter_fit *t, flight_filter *f) {
     const filter_options *o = &f->options;
-    bool certain = false, shows[MAX_FOLLOWED] = {false};
+    bool certain = o->known_drag > 0, by_rows = false, shows[MAX_FOLLOWED] = {false};
     for (int j = 0; j < o->count; j++) {
         double variance = 0;
         for (int i = 0; i < 3; i++) {
@@ -180,11 +181,22 @@ static void fit_choose(const parameter_fit *t, flight_filter *f) {
         }
         shows[j] = variance > o->variation * o->variation;
         const double enough = o->drag_deviations * o->scale[j] * f->deviation[j];
-        certain |= o->group[j] == 1 && fabs(fit_value(f, j)) > enough;
+        const bool one = o->group[j] == 1 && fabs(fit_value(f, j)) > enough;
+        certain |= one, by_rows |= one && f->deviation[j] < FIT_SHOWN;
     }
     for (int j = 0; j < o->count; j++)
-        f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 && (shows[j] || f->followed[j] || certain)) ||
+        f->followed[j] = o->group[j] == 0 || (o->group[j] == 1 && (shows[j] || f->followed[j] || by_rows)) ||
                          (o->group[j] == 2 && certain);
+}
+
+/* Variance of the wind's state by drags that are certain and not followed, of which only the product with it shows. */
+static double fit_drags(const flight_filter *f, int wind) {
+    const filter_options *o = &f->options;
+    double share = o->known_drag;
+    for (int j = 0; j < o->count; j++)
+        if (o->group[j] == 1 && !f->followed[j] && o->prior[j] != 0)
+            share = fmax(share, f->deviation[j] * o->scale[j] / fabs(o->prior[j]));
+    return pow(fmin(share, 1) * f->state[FOLLOWED + wind], 2);
 }
 
 /* Cholesky factor of the rows and columns of M that are free, in place (lower); the others become those of 1. */
@@ -383,7 +395,7 @@ static void fit_end(parameter_fit *t, flight_filter *f, double *mean) {
                 column[j] = 1;
                 fit_solve(M, column, count);
                 column[j] *= fit_excess(t, j);
-                if (o->group[j] == 2) column[j] = fmin(column[j] + fit_gusts(t, o, j), 1);
+                if (o->group[j] == 2) column[j] += fit_gusts(t, o, j) + fit_drags(f, j);
                 f->deviation[j] = f->followed[j] ? sqrt(fmin(column[j], 1)) : fmax(f->deviation[j], 1);
             }
     }

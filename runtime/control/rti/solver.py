@@ -69,6 +69,7 @@ class FilterOptions(ctypes.Structure):
         ),
         *((name, ctypes.c_double) for name in ("forecast", "averaging", "tolerance")),
         ("resolution", ctypes.c_double * 2),
+        ("known_drag", ctypes.c_double),
         *((name, ctypes.c_double * MAX_FOLLOWED) for name in ("prior", "scale", "lower", "upper")),
         ("count", ctypes.c_int),
         *((name, ctypes.c_int * MAX_FOLLOWED) for name in ("index", "group")),
