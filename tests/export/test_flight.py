@@ -69,18 +69,34 @@ def test_outside_of_its_training_physics_flies_and_it_comes_back_without_a_step(
     assert np.abs(np.diff(thrust)).max() < 0.05 * bundle.vehicle.weight
 
 
+@pytest.fixture(scope="module")
+def grey_box(tmp_path_factory: pytest.TempPathFactory, arpl_250g: Vehicle) -> Bundle:
+    """A residual on a model with effects, whose output is nearly zero."""
+    vehicle = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": 2.2e-5}))
+    config = replaced(KINDS["grey_box"].config, channels=8, hidden=(16,))
+    model = exported(untrained_model(config, vehicle, gain=0.002))
+    folder = tmp_path_factory.mktemp("grey_box") / "b"
+    return read_bundle(export_bundle(model, folder, ExportOptions(Problem(), native_processor(), windows=20)).folder)
+
+
 def in_wind(bundle: Bundle, mode: Mode) -> tuple[FlownReference, Controller, Controller]:
-    """A hover in 6 m/s of wind, of which neither the network nor the nominal model knows."""
+    """A hover in 6 m/s of wind, of which neither the network nor the vehicle file's model knows."""
     options = ControllerOptions.for_vehicle(bundle.vehicle, adaptation=AdaptationSettings(mode=mode))
     controller, nominal = Controller.from_bundle(bundle, options), Controller.fallback_from_bundle(bundle, options)
     assert nominal is not None
-    hidden = EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("wind", {"x": 6.0, "y": 0.0, "z": 0.0})
+    hidden = [EffectUse("rotor_drag", {"coefficient": 2.2e-5}), EffectUse("wind", {"x": 6.0, "y": 0.0, "z": 0.0})]
+    if bundle.vehicle.effects:
+        del hidden[0]
     reference = named_reference("Hover", bundle.vehicle, duration=8.0)
     flight = fly_reference(bundle.vehicle, reference, effects=hidden, seed=5, controller=controller, nominal=nominal)
     return flight, controller, nominal
 
 
-def test_a_learned_model_follows_the_wind_and_so_does_the_fallback_beside_it(bundle: Bundle) -> None:
+@pytest.mark.parametrize("kind", ["bundle", "grey_box"])
+def test_a_learned_model_follows_the_wind_and_so_does_the_fallback_beside_it(
+    request: pytest.FixtureRequest, kind: str
+) -> None:
+    bundle = request.getfixturevalue(kind)
     assert in_wind(bundle, "off")[0].position_rmse > 0.12
     flight, controller, nominal = in_wind(bundle, "on")
     assert flight.fallbacks == 0
