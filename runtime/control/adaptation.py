@@ -14,6 +14,7 @@ import msgspec
 import numpy as np
 
 from dynamics.arrays import Floats
+from dynamics.errors import RequestError
 from dynamics.state import ATTITUDE, RATE, RIGID_BODY_STATES, VELOCITY
 from dynamics.vehicle import GRAVITY
 from runtime.control.adaptation_settings import AdaptationSettings
@@ -23,8 +24,8 @@ from runtime.control.last_layer import LastLayer, rotation_of
 from runtime.control.moment_fit import MomentFit, with_moments
 from runtime.control.network_features import NetworkFeatures
 from runtime.control.rotor_loss import RotorLoss
-from runtime.control.rotor_watch import RotorWatch, up_of
-from runtime.control.rti.solver import AXES, RtiSolver
+from runtime.control.rotor_watch import RotorWatch
+from runtime.control.rti.solver import AXES, FADING, STAYING, RtiSolver
 from runtime.control.sag_fit import SagFit
 from runtime.control.thrust_history import ThrustHistory
 
@@ -32,7 +33,6 @@ REFUSED = 0.5  # share of what is estimated, below which it counts as not flown
 MAX_PAUSE = 10.0  # s without an estimate, after which nothing that was estimated holds any more
 SAME_TIME = 1e-6  # s
 DESCRIBE_EVERY = 10  # commands
-DRAG_STEP = 0.002  # s over which the model's forces are averaged
 MOTION = np.r_[VELOCITY, RATE]
 FLOWN_FADES = slice(AXES, 2 * AXES)  # of a solver's disturbance
 
@@ -111,7 +111,11 @@ class Adaptation:
 
         learned: whether predictions come with the estimates, from a learned model.
         features: by which its last layer follows, None where it does not.
+
+        Raises RequestError for a kernel of an older version.
         """
+        if not learned and not solver.follows:
+            raise RequestError("the kernel is of an older version, whose models cannot follow. Export the model again.")
         self.network = None if features is None else LastLayer(features, settings)
         self._flown_change = np.zeros((0, 0)) if self.network is None else np.zeros_like(self.network.change)
         self.changed = ""
@@ -122,7 +126,7 @@ class Adaptation:
         self.filter = FlightFilter(solver, settings, parameters)
         self._moments, self._sag = MomentFit(solver, parameters), SagFit(parameters)
         self._solver, self._settings, self._learned = solver, settings, learned
-        self._thrust_constants = thrust_constants
+        self._thrust_constants, self._constants = thrust_constants, thrust_constants.tolist()
         self._highest_speed = solver.input_upper.copy()
         noise = settings.linear, settings.angular
         solver.disturbance[2 * AXES :] = [1 / kind.fading_time for kind in noise]
@@ -185,16 +189,8 @@ class Adaptation:
         """
         if not self.flies or self._learned:
             return 0.0
-        solver, hover = self._solver, self._solver.trim.rotor_speed
-        before = self._drag_state
-        before[:RIGID_BODY_STATES] = state
-        change = (solver.propagate(before, hover, DRAG_STEP)[VELOCITY] - before[VELOCITY]).tolist()
-        flown, up = solver.disturbance.tolist(), up_of(state[ATTITUDE])
-        parts = zip(change, flown, flown[FLOWN_FADES], up, strict=False)
-        along = 0.0
-        for moved, stays, fades, axis in parts:
-            along += (moved / DRAG_STEP - stays - fades) * axis
-        return along + GRAVITY * up[2] - GRAVITY
+        self._drag_state[:RIGID_BODY_STATES] = state
+        return self._solver.specific_drag(self._drag_state, self._solver.trim.rotor_speed)
 
     def read_force(self, time: float, specific_force: float) -> None:
         """Take a specific force along body z, m/s^2, as it arrived; NaN when there is no new one."""
@@ -236,8 +232,8 @@ class Adaptation:
     @property
     def excess(self) -> str:
         """What pushes the vehicle where it is beyond the limit of the estimate, or of the thrust; else empty."""
-        parts = zip(self.filter.staying[:3].tolist(), self.filter.fading[:3].tolist(), strict=True)
-        x, y, z = (stays + fades for stays, fades in parts)
+        state = self._solver.filter_state.tolist()
+        x, y, z = (state[STAYING + axis] + state[FADING + axis] for axis in range(3))
         needed = math.hypot(x, y, GRAVITY - z) / GRAVITY
         limit = self._settings.linear.limit
         if needed < self._available and abs(x) < limit and abs(y) < limit and abs(z) < limit:
@@ -353,8 +349,11 @@ class Adaptation:
         """Give the solver what was estimated, as far as it is trusted."""
         if not self.flies:
             return
+        if not self._learned:
+            self._solver.fly(self._settings.moments)
+            return
         self._fly_network()
-        self.filter.fly(self._settings.moments)
+        self.filter.fly_beside_a_network(self._settings.moments)
 
     def _add_command(self) -> None:
         """Let thrust follow the last command as it left, be it this controller's or one that it tracks."""
@@ -365,6 +364,9 @@ class Adaptation:
         if last is None:
             return
         time, speed = last
+        speeds = speed.tolist()
         if sent is not None and sent[0] == time:
-            speed = speed * math.sqrt(sent[1] / float((speed * speed) @ self._thrust_constants))
-        self._thrust.add(time, speed.tolist())
+            thrust = sum(k * each * each for k, each in zip(self._constants, speeds, strict=True))
+            share = math.sqrt(sent[1] / thrust)
+            speeds = [share * each for each in speeds]
+        self._thrust.add(time, speeds)

@@ -53,7 +53,6 @@ class FlightFilter:
         self.followed = solver.filter_followed[: len(self.parameters)]
         self.prior = np.array([p.value for p in self.parameters])
         self._scale = np.array([p.std for p in self.parameters])
-        self._places = [p.index for p in self.parameters], self.prior.tolist(), self._scale.tolist()
         self.clear()
 
     def clear(self) -> None:
@@ -103,15 +102,13 @@ class FlightFilter:
         """(n,) of the parameters."""
         return np.asarray(self.prior + self._scale * self._moved)
 
-    def fly(self, moments: bool) -> None:
-        """Give the solver what was estimated, as far as it is trusted. moments: also the angular disturbance."""
-        solver = self._solver
+    def fly_beside_a_network(self, moments: bool) -> None:
+        """Give the solver the disturbance, as far as it is trusted. moments: also the angular one."""
         linear, angular = self.trust.tolist()
         shares = [linear] * 3 + [angular * moments] * 3
         parts = self.staying.tolist() + self.fading.tolist()
-        solver.disturbance[: 2 * AXES] = [share * part for share, part in zip(shares + shares, parts, strict=True)]
-        for place, prior, scale, moved in zip(*self._places, self._moved.tolist(), strict=True):
-            solver.parameters[place] = prior + linear * scale * moved
+        flown = [share * part for share, part in zip(shares + shares, parts, strict=True)]
+        self._solver.disturbance[: 2 * AXES] = flown
 
     @property
     def deviations(self) -> Floats:

@@ -10,7 +10,6 @@ mass, a mass or a bent propeller. Yaw says nothing of thrust: a broken blade is 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import msgspec
@@ -69,6 +68,8 @@ class RotorLossTest:
     """Blocks of accelerations, and the losses that they have shown.
 
     losses: by rotor, in the order in which they were named.
+    sums: (1 + n, 3) of the block so far, accelerations beyond the model, then of each rotor's whole thrust, times the
+        seconds that each lasted.
     """
 
     def __init__(self, rotors: int, settings: RotorLossSettings | None = None) -> None:
@@ -77,7 +78,7 @@ class RotorLossTest:
         self._beyond = np.zeros((self._capacity, SHOWN))
         self._shares = np.zeros((self._capacity, rotors, SHOWN))
         self._rotors, self._seconds = rotors, 0.0
-        self._sums = self._empty()
+        self.sums = np.zeros((1 + rotors, SHOWN))
         self.losses: dict[int, RotorLoss] = {}
         self.clear()
 
@@ -87,23 +88,22 @@ class RotorLossTest:
         self._named: int | None = None
         self._restart_block()
 
-    def add(self, beyond: Sequence[float], shares: Sequence[Sequence[float]], seconds: float) -> RotorLoss | None:
+    def add(self, beyond: Floats, shares: Floats, seconds: float) -> RotorLoss | None:
         """Take accelerations over some seconds. Returns the loss of a rotor that they name.
-
-        A block with some that are not finite does not count.
 
         beyond: (3,) beyond the model: along body z, m/s^2, about body x and y, rad/s^2. shares: (n, 3) those of each
         rotor's whole thrust.
         """
-        rows = (beyond, *shares)
-        self._sums = [
-            [sum_ + seconds * value for sum_, value in zip(sums, row, strict=True)]
-            for sums, row in zip(self._sums, rows, strict=True)
-        ]
+        self.sums[0] += seconds * beyond
+        self.sums[1:] += seconds * shares
+        return self.advance(seconds)
+
+    def advance(self, seconds: float) -> RotorLoss | None:
+        """Take what was added to `sums` over some seconds. A block that is not finite does not count."""
         self._seconds += seconds
         if self._seconds < self._settings.block - 1e-6:
             return None
-        means = np.array(self._sums) / self._seconds
+        means = self.sums / self._seconds
         self._restart_block()
         if not math.isfinite(float(means.sum())):
             return None
@@ -121,10 +121,7 @@ class RotorLossTest:
         self._count += 1
 
     def _restart_block(self) -> None:
-        self._sums, self._seconds = self._empty(), 0.0
-
-    def _empty(self) -> list[list[float]]:
-        return [[0.0] * SHOWN for _ in range(1 + self._rotors)]
+        self.sums[:], self._seconds = 0.0, 0.0
 
     def _judge(self) -> RotorLoss | None:
         settings = self._settings

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
 
 from dynamics.arrays import Floats
-from dynamics.state import ATTITUDE, VELOCITY
-from dynamics.vehicle import GRAVITY
 from runtime.control.flight_filter import MAX_INTERVAL
 from runtime.control.moment_fit import MomentFit
 from runtime.control.readings import Readings
@@ -33,6 +32,7 @@ class RotorWatch:
         self._force = Readings()
         self._solver, self._settings = solver, settings
         self._test = RotorLossTest(solver.inputs.shape[1], settings)
+        self._sums_at: int = self._test.sums.ctypes.data
         self._waiting: deque[tuple[float, Floats]] = deque(maxlen=WAITING)
 
     @property
@@ -77,20 +77,9 @@ class RotorWatch:
 
     def _compare(self, before: Floats, speeds: Sequence[float], state: Floats, start: float, stop: float) -> None:
         seconds = stop - start
-        beyond, shares = self._solver.rotor_shares(before, speeds, state, seconds)
-        east, north, up = up_of(before[ATTITUDE])
-        x, y, z, roll, pitch, _ = beyond.tolist()
-        along, force = x * east + y * north + z * up, self._force.mean(start, stop)
-        if force is not None:  # which errors of the estimate do not reach
-            x, y, z = (state[VELOCITY] - before[VELOCITY]).tolist()
-            along += force[0] - (x * east + y * north + z * up) / seconds - GRAVITY * up
-        each = [(x * east + y * north + z * up, roll, pitch) for x, y, z, roll, pitch, _ in shares.tolist()]
-        self._test.add((along, roll, pitch), each, seconds)
+        force = self._force.mean(start, stop)
+        measured = math.nan if force is None else force[0]
+        beyond, shares = self._solver.add_rotor_shares(before, speeds, state, seconds, measured, self._sums_at)
+        self._test.advance(seconds)
         if self._moments.parameters:
             self._moments.add(before, np.array(speeds), state, beyond.copy(), shares.copy(), seconds)
-
-
-def up_of(attitude: Floats) -> tuple[float, float, float]:
-    """Body z in world axes. attitude: (4,) body to world, w first."""
-    w, x, y, z = attitude.tolist()
-    return 2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)

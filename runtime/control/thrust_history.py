@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 
 from dynamics.arrays import Floats
 
@@ -19,7 +18,9 @@ class ThrustHistory:
 
     def __init__(self, hover: Floats, *, lag: float, period: float) -> None:
         """hover: (n,) rad/s. lag: s. period: between commands, s."""
-        self._hover, self._lag, self._period = hover.tolist(), lag, period
+        self._hover = hover.tolist()
+        self._left = math.exp(-period / lag) if lag > 0 else 0.0  # of the response after a period
+        self._mean = (1 - self._left) * lag / period  # of it in that period
         self._times = [-math.inf] * HISTORY
         self._speeds: list[list[float]] = [self._hover] * HISTORY
         self._response: list[float] = self._hover
@@ -32,13 +33,11 @@ class ThrustHistory:
 
     def add(self, time: float, speed: Sequence[float]) -> None:
         """Let thrust follow a command, rotor speeds (n,) rad/s that act from a time on, for a period."""
-        left = math.exp(-self._period / self._lag) if self._lag > 0 else 0.0
-        mean = (1 - left) * self._lag / self._period
-        away = [then - now for then, now in zip(self._response, speed, strict=True)]
-        slot = self.count % HISTORY
+        left, mean, slot = self._left, self._mean, self.count % HISTORY
+        pairs = list(zip(speed, self._response, strict=True))
         self._times[slot] = time
-        self._speeds[slot] = [now + mean * each for now, each in zip(speed, away, strict=True)]
-        self._response = [now + left * each for now, each in zip(speed, away, strict=True)]
+        self._speeds[slot] = [now + mean * (then - now) for now, then in pairs]
+        self._response = [now + left * (then - now) for now, then in pairs]
         self.count += 1
 
     def acted(self, start: float, stop: float) -> tuple[list[list[float]], list[float]]:
@@ -49,6 +48,10 @@ class ThrustHistory:
         first = last
         while first > oldest and times[first % HISTORY] > start:
             first -= 1
-        slots = [tick % HISTORY for tick in range(first, last + 1)]
-        edges = [start, *(times[slot] for slot in slots[1:]), stop]
-        return [self._speeds[slot] for slot in slots], [after - before for before, after in pairwise(edges)]
+        speeds, seconds, before = [], [], start
+        for tick in range(first, last + 1):
+            after = times[(tick + 1) % HISTORY] if tick < last else stop
+            speeds.append(self._speeds[tick % HISTORY])
+            seconds.append(after - before)
+            before = after
+        return speeds, seconds

@@ -226,6 +226,61 @@ void rti_rotor_shares(rti *r, const double *before, const double *speeds, int la
     memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
 }
 
+/* Body z in world axes. */
+static void up_of(const double *x, double *up) {
+    const double *q = x + ATTITUDE;
+    up[0] = 2 * (q[1] * q[3] + q[0] * q[2]), up[1] = 2 * (q[2] * q[3] - q[0] * q[1]);
+    up[2] = 1 - 2 * (q[1] * q[1] + q[2] * q[2]);
+}
+
+static double along(const double *linear, const double *up) {
+    return linear[0] * up[0] + linear[1] * up[1] + linear[2] * up[2];
+}
+
+/* The same, and the sums (1 + NU, 3) go on by what was over dt seconds: acceleration along body z and angular ones about
+ * body x and y, beyond the model, then of each rotor. force: specific force along body z, which errors of the estimate do
+ * not reach, m/s^2; NaN without one. gravity: m/s^2. */
+void rti_add_rotor_shares(rti *r, const double *before, const double *speeds, int lagged, double dt, const double *x,
+                          double force, double gravity, double *beyond, double *shares, double *sums) {
+    double up[3], rise[3];
+    rti_rotor_shares(r, before, speeds, lagged, dt, x, beyond, shares);
+    up_of(before, up);
+    double z = along(beyond, up);
+    for (int i = 0; i < 3; i++) rise[i] = (x[VELOCITY + i] - before[VELOCITY + i]) / dt;
+    if (isfinite(force)) z += force - along(rise, up) - gravity * up[2];
+    sums[0] += dt * z, sums[1] += dt * beyond[3], sums[2] += dt * beyond[4];
+    for (int j = 0; j < NU; j++) {
+        const double *share = shares + j * AXES;
+        double *sum = sums + 3 * (j + 1);
+        sum[0] += dt * along(share, up), sum[1] += dt * share[3], sum[2] += dt * share[4];
+    }
+}
+
+/* Specific force along body z in a state x under the inputs (NU) without the disturbance and the thrust that holds a level
+ * vehicle: the model's drag. gravity: m/s^2. */
+double rti_specific_drag(rti *r, const double *x, const double *inputs, double gravity) {
+    double disturbance[DISTURBANCE], acceleration[AXES], up[3];
+    memcpy(disturbance, r->ocp.disturbance, sizeof disturbance);
+    memset(r->ocp.disturbance, 0, sizeof disturbance);
+    acceleration_at(r, x, inputs, acceleration);
+    memcpy(r->ocp.disturbance, disturbance, sizeof disturbance);
+    up_of(x, up);
+    return along(acceleration, up) + gravity * up[2] - gravity;
+}
+
+/* Let predictions have what was estimated, as far as it is trusted. moments: share of the angular disturbance. */
+void rti_fly(rti *r, double moments) {
+    const flight_filter *f = &r->ocp.filter;
+    const filter_options *o = &f->options;
+    for (int i = 0; i < AXES; i++) {
+        const double share = i < 3 ? f->trust[0] : f->trust[1] * moments;
+        r->ocp.disturbance[i] = share * f->state[STAYING + i];
+        r->ocp.disturbance[AXES + i] = share * f->state[FADING + i];
+    }
+    for (int j = 0; j < o->count; j++)
+        r->p[o->index[j]] = o->prior[j] + f->trust[0] * o->scale[j] * f->state[FOLLOWED + j];
+}
+
 /* out = left in, all by column; left is NX x NX. */
 static void compose(const double *left, const double *in, double *out, int columns) {
     for (int c = 0; c < columns; c++)

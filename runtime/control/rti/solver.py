@@ -15,6 +15,7 @@ from dynamics.errors import RequestError
 from dynamics.model import ENVIRONMENT_DEFAULT, Model
 from dynamics.own_effects import catalogue_of
 from dynamics.state import RIGID_BODY_STATES
+from dynamics.vehicle import GRAVITY
 from runtime.control.kernel_model import FlownModel, trim_of
 from runtime.control.rti.hpipm import load_kernel
 from runtime.control.rti.prebuilt import solver_library
@@ -84,6 +85,7 @@ class RtiSolver:
     input_upper: (nu,) highest rotor speeds, rad/s, a view of the C memory.
     disturbance: (14,) accelerations beyond the model that its predictions have: six that stay, six that fade, both
         linear m/s^2, world axes, and angular rad/s^2, body axes; and the rates at which these fade, 1/s. A view.
+    follows: whether the kernel has what parameters that follow in flight need; a network's alone has not.
     certainty: (2,) of a learned model since the last `assess`: the members' disagreement over what one validation row
         in 100 exceeds, NaN for one member alone, and the share of the network's output that predictions have.
     assesses: whether the kernel is a network's.
@@ -146,6 +148,7 @@ class RtiSolver:
         self._segments, self._segment_seconds = np.zeros((MAX_SEGMENTS, inputs)), np.zeros(MAX_SEGMENTS)
         self._segments_at = address(self._segments.ctypes.data), address(self._segment_seconds.ctypes.data)
         self._lagged = _speed_states(model)
+        self.follows = hasattr(self._code, "rti_fly")
         self._references_at = (
             address(self.state_reference.ctypes.data),
             address(self.input_reference.ctypes.data),
@@ -229,6 +232,41 @@ class RtiSolver:
         self._code.rti_rotor_shares(self._handle, *inputs, self._accelerations_at, self._shares_at)
         return self._accelerations, self._shares
 
+    def add_rotor_shares(
+        self,
+        before: NDArray[np.float64],
+        speeds: Sequence[float] | NDArray[np.float64],
+        state: NDArray[np.float64],
+        dt: float,
+        force: float,
+        sums_at: int,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """The same, and the sums of a `RotorLossTest` go on by it.
+
+        sums_at: address of (1 + nu, 3) float64.
+        force: specific force along body z in place of the estimate's, m/s^2; NaN without one.
+        """
+        self._state[:], self._input[:], self._next[:] = before, speeds, state
+        inputs = self._state_at, self._input_at, self._lagged, dt, self._next_at
+        outputs = self._accelerations_at, self._shares_at, sums_at
+        self._code.rti_add_rotor_shares(self._handle, *inputs, force, GRAVITY, *outputs)
+        return self._accelerations, self._shares
+
+    def specific_drag(self, state: NDArray[np.float64], speed: NDArray[np.float64]) -> float:
+        """Specific force along body z that the model has in a state (nx,) beside the thrust of a level vehicle, m/s^2.
+
+        speed: (nu,) rad/s, in hover. Not for a learned model.
+        """
+        self._state[:], self._input[:] = state, speed
+        return float(self._code.rti_specific_drag(self._handle, self._state_at, self._input_at, GRAVITY))
+
+    def fly(self, moments: float) -> None:
+        """Let predictions have what the flight filter estimated, as far as it is trusted; not of a learned model.
+
+        moments: share of the angular disturbance.
+        """
+        self._code.rti_fly(self._handle, moments)
+
     def shift(self, seconds: float) -> None:
         """Move the predicted inputs by the time that passes between two ticks."""
         self._code.rti_shift(self._handle, min(seconds / self.problem.node, 1.0))
@@ -289,9 +327,15 @@ class RtiSolver:
         code.rti_filter_compare.argtypes = (*[pointer] * 5, ctypes.c_double)
         if hasattr(code, "rti_follow"):
             code.rti_follow.argtypes = (pointer, pointer, pointer, pointer, ctypes.c_int, pointer)
-        if hasattr(code, "rti_rotor_shares"):
+        if hasattr(code, "rti_fly"):
             numbers = ctypes.c_int, ctypes.c_double
             code.rti_rotor_shares.argtypes = (*[pointer] * 3, *numbers, *[pointer] * 3)
+            code.rti_add_rotor_shares.argtypes = (
+                *[pointer] * 3, *numbers, pointer, ctypes.c_double, ctypes.c_double, *[pointer] * 3
+            )  # fmt: skip
+            code.rti_specific_drag.argtypes = (*[pointer] * 3, ctypes.c_double)
+            code.rti_specific_drag.restype = ctypes.c_double
+            code.rti_fly.argtypes = (pointer, ctypes.c_double)
         code.rti_shift.argtypes = (pointer, ctypes.c_double)
         code.rti_prepare.argtypes = (pointer, pointer, pointer, pointer)
         code.rti_feedback.argtypes = (pointer, pointer)
