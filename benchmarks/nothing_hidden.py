@@ -62,13 +62,13 @@ def flown(case: tuple[int, int, str]) -> dict[str, Any]:
         return {**result, "rmse": flight.position_rmse, "aborted": flight.aborted, "events": dict(flight.events)}
     options = MockOptions(find_vehicle(place), estimator=estimator, seed=seed)
     plan = Plan(duration=SECONDS, settle=0.3, origin="takeoff")
-    whole = fly_whole(options, reference, plan=plan, controllers=Controllers(controller), rotors="ESC_STATUS")
+    ground_flight = fly_whole(options, reference, plan=plan, controllers=Controllers(controller), rotors="ESC_STATUS")
     return {
         **result,
-        "rmse": whole.tracking_error(whole.estimate),
-        "true_rmse": whole.tracking_error(whole.truth),
-        "aborted": whole.landing_reason,
-        "events": dict(Counter(event.value for _, event, _ in whole.events)),
+        "rmse": ground_flight.tracking_error(ground_flight.estimate),
+        "true_rmse": ground_flight.tracking_error(ground_flight.truth),
+        "aborted": ground_flight.landing_reason,
+        "events": dict(Counter(event.value for _, event, _ in ground_flight.events)),
     }
 
 

@@ -182,10 +182,10 @@ def in_effectiveness(
         return
     last = followed.last
     value, reach = followed.effectiveness[last], limits.interval * followed.effectiveness_deviation[last]
-    known = math.isfinite(reach)
+    has_interval = math.isfinite(reach)
     text = f"in flight whatever acts like a gain of the thrust is in its effectiveness, {value:.3f}"
-    text += f" ± {reach:.3f} of the file's at the end" if known else " of the file's at the end"
-    if effect.acts_on == "weight" and known and value > 0:
+    text += f" ± {reach:.3f} of the file's at the end" if has_interval else " of the file's at the end"
+    if effect.acts_on == "weight" and has_interval and value > 0:
         text += f": alone, {effect.name} would be {1 / value:.3f} ± {reach / value**2:.3f} of the file's"
     yield text
 

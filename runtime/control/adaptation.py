@@ -135,8 +135,8 @@ class Adaptation:
         self._drag_state = solver.model.initial_state(np.zeros(RIGID_BODY_STATES))  # rotors turn as in hover
         hover = solver.trim.rotor_speed
         weight = float(thrust_constants @ (hover * hover))  # N
-        self._most = float(thrust_constants @ self._highest_speed**2) / weight  # thrust of all rotors, in weights
-        self._available = self._most
+        self._max_thrust = float(thrust_constants @ self._highest_speed**2) / weight  # thrust of all rotors, in weights
+        self._available = self._max_thrust
         self._loss_effect = rotor_loss_effect(solver.model)
         self._thrust = ThrustHistory(solver.trim.rotor_speed, lag=settings.thrust_lag, period=period)
         self._last: tuple[float, Floats] | None = None
@@ -274,7 +274,7 @@ class Adaptation:
         if self.flies:
             share = min(effectiveness, 1.0)
             np.multiply(self._highest_speed, math.sqrt(share), out=self._solver.input_upper)
-            self._available = share * self._most
+            self._available = share * self._max_thrust
         self._sent = acts_at, collective_thrust
 
     def measure(self, time: float, state: Floats, predicted: Floats | None) -> None:

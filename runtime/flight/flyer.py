@@ -94,6 +94,7 @@ class Flyer:
         self._hand_over: HandOver | None = None
         self._pending: dict[Event, str] = {}
         self._velocity = ConsistentVelocity()
+        self._observed: ObservationRecord | None = None
         self._received: StateEstimate | None = None
         self._estimate: StateEstimate | None = None
         self._previous: StateEstimate | None = None
@@ -178,6 +179,7 @@ class Flyer:
 
     def prepare(self, time: float) -> None:
         """Advance the mission and linearise for the next tick, after the setpoint has left. time: s, of this tick."""
+        self._read_rotors()
         self._remember_sent()
         if not self.engagement.flying or self._state is None or not self.mission.airborne:
             self._measure_force(time, None)
@@ -246,7 +248,7 @@ class Flyer:
         self._force = np.append(observation.specific_force_xy, observation.specific_force_z)
         self._voltage = observation.battery_voltage if observation.battery_voltage > 0 else self._voltage
         self._previous, self._estimate = self._estimate, estimate
-        self._read_rotors(observation)
+        self._observed = observation
         if estimate is not None and fresh:
             self._state = estimate.state
             if not self.engagement.flying:
@@ -254,7 +256,11 @@ class Flyer:
             if self._health.is_current(estimate, observation.time):
                 self._hold.observe(estimate.attitude)
 
-    def _read_rotors(self, observation: ObservationRecord) -> None:
+    def _read_rotors(self) -> None:
+        """Take what the last observation had of the rotors."""
+        observation, self._observed = self._observed, None
+        if observation is None:
+            return
         for adaptation in self._adaptations:
             adaptation.read_force(observation.time, observation.specific_force_z)
             if observation.rotor_speed.size and self.mission.phase not in LANDING:  # the ground may carry a part there

@@ -14,6 +14,7 @@ from dynamics.references import named_reference
 from dynamics.state import RATE, VELOCITY
 from dynamics.vehicle import EffectUse, Vehicle
 from dynamics.vehicle_file import read_vehicle
+from runtime.control.adaptation import Adaptation
 from runtime.control.adaptation_settings import AdaptationSettings
 from runtime.control.controller import Controller, ControllerOptions
 from runtime.control.flight_filter import FlightFilter
@@ -73,6 +74,8 @@ def test_the_filter_is_the_textbook_s(arpl_250g: Vehicle) -> None:
         before = measured
     np.testing.assert_allclose(solver.filter_state[:18], state, rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(solver.filter_covariance, P, rtol=1e-5, atol=1e-10)
+    both = np.hstack([np.zeros((6, 6)), np.eye(6), np.eye(6)])
+    np.testing.assert_allclose(filtered.disturbance_deviations, np.sqrt(np.diag(both @ P @ both.T)), rtol=1e-5)
 
 
 def finely_integrated(solver: RtiSolver, speed: np.ndarray, seconds: float) -> np.ndarray:
@@ -316,6 +319,13 @@ def test_a_mass_is_left_to_the_effectiveness_of_thrust(arpl_250g: Vehicle) -> No
     filtered = controller.adaptation.filter
     assert filtered.values[0] == 1.0
     assert filtered.deviations[0] > 0.15
+
+
+def test_a_kernel_of_an_older_version_is_refused(arpl_250g: Vehicle) -> None:
+    solver = solver_of(arpl_250g)
+    solver.follows = False
+    with pytest.raises(RequestError, match="Export the model again"):
+        Adaptation(solver, ON, thrust_constants=solver.model.thrust_constants, period=0.01)
 
 
 def test_bounds_and_priors_are_the_effects_own(arpl_250g: Vehicle) -> None:
