@@ -212,3 +212,31 @@ def test_a_rope_that_pulls_in_one_half_of_the_way_is_bounded(arpl_250g: Vehicle)
     assert np.abs(followed(flight)[:3]).max() <= LIMIT + 1e-9
     assert max(flight.story.errors) < 0.5
     assert not flight.story.raised & SWINGS
+
+
+def test_what_changed_is_an_event_with_its_interval(arpl_250g: Vehicle) -> None:
+    flight = in_wind(arpl_250g)
+    adaptation = flight.flyer.adaptation
+    assert adaptation is not None
+    text = "rotor_drag.coefficient 2.2e-05 +- 2e-06 N s^2/(m rad)"
+    adaptation._describe_changes = lambda: text  # type: ignore[method-assign]
+    flight.run(1.5)
+    (change,) = [change for change in flight.story.event_changes if change.event is Event.MODEL_CHANGED]
+    assert change.active
+    assert text in change.text  # which is the STATUSTEXT
+
+
+def test_an_estimate_that_swings_is_refused_with_an_event_and_the_vehicle_flies_on(arpl_250g: Vehicle) -> None:
+    """Velocities that a disturbance would follow, and be late for: the vehicle file's model forecasts better."""
+    flight = in_wind(arpl_250g, "Hover")
+    flight.plant.disturbance = np.zeros(3)
+    flight.run(4.0)
+    swing = 2 * np.pi * 2.0
+    flight.estimate_error = lambda time: np.r_[0, 0, 0, 0.15 * np.sin(swing * time), 0, 0, 0, 0, 0]
+    flight.run(5.0)
+    assert Event.ADAPTATION_REFUSED in flight.story.raised
+    assert flight.flyer.mission.phase is Phase.TRACK
+    flight.estimate_error = flight.estimator()
+    flight.run(8.0)  # the errors' averages have to fall to their resolution
+    assert Event.ADAPTATION_REFUSED not in flight.flyer.events.active
+    assert max(flight.story.errors[-50:]) < 0.05
