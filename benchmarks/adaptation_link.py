@@ -119,8 +119,8 @@ def scenario_of(case: Case) -> str:
     """The mock's scenario: estimator, hidden effects, and the load that is taken up."""
     lines = [f'estimator = "{case.estimator}"']
     for name, values in HIDDEN[case.hidden]:
-        given = ", ".join(f"{key} = {value}" for key, value in values.items())
-        lines += ["[[effects]]", f'name = "{name}"', f"parameters = {{{given}}}"]
+        shown = ", ".join(f"{key} = {value}" for key, value in values.items())
+        lines += ["[[effects]]", f'name = "{name}"', f"parameters = {{{shown}}}"]
     if case.hidden.startswith("load"):
         after = 6.0 + TAKEN_UP  # take-off and the way to the reference take about 6 s
         lines += ["[[faults]]", 'kind = "effect"', f"at = {after}", 'after = "takeoff"']
