@@ -119,7 +119,7 @@ class Adaptation:
         self.network = None if features is None else LastLayer(features, settings)
         self._flown_change = np.zeros((0, 0)) if self.network is None else np.zeros_like(self.network.change)
         self.changed = ""
-        priors = {"prior_scale": settings.prior_scale, "known": settings.known_drag}
+        priors = {"prior_scale": settings.prior_scale, "drag_share": settings.known_drag}
         parameters = () if learned else followed_parameters(solver.model, settings.follow, **priors)
         if not learned:
             parameters = with_moments(solver, parameters)

@@ -60,12 +60,12 @@ def with_followed(vehicle: Vehicle, names: Sequence[str], catalogue: Mapping[str
 
 
 def followed_parameters(
-    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0, known: float = float("inf")
+    model: FlownModel, names: Sequence[str], *, prior_scale: float = 1.0, drag_share: float = float("inf")
 ) -> list[FollowedParameter]:
     """The parameters of those effects that are in a model. The bounds and priors are the effects' own.
 
     prior_scale: of the priors' standard deviations.
-    known: standard deviation of a drag that the model has already, as a share of it, if that is less.
+    drag_share: standard deviation of a drag that the model has already, as a share of it, if that is less.
     """
     active, _ = activate(model.vehicle, model.vehicle.effects, catalogue_of(model.vehicle))
     places = list(model_parameters(model.vehicle, active))
@@ -84,7 +84,7 @@ def followed_parameters(
             bounds = parameter.lower, parameter.upper
             value = item.values[parameter.name]
             if group == "drag" and value != parameter.neutral:
-                std = min(std, known * abs(value - parameter.neutral))
+                std = min(std, drag_share * abs(value - parameter.neutral))
             place = places.index(name)
             own: Group = "voltage" if parameter.name == item.effect.voltage_power else group
             followed.append(FollowedParameter(name, place, value, std, *bounds, own, parameter.unit))

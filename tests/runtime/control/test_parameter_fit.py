@@ -48,7 +48,7 @@ def followed_flight(
     calm_from: s, after which there is no wind along x any more.
     """
     solver, follow = RtiSolver(build_model(with_followed(vehicle, settings.follow)), Problem()), settings.follow
-    priors = followed_parameters(solver.model, follow, prior_scale=3.0, known=settings.known_drag)
+    priors = followed_parameters(solver.model, follow, prior_scale=3.0, drag_share=settings.known_drag)
     filtered = FlightFilter(solver, settings, priors)
     random, state = np.random.default_rng(seed), np.array([0.0, 0.0, 1.0, *[0.0] * 3, 1.0, *[0.0] * 6])
     error, push = np.zeros(3), np.zeros(3)
@@ -135,10 +135,10 @@ def test_a_wind_that_ends_is_not_averaged_with_what_it_was(arpl_250g: Vehicle, s
 def test_hover_shows_the_wind_beside_a_drag_that_the_file_has(arpl_250g: Vehicle, follow: tuple[str, ...]) -> None:
     hover, wind = ((0.0,) * 3, (1.0,) * 3), (6.0, -3.0, 0.0)
     settings = AdaptationSettings(mode="on", follow=follow)
-    known = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": DRAG}))
+    identified = arpl_250g.with_effects(EffectUse("rotor_drag", {"coefficient": DRAG}))
     unknown = named(followed_flight(arpl_250g, truth(arpl_250g, DRAG, wind), hover, settings=settings))
     assert unknown["wind.x"] == (0.0, 9.0)
-    result = named(followed_flight(known, truth(arpl_250g, DRAG, wind), hover, settings=settings))
+    result = named(followed_flight(identified, truth(arpl_250g, DRAG, wind), hover, settings=settings))
     for name, true in (("wind.x", 6.0), ("wind.y", -3.0)):
         assert result[name][0] == pytest.approx(true, rel=0.1)
         assert abs(result[name][0] - true) < 1.96 * result[name][1]
