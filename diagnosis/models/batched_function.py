@@ -19,7 +19,7 @@ from scipy.special import erf, erfinv
 
 from dynamics.arrays import Floats
 
-BLOCK = 1024  # rows that are evaluated at once: intermediate results stay in the cache
+BLOCK = 4096  # rows that are evaluated at once: of fewer the calls of NumPy take longer than its work
 CHAINED_BLOCK = 64  # rows that follow each other in one call of CasADi's interpreter
 
 Operation = Callable[..., Any]
