@@ -108,8 +108,7 @@ def telling_channels(regression: Regression) -> range:
 
 def saturated_floor(regression: Regression, segments: Sequence[Segment]) -> Floats:
     """(12,) floor of the residuals of segments after all columns of the catalogue at once."""
-    design = [regression.design.evaluate(segment) for segment in segments]
-    return residual_floor(regression, [y - x @ regression.everything for y, x in design])
+    return residual_floor(regression, [regression.saturated_residual(segment) for segment in segments])
 
 
 def residual_floor(regression: Regression, rows: Sequence[Floats]) -> Floats:

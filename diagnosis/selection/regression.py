@@ -11,8 +11,9 @@ are marginalised in every solution, so that drag, mass and inertia compete with 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,6 +82,7 @@ class Regression:
     rate: of the rows, Hz.
     design: makes rows and columns of other segments.
     everything: (k,) ridge coefficients of all columns at once.
+    saturated: (m, 12) residuals after all columns at once, of the segments for which they were asked.
     equations: of each flight in still air.
     pose: errors of the segments' pose that are noise.
     errors: of rows (m, 12) and columns (m, 12, k) that noise added to a segment causes, a segment each.
@@ -118,11 +120,19 @@ class Regression:
     not_followed: tuple[str, ...] = ()
     nuisances: tuple[Candidate, ...] = ()
     shared: Biases = NO_BIASES
+    saturated: WeakKeyDictionary[Segment, Floats] = field(default_factory=WeakKeyDictionary)
 
     @cached_property
     def sensor_errors(self) -> SensorErrors:
         """Errors of the sensors within specification, for any segment."""
         return SensorErrors(self.vehicle, self.catalogue, self.segments, self.thresholds)
+
+    def saturated_residual(self, segment: Segment) -> Floats:
+        """(m, 12) residual of any segment after all columns at once, which all trials of effects have in common."""
+        if segment not in self.saturated:
+            rows, columns = self.design.evaluate(segment)
+            self.saturated[segment] = rows - columns @ self.everything
+        return self.saturated[segment]
 
     @property
     def flights(self) -> range:

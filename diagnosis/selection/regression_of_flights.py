@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -63,6 +64,7 @@ def make_regression(
         biases=biases,
         design=design,
         everything=everything,
+        saturated=WeakKeyDictionary(zip(segments, _residuals(rows, columns, everything), strict=True)),
         equations=equations,
         pose=pose,
         errors=errors,
@@ -175,10 +177,14 @@ def _noise(
     kinds = np.all([channels.present(s) for s in segments], axis=0)
     active = [channel for channel in range(channels.CHANNELS) if kinds[channel // channels.AXES]]
     everything = _everything(rows, columns, active, thresholds.regression.ridge)
-    residuals = [y - x @ everything for y, x in zip(rows, columns, strict=True)]
+    residuals = _residuals(rows, columns, everything)
     # with commands alone the rotors' errors are in all channels, so correlation between channels is not sensor noise
     mixed, rate = segments[0].rotor_source != "command", segments[0].decimated_rate
     return estimate_noise(residuals, rate, active, mixed=mixed, pose=pose, thresholds=thresholds.noise), everything
+
+
+def _residuals(rows: Sequence[Floats], columns: Sequence[Floats], theta: Floats) -> list[Floats]:
+    return [y - x @ theta for y, x in zip(rows, columns, strict=True)]
 
 
 def _everything(rows: Sequence[Floats], columns: Sequence[Floats], active: Sequence[int], ridge: float) -> Floats:
