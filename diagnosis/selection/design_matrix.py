@@ -278,21 +278,21 @@ def _fill(
     """Write filtered columns to their places in the matrix (m, 12, k). lagged: whether the rotors have a lag."""
     if not waiting:
         return
-    columns = channels.predicted(segment, [prediction for _, prediction, _ in waiting])
-    for i, (place, _, candidate) in enumerate(waiting):
-        column = columns[:, :, i]
+    places, predictions, candidates = zip(*waiting, strict=True)
+    columns = channels.predicted(segment, predictions)
+    for i, candidate in enumerate(candidates):
         if candidate.fixed_shape:
-            column = column - base.of(candidate)
-        slow_only = shifts_rotors(candidate) or (lagged and scales_rotors(candidate))
-        if instrumented and slow_only:
-            column = with_slow_moments(column, segment)
-        matrix[:, :, place] = column
+            columns[:, :, i] -= base.of(candidate)
+    slow_only = [i for i, c in enumerate(candidates) if shifts_rotors(c) or (lagged and scales_rotors(c))]
+    if instrumented and slow_only:
+        columns[:, :, slow_only] = with_slow_moments(columns[:, :, slow_only], segment)
+    matrix[:, :, places] = columns
 
 
-def with_slow_moments(column: Floats, segment: Segment) -> Floats:
-    """A column (m, 12) with the moments of slow motion alone, an instrument: turbulence turns the vehicle, and within
+def with_slow_moments(columns: Floats, segment: Segment) -> Floats:
+    """Columns (m, 12, ...) with the moments of slow motion alone, instruments: turbulence turns the vehicle, and within
     30 ms the controller's commands answer, which would look like lag."""
-    result = column.copy()
-    angular = column[:, ANGULAR_ACCELERATION]
+    result = columns.copy()
+    angular = columns[:, ANGULAR_ACCELERATION]
     result[:, ANGULAR_ACCELERATION] = slow(angular, segment.decimated_rate, segment.filters.slow_cutoff)
     return result
