@@ -102,7 +102,7 @@ class Predictor:
 
     def _values_and_ages(self, changed: Mapping[str, float] | None) -> tuple[Floats, Floats]:
         p = self.values(changed)
-        return p, np.array(self._functions.ages(p)).ravel()
+        return p, self._functions.ages(p)
 
     def states(self, segment: Segment, p: Floats | None = None) -> Floats:
         """(n, nx) measured motion, smoothed, and the hidden states along it. p: parameters, by default the model's.
@@ -115,7 +115,7 @@ class Predictor:
         return self._states(_at_age(segment, self._rotor_age(values)), values)
 
     def _rotor_age(self, p: Floats) -> float:
-        return float(np.array(self._functions.ages(p)).ravel()[2])
+        return float(self._functions.ages(p)[2])
 
     def _states(self, segment: Segment, values: Floats) -> Floats:
         """(n, nx) the same along a segment whose rotors' speeds have the age of its other rows."""
@@ -246,7 +246,9 @@ class _Functions:
     def __init__(self, model: Model, free: Sequence[str]) -> None:
         self._model, self._symbols = model, _symbols(model)
         self._places = [model.parameter_index(name) for name in free]
-        self.ages = ca.Function("ages", [self._symbols["p"]], [_ages(model, self._symbols["p"])])
+        ages = ca.densify(_ages(model, self._symbols["p"]))
+        self._ages = np.array(ca.DM(ages)).ravel() if ages.is_constant() else None  # where no effect has one
+        self._ages_at = ca.Function("ages", [self._symbols["p"]], [ages])
         self.lags, self.step_bounds = _lags(model)
         self.hidden_slope, self.hidden_parameters = _hidden_slope_text(model)
         self._advances: dict[int, Recurrence] = {}
@@ -269,6 +271,10 @@ class _Functions:
         """Their derivatives in each free parameter, (12 k,)."""
         slopes = ca.jacobian(self._outputs, self._symbols["p"])[:, self._places]
         return self._by_row(ca.cse(ca.vec(slopes)))
+
+    def ages(self, p: Floats) -> Floats:
+        """(3,) age of the pose, of the attitude beyond it, and of the rotors' speeds, s."""
+        return np.array(self._ages_at(p)).ravel() if self._ages is None else self._ages
 
     def advance(self, count: int) -> Recurrence:
         """The hidden states one row later, in `count` steps."""
