@@ -241,9 +241,16 @@ class _EquationErrorProblem:
     def chi_square(self, values: Floats) -> float:
         """Reduced, at some values, by the regression's noise."""
         weighted, self._noise = self._noise, self._regression.noise
-        result = self.step(values).cost / self._regression.total  # in which noise of the columns has no part
+        equations = self._equations(self._named(values))
+        cost = np.inf if equations is None else self._cost(equations, values)  # in it noise of the columns has no part
         self._noise = weighted
-        return result
+        return cost / self._regression.total
+
+    def _cost(self, equations: FitEquations, values: Floats) -> float:
+        """Squared white residuals and distances from priors, each flight's biases at their best."""
+        flights = zip(equations.grams, equations.products, strict=True)
+        explained = sum(explained_by_biases(gram, product, equations.biases) for gram, product in flights)
+        return equations.cost - explained + float(self._information @ (self._expected - values) ** 2)
 
     def _named(self, values: Floats) -> dict[str, float]:
         return dict(zip(self.names, values.tolist(), strict=True))
@@ -277,16 +284,14 @@ class _EquationErrorProblem:
         if equations is None:
             return _Step(np.zeros(count), np.zeros((count, count)), np.zeros((count, count)), np.inf)
         gram, product, noisy = np.zeros((count, count)), np.zeros(count), np.zeros((count, count))
-        cost, biases = equations.cost, equations.biases
+        biases = equations.biases
         for one, other, own in zip(equations.grams, equations.products, equations.instruments, strict=True):
             free, free_product = marginal(one, other, biases)
             gram, product = gram + free[:count, :count], product + free_product[:count]
             noisy += marginal(own, other, biases)[0][:count, :count]
-            cost -= explained_by_biases(one, other, biases)
         off = self._expected - values
         gram, product = gram + np.diag(self._information), product + self._information * off
         noisy += np.diag(self._information)
-        cost += float(self._information @ off**2)
         scale = np.sqrt(np.maximum(np.abs(np.diag(gram)), 1e-300))
         inverse = np.linalg.pinv(gram / np.outer(scale, scale), rcond=1e-10) / np.outer(scale, scale)
         step = self._moved(gram, product)
@@ -295,7 +300,7 @@ class _EquationErrorProblem:
         covariance = pooled(
             inverse @ noisy @ inverse.T, inverse @ blocks @ inverse.T, number, self.thresholds.prior_blocks
         )
-        return _Step(step, covariance, gram, cost)
+        return _Step(step, covariance, gram, self._cost(equations, values))
 
     def _moved(self, gram: Floats, product: Floats) -> Floats:
         """(k,) Gauss-Newton step of all parameters but those that are assumed."""
