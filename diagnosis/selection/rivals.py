@@ -16,12 +16,10 @@ def rivals_of(search: Search, others: Sequence[Candidate], chosen: Candidate) ->
     """The chosen effect first, then each other effect in its place at its best grid point, best first."""
     best: dict[str, Scored] = {}
     max_rivals = search.regression.thresholds.rivals.max_rivals
-    taken = {c.effect.name for c in others}
-    for candidate in search.regression.candidates:
-        name = candidate.effect.name
-        if name in taken or name == chosen.effect.name:
-            continue
-        scored = search.score([*others, candidate])
+    taken = {chosen.effect.name, *(c.effect.name for c in others)}
+    free = [c for c in search.regression.candidates if c.effect.name not in taken]
+    for scored in search.scores([(*others, c) for c in free]):
+        name = scored.candidates[-1].effect.name
         if scored.score > IMPOSSIBLE and (name not in best or scored.score > best[name].score):
             best[name] = scored
     return [search.score([*others, chosen]), *sorted(best.values(), key=lambda s: -s.score)[:max_rivals]]

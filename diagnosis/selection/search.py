@@ -13,7 +13,6 @@ import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import chain, islice
 
 import numpy as np
 
@@ -67,8 +66,13 @@ class _Solutions:
 
     def fitting(self, number: int) -> Set:
         """Those effects of a set whose coefficients are possible in it."""
-        fits = iter(self.fits[number])
-        return tuple(c for c in self.sets[number] if all(list(islice(fits, len(c.columns)))))
+        fits, fitting, start = self.fits[number], [], 0
+        for candidate in self.sets[number]:
+            stop = start + len(candidate.columns)
+            if all(fits[start:stop]):
+                fitting.append(candidate)
+            start = stop
+        return tuple(fitting)
 
 
 def _distance_of_assumed(candidate: Candidate, vehicle: Vehicle) -> float:
@@ -149,7 +153,7 @@ class Search:
 
     def _solved(self, sets: Sequence[Set]) -> _Solutions:
         """The solution of each set, those of equal width at once."""
-        places = [list(chain.from_iterable(c.columns for c in one)) for one in sets]
+        places = [[place for c in one for place in c.columns] for one in sets]
         by_width: dict[int, list[int]] = {}
         for number, columns in enumerate(places):
             by_width.setdefault(len(columns), []).append(number)
