@@ -108,8 +108,8 @@ class Segment:
 
     @cached_property
     def axes_in_world(self) -> Floats:
-        """(3, 3, n) the same, entry by entry."""
-        return np.ascontiguousarray(self.to_world.transpose(1, 2, 0))
+        """(3, 3, n) the body's axes in the world, one after another."""
+        return np.ascontiguousarray(self.to_world.transpose(2, 1, 0))
 
     @cached_property
     def rate_from_attitude(self) -> Floats:

@@ -34,7 +34,8 @@ class Prediction:
     def world_acceleration(self, segment: Segment) -> Floats:
         """(n, 3) acceleration less gravity that the pose shows, world, m/s^2."""
         force = delayed(self.pose_force, segment.rate, self.pose_age).T
-        return np.stack([x * force[0] + y * force[1] + z * force[2] for x, y, z in segment.axes_in_world]).T
+        x, y, z = segment.axes_in_world
+        return np.asarray((x * force[0] + y * force[1] + z * force[2]).T)
 
     def attitude_rate(self, segment: Segment) -> Floats:
         """(n, 3) body rate that the attitude shows, rad/s."""
