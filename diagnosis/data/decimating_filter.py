@@ -18,7 +18,7 @@ from dynamics.arrays import Floats
 from flights.filters import ORDER, zero_phase
 
 NEGLECTED = 1e-11  # of a response's size
-BLOCK = 32  # rows of one product
+BLOCK = 16  # rows of one product
 FEW = 16  # rows for each signal, from which on filtering them all is faster than making responses for them
 
 
